@@ -1,19 +1,24 @@
 """MessagePack, and the encoding string that names a schema and its version.
 
 ``encode`` writes what any MessagePack library reads: a map with string keys. ``decode`` checks types and bounds,
-and ignores fields that it does not know, so that a newer sender is still understood.
+and ignores fields that it does not know. ``understand`` is for readers: it also keeps values that an enumeration
+got in a newer version, and names what is new.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from enum import Enum
+from functools import cache
 from math import isfinite
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar, get_type_hints
 
 import msgspec
 
 from schemas.messages import Message
 from schemas.requests import Request
 from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, Subject, Verb
+from schemas.versions import count_fields, enumeration_in, is_foreign, member_of
 
 
 class PayloadFault(msgspec.Struct, frozen=True):
@@ -37,6 +42,127 @@ def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
         return _DECODERS[subject.type].decode(payload)
     except PAYLOAD_ERRORS as error:
         return PayloadFault(str(error))
+
+
+Kind = TypeVar("Kind", bound=msgspec.Struct)
+
+
+class Understood(msgspec.Struct, Generic[Kind], frozen=True):
+    """A message of another version, as far as this one knows it.
+
+    Attributes:
+        message: with members made for the values that the enumerations of this version do not have.
+        unknown: each such value, and each field that this version does not have, by the field's name.
+    """
+
+    message: Kind
+    unknown: tuple[str, ...] = ()
+
+
+def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFault:
+    """What a reader knows of a message or reply that a newer version may have sent. Never for a request.
+
+    Values that an enumeration does not have cost one more decoding, unknown fields so when they are named.
+    """
+    decoder = _reader(kind)
+    try:
+        message = decoder.decode(payload)
+    except PAYLOAD_ERRORS as error:
+        fault = PayloadFault(str(error))
+    else:
+        if count_fields(payload) <= len(kind.__struct_fields__):
+            return Understood(message)
+        return Understood(message, _unknown_fields(kind, payload))
+    try:
+        values: Any = _UNTYPED.decode(payload)
+        foreign = _take_foreign(kind, values)
+        message = _put_back(decoder.decode(encode(values)), foreign)
+    except (*PAYLOAD_ERRORS, TypeError, OverflowError):
+        return fault
+    return Understood(message, (*_named(foreign), *_unknown_fields(kind, payload)))
+
+
+def _take_foreign(kind: type[msgspec.Struct], values: dict[str, Any]) -> dict[str, Any]:
+    """Take the values that are of no enumeration of ours out of a message; members made for them, by field.
+
+    Raises:
+        TypeError: the values are no message, or one is no word.
+    """
+    foreign: dict[str, Any] = {}
+    for name, (inner, is_list) in _growing_fields(kind).items():
+        value = values[name] if isinstance(values, dict) and name in values else None
+        if value is None:
+            continue
+        if issubclass(inner, msgspec.Struct):
+            within = _take_foreign(inner, value)
+            if within:
+                foreign[name] = within
+            continue
+        members = [_member(inner, word) for word in (value if is_list else [value])]
+        if any(map(is_foreign, members)):
+            values[name] = [] if is_list else _first_value(inner)
+            foreign[name] = members if is_list else members[0]
+    return foreign
+
+
+def _first_value(kind: type[Enum]) -> object:
+    return next(iter(kind)).value
+
+
+def _member(kind: type[Enum], word: object) -> Enum:
+    member = member_of(kind, word) if isinstance(word, str) else None
+    if member is None:
+        raise TypeError(f"{word!r} is no value of an enumeration")
+    return member
+
+
+def _put_back(message: Kind, foreign: dict[str, Any]) -> Kind:
+    changes = {
+        name: _put_back(getattr(message, name), value) if isinstance(value, dict) else value
+        for name, value in foreign.items()
+    }
+    return msgspec.structs.replace(message, **changes)
+
+
+def _named(foreign: dict[str, Any]) -> Iterator[str]:
+    for name, value in foreign.items():
+        if isinstance(value, dict):
+            yield from _named(value)
+        else:
+            members = value if isinstance(value, list) else [value]
+            yield from (f"{name} {member.value}" for member in members if is_foreign(member))
+
+
+def _unknown_fields(kind: type[msgspec.Struct], payload: bytes) -> tuple[str, ...]:
+    if count_fields(payload) <= len(kind.__struct_fields__):
+        return ()
+    names = set(_UNTYPED.decode(payload)) - set(kind.__struct_fields__)
+    return tuple(f"field {str(name)[:FIELD_NAME_MAX]!a}" for name in sorted(names, key=str)[:UNKNOWN_NAMED])
+
+
+@cache
+def _growing_fields(kind: type[msgspec.Struct]) -> dict[str, tuple[type[Any], bool]]:
+    """The fields of an enumeration, of a list of them, or of a message within; with whether it is a list."""
+    hints = get_type_hints(kind)
+    found = {name: enumeration_in(hints[name]) for name in kind.__struct_fields__}
+    growing: dict[str, tuple[type[Any], bool]] = {name: one for name, one in found.items() if one is not None}
+    for name in kind.__struct_fields__:
+        if isinstance(hints[name], type) and issubclass(hints[name], msgspec.Struct):
+            growing[name] = hints[name], False
+    return growing
+
+
+@cache
+def _reader(kind: type[Kind]) -> msgspec.msgpack.Decoder[Kind]:
+    return msgspec.msgpack.Decoder(kind)
+
+
+_UNTYPED: Final = msgspec.msgpack.Decoder()
+
+UNKNOWN_NAMED: Final = 8
+"""Fields that this version does not have: so many are named."""
+
+FIELD_NAME_MAX: Final = 64
 
 
 _REQUEST_DECODERS: Final = {verb.request: msgspec.msgpack.Decoder(verb.request) for verb in ALL_VERBS}

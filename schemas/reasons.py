@@ -114,9 +114,20 @@ RESET: Final = "reset with 'cruiser reset ROBOT' (driving: key r), then "
 
 _RESET: Final = f"clear the cause, then {RESET}{_ENGAGE}"
 
-TEXTS: Final[dict[Reason, Text]] = {
+
+class _Texts(dict[Reason, Text]):
+    """Texts of reasons; a reason of a newer version has the word alone."""
+
+    def __missing__(self, reason: Reason) -> Text:
+        return Text(f"{reason.value}, which this version does not know", "upgrade this side")
+
+
+_KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.NONE: Text("nothing is wrong", ""),
-    Reason.MALFORMED: Text("the request is not what its schema says", "send the fields that the schema names"),
+    Reason.MALFORMED: Text(
+        "the request is not what its schema says",
+        "send the fields that the schema names; a newer client may need a newer gateway",
+    ),
     Reason.TOO_LARGE: Text(
         "the request is larger than any request can be", "send the fields that the schema names"
     ),
@@ -273,12 +284,13 @@ TEXTS: Final[dict[Reason, Text]] = {
     Reason.GRANT_REVOKED: Text("the grant was revoked", "ask the fleet's authority"),
     Reason.NOT_GRANTED: Text("the grant does not allow it", "get a grant that does"),
 }
+
+TEXTS: Final[dict[Reason, Text]] = _Texts(_KNOWN_TEXTS)
 """Every reason in words; a test holds that none is missing."""
 
-OF_A_ROBOT: Final[dict[Reason, Text]] = {
-    **TEXTS,
-    Reason.NO_LEASE: Text("nobody holds the lease", _ACQUIRE),
-}
+OF_A_ROBOT: Final[dict[Reason, Text]] = _Texts(
+    {**_KNOWN_TEXTS, Reason.NO_LEASE: Text("nobody holds the lease", _ACQUIRE)}
+)
 """The same where a reason is said of a robot, not of a request."""
 
 NO_STOP: Final = frozenset({Reason.HAND_TRANSMITTER, Reason.BUS_DOWN})

@@ -53,8 +53,11 @@ class Role(Enum):
         return list(Role).index(self)
 
 
-class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What every request is."""
+class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What every request is.
+
+    A field that is as without it is left out: so a robot that does not have it yet understands the request.
+    """
 
     version: ClassVar[int] = 1
 

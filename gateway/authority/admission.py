@@ -172,7 +172,12 @@ class SignedAdmission:
 
     def admit(self, raw: RawRequest, now_ns: int) -> RawRequest:
         """The request with what is proven of its sender. A stop is served in any case; its proof says by whom."""
-        held = self._judge_drive(raw) if raw.verb == DRIVE_VERB else self._judge_verb(raw, now_ns)
+        held: HeldGrant | Objection
+        if raw.fault:
+            # It was signed as what another version calls it, so nothing can be proven of it.
+            held = Objection(Reason.MALFORMED)
+        else:
+            held = self._judge_drive(raw) if raw.verb == DRIVE_VERB else self._judge_verb(raw, now_ns)
         if raw.is_query:
             self._asking[raw.handle] = _Asked(raw, None if isinstance(held, Objection) else held)
         return msgspec.structs.replace(raw, credentials=_credentials(held))

@@ -195,7 +195,7 @@ def _ask(
 
 def _message(received: Received) -> Message | None:
     sample = read_sample(received)
-    return sample[1] if sample is not None and isinstance(sample[1], Message) else None
+    return sample.message if sample is not None and isinstance(sample.message, Message) else None
 
 
 def _runs(replies: Iterable[Received]) -> set[int]:

@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.client.payloads import read_sample
+from gateway.client.payloads import NewerWords, read_sample
 from gateway.telemetry.received import Arrival, Missed, Received
 from schemas import keys
 from schemas.codec import PayloadFault
@@ -36,6 +36,7 @@ class RobotStatus(msgspec.Struct, frozen=True):
         health: the last health, with the same rule.
         unreadable: why the last sample that could not be read could not; empty if all could.
         linked: this end is connected to Zenoh.
+        newer: what a newer version says and this one does not know; empty if nothing.
         safety: the last of the arbiter's states, with the same rule; null where there is no arbiter.
     """
 
@@ -48,6 +49,7 @@ class RobotStatus(msgspec.Struct, frozen=True):
     unreadable: str
     linked: bool
     safety: SafetyState | None = None
+    newer: str = ""
 
 
 class _Known:
@@ -63,6 +65,7 @@ class _Known:
         self.health_ns = 0
         self.heard_ns = 0
         self.unreadable = ""
+        self.newer = NewerWords()
 
 
 class Fleet:
@@ -113,6 +116,7 @@ class Fleet:
             health_age_s=None if known.health is None else health_age_ns / 1e9,
             unreadable=known.unreadable,
             linked=self._linked,
+            newer=known.newer.text,
         )
 
     def _robot(self, robot: str, now_ns: int) -> _Known:
@@ -122,10 +126,12 @@ class Fleet:
 
     def _receive_sample(self, received: Received, now_ns: int) -> None:
         sample = read_sample(received)
-        if sample is None or sample[0].root != self._root:
+        if sample is None or sample.parts.root != self._root:
             return
-        parts, message = sample
-        known = self._robot(parts.robot, now_ns)
+        message = sample.message
+        known = self._robot(sample.parts.robot, now_ns)
+        if sample.unknown:
+            known.newer.note(sample.unknown)
         known.unreadable = message.detail if isinstance(message, PayloadFault) else ""
         match message:
             case RobotState():

@@ -13,7 +13,15 @@ import msgspec
 
 from gateway.client.drive_stream import PERIOD_S, SILENT_NS, DriveStream
 from gateway.client.link_proof import LinkProof
-from gateway.client.payloads import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply, read_sample
+from gateway.client.payloads import (
+    BY_REQUEST,
+    CONTRADICTION,
+    NewerWords,
+    contradict,
+    encode_request,
+    read_reply,
+    read_sample,
+)
 from gateway.client.refusal import Refused, Unreachable, refused
 from gateway.client.remote_stop import Seen
 from gateway.telemetry.received import Missed, Received
@@ -23,6 +31,7 @@ from schemas.codec import PayloadFault
 from schemas.decisions import LeaseReply, Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.messages import GatewayHealth, RobotState
+from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.requests import Release, Renew, Request
 
@@ -74,6 +83,7 @@ class RobotLink:
         self._proof = proof
         self.heard = threading.Condition(threading.RLock())
         self.unreadable = ""
+        self._newer = NewerWords()
         self._listener = listener
         self._state: SafetyState | None = None
         self._state_ns = 0
@@ -231,8 +241,11 @@ class RobotLink:
 
     def _hear(self, received: Received, now_ns: int) -> None:
         sample = read_sample(received)
-        message = None if sample is None else sample[1]
-        match message:
+        if sample is None:
+            return
+        if sample.unknown and self._newer.note(sample.unknown):
+            log.warning("%s: %s", self.robot, plain(self._newer.text))
+        match message := sample.message:
             case SafetyState():
                 self._state, self._state_ns = message, now_ns
                 if self._proof is not None:

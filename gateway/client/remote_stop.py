@@ -66,8 +66,8 @@ class StopReport(msgspec.Struct, frozen=True):
     counted: bool = True
 
 
-Seen = tuple[int, str, SafetyState | RobotState]
-"""The time at which a sample was read, monotonic, in ns; the robot's name; its message."""
+Seen = tuple[int, str, SafetyState | RobotState | PayloadFault]
+"""When a sample was read, monotonic, in ns; the robot's name; its message, or why that cannot be read."""
 
 Look = Callable[[], Iterable[Seen | Missed]]
 """All that robots have published since the last call, and where some of it may be missing."""
@@ -116,8 +116,10 @@ def _read(heard: Iterable[Arrival], proof: StopProof | None) -> Iterator[Seen | 
             yield one
         is_believed = isinstance(one, Received) and (proof is None or proof.believes(one))
         sample = read_sample(one) if isinstance(one, Received) and is_believed else None
-        if sample is not None and isinstance(sample[1], SafetyState | RobotState):
-            yield now_ns, sample[0].robot, sample[1]
+        if sample is None or sample.parts.subject.type not in {SafetyState, RobotState}:
+            continue
+        if isinstance(sample.message, SafetyState | RobotState | PayloadFault):
+            yield now_ns, sample.parts.robot, sample.message
 
 
 def stop(
@@ -160,9 +162,13 @@ class _Sight:
         self._latch, self._stand = Evidence(), Evidence()
         self._speed_mps: float | None = None
         self._says = False
+        self._unreadable = ""
 
-    def see(self, message: SafetyState | RobotState, now_ns: int) -> None:
+    def see(self, message: SafetyState | RobotState | PayloadFault, now_ns: int) -> None:
         """It published this."""
+        if isinstance(message, PayloadFault):
+            self._unreadable = message.detail
+            return
         if isinstance(message, SafetyState):
             self._says = Reason.REMOTE_STOP in message.latched
             evidence, holds = self._latch, self._says
@@ -178,6 +184,8 @@ class _Sight:
     @property
     def doubt(self) -> str:
         """The reason for which it is not known to have stopped; empty if it is."""
+        if self._unreadable and not (self._latch.is_enough and self._stand.is_enough):
+            return f"it cannot be seen: {self._unreadable}"
         if not self._latch.is_enough:
             return "its safety/state says so too briefly" if self._says else "its safety/state does not say so"
         if self._speed_mps is None:

@@ -105,6 +105,8 @@ def line(report: RobotStatus) -> str:
         words += [_word(fact) for fact in (*state_facts(report.state), *safety_facts(report))]
         words.append(f"age {report.state_age_s or 0:.2f} s")
     words.append(_faults_word(report))
+    if report.newer:
+        words.append(plain(report.newer))
     return "  ".join(words)
 
 
@@ -135,7 +137,8 @@ def health_line(report: RobotStatus) -> str:
             return f"{report.robot}  connected, but unreadable: {plain(report.unreadable)}"
         return f"{report.robot}  connected, but no health"
     words = [report.robot, "connected" if report.connected else "health, but no liveliness token"]
-    return "  ".join([*words, *(_word(fact) for fact in health_facts(report.health))])
+    words += [_word(fact) for fact in health_facts(report.health)]
+    return "  ".join([*words, *([plain(report.newer)] if report.newer else [])])
 
 
 def panel(report: RobotStatus) -> RenderableType:
@@ -152,7 +155,8 @@ def panel(report: RobotStatus) -> RenderableType:
         top = Text(alarm(report), style=LOUD)
     # What is wrong comes first: a small window cuts the rest off.
     safety = [Text(_word(fact), style=fact.style) for fact in safety_facts(report)]
-    return Panel(Group(top, _health_text(report), *safety, grid), title=Text(report.robot), expand=False)
+    newer = [Text(plain(report.newer))] if report.newer else []
+    return Panel(Group(top, _health_text(report), *safety, *newer, grid), title=Text(report.robot), expand=False)
 
 
 def table(reports: Sequence[RobotStatus]) -> RenderableType:

@@ -47,7 +47,7 @@ class LeaseNumbers:
         """
         raw = msgspec.structs.replace(raw, attachment=b"") if raw.attachment else raw
         command = BY_VERB.get(raw.verb)
-        if command is None or raw.verb == STOP_VERB or raw.size > REQUEST_MAX_BYTES:
+        if command is None or raw.verb == STOP_VERB or raw.size > REQUEST_MAX_BYTES or raw.fault:
             return msgspec.structs.replace(raw, payload=b"")
         request = codec.decode_request(command, raw.payload)
         if isinstance(request, PayloadFault):

@@ -178,9 +178,9 @@ class FleetMetrics:
 
     def _receive_sample(self, received: Received, since_ns: int, wall_s: float) -> None:
         sample = read_sample(received)
-        if sample is None or sample[0].root != self._root or sample[0].subject.type not in STALE_NS:
+        if sample is None or sample.parts.root != self._root or sample.parts.subject.type not in STALE_NS:
             return
-        parts, message = sample
+        parts, message = sample.parts, sample.message
         sources = self._recorders if parts.recorder else self._robots
         source = self._find(sources, parts.recorder or parts.robot, since_ns)
         if source is None:

@@ -32,6 +32,7 @@ from schemas.settings import (
     Settings,
 )
 from schemas.subjects import BY_VERB, COMMAND_CHUNK, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
+from schemas.versions import encoding_fault, names_schema
 from schemas.zenoh_link import own_endpoint
 
 log = logging.getLogger(__name__)
@@ -199,7 +200,22 @@ def _raw(handle: int, verb: str, operator: str, arrived: zenoh.Sample | zenoh.Qu
     size = 0 if arrived.payload is None else len(arrived.payload)
     data, attachment = _bytes_of(arrived, REQUEST_MAX_BYTES if verb else TEXT_MAX_BYTES)
     # That of a stop is never read: whoever signs one signs it without.
-    return RawRequest(handle, verb, operator, b"" if verb == STOP_VERB else data, size, attachment=attachment)
+    payload = b"" if verb == STOP_VERB else data
+    return RawRequest(handle, verb, operator, payload, size, version_fault(verb, arrived.encoding), attachment)
+
+
+def version_fault(verb: str, encoding: zenoh.Encoding | None) -> str:
+    """Describe why a request of another version, or of another verb's schema, cannot be read; empty if it can.
+
+    A request that names no schema is judged by its fields alone; a stop is never judged.
+    """
+    command = BY_VERB.get(verb)
+    if command is None or encoding is None or verb == STOP_VERB:
+        return ""
+    named = str(encoding)
+    if named == command.encoding or not names_schema(named):
+        return ""
+    return encoding_fault(named, command.encoding, "the gateway", "the client")
 
 
 def _bytes_of(arrived: zenoh.Sample | zenoh.Query, most: int = REQUEST_MAX_BYTES) -> tuple[bytes, bytes]:

@@ -79,7 +79,7 @@ def log_record(event: SafetyEvent | RecorderEvent, name: str) -> bytes:
     """An event as a line of a log, cut to what a line holds; ``name`` is who says it."""
     operator = f" ({short(event.operator)})" if event.operator else ""
     text = f"{event.kind.value}: {short(event.text)}{operator}"
-    line = _Log(level=_LEVEL_OF[event.severity], message=text, name=name)
+    line = _Log(level=_LEVEL_OF.get(event.severity, LEVELS.index("UNKNOWN")), message=text, name=name)
     line.timestamp.seconds, line.timestamp.nanos = divmod(event.time_ns, 1_000_000_000)
     data: bytes = line.SerializeToString()
     return data

@@ -22,10 +22,11 @@ from schemas.can_word import (
     IDENTIFIER_MASK,
     REMOTE,
 )
-from schemas.codec import PayloadFault, decode
+from schemas.codec import PayloadFault, Understood, decode, understand
 from schemas.decisions import SafetyEvent
 from schemas.messages import CanFrame, CanFrames, GatewayHealth, GatewayInfo, Message, RawSample
 from schemas.subjects import ALL_SUBJECTS, Pattern, Subject
+from schemas.versions import count_fields, encoding_fault
 
 RAW_CHUNK: Final = "@raw"
 """A broken sample of a known key goes to ``{key}/@raw``: viewers want one schema per topic."""
@@ -51,6 +52,7 @@ class Route:
         is_state: its newest sample tells all; ``latest`` is that one.
         is_kept: the gateway keeps its samples for a while; see ``recorder.record.backlog``.
         is_watched: the session looks into its messages, besides recording them.
+        field_count: fields of a message.
         kind: the class of the channel's records.
         transcode: from a decoded message to its records.
     """
@@ -60,6 +62,7 @@ class Route:
         "counters",
         "counts_sequence",
         "encoding",
+        "field_count",
         "is_kept",
         "is_state",
         "is_watched",
@@ -83,10 +86,12 @@ class Route:
         )
         self.is_watched = subject is not None and subject.type in _WATCHED
         self.latest = Latest()
+        self.field_count = 0
         self.kind: type[msgspec.Struct] = RawSample
         self.transcode: Transcoder = _one_record(_ENCODE_RAW)
         if subject is not None:
             self.encoding = subject.encoding
+            self.field_count = len(subject.type.__struct_fields__)
             self.kind = CanFrame if subject.type is CanFrames else subject.type
             self.transcode = _TRANSCODERS[subject.type]
 
@@ -105,7 +110,9 @@ class Route:
         if self.subject is None:
             return "deleted" if sample.deleted else "the key is no known subject"
         if sample.encoding != self.encoding:
-            return "deleted" if sample.deleted else f"the encoding is not {self.encoding}"
+            if sample.deleted:
+                return "deleted"
+            return encoding_fault(sample.encoding, self.encoding, "the recorder", "the sender")
         if self.kind is CanFrame and len(sample.payload) > FRAMES_MAX_BYTES:
             return f"a batch of frames is larger than {FRAMES_MAX_BYTES} bytes"
         message = decode(self.subject, sample.payload)
@@ -114,6 +121,17 @@ class Route:
         if isinstance(message, CanFrames):
             return _fault_of(message) or message
         return message
+
+    def understand(self, sample: ReceivedSample) -> Understood[Message] | None:
+        """What is known of a sample that is not decoded, or not in full, because a newer version sent it."""
+        if self.subject is None or self.kind is CanFrame or sample.encoding != self.encoding:
+            return None
+        read = understand(self.subject.type, sample.payload)
+        return None if isinstance(read, PayloadFault) else read
+
+    def has_unknown_fields(self, sample: ReceivedSample) -> bool:
+        """Report whether a sample that was decoded has fields that its class does not have."""
+        return self.subject is not None and count_fields(sample.payload) > self.field_count
 
 
 _WATCHED: Final = frozenset({CanFrames, GatewayInfo, GatewayHealth, SafetyEvent})

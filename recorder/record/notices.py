@@ -7,6 +7,7 @@ from typing import Final
 import msgspec
 
 from schemas.decisions import Severity
+from schemas.printable import short
 from schemas.recording import RecorderEventKind
 
 
@@ -118,6 +119,11 @@ def incident_cut(robot: str, file: str) -> Announcement:
     """Announce an incident that was ended for want of room."""
     text = f"the disk may hold no more incidents, so the one that was being written of {robot} has ended early"
     return Announcement(RecorderEventKind.INCIDENT, Severity.ERROR, text, file)
+
+
+def other_version(robot: str, subject: str, what: str) -> Announcement:
+    """Announce samples of another version, which the recorder records as far as it knows them."""
+    return Announcement(RecorderEventKind.GAP, Severity.WARNING, short(f"{subject}: {what}"), robot=robot)
 
 
 def announcement_of(notice: Notice) -> Announcement | None:

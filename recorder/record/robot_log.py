@@ -43,6 +43,7 @@ from recorder.record.notices import (
     incident_begun,
     incident_cut,
     incident_refused,
+    other_version,
 )
 from recorder.record.robots import Robots
 from schemas import keys
@@ -52,6 +53,7 @@ from schemas.printable import short
 from schemas.recorder_settings import OWNED_KEY_LIMIT
 from schemas.recording import GapReason, RecorderEvent, RecordGap
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
+from schemas.versions import names_schema
 
 INFO_MAX_BYTES: Final = 1_000_000
 """A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
@@ -79,6 +81,9 @@ PENDING_GAPS_MAX: Final = 1000
 """Gaps that wait for the next file of a log: a disk may be full for as long as it likes."""
 
 ANNOUNCEMENTS_MAX: Final = 1000
+
+VERSIONS_SAID_MAX: Final = 32
+"""Announcements of what other versions send; the words in them are the sender's."""
 
 
 class LogPlan(msgspec.Struct, frozen=True):
@@ -154,6 +159,7 @@ class RobotLog:
         """Its keys that take the fast path, while a file is written."""
         self._pending_events: deque[tuple[str, RecorderEvent]] = deque(maxlen=PENDING_EVENTS_MAX)
         self._pending_gaps = LossReport(PENDING_GAPS_MAX)
+        self._versions_said: set[str] = set()
         self.ended_ticks: dict[str, int] = {}
         """The ticks at which gateways reported that they were told to end, by the key of their events."""
         self.is_open = False
@@ -190,9 +196,13 @@ class RobotLog:
         route = self.channels.get(sample.key) or self._find_route(sample.key, now_ns)
         message = route.decode(sample)
         if isinstance(message, str):
-            self._add_raw(sample, message, route, now_ns, log_ns)
-        else:
-            self._add_message(sample, message, route, now_ns, log_ns)
+            self._keep_raw(sample, message, route, now_ns, log_ns)
+        elif self._follow(sample, message, route, now_ns, log_ns):
+            if route.has_unknown_fields(sample) and (newer := route.understand(sample)) is not None:
+                self._say_version(
+                    route, f"fields of a newer version are not recorded ({', '.join(newer.unknown)})"
+                )
+            self._add(route, message.sequence, now_ns, log_ns, route.transcode(message))
         if self._at_risk_since_ns is None:
             self._at_risk_since_ns = self._received_ns = now_ns
         if self._chunk.is_full:
@@ -229,13 +239,12 @@ class RobotLog:
         else:
             self._pending_gaps.add(topic, message)
 
-    def _add_message(
-        self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int
-    ) -> None:
+    def _follow(self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int) -> bool:
+        """Count a message, and act on what it says. False if the log has it already."""
         if sample.is_reply and route.is_kept:
             was_missing, was_counted = self._backlog.receive_reply(sample.key, message.sequence)
             if not was_missing:
-                return
+                return False
             if was_counted:
                 route.counters.find()
         elif route.counts_sequence:
@@ -248,7 +257,27 @@ class RobotLog:
             self._watch(sample, message, route, now_ns, log_ns)
         if route.is_state:
             route.latest.log_ns, route.latest.message = log_ns, message
-        self._add(route, message.sequence, now_ns, log_ns, route.transcode(message))
+        return True
+
+    def _keep_raw(self, sample: ReceivedSample, reason: str, route: Route, now_ns: int, log_ns: int) -> None:
+        """Record a sample as it is. What is known of it counts all the same: a newer version may have sent it."""
+        newer = route.understand(sample)
+        if newer is not None and not self._follow(sample, newer.message, route, now_ns, log_ns):
+            return
+        if newer is not None:
+            what = f"samples of a newer version are kept as they are ({', '.join(newer.unknown)})"
+            self._say_version(route, what)
+        elif route.subject is not None and sample.encoding != route.encoding and names_schema(sample.encoding):
+            self._say_version(route, f"samples are kept as they are: {reason}", cure="")
+        self._add_raw(sample, reason, route, now_ns, log_ns)
+
+    def _say_version(self, route: Route, what: str, cure: str = ": upgrade the recorder") -> None:
+        """Announce once what another version sends."""
+        subject = route.subject.name if route.subject is not None else ""
+        announcement = other_version(route.robot, subject, f"{what}{cure}")
+        if announcement.text not in self._versions_said and len(self._versions_said) < VERSIONS_SAID_MAX:
+            self._versions_said.add(announcement.text)
+            self._context.announcements.append(announcement)
 
     def _add_raw(self, sample: ReceivedSample, reason: str, route: Route, now_ns: int, log_ns: int) -> None:
         if route.subject is not None:

@@ -9,19 +9,21 @@ import logging
 import re
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
-import msgspec
 import zenoh
 
 from recorder.record.admission import OPEN_TO_ALL, OrderProof
 from recorder.zenoh.session import open_session
 from schemas import codec, keys
+from schemas.codec import PayloadFault
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
 from schemas.recording import Backfill, BackfillPiece, RecorderReply, Status
 from schemas.requests import Request
 from schemas.settings import ZenohSettings
 from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_CHUNK
+from schemas.versions import encoding_fault, names_schema
 from schemas.zenoh_link import reason
 
 log = logging.getLogger(__name__)
@@ -47,8 +49,17 @@ PROOF_S: Final = 2.0
 POLL_S: Final = 0.002
 """How often a reply is looked for."""
 
-_REPLY: Final = msgspec.msgpack.Decoder(RecorderReply)
-_PIECE: Final = msgspec.msgpack.Decoder(BackfillPiece)
+Answer = TypeVar("Answer", RecorderReply, BackfillPiece)
+
+
+def _read(kind: type[Answer], verb: str, sample: zenoh.Sample) -> Answer | PayloadFault:
+    named, known = str(sample.encoding), RECORDER_BY_VERB[verb].reply_encoding
+    if named != known:
+        return PayloadFault(
+            f"the reply to {verb} is {encoding_fault(named, known, 'this program', 'the recorder')}"
+        )
+    read = codec.understand(kind, sample.payload.to_bytes())
+    return read if isinstance(read, PayloadFault) else read.message
 
 
 class RecorderClient:
@@ -102,11 +113,12 @@ class RecorderClient:
         ):
             name = self._name.fullmatch(str(sample.key_expr))
             if name is None:
-                continue  # Whoever answered so is no recorder of ours...
-            try:
-                yield name[1], _REPLY.decode(sample.payload.to_bytes())
-            except msgspec.MsgspecError:
-                continue  # ...nor who says what none says.
+                continue  # Whoever answered so is no recorder of ours.
+            reply = _read(RecorderReply, verb, sample)
+            if isinstance(reply, RecorderReply):
+                yield name[1], reply
+            elif names_schema(str(sample.encoding)):
+                log.warning("recorder %s: %s", name[1], plain(reply.detail))
 
     def recorders(self, name: str, timeout_s: float) -> list[str]:
         """The recorders that are there, as soon as there are any; of that name alone unless it is ALL.
@@ -145,10 +157,9 @@ class RecorderClient:
         ):
             if str(sample.key_expr) != self._key(recorder, "backfill"):
                 continue
-            try:
-                piece = _PIECE.decode(sample.payload.to_bytes())
-            except msgspec.MsgspecError as error:
-                log.debug("a piece cannot be read: %s", error)
+            piece = _read(BackfillPiece, "backfill", sample)
+            if isinstance(piece, PayloadFault):
+                log.warning("recorder %s: a piece cannot be read: %s", recorder, plain(piece.detail))
                 return
             is_answered = piece.ok
             yield piece

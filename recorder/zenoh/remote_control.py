@@ -35,6 +35,7 @@ from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
 from schemas.settings import Settings
 from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_SUBJECTS, STATEMENT_REPLY_ENCODING
+from schemas.versions import encoding_fault, names_schema
 
 log = logging.getLogger(__name__)
 
@@ -153,6 +154,8 @@ class RemoteControl:
             request = PayloadFault(f"{name} must name one recorder, without a wildcard")
         elif payload is not None and len(payload) > REQUEST_MAX_BYTES:
             request = PayloadFault(f"a request has at most {REQUEST_MAX_BYTES} bytes")
+        elif names_schema(named := str(query.encoding or "")) and named != verb.encoding:
+            request = PayloadFault(encoding_fault(named, verb.encoding, "the recorder", "the client"))
         else:
             content = b"" if payload is None else payload.to_bytes()
             request = self._admitted(name, operator, content, attachment)

@@ -9,8 +9,12 @@ from typing import Any
 
 import msgspec
 from mcap import records
+from mcap.reader import make_reader
+from mcap.records import Message as McapMessage
 from mcap.writer import CompressionType, IndexType, Writer
+from mcap_protobuf.decoder import DecoderFactory
 
+from recorder.encoding.foxglove_log import SCHEMA_NAME as FOXGLOVE_LOG
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.transcode import compile_encoder
@@ -240,3 +244,13 @@ def with_record_replaced(data: bytes, before: records.McapRecord, after: records
     assert len(old) == len(new)
     assert data.count(old) == 1
     return data.replace(old, new)
+
+
+def read_records(data: bytes, *, lines: bool = False) -> list[tuple[str, str, McapMessage, Any]]:
+    """Topic, schema, record and content of every message; of events' second form only if they are wanted."""
+    reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
+    return [
+        (channel.topic, schema.name if schema else "", message, content)
+        for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
+        if schema is not None and (lines or schema.name != FOXGLOVE_LOG)
+    ]

@@ -32,8 +32,10 @@ from schemas.settings import (
     Settings,
     ZenohSettings,
 )
-from schemas.subjects import BY_VERB
+from schemas.subjects import BY_VERB, COMMANDS, STOP_VERB, Asking, Command
 from tests.support.fakes.peer import free_endpoint
+from tests.support.newer import newer
+from tests.support.requests import REQUESTS
 from tests.support.waiting import wait_until
 
 ROBOT = "fleet/cruiser-1/@cmd/"
@@ -76,9 +78,9 @@ class Bench:
         """A query whose replies nobody reads."""
         self.asker.get(key, zenoh.handlers.RingChannel(1), timeout=5)
 
-    def ask(self, key: str, payload: bytes = b"") -> Any:  # noqa: ANN401 - Zenoh's own handler
+    def ask(self, key: str, payload: bytes = b"", encoding: str | None = None) -> Any:  # noqa: ANN401 - Zenoh's own handler
         """A query; the receiver of its replies."""
-        return self.asker.get(key, payload=payload, timeout=5)
+        return self.asker.get(key, payload=payload, encoding=encoding, timeout=5)
 
     def answer(self, requests: list[RawRequest], payload: bytes = b"yes") -> None:
         """Reply to each."""
@@ -437,3 +439,33 @@ def test_a_gateway_whose_sessions_do_not_meet_says_so(
     place = ZenohPlace("another", [], [free_endpoint()], [free_endpoint()])
     with closing(open_inbox(Settings(), place)):
         assert "cannot command this robot, nor stop it" in caplog.text
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
+def test_a_command_of_another_version_says_so(bench: Bench, command: Command) -> None:
+    """Both versions and who is to be upgraded; but a stop is a stop, whatever it calls itself."""
+    key, payload = f"{ROBOT}first/{command.verb}", msgspec.msgpack.encode(REQUESTS[command.verb])
+    encodings = [newer(command.encoding), newer(command.encoding, -1), command.encoding, "zenoh/bytes"]
+    for encoding in encodings:
+        if command.asking is Asking.PUT:
+            bench.asker.put(key, payload, encoding=encoding)
+        else:
+            bench.ask(key, payload, encoding)
+    faults = [request.fault for request in bench.wait_for(len(encodings))]
+    if command.verb == STOP_VERB:
+        assert faults == ["", "", "", ""]
+        return
+    version = command.request.version
+    assert faults == [
+        f"version {version + 1} of {command.schema_name}, and the gateway knows {version}: upgrade the gateway",
+        f"version {version - 1} of {command.schema_name}, and the gateway knows {version}: upgrade the client",
+        "",
+        "",
+    ]
+
+
+def test_a_command_that_calls_itself_another_one_says_so(bench: Bench) -> None:
+    """What was meant for one verb is not obeyed as another that has the same fields."""
+    bench.ask(f"{ROBOT}first/unpark", msgspec.msgpack.encode({"lease": 1}), BY_VERB["park"].encoding)
+    (request,) = bench.wait_for(1)
+    assert request.fault.endswith(f"is not {BY_VERB['unpark'].encoding}")

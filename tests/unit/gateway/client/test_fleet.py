@@ -3,11 +3,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.client.fleet import FORGOTTEN_NS, HEALTH_STALE_NS, STATE_STALE_NS, Fleet
+from gateway.client.view import line
 from gateway.telemetry.received import Received, TokenChange
 from schemas import codec, keys
 from schemas.messages import Message
 from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS
-from tests.support.messages import HEALTH, ROOT, STATE
+from tests.support.messages import HEALTH, ROOT, STANDBY, STATE
+from tests.support.newer import NEW_WORD, with_new_word
 
 START_NS = 10**12
 
@@ -95,7 +97,8 @@ def test_what_cannot_be_read_is_said_until_something_can() -> None:
     fleet.receive(sample(STATE, encoding=f"{encoding}99"), START_NS)
     report = fleet.report("cruiser-1", START_NS)
     assert report.state is None
-    assert f"{encoding}99" in report.unreadable
+    assert report.unreadable.startswith("state is version 199 of cruiser.RobotState")
+    assert report.unreadable.endswith("upgrade this program")
     fleet.receive(sample(STATE), START_NS)
     assert fleet.report("cruiser-1", START_NS).unreadable == ""
 
@@ -110,3 +113,19 @@ def test_no_sample_makes_hearing_raise(key: str, encoding: str, payload: bytes) 
     fleet = fleet_that_heard(Received(key, encoding, payload), TokenChange(key, present=True))
     for robot in fleet.robots(START_NS):
         assert fleet.report(robot, START_NS).robot == robot
+
+
+def test_a_robot_of_a_newer_version_is_shown_as_far_as_it_is_known() -> None:
+    """A latch for a reason that is new is shown by its word, with what to do; commands and states are read on."""
+    state = BY_TYPE[type(STANDBY)]
+    key = keys.build(ROOT, "cruiser-1", state)
+    latched = Received(key, state.encoding, with_new_word(STANDBY, ("latched",)))
+    fleet = fleet_that_heard(token(), sample(STATE), latched, latched)
+    report = fleet.report("cruiser-1", START_NS)
+    assert report.safety is not None
+    assert report.safety.latched[-1].value == NEW_WORD
+    assert report.newer.count(f"safety/state: latched {NEW_WORD}") == 1
+    for shown in (line(report), msgspec.json.encode(report).decode()):
+        assert f"latched {NEW_WORD}" in shown
+        assert "upgrade this program" in shown
+    assert fleet.report("cruiser-2", START_NS).newer == ""

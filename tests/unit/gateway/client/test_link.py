@@ -7,6 +7,7 @@ from gateway.client import link
 from gateway.client.link import RobotLink
 from gateway.telemetry.received import Missed, Received
 from schemas import codec, keys
+from schemas.codec import PayloadFault
 from schemas.decisions import SafetyState
 from schemas.messages import RobotState
 from schemas.subjects import BY_TYPE
@@ -37,7 +38,7 @@ class FakePort:
         """It is closed."""
 
 
-def looked_at(batch: Sequence[Received | Missed]) -> list[SafetyState | RobotState | Missed]:
+def looked_at(batch: Sequence[Received | Missed]) -> list[SafetyState | RobotState | PayloadFault | Missed]:
     """What a look shows after one batch: the chassis's states, and where some may be missing."""
     port: Any = FakePort(batch)
     opened = RobotLink(port, port, "cruiser-1")

@@ -120,3 +120,12 @@ def test_the_lease_in_force_and_those_before_it_are_remembered() -> None:
     known = [msgspec.msgpack.decode(numbers.admit(one).payload)["lease"] for one in renewals]
     assert known[-17:] == list(range(484, 501))
     assert set(known[:-32]) == {0}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_request_of_another_version_is_not_read(verb: str) -> None:
+    """Even if this version could: its fault goes on, and its payload does not."""
+    good = msgspec.msgpack.encode(REQUESTS[verb] | {"lease": NUMBER})
+    other = msgspec.structs.replace(raw(verb, good), fault="version 7 of it")
+    admitted = held().admit(other)
+    assert (admitted.fault, admitted.payload) == ("version 7 of it", b"")

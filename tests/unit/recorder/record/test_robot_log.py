@@ -6,18 +6,14 @@ from collections.abc import Callable, Sequence
 from enum import Enum
 from io import BytesIO
 from itertools import pairwise
-from typing import Any
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.records import Message as McapMessage
-from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.encoding.can_columns import FRAMES_MAX
-from recorder.encoding.foxglove_log import SCHEMA_NAME as FOXGLOVE_LOG
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.routes import FRAMES_MAX_BYTES
 from recorder.record import channels
@@ -44,6 +40,7 @@ from schemas.recording import GapReason, RecordGap
 from schemas.snake_case import snake_case
 from schemas.subjects import BY_NAME, SUBJECTS, Subject
 from tests.support.logs import PLAN, Log
+from tests.support.logs import read_records as read
 from tests.support.messages import (
     GEAR_FEEDBACK,
     MS,
@@ -66,16 +63,6 @@ TIMES = st.one_of(st.integers(-(2**70), 2**70), st.just(WALL_NS))
 GEAR_KEY = key_of(Gear)
 FRAMES_KEY = key_of(CanFrames)
 INFO_KEY = key_of(GatewayInfo)
-
-
-def read(data: bytes) -> list[tuple[str, str, McapMessage, Any]]:
-    """Topic, schema, record and content of every message, but for events' second form."""
-    reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
-    return [
-        (channel.topic, schema.name if schema else "", message, content)
-        for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
-        if schema is not None and schema.name != FOXGLOVE_LOG
-    ]
 
 
 def in_short(report: KeyReport) -> tuple[int, int, int]:
@@ -177,8 +164,8 @@ def test_whatever_comes_is_kept_in_a_file_that_others_read(samples: list[Receive
     ("change", "reason"),
     [
         (lambda sample: FakeSample(sample.key, sample.encoding, b"\xc1"), ""),
-        (lambda sample: FakeSample(sample.key, "text/plain", sample.payload), "encoding"),
-        (lambda sample: FakeSample(sample.key, sample.encoding.replace("/1", "/2"), sample.payload), "encoding"),
+        (lambda sample: FakeSample(sample.key, "text/plain", sample.payload), "text/plain"),
+        (lambda sample: FakeSample(sample.key, sample.encoding.replace("/1", "/2"), sample.payload), "version 2"),
         (lambda sample: FakeSample(sample.key, "zenoh/bytes", b"", deleted=True), "deleted"),
         (lambda sample: FakeSample(sample.key, sample.encoding, b""), ""),
     ],
