@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import cache
+from functools import lru_cache
 from typing import Any, Final
 
 import msgspec
@@ -20,15 +20,25 @@ from mcap import records
 from msgspec import inspect
 
 from recorder.encoding.foxglove_log import LOG_CHUNK
-from recorder.encoding.protobuf_schema import LOGGED, fields, message_class, optional_part, schema_name
+from recorder.encoding.protobuf_schema import (
+    LOGGED,
+    descriptor_set,
+    fields,
+    message_class,
+    optional_part,
+    schema_name,
+)
 from recorder.encoding.routes import RAW_CHUNK
 from recorder.mcap.summary_reader import LogSummary
+from recorder.reading.other_versions import means_the_same, newer_members
 from schemas import keys
 
 UNREADABLE: Final = (DecodeError, ValueError, TypeError, KeyError, IndexError, RecursionError)
 """The exceptions that decoding raises on bytes that are no message of the expected type."""
 
 Decode = Callable[[bytes], Any]
+
+DECODERS_KEPT: Final = 256
 
 _SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK)
 """The last chunks of topics that a recorder makes beside the one of a key."""
@@ -45,7 +55,7 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
         encoding: of the messages, by MCAP's registry: ``protobuf``, ``json``, ``cdr``, ...
         schema_encoding: of the schema.
         schema_data: the schema.
-        kind: the class of the messages if they are ours, else None.
+        kind: the class of the messages if they are ours, of whatever version, else None.
         robot: the robot's name if the topic is a key of ours, else empty; with its root before it where the logs
             are of several robots of this name.
         owner: the same, but also for what a recorder writes beside the topic of a key.
@@ -75,8 +85,10 @@ def topic_of(
     parts = keys.parse(channel.topic)
     of_key = parts or keys.parse(key_of(channel.topic)[0])
     decode: Decode | None = None
-    if kind is not None:
-        decode = typed_decoder(kind)
+    if kind is not None and (schema is None or not means_the_same(kind, schema.data)):
+        kind = None
+    if kind is not None and schema is not None:
+        decode = typed_decoder(kind, schema.data if schema.data != descriptor_set(kind) else b"")
     elif is_protobuf and schema is not None:
         decode = foreign_decoder(name, schema.data)
     elif channel.message_encoding == "json":
@@ -140,43 +152,47 @@ def robot_of(parts: keys.KeyParts, namesakes: frozenset[str]) -> str:
     return f"{parts.root}/{parts.robot}" if parts.robot in namesakes else parts.robot
 
 
-@cache
-def typed_decoder(kind: type[msgspec.Struct]) -> Decode:
+@lru_cache(DECODERS_KEPT)
+def typed_decoder(kind: type[msgspec.Struct], descriptors: bytes = b"") -> Decode:
     """Return the decoder of a record's protobuf bytes into the class that it was written from.
 
     Fields that the record lacks, because an older version wrote it, have protobuf's defaults.
+
+    Args:
+        kind: the class.
+        descriptors: the schema of another version; its enumerations may have values that ours have not.
     """
     read: Any = message_class(kind).FromString
-    build = _builder(kind)
+    build = _builder(kind, descriptors)
     return lambda data: build(read(data))
 
 
-def _builder(kind: type[msgspec.Struct]) -> Callable[[Any], Any]:
+def _builder(kind: type[msgspec.Struct], descriptors: bytes) -> Callable[[Any], Any]:
     """Turns a protobuf message into the class, by an expression that is compiled once."""
     names: dict[str, Any] = {"Kind": kind}
-    parts = [_expression(name, field, names) for name, _, field in fields(kind)]
+    parts = [_expression(name, field, names, descriptors) for name, _, field in fields(kind)]
     source = f"lambda m: Kind({', '.join(parts)})"
     return eval(source, names)  # type: ignore[no-any-return]  # noqa: S307 - the source is made here, of our own classes
 
 
-def _expression(name: str, field: inspect.Type, names: dict[str, Any]) -> str:
+def _expression(name: str, field: inspect.Type, names: dict[str, Any], descriptors: bytes) -> str:
     inner = optional_part(field)
     if inner is not None:
-        return f"{_converted(f'm.{name}', name, inner, names)} if m.HasField({name!r}) else None"
+        return f"{_converted(f'm.{name}', name, inner, names, descriptors)} if m.HasField({name!r}) else None"
     if isinstance(field, inspect.ListType):
-        one = _converted("one", name, field.item_type, names)
+        one = _converted("one", name, field.item_type, names, descriptors)
         return f"list(m.{name})" if one == "one" else f"[{one} for one in m.{name}]"
     if isinstance(field, inspect.DictType):
         return f"dict(m.{name})"
-    return _converted(f"m.{name}", name, field, names)
+    return _converted(f"m.{name}", name, field, names, descriptors)
 
 
-def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any]) -> str:
+def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any], descriptors: bytes) -> str:
     if isinstance(field, inspect.EnumType):
-        names[f"of_{name}"] = list(field.cls)
+        names[f"of_{name}"] = [*field.cls, *newer_members(field.cls, descriptors)]
         return f"of_{name}[{value}]"
     if isinstance(field, inspect.StructType):
-        names[f"of_{name}"] = _builder(field.cls)
+        names[f"of_{name}"] = _builder(field.cls, descriptors)
         return f"of_{name}({value})"
     return value
 

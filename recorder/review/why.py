@@ -23,7 +23,7 @@ from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
 from recorder.review.reasoning.blockers import PLAIN, blocked_words, blocks, cures
 from recorder.review.reasoning.chain import Link, Step, before, missing, span
-from recorder.review.reasoning.evidence import EVIDENCE
+from recorder.review.reasoning.evidence import evidence_of
 from recorder.review.reasoning.moment import arbiter, headline, motion
 from recorder.review.reasoning.request_evidence import describe_command, refused_lately
 from recorder.review.reasoning.silence import GatewaySilence, last_silence, next_silence
@@ -315,7 +315,7 @@ class _Answer:
         by = f", by {focus.operator}" if focus.operator and focus.operator not in focus.text else ""
         derived = "; no event says so, two states of the arbiter do" if focus.is_derived else ""
         yield Link(Step.CAUSE, f"{focus.text}{by}{derived}", focus.time_ns, {"reason": focus.reason.value})
-        yield from EVIDENCE[focus.reason](window)
+        yield from evidence_of(focus.reason)(window)
         yield from actions(window, focus.reason)
         yield from self._latches(window, focus)
         latched = [] if self._state is None else self._state.latched
@@ -362,9 +362,9 @@ class _Answer:
                 yield self._latch(reason)
             latch = self._story.last_latch(reason, self._now.at_ns) if number < LATCHES_SHOWN else None
             if is_latched and latch is not None:
-                yield from EVIDENCE[reason](self._beside(latch.time_ns, "the latch", latch.text))
+                yield from evidence_of(reason)(self._beside(latch.time_ns, "the latch", latch.text))
             elif not is_latched:
-                yield from EVIDENCE[reason](self._beside(self._now.at_ns, self._now.what))
+                yield from evidence_of(reason)(self._beside(self._now.at_ns, self._now.what))
         for reason in blocked_by:
             yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
 

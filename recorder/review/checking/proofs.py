@@ -18,6 +18,7 @@ from msgspec import inspect
 from recorder.encoding.foxglove_log import SCHEMA_DATA, SCHEMA_NAME
 from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, fields, message_class, schema_name
 from recorder.encoding.transcode import packed_fields
+from recorder.reading.other_versions import means_the_same
 from recorder.reading.topics import UNREADABLE, foreign_decoder
 
 Proof = Callable[[list[bytes]], Sequence[int]]
@@ -42,10 +43,17 @@ def faults_of_schema(schema: records.Schema) -> list[str]:
         faults.append(f"the schema {schema.name} cannot be read")
     elif schema.encoding == "jsonschema" and _is_no_json(schema.data):
         faults.append(f"the schema {schema.name} is no JSON")
-    ours = _OURS.get(schema.name)
-    if ours is not None and not faults and (schema.encoding, schema.data) != ("protobuf", ours[1]):
+    if schema.name in _OURS and not faults and not _is_of_a_version(schema):
         faults.append(f"the schema {schema.name} is not the one that this version writes")
     return faults
+
+
+def _is_of_a_version(schema: records.Schema) -> bool:
+    """Report whether it is what this version writes, or an older or newer one did."""
+    kind, data = _OURS[schema.name]
+    if schema.encoding != "protobuf":
+        return False
+    return schema.data == data or (kind is not None and means_the_same(kind, schema.data))
 
 
 def proof_of(channel: records.Channel, schema: records.Schema | None) -> Proof | None:

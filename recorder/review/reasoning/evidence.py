@@ -115,3 +115,8 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.LINK_TOO_SLOW: _of_request(Reason.LINK_TOO_SLOW),
 }
 """A test holds that none is missing."""
+
+
+def evidence_of(reason: Reason) -> Finder:
+    """The finder of the evidence for a reason; of a newer version's nothing is found."""
+    return EVIDENCE.get(reason, _nothing)

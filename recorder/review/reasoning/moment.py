@@ -119,7 +119,8 @@ def _bounds(now: EvidenceWindow, state: SafetyState) -> Iterator[Link]:
     last = last_command(now)
     if last is not None:
         for bound in last.said.bound_by:
-            text = _BOUNDS[bound](state, last.said)
+            words = _BOUNDS.get(bound)
+            text = f"{bound.value}, a limit of a newer version" if words is None else words(state, last.said)
             yield Link(Step.ARBITER, text, last.time_ns, {"bound": bound.value})
 
 

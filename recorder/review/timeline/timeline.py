@@ -202,7 +202,7 @@ class Timeline:
     # One for each class of messages.
 
     def _take_event(self, robot: RobotTrack, row: Row, event: SafetyEvent) -> None:
-        kind = OF_EVENT[event.kind]
+        kind = OF_EVENT.get(event.kind, EntryKind.FAULT)
         robot.ticks.add(kind, event.tick)
         if event.kind is EventKind.GATEWAY:
             robot.ended_tick = event.tick

@@ -1,0 +1,92 @@
+"""Schemas of logs that another version wrote: whether its messages mean the same here, and the words it has more.
+
+Numbers of fields are places in a class, and those of values places in an enumeration: what is added goes to the
+end. So an older log lacks what came later, and a newer one has more. Where a number means something else, the
+messages are read by the log's own schema alone, as anybody else's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum
+from functools import lru_cache
+from typing import Final
+
+import msgspec
+from google.protobuf.descriptor_pb2 import DescriptorProto, EnumDescriptorProto, FileDescriptorSet
+from google.protobuf.message import DecodeError
+
+from recorder.encoding.protobuf_schema import descriptor_set
+from schemas.snake_case import snake_case
+from schemas.versions import member_of
+
+RENAMED: Final = {"REASON_TICK_UNKNOWN": "REASON_CHALLENGE_UNKNOWN"}
+"""Values of enumerations that older logs call otherwise."""
+
+_KEPT: Final = 256
+
+
+@lru_cache(_KEPT)
+def means_the_same(kind: type[msgspec.Struct], descriptors: bytes) -> bool:
+    """Report whether what a log's schema and the one of this version have in common means the same."""
+    if descriptors == descriptor_set(kind):
+        return True
+    try:
+        theirs = FileDescriptorSet.FromString(descriptors)
+    except DecodeError:
+        return False
+    ours = FileDescriptorSet.FromString(descriptor_set(kind))
+    messages = {name: one for file in theirs.file for name, one in _by_name(file.package, file.message_type)}
+    enums = {one.name: one for file in theirs.file for one in file.enum_type}
+    return all(
+        (name not in messages or _fits(one, messages[name]))
+        for file in ours.file
+        for name, one in _by_name(file.package, file.message_type)
+    ) and all(
+        (one.name not in enums or _numbers_fit(one, enums[one.name]))
+        for file in ours.file
+        for one in file.enum_type
+    )
+
+
+@lru_cache(_KEPT)
+def newer_members(kind: type[Enum], descriptors: bytes) -> tuple[Enum, ...]:
+    """Members made for the values that an enumeration has more in a log's schema, in their order."""
+    prefix = f"{snake_case(kind.__name__).upper()}_"
+    words = [
+        value.name.removeprefix(prefix).lower()
+        for file in FileDescriptorSet.FromString(descriptors).file
+        for enum in file.enum_type
+        if enum.name == kind.__name__
+        for value in sorted(enum.value, key=lambda one: one.number)[len(kind) :]
+    ]
+    members = [member_of(kind, word) for word in words]
+    return tuple(member for member in members if member is not None)
+
+
+def _by_name(package: str, messages: Iterable[DescriptorProto]) -> Iterable[tuple[str, DescriptorProto]]:
+    for one in messages:
+        name = f"{package}.{one.name}"
+        yield name, one
+        yield from _by_name(name, one.nested_type)
+
+
+def _fits(ours: DescriptorProto, theirs: DescriptorProto) -> bool:
+    mine = {one.number: (one.name, one.type, one.label, one.type_name) for one in ours.field}
+    numbers = {one.name: one.number for one in ours.field}
+    return all(
+        mine.get(one.number, (one.name, one.type, one.label, one.type_name))
+        == (one.name, one.type, one.label, one.type_name)
+        and numbers.get(one.name, one.number) == one.number
+        for one in theirs.field
+    )
+
+
+def _numbers_fit(ours: EnumDescriptorProto, theirs: EnumDescriptorProto) -> bool:
+    names = {one.number: one.name for one in ours.value}
+    numbers = {one.name: one.number for one in ours.value}
+    return all(
+        names.get(one.number, name) == name and numbers.get(name, one.number) == one.number
+        for one in theirs.value
+        for name in (RENAMED.get(one.name, one.name),)
+    )

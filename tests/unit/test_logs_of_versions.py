@@ -1,0 +1,166 @@
+"""Logs of every version stay readable: earlier ones answer as they did, newer ones as far as they are known."""
+
+import lzma
+from pathlib import Path
+
+import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from mcap import records
+
+from gateway.cli.main import main
+from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, message_class, schema_name
+from recorder.mcap.channel import LogChannel
+from recorder.reading.other_versions import means_the_same
+from recorder.reading.topics import topic_of
+from recorder.review.checking.proofs import faults_of_schema
+from schemas.decisions import EventKind, SafetyEvent
+from schemas.reasons import Reason
+from schemas.versions import is_foreign
+from tests.support.logs import own_log
+from tests.support.messages import WALL_NS, event, key_of
+from tests.support.versions import DIRECTORY, LOGS, QUESTIONS, answer, stored, unpack
+
+from recorder.encoding.transcode import compile_encoder  # isort: skip
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+@pytest.mark.parametrize("name", LOGS)
+def test_a_log_of_an_earlier_version_answers_as_it_did(
+    name: str, question: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the answer is better now: ``python -m tests.support.versions``."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    unpack(name, tmp_path)
+    assert answer(name, question) == stored(name, question).read_text(encoding="utf-8")
+
+
+def test_every_log_says_how_it_was_made() -> None:
+    """And is small."""
+    page = (DIRECTORY / "README.md").read_text(encoding="utf-8")
+    for name, path in LOGS.items():
+        assert f"| `{name}` |" in page
+        assert path.stat().st_size < 150_000
+        assert lzma.decompress(path.read_bytes())[:8] == b"\x89MCAP0\r\n"
+
+
+def newer_schema(kind: type = SafetyEvent) -> FileDescriptorSet:
+    """The schema of a newer version: a field more, and values more of two enumerations."""
+    files = FileDescriptorSet.FromString(descriptor_set(kind))
+    for file in files.file:
+        for message in file.message_type:
+            message.field.add(
+                name="new_field",
+                number=len(message.field) + 1,
+                type=FieldDescriptorProto.TYPE_DOUBLE,
+                label=FieldDescriptorProto.LABEL_OPTIONAL,
+            )
+        for enum in file.enum_type:
+            prefix = enum.value[0].name.rpartition("_")[0] if enum.name == "Reason" else enum.name.upper()
+            enum.value.add(name=f"{prefix}_ICE", number=len(enum.value))
+    for file in files.file:
+        for enum in file.enum_type:
+            if enum.name == "EventKind":
+                enum.value[-1].name = "EVENT_KIND_SKID"
+    return files
+
+
+def newer_event(number: int = 0) -> bytes:
+    """An event of a newer version's kind, for a newer version's reason."""
+    told = message_class(SafetyEvent).FromString(compile_encoder(SafetyEvent)(event(number)))
+    told.kind, told.reason = len(EventKind), len(Reason)  # type: ignore[attr-defined]  # made at run time
+    return told.SerializeToString() + b"\x49" + bytes(8)  # Field 9, of 8 bytes.
+
+
+def schema_record(data: bytes, kind: type = SafetyEvent) -> records.Schema:
+    """A schema as it stands in a log."""
+    return records.Schema(id=1, name=schema_name(kind), encoding="protobuf", data=data)
+
+
+def test_a_newer_log_is_read_with_its_own_words() -> None:
+    """Its schema says what the numbers are called that this version does not have."""
+    data = newer_schema().SerializeToString()
+    channel = records.Channel(1, key_of(SafetyEvent), "protobuf", {}, 1)
+    topic = topic_of(channel, schema_record(data))
+    assert topic.kind is SafetyEvent
+    assert topic.decode is not None
+    said = topic.decode(newer_event())
+    assert (said.kind.value, said.reason.value) == ("skid", "ice")
+    assert is_foreign(said.kind)
+    assert said.text == event(0).text
+    assert faults_of_schema(schema_record(data)) == []
+
+
+@pytest.mark.parametrize("question", ["info", "check", "events", "why", "export"])
+def test_a_newer_log_answers_every_question(
+    question: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Events of a kind and for a reason that are new are told by their words."""
+    monkeypatch.chdir(tmp_path)
+    channel = LogChannel(1, key_of(SafetyEvent), schema_name(SafetyEvent), newer_schema().SerializeToString())
+    chunk = [(1, number, WALL_NS + number, newer_event(number)) for number in range(3)]
+    Path("newer.mcap").write_bytes(own_log([chunk], [channel]))
+    code = main(["review", question, "newer.mcap", *(["-o", "out"] if question == "export" else [])])
+    shown = capsys.readouterr()
+    assert code in {0, 1, 3}, shown.err
+    assert "Traceback" not in shown.err
+    if question == "events":
+        assert "ice" in shown.out
+
+
+@pytest.mark.parametrize("kind", LOGGED)
+def test_what_is_added_at_the_end_means_the_same(kind: type) -> None:
+    """Of every class, in both directions of time."""
+    assert means_the_same(kind, descriptor_set(kind))
+    assert means_the_same(kind, newer_schema(kind).SerializeToString())
+    older = FileDescriptorSet.FromString(descriptor_set(kind))
+    del older.file[-1].message_type[0].field[-1]
+    assert means_the_same(kind, older.SerializeToString())
+
+
+def changed(what: str) -> bytes:
+    """The schema of safety/event in which a number means something else."""
+    files = FileDescriptorSet.FromString(descriptor_set(SafetyEvent))
+    fields = files.file[-1].message_type[0].field
+    reason = next(enum for file in files.file for enum in file.enum_type if enum.name == "Reason")
+    match what:
+        case "two fields in each other's place":
+            fields[2].name, fields[6].name = fields[6].name, fields[2].name
+        case "a field of another type":
+            fields[2].type = FieldDescriptorProto.TYPE_DOUBLE
+        case "a field renamed":
+            fields[2].name = "tack"
+        case "two values in each other's place":
+            reason.value[1].name, reason.value[2].name = reason.value[2].name, reason.value[1].name
+        case "a value in place of another":
+            reason.value[3].name = "REASON_ICE"
+    return files.SerializeToString()
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "two fields in each other's place",
+        "a field of another type",
+        "a field renamed",
+        "two values in each other's place",
+        "a value in place of another",
+    ],
+)
+def test_a_number_that_means_something_else_is_never_taken_for_ours(what: str) -> None:
+    """Such messages are read by the log's own schema alone, and a check says so."""
+    data = changed(what)
+    assert not means_the_same(SafetyEvent, data)
+    topic = topic_of(records.Channel(1, key_of(SafetyEvent), "protobuf", {}, 1), schema_record(data))
+    assert topic.kind is None
+    assert topic.decode is not None
+    assert faults_of_schema(schema_record(data)) == [
+        "the schema cruiser.SafetyEvent is not the one that this version writes"
+    ]
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff", b"\x0a\x05nope!"])
+def test_a_schema_that_is_none_makes_nothing_raise(data: bytes) -> None:
+    """Nor is it ours."""
+    topic = topic_of(records.Channel(1, key_of(SafetyEvent), "protobuf", {}, 1), schema_record(data))
+    assert topic.schema == "cruiser.SafetyEvent"
