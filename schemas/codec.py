@@ -47,7 +47,7 @@ def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
 Kind = TypeVar("Kind", bound=msgspec.Struct)
 
 
-class Understood(msgspec.Struct, Generic[Kind], frozen=True):
+class Understood(msgspec.Struct, Generic[Kind], frozen=True, gc=False):
     """A message of another version, as far as this one knows it.
 
     Attributes:

@@ -51,7 +51,7 @@ def read_reply(command: Command, received: Received) -> Reply | PayloadFault:
     )
 
 
-class SampleRead(msgspec.Struct, frozen=True):
+class SampleRead(msgspec.Struct, frozen=True, gc=False):
     """A sample of a robot or a recorder.
 
     Attributes:

@@ -47,8 +47,9 @@ def answering(peer: Peer, name: str, *payloads: bytes, silent: str = "") -> Iter
             asked.append(str(query.key_expr))
             operator, verb = asked[-1].split("/")[-2:]
             with query:
+                encoding = RECORDER_BY_VERB[verb].reply_encoding
                 for payload in payloads if verb != silent else ():
-                    query.reply(f"fleet/@recorder/{name}/@cmd/{operator}/{verb}", payload)
+                    query.reply(f"fleet/@recorder/{name}/@cmd/{operator}/{verb}", payload, encoding=encoding)
 
     thread = threading.Thread(target=serve)
     thread.start()

@@ -29,9 +29,10 @@ from schemas.recording import (
 )
 from schemas.requests import Request
 from schemas.settings import Settings, ZenohSettings
-from schemas.subjects import BY_TYPE, RECORDER_BY_VERB
+from schemas.subjects import BY_TYPE, RECORDER_BY_VERB, RECORDER_COMMANDS, RecorderCommand
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.messages import WALL_NS, recorder_health
+from tests.support.newer import newer
 from tests.support.waiting import wait_until
 
 EVENT = RecorderEvent(
@@ -61,12 +62,18 @@ class Client:
         self._session = open_session(ZenohSettings(connect=[endpoint]))
         self._waiting: list[Any] = []
 
-    def ask(self, key: str, payload: bytes | None = b"") -> Any:  # noqa: ANN401 - Zenoh's own handler
+    def ask(
+        self,
+        key: str,
+        payload: bytes | None = b"",
+        encoding: str | None = None,
+    ) -> Any:  # noqa: ANN401 - Zenoh's own handler
         """Send a query; its replies come by the handler that is returned."""
         return self._session.get(
             key,
             zenoh.handlers.FifoChannel(16),
             payload=payload,
+            encoding=encoding,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=60.0,
@@ -190,6 +197,23 @@ def test_what_is_no_request_is_a_fault_that_can_be_answered(pair: Pair, verb: st
     asked.done()
 
 
+@pytest.mark.parametrize("command", RECORDER_COMMANDS, ids=lambda command: command.verb)
+def test_a_request_of_another_version_says_which_side_to_upgrade(pair: Pair, command: RecorderCommand) -> None:
+    """Its payload is not read, though it may be one of this version's."""
+    payload = msgspec.msgpack.encode({"key": "k", "from_ns": 1, "to_ns": 2} if command.verb == "backfill" else {})
+    pair.client.ask(pair.key(command.verb), payload, newer(command.encoding))
+    asked = pair.next()
+    assert isinstance(asked.request, PayloadFault)
+    assert asked.request.detail == (
+        f"version 2 of {command.schema_name}, and the recorder knows 1: upgrade the recorder"
+    )
+    asked.done()
+    pair.client.ask(pair.key(command.verb), payload, command.encoding)
+    asked = pair.next()
+    assert isinstance(asked.request, command.request)
+    asked.done()
+
+
 @pytest.mark.parametrize(
     "key",
     [
@@ -250,7 +274,7 @@ def test_who_has_gone_meanwhile_is_no_fault(pair: Pair) -> None:
 class HungQuery:
     """A query of somebody who does not read: a reply waits until the test lets it go."""
 
-    payload = attachment = None
+    payload = attachment = encoding = None
 
     def __init__(self, key: str) -> None:
         self.key_expr = key
