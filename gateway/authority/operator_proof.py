@@ -27,9 +27,10 @@ from schemas.authority.statement import Grant, GrantRole, Signed, StatementFault
 from schemas.authority.trust import Objection, Trust, fits
 from schemas.codec import PAYLOAD_ERRORS
 from schemas.decisions import LeaseReply, StatementReply
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import SEQUENCE_MAX, Sequence
 from schemas.reasons import Reason
-from schemas.subjects import BY_VERB, DRIVE_VERB, STATEMENT_REPLY_ENCODING
+from schemas.subjects import BY_VERB, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
 
 NONCE_BYTES: Final = 8
 
@@ -227,6 +228,44 @@ class OperatorProof(KnownRobots):
     def drive(self, payload: bytes) -> bytes:
         """The attachment of a drive command under the lease; empty without one."""
         return b"" if self._tags is None else self._tags.attachment(payload)
+
+
+class ViewerProof(KnownRobots):
+    """Verifies what robots sign, for somebody who has no grant and commands nothing but a stop.
+
+    Attributes:
+        name: empty: no grant gives one.
+        statement: empty; robots say who they are all the same.
+    """
+
+    name = ""
+    statement = b""
+
+    def meet(self, robot: str, received: Received, question: bytes) -> Objection | None:
+        """A robot's reply to the empty statement. Returns why it is no robot of this fleet."""
+        refusal = super().meet(robot, received, question)
+        return None if self.has_met(robot) else refusal
+
+    def request(self, robot: str, verb: str, _payload: bytes, _challenge: bytes) -> bytes:
+        """The attachment of a stop, which proves nothing.
+
+        Raises:
+            CommandError: it is another verb.
+        """
+        if verb != STOP_VERB:
+            raise CommandError(
+                f"{verb} of {robot} needs an operator's key and grant, and here is none: see docs/authority.md",
+                ExitCode.USAGE,
+            )
+        return new_question()
+
+    def begin_lease(self, *_: object) -> bool:
+        """Return False: nobody gives a viewer a lease."""
+        return False
+
+    def drive(self, _payload: bytes) -> bytes:
+        """The attachment of a drive command: empty."""
+        return b""
 
 
 def new_lease_key() -> tuple[X25519PrivateKey, bytes]:

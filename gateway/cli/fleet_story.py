@@ -34,7 +34,7 @@ from schemas.decisions import EventKind, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive, Take
-from schemas.settings import Settings
+from schemas.settings import RESET_MIN_NS, Settings
 
 WAIT_S: Final = 20.0
 """The longest wait for a fact; on a quiet machine each takes less than a second."""
@@ -186,7 +186,10 @@ class FleetStory:
         self._tell("\nothers command who may not")
         words = ("drive", ROBOTS[1], "--speed", "0.3", "--seconds", "1")
         viewer, desk = self._machines.run_all(
-            [(*words, *self._as(VIEWER, "viewer")), (*words, *self._as("desk", "desk"))]
+            [
+                (*words, *self._with_certificate(VIEWER, "viewer")),
+                (*words, *self._with_certificate("desk", "desk")),
+            ]
         )
         self._judge_refused("the viewer commands", viewer, ExitCode.UNREACHABLE, "did not answer acquire")
         self._judge_refused("a desk without a grant commands", desk, ExitCode.REFUSED, Reason.PROOF_MISSING.value)
@@ -240,6 +243,9 @@ class FleetStory:
 
     def _stop_one(self, first: Robot, second: Robot, drive: Child) -> None:
         self._tell("\nthe operator resets what the stolen certificate stopped; the viewer may stop one robot")
+        # A reset counts so long after the stop.
+        counts_s = time.monotonic() + RESET_MIN_NS / 1e9
+        self._wait("the time from which on a reset counts", lambda: time.monotonic() > counts_s)
         reset = self._machines.run("reset", second.name, *self._as(OPERATOR, "operator"))
         self.judge("the operator resets", reset.last, reset.code == ExitCode.OK)
         stop = self._machines.run("stop", second.name, *self._as(VIEWER, "viewer"))
@@ -334,6 +340,11 @@ class FleetStory:
     def _judge_refused(self, what: str, done: Done, code: ExitCode, because: str = "") -> None:
         is_refused = done.code == code and because in done.text
         self.judge(what, f"{'refused' if is_refused else f'exit code {done.code}'}: {done.last}", is_refused)
+
+    @staticmethod
+    def _with_certificate(who: str, role: str) -> tuple[str, ...]:
+        """Arguments of somebody who has the certificate, and asks for what it does not allow."""
+        return "--zenoh-config", f"{who}/{role}.json5", "--operator", who
 
     def _as(self, who: str, role: str) -> tuple[str, ...]:
         return ("--config", f"{who}/{role}.toml")

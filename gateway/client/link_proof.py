@@ -10,7 +10,14 @@ from typing import Final
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from gateway.authority.operator_proof import KnownRobots, OperatorProof, new_lease_key, new_question
+from gateway.authority.operator_proof import (
+    KnownRobots,
+    OperatorProof,
+    ViewerProof,
+    new_lease_key,
+    new_question,
+)
+from gateway.authority.transport import TLS_KEY_FILE
 from gateway.provisioning.key_files import directory_of, read_identity, read_trust
 from gateway.provisioning.tls_files import check_tls_files
 from gateway.telemetry.received import Received
@@ -33,6 +40,9 @@ SHOW_TIMEOUT_S: Final = 1.0
 
 ASK_AGAIN_NS: Final = 250_000_000
 """The shortest time between two queries for a robot's identity: somebody may repeat samples of a former run."""
+
+WITHOUT_GRANT: Final = ("viewer", "desk")
+"""Roles of machines that have a certificate, and no key that signs."""
 
 SIGN_AGAIN_NS: Final = 250_000_000
 """A stop is signed again for the same robot after this time: a put may be lost."""
@@ -69,15 +79,19 @@ def robot_of(received: Received, root: str) -> str:
     return received.key.removeprefix(f"{root}/").partition("/")[0]
 
 
-def operator_proof(settings: Settings) -> OperatorProof | None:
-    """The operator's key and grant, in signed mode.
+def operator_proof(settings: Settings) -> OperatorProof | ViewerProof | None:
+    """The operator's key and grant, in signed mode; of a viewer's or a desk's machine what verifies robots.
 
     Raises:
         CommandError: a file is missing or wrong; the text names it, and the cure.
     """
     if settings.authority.mode != "signed":
         return None
-    identity = read_identity(directory_of(settings.authority), "operator")
+    directory = directory_of(settings.authority)
+    is_operators = (directory / KEY_FILE.format(who="operator")).exists()
+    if not is_operators and any((directory / TLS_KEY_FILE.format(who=who)).exists() for who in WITHOUT_GRANT):
+        return ViewerProof(read_trust(directory), settings.robot.root, _now_s)
+    identity = read_identity(directory, "operator")
     if settings.zenoh.config:
         warning = check_tls_files(Path(settings.zenoh.config), "operator", time.time())
         if warning:
@@ -92,7 +106,7 @@ class LinkProof:
         challenge: the newest one that the robot published; empty before the first.
     """
 
-    def __init__(self, proof: OperatorProof, robot: str, root: str) -> None:
+    def __init__(self, proof: OperatorProof | ViewerProof, robot: str, root: str) -> None:
         self.challenge = b""
         self._proof = proof
         self._robot = robot

@@ -102,7 +102,7 @@ class Robot:
         """
         settings = settings or Settings()
         proof = operator_proof(settings)
-        operator = operator or (login_operator() if proof is None else proof.name)
+        operator = operator or (proof.name if proof is not None else "") or login_operator()
         commands = CommandPort.open(settings, name, operator)
         try:
             listener = SafetyListener.open(settings, name)

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from gateway.authority.operator_proof import OperatorProof, new_lease_key, new_question
+from gateway.authority.operator_proof import OperatorProof, ViewerProof, new_lease_key, new_question
 from gateway.authority.robot_authority import RobotAuthority
 from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
@@ -12,6 +12,7 @@ from gateway.telemetry.received import Received
 from schemas.authority.trust import Objection
 from schemas.codec import encode
 from schemas.decisions import LeaseReply, StatementReply
+from schemas.exit_codes import CommandError
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive
@@ -86,6 +87,24 @@ def given(lease: int) -> bytes:
     return msgspec.msgpack.encode(
         LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=lease, expires_s=2.0)
     )
+
+
+def test_a_viewer_knows_the_robot_and_commands_nothing_but_a_stop() -> None:
+    """It has no grant: the robot refuses the empty statement, and says who it is."""
+    pair = Pair()
+    viewer = ViewerProof(pair.bench.fleet.trust, "fleet", lambda: NOW_S)
+    raw = RawRequest(1, "", "", viewer.statement, 0, attachment=QUESTION)
+    reply = pair.robot.receive(raw, pair.bench.now_ns, pair.bench.now_ns)
+    shown = Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
+    assert viewer.meet("cruiser-2", shown, QUESTION) is not None
+    assert viewer.meet("cruiser-1", shown, QUESTION) is None
+    assert viewer.believes("cruiser-1", pair.state(1))
+    assert viewer.request("cruiser-1", "stop", b"", CHALLENGE) != viewer.request(
+        "cruiser-1", "stop", b"", CHALLENGE
+    )
+    with pytest.raises(CommandError, match="acquire of cruiser-1 needs an operator's key"):
+        viewer.request("cruiser-1", "acquire", b"", CHALLENGE)
+    assert viewer.drive(b"") == b""
 
 
 def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
