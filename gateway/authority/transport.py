@@ -105,7 +105,7 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
     statement, all_statements = f"{one}/{AUTHORITY_CHUNK}", f"{every}/{AUTHORITY_CHUNK}"
     recorders = f"{root}/{RECORDER_CHUNK}/*"
     says = tuple(f"{recorders}/{subject.name}" for subject in RECORDER_SUBJECTS)
-    orders = f"{recorders}/{COMMAND_CHUNK}/*/*"
+    orders = (f"{recorders}/{COMMAND_CHUNK}/*/*", f"{recorders}/{AUTHORITY_CHUNK}")
     backfill = f"{recorders}/{COMMAND_CHUNK}/*/backfill"
     put, all_puts = (_verbs(robots, Asking.QUERY) for robots in (one, every))
     asked, all_asked = (_verbs(robots, Asking.PUT) for robots in (one, every))
@@ -152,8 +152,8 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
         AccessRow("operator-sends", commanding, "ingress", ("put",), all_puts),
         AccessRow("operator-asks", commanding, "ingress", ("query",), all_asked),
         AccessRow("operator-is-answered", commanding, "egress", ("reply",), (all_commands,)),
-        AccessRow("operator-orders", commanding, "ingress", ("query",), (orders,)),
-        AccessRow("operator-is-obeyed", commanding, "egress", ("reply", queryable), (orders,)),
+        AccessRow("operator-orders", commanding, "ingress", ("query",), orders),
+        AccessRow("operator-is-obeyed", commanding, "egress", ("reply", queryable), orders),
         # A recorder receives everything but commands, and fetches what it lacks from robots and other recorders.
         AccessRow("recorder-subscribes", recording, "ingress", (subscribe,), (everything, *says)),
         AccessRow("recorder-receives", recording, "egress", ("put",), (everything, *says)),
@@ -170,8 +170,8 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
         AccessRow("recorder-says", recording, "ingress", ("put",), says),
         AccessRow("recorder-is-subscribed", recording, "egress", (subscribe,), (everything, *says)),
         AccessRow("recorder-is-there", recording, "ingress", ("liveliness_token",), (recorders,)),
-        AccessRow("recorder-listens", recording, "ingress", (queryable, "reply"), (orders,)),
-        AccessRow("recorder-is-ordered", recording, "egress", ("query", queryable), (orders,)),
+        AccessRow("recorder-listens", recording, "ingress", (queryable, "reply"), orders),
+        AccessRow("recorder-is-ordered", recording, "egress", ("query", queryable), orders),
     ]
 
 
@@ -296,11 +296,11 @@ def _access_control(rows: list[AccessRow], at_the_other_end: tuple[TransportRole
 
 def _size_limits(root: str) -> list[Json]:
     """No request is larger than it can be. A stop is of any size: nothing filters it."""
-    every = f"{root}/{keys.ALL}"
+    every, recorders = f"{root}/{keys.ALL}", f"{root}/{RECORDER_CHUNK}/*"
     verbs = [f"{every}/{COMMAND_CHUNK}/*/{command.verb}" for command in COMMANDS if command.verb != STOP_VERB]
     limits = (
-        ("requests", COMMAND_MAX_BYTES, [*verbs, f"{root}/{RECORDER_CHUNK}/*/{COMMAND_CHUNK}/*/*"]),
-        ("statements", STATEMENT_MAX_BYTES, [f"{every}/{AUTHORITY_CHUNK}"]),
+        ("requests", COMMAND_MAX_BYTES, [*verbs, f"{recorders}/{COMMAND_CHUNK}/*/*"]),
+        ("statements", STATEMENT_MAX_BYTES, [f"{one}/{AUTHORITY_CHUNK}" for one in (every, recorders)]),
     )
     return [
         {
