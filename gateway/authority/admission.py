@@ -23,7 +23,7 @@ from schemas.authority.statement import GrantRole, Signed
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason
-from schemas.requests import Acquire, Role, Take
+from schemas.requests import Acquire, Leased, Role, Take
 from schemas.settings import Settings
 from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
 
@@ -208,7 +208,20 @@ class SignedAdmission:
             return Objection(Reason.PROOF_WRONG)
         self._nonces[proof.grant, proof.nonce] = now_ns
         self._grants.move_to_end(proof.grant)
-        return held
+        return self._objection_to_lease(raw, held) or held
+
+    def _objection_to_lease(self, raw: RawRequest, held: HeldGrant) -> Objection | None:
+        """Why somebody with this grant may not use the lease that a request names: it is another grant's.
+
+        The arbiter knows holders by their names alone, and two grants may have the same.
+        """
+        lease = self.lease
+        if lease is None or lease.holder.id == held.id:
+            return None
+        request = codec.decode_request(BY_VERB[raw.verb], raw.payload)
+        if isinstance(request, Leased) and request.lease == lease.id:
+            return Objection(Reason.NO_LEASE, "it was given to another grant")
+        return None
 
     def _freshness(self, proof: RequestProof, now_ns: int) -> Objection | None:
         age_ns = self.challenge_age_ns(proof.challenge, now_ns)

@@ -209,7 +209,7 @@ class RobotAuthority:
             return Objection(Reason.MALFORMED, chain.detail)
         match chain[0].statement:
             case Grant():
-                return self._introduce(chain)
+                return self._introduce(chain, boot_ns)
             case TimeStatement():
                 return self._state_time(chain, now_ns, boot_ns)
             case Revocations() | Rotation() as statement:
@@ -251,12 +251,14 @@ class RobotAuthority:
         """The signed heads of the chains, over all that was published so far: each second, and at the end."""
         return Sample("authority/heads", codec.encode(self.signer.heads(wall_ns)))
 
-    def _introduce(self, chain: list[Signed]) -> Objection | None:
+    def _introduce(self, chain: list[Signed], boot_ns: int) -> Objection | None:
         known = self.admission.known(chain[0].id)
         held = self.admission.introduce(chain)
         if isinstance(held, Objection):
             return held
         if held is not known:
+            # It has begun, so it is later than that: also where nobody ever states the time.
+            self._floor.lift(held.not_before, boot_ns)
             self._new.append(chain_text(held.chain))
         if held.key == self.signer.public_key and held.grant.role is GrantRole.ROBOT:
             own = self._own_grant()
@@ -326,6 +328,8 @@ class RobotAuthority:
         own = self._own_grant()
         if isinstance(own, Objection):
             bars[own.reason] = f"the robot's own; {own.detail}"
+        else:
+            self._floor.lift(own.not_before, boot_ns)
         if self._word_ns is None and self._requires_fresh:
             bars[Reason.AUTHORITY_STALE] = "none since the start (authority.require_fresh)"
         elif boot_ns - (self._word_ns or 0) > self._offline_max_ns:

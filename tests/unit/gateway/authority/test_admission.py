@@ -33,7 +33,7 @@ from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.decisions import LeaseReply
 from schemas.messages import Message
 from schemas.reasons import Reason
-from schemas.requests import Acquire, Drive, Request, Role, Take
+from schemas.requests import Acquire, Drive, Engage, Request, Role, Take
 from schemas.settings import Settings
 from schemas.subjects import BY_VERB
 from tests.support.authority import DAY_S, NOW_S, VERBS, Fleet, Party
@@ -435,6 +435,24 @@ def test_a_lease_without_a_key_ends_the_former_holders_and_ends_with_its_own_gra
     assert isinstance(trust, Trust)
     door.admission.trust = trust
     assert door.admission.objection_to_holder() == Objection(Reason.GRANT_REVOKED, "by list 1")
+
+
+def test_a_namesake_with_another_grant_cannot_use_the_lease() -> None:
+    """Else its speed limit would count, and the revocation of its grant would stop nothing."""
+    door, ann = known()
+    Holder(door, ann)
+    namesake = door.fleet.operator(ann.name)
+    door.introduce(namesake)
+
+    def engage(party: Party, lease: int) -> Reason:
+        payload = encode(Engage(lease=lease, challenge=CHALLENGE))
+        attachment = party.prove(key_of(ann.name, "engage"), BY_VERB["engage"].encoding, payload, CHALLENGE)
+        return door.admit(door.raw(ann.name, "engage", payload, attachment)).reason
+
+    assert engage(namesake, LEASE) is Reason.NO_LEASE
+    assert engage(ann, LEASE) is Reason.NONE
+    # The arbiter says what is wrong with any other number.
+    assert engage(namesake, LEASE + 1) is Reason.NONE
 
 
 def test_a_chain_is_known_by_all_that_is_in_it() -> None:

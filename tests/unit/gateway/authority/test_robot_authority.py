@@ -347,6 +347,33 @@ def test_another_robots_grant_is_not_this_ones() -> None:
     assert bench.show(chain_text(as_operator.chain)).own == own
 
 
+def test_a_clock_that_is_set_back_revives_no_grant_although_nobody_states_the_time() -> None:
+    """A verified grant has begun: it is later than that."""
+    bench = AuthorityBench()
+    bench.robot.chain = []
+    bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 9 * DAY_S)
+    assert bench.show(chain_text(bench.robot.chain)).ok
+    over = bench.fleet.operator("over", not_after=NOW_S + DAY_S)
+    bench.wall_s = NOW_S + 2 * DAY_S
+    bench.tick()
+    assert bench.show(
+        chain_text(
+            bench.fleet.operator("newer", not_before=NOW_S + 2 * DAY_S - 60, not_after=NOW_S + 3 * DAY_S).chain
+        )
+    ).ok
+    bench.wall_s = NOW_S
+    bench.tick()
+    assert bench.show(chain_text(over.chain)).reason is Reason.GRANT_EXPIRED
+
+
+def test_the_robots_own_grant_lifts_the_floor_of_time() -> None:
+    """A robot that starts with a clock of before does not believe it."""
+    bench = AuthorityBench()
+    kept = bench.tick(61 * S).kept
+    assert kept is not None
+    assert kept.floor_s >= NOW_S - DAY_S
+
+
 def test_nobody_takes_the_robots_own_grant_away() -> None:
     """It is public: whoever shows it again under other signatures, or the one before it, changes nothing."""
     bench = AuthorityBench()
