@@ -21,6 +21,9 @@ from schemas.decisions import ChainHeads
 TAIL_NS: Final = 5_000_000_000
 """Samples so long after the last head have lost theirs: a head comes each second."""
 
+LINKING_NS: Final = 3_000_000_000
+"""The longest time from the first head of a log to its first samples: one subject may be linked after another."""
+
 DIGEST_BYTES: Final = 8
 
 ALTERNATIVES_MAX: Final = 8
@@ -166,7 +169,7 @@ class SubjectChain:
                 self.segments.append(segment)
             count, head, begins_ns = said.count, said.head, one.time_ns
         self.end = count
-        self.last_ns = heads[-1].time_ns
+        self._first_ns, self.last_ns = heads[0].time_ns, heads[-1].time_ns
         self._firsts = [segment.first for segment in self.segments]
         self._tail: set[int] = set()
         self._tail_ns = 0
@@ -208,7 +211,8 @@ class SubjectChain:
                 if self.counts.from_ns is None:
                     self.counts.from_ns = segment.from_ns if segment.first else 0
             elif number == before and self._is_before(segment):
-                # The log begins in mid-run: what is there hangs on nothing.
+                # The log begins in mid-run: what is there hangs on nothing. Two heads that follow each other later
+                # say what lies between them, whatever the log holds of it.
                 self.counts.before += len(segment.best())
                 self.counts.absent += segment.end - segment.first - len(segment.best())
                 before = number + 1
@@ -222,9 +226,10 @@ class SubjectChain:
             what = f"heads of {self.subject}: samples go on for {seconds:.0f} s after the last one"
             self.findings.append(ProofFinding(ProofFault.MISSING, what, self.last_ns, self.counts.after))
 
-    @staticmethod
-    def _is_before(segment: _Segment) -> bool:
-        """Return True if a segment's samples begin somewhere in it, and continue from there without a gap."""
+    def _is_before(self, segment: _Segment) -> bool:
+        """Return True if the log may begin in a segment: with a sample within it, and without a gap from there."""
+        if segment.first and segment.from_ns >= self._first_ns + LINKING_NS:
+            return False
         held = segment.best()
         return not held or (segment.first not in held and len(held) == segment.end - min(held))
 

@@ -274,6 +274,26 @@ def test_a_log_that_begins_in_mid_run_holds_from_its_first_head_on(tmp_path: Pat
     assert journal.from_ns == SAMPLES[of(SAMPLES, ChainHeads)[3]].time_ns
 
 
+@pytest.mark.parametrize("dropped", [(Journal,), (Decision,), (SafetyEvent,), (Journal, Decision, SafetyEvent)])
+def test_a_log_that_was_gutted_between_its_heads_does_not_pass_for_one_that_begins_later(
+    tmp_path: Path, dropped: tuple[type[Message], ...]
+) -> None:
+    """The heads say how many there were. Only at the first of them a log may begin in mid-run."""
+    kept = [one for one in SAMPLES if not isinstance(one, dropped)]
+    assert ProofFault.MISSING in faults_of(verified(tmp_path, log_of(kept)))
+
+
+def test_a_log_without_the_first_sample_after_each_head_does_not_pass_for_one_that_begins_later(
+    tmp_path: Path,
+) -> None:
+    """What is left could have been changed: no proof goes through the gap."""
+    heads = of(SAMPLES, ChainHeads)
+    journal = of(SAMPLES, Journal)
+    firsts = {next((place for place in journal if place > head), -1) for head in (-1, *heads)}
+    kept = [one for place, one in enumerate(SAMPLES) if place not in firsts]
+    assert ProofFault.MISSING in faults_of(verified(tmp_path, log_of(kept)))
+
+
 def test_a_log_that_ends_in_mid_run_has_no_proof_of_its_end_yet(tmp_path: Path) -> None:
     """That is said as well."""
     end = of(SAMPLES, ChainHeads)[4] + 5
