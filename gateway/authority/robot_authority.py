@@ -149,6 +149,7 @@ class RobotAuthority:
         admission: judges requests, signs replies.
         signer: signs states and heads of chains.
         self_test: why the gateway's own test has not passed; empty if it has.
+        unsaved: why what was taken over could not be saved; empty if it was.
     """
 
     def __init__(
@@ -172,7 +173,7 @@ class RobotAuthority:
         """
         self.admission = admission
         self.signer = signer
-        self.self_test = ""
+        self.self_test = self.unsaved = ""
         self._offline_max_ns = round(settings.authority.max_offline_h * _NS_PER_H)
         self._requires_fresh = settings.authority.require_fresh
         self._key = keys.authority(settings.robot.root, settings.robot.name)
@@ -239,7 +240,7 @@ class RobotAuthority:
             effects.samples.append(self.heads(wall_ns))
             # Once a second is soon enough: what ends in mid-drive ends by ``ended``.
             effects.bars = self._bars_changed(boot_ns)
-        elif self.self_test != self._bars.get(Reason.SELF_TEST, ""):
+        elif self._faults() != self._bars.get(Reason.SELF_TEST, ""):
             effects.bars = self._bars_changed(boot_ns)
         if self._is_changed or now_ns >= self._save_due_ns:
             self._is_changed, self._save_due_ns = False, now_ns + SAVE_NS
@@ -323,8 +324,13 @@ class RobotAuthority:
         self._bars = bars
         return bars
 
+    def _faults(self) -> str:
+        """Why the gateway itself is not fit for signed mode; empty if it is."""
+        forgets = f"{self.unsaved}: a restart would forget what was revoked" if self.unsaved else ""
+        return "; ".join(filter(None, (self.self_test, forgets)))
+
     def _bars_now(self, boot_ns: int) -> dict[Reason, str]:
-        bars = {Reason.SELF_TEST: self.self_test} if self.self_test else {}
+        bars = {Reason.SELF_TEST: faults} if (faults := self._faults()) else {}
         own = self._own_grant()
         if isinstance(own, Objection):
             bars[own.reason] = f"the robot's own; {own.detail}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Final, Self
@@ -23,10 +23,16 @@ WRITE_TIMEOUT_S: Final = 2.0
 
 
 class AuthorityNote:
-    """The file, written by a thread of its own: a disk that stalls must not hold up the loop."""
+    """The file, written by a thread of its own: a disk that stalls must not hold up the loop.
+
+    Attributes:
+        path: of the file; None if there is no directory for it.
+        report: is given, on that thread, why the file could not be written; empty once it was.
+    """
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
+        self.report: Callable[[str], None] = lambda _: None
         self._kept: SimpleQueue[Kept | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="authority-note", daemon=True)
         self._thread.start()
@@ -58,10 +64,13 @@ class AuthorityNote:
 
     def _run(self) -> None:
         while (kept := self._kept.get()) is not None:
+            fault = ""
             try:
                 self._write(kept)
             except OSError as error:
-                log.warning("%s cannot be written: %s", self.path, error.strerror)
+                fault = f"{self.path} cannot be written: {error.strerror}"
+                log.warning("%s", fault)
+            self.report(fault)
 
     def _write(self, kept: Kept) -> None:
         if self.path is None:

@@ -17,6 +17,8 @@ from gateway.provisioning.key_files import directory_of, read_identity
 from gateway.provisioning.tls_files import check_shut_out, check_tls_files, tls_files
 from gateway.zenoh.client import close_session, open_session
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
+from schemas.authority.statement import Grant
+from schemas.authority.trust import Objection
 from schemas.exit_codes import CommandError
 from schemas.settings import Settings
 from schemas.zenoh_link import MODE
@@ -113,7 +115,12 @@ class Renewal:
         """Why the files that are there now cannot be used; empty if they can."""
         directory = directory_of(self._settings.authority)
         try:
-            read_identity(directory, ROBOT)
+            identity = read_identity(directory, ROBOT)
+            # At its beginning, if this computer's clock is behind: the gateway knows better what time it is.
+            starts = [one.statement.not_before for one in identity.chain if isinstance(one.statement, Grant)]
+            held = identity.trust.judge(identity.chain, max([int(time.time()), *starts]))
+            if isinstance(held, Objection):
+                return f"{directory / GRANT_FILE.format(who=ROBOT)}: {held.text}"
             self._check_tls()
             if (directory / SHUT_OUT_FILE).exists():
                 check_shut_out(directory, time.time())

@@ -59,6 +59,10 @@ class SignedMode:
             _own(identity.chain, kept, trust, settings),
             kept,
         )
+        self._note.report = self._report_unsaved
+
+    def _report_unsaved(self, fault: str) -> None:
+        self.authority.unsaved = fault
 
     def save(self, kept: Kept) -> None:
         """Keep this across a restart, without waiting for the disk."""

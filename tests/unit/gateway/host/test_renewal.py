@@ -131,6 +131,16 @@ def test_damaged_files_are_not_used(robot: Robot, watched: Renewal, name: str, s
     wait_until(lambda: watched.is_ready)
 
 
+def test_a_grant_that_nobody_signed_is_not_used(robot: Robot, watched: Renewal) -> None:
+    """The gateway continues with the one that it has: with this one nobody could engage the robot."""
+    file = robot.files / "robot.grant"
+    body, _, proof = file.read_text().partition("\n")
+    changed = proof[:-9] + ("0" if proof[-9] != "0" else "1") + proof[-8:]
+    file.write_text(f"{body}\n{changed}")
+    wait_until(lambda: any("robot.grant: the signature" in note for note in watched.notes()))
+    assert not watched.is_ready
+
+
 def test_a_gateway_that_dials_out_to_nobody_needs_nobodys_word(robot: Robot) -> None:
     """It listens: whether others accept its certificate is theirs to say."""
     one = Renewal(robot.settings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import time
 from pathlib import Path
 
 import msgspec
@@ -16,8 +17,10 @@ from gateway.provisioning.certificates import expires_s, read_certificates
 from schemas.authority.statement import Grant, chain_text
 from schemas.authority.trust import AuthorityKeys
 from schemas.exit_codes import CommandError
-from schemas.settings import AuthoritySettings, RobotSettings, Settings, ZenohSettings
+from schemas.reasons import Reason
+from schemas.settings import AuthoritySettings, GatewaySettings, RobotSettings, Settings, ZenohSettings
 from tests.support.provisioning import ProvisionedFleet, chain, run
+from tests.support.waiting import wait_until
 
 
 @pytest.fixture
@@ -98,6 +101,27 @@ def test_a_robot_starts_under_another_authority_that_was_installed(fleet: Provis
     run("sign", "5.request", "--directory", new.place / "authority", "-o", bundle, "--replace")
     run("install", bundle, "--directory", fleet.place / "cruiser-1", "--replace")
     assert started(fleet) == chain_text(chain(fleet.place / "cruiser-1" / "robot.grant"))
+
+
+def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: ProvisionedFleet, tmp_path: Path) -> None:
+    """After a restart it would have forgotten it. The text names the file."""
+    place = tmp_path / "state"
+    settings = settings_of(fleet)
+    settings = msgspec.structs.replace(settings, gateway=GatewaySettings(state_dir=str(place / "below")))
+    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    place.write_text("a file where the directory should be")
+    authority = signed.authority
+    bars: dict[Reason, str] = {}
+
+    def tick() -> None:
+        effects = authority.tick(time.monotonic_ns(), time.monotonic_ns(), time.time_ns())
+        bars.update(effects.bars or {})
+        if effects.kept is not None:
+            signed.save(effects.kept)
+
+    wait_until(lambda: str(place) in bars.get(Reason.SELF_TEST, ""), tick)
+    assert "forget what was revoked" in bars[Reason.SELF_TEST]
+    signed.close()
 
 
 def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:
