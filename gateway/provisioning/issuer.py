@@ -31,6 +31,7 @@ from gateway.provisioning.machine_keys import FLEET_FILE, SITE_CA_FILE, SITE_CA_
 from schemas.authority.identity import AUTHORITY_FILE
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import (
+    TEXT_MAX_BYTES,
     Grant,
     GrantRole,
     Revocations,
@@ -212,14 +213,21 @@ class Issuer:
             raise CommandError(f"{path} is damaged: {error}", ExitCode.USAGE) from error
 
     def revoke(self, keys: list[str], grants: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
-        """A new list of all that is revoked: what was, and this.
+        """A new list of all that is revoked: what was, and this. With a raised epoch the list begins anew.
 
         Raises:
-            CommandError: it is a site, or a file is damaged.
+            CommandError: it is a site, a file is missing or damaged, or the list is longer than a robot takes.
         """
         if self.is_site:
             raise CommandError("the authority alone revokes; a site's grants end by themselves", ExitCode.USAGE)
         before, serials = self._revoked(), serials_of(self.store)
+        path = self.store.path(REVOCATIONS_FILE)
+        if serials.revocations > before.serial and not raise_epoch:
+            raise CommandError(
+                f"{path} is not the newest list: a new one would lift what that revokes. Bring the newest back from "
+                "a copy or from a desk that shows it, or end all grants of before with --epoch",
+                ExitCode.USAGE,
+            )
         serial = max(serials.revocations, before.serial, now_s) + 1
         epoch = max(serials.epoch, before.epoch) + raise_epoch
         signed = state(
@@ -227,11 +235,16 @@ class Issuer:
             Revocations(
                 serial=serial,
                 at=now_s,
-                grants=sorted({*before.grants, *grants}),
-                keys=sorted({*before.keys, *keys}),
+                grants=sorted({*(() if raise_epoch else before.grants), *grants}),
+                keys=sorted({*(() if raise_epoch else before.keys), *keys}),
                 epoch=epoch,
             ),
         )
+        if len(signed.text()) > TEXT_MAX_BYTES:
+            raise CommandError(
+                "the list would be longer than a robot takes: with --epoch all grants of before end, and it begins anew",
+                ExitCode.USAGE,
+            )
         save_serials(self.store, msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
         self.store.write({REVOCATIONS_FILE: signed.text()}, replace=True)
         return signed

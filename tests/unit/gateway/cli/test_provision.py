@@ -249,7 +249,10 @@ def test_a_list_of_revocations_holds_all_of_before(fleet: ProvisionedFleet) -> N
 def test_a_serial_survives_a_lost_file_and_a_clock_set_back(
     fleet: ProvisionedFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is kept beside the key, in the last list, and never below the time: one of the three is enough."""
+    """It is kept beside the key, in the last list, and never below the time: one of the three is enough.
+
+    Without the last list only a new epoch makes another: a list that lacks what was revoked would lift it.
+    """
     authority = fleet.place / "authority"
     fleet.let_in("operator", "ann")
     serials: list[int] = []
@@ -257,11 +260,29 @@ def test_a_serial_survives_a_lost_file_and_a_clock_set_back(
         if forget:
             (authority / forget).unlink()
         monkeypatch.setattr(time, "time", lambda: 1_000_000_000.0 - len(serials))
-        run("revoke", "ann", "--directory", authority, "--replace")
+        if forget == "revocations.statement":
+            with pytest.raises(CommandError, match=r"revocations\.statement is not the newest list"):
+                run("revoke", "ann", "--directory", authority, "--replace")
+        epoch = ["--epoch"] if forget == "revocations.statement" else []
+        run("revoke", "ann", *epoch, "--directory", authority, "--replace")
         statement = chain(fleet.place / "revocations.statement")[0].statement
         assert isinstance(statement, Revocations)
         serials.append(statement.serial)
     assert serials == sorted(set(serials))
+
+
+def test_a_list_is_no_longer_than_a_robot_takes(fleet: ProvisionedFleet) -> None:
+    """A new epoch ends all grants of before, and with them the need to list them."""
+    authority = ("--directory", fleet.place / "authority")
+    many = [word for number in range(300) for word in ("--key", f"{number:064x}")]
+    run("revoke", *many[:200], *authority)
+    with pytest.raises(CommandError, match="longer than a robot takes"):
+        run("revoke", *many, *authority, "--replace")
+    run("revoke", "--epoch", *many[:2], *authority, "--replace")
+    statement = chain(fleet.place / "revocations.statement")[0].statement
+    assert isinstance(statement, Revocations)
+    assert statement.keys == [f"{0:064x}"]
+    assert statement.epoch == 1
 
 
 def test_raising_the_epoch_ends_all_grants_of_before(fleet: ProvisionedFleet) -> None:
