@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan metrics-rules readers clients drive-clients lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
+.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan test-robot metrics-rules readers clients drive-clients lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -35,9 +35,14 @@ nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: t
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
 	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs 2
 	$(MAKE) drive-clients
+	$(MAKE) test-robot
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run
+
+test-robot: $(STAMP)  ## the package on a Debian that boots in user-mode Linux, a chassis outside: power cuts, faults, upgrades; root
+	$(BIN)/python deploy/deb.py --release bookworm --architecture amd64
+	tests/robot/run
 
 metrics-rules: $(STAMP)  ## alert rules, dashboard and metrics, as promtool of Debian's prometheus sees them
 	tests/promtool/run

@@ -48,9 +48,15 @@ __attribute__((constructor)) static void begin(void)
     ns_per_tick = strtod(text, 0);
 }
 
+#ifdef KERNEL_TIME_OF_DAY /* somebody may set it */
+enum { COUNTED = MONOTONIC };
+#else
+enum { COUNTED = REALTIME };
+#endif
+
 int clock_gettime(int clock, struct timespec *now)
 {
-    if ((clock != REALTIME && clock != MONOTONIC) || ns_per_tick == 0)
+    if ((clock != COUNTED && clock != MONOTONIC) || ns_per_tick == 0)
         return syscall(SYS_CLOCK_GETTIME, clock, now);
     long ns = base_ns[clock] + (long)((double)(long)(ticks() - base_ticks[clock]) * ns_per_tick);
     now->tv_sec = ns / 1000000000;

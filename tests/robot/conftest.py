@@ -1,0 +1,69 @@
+"""The fixtures of this directory, which a plain pytest passes by: ``run`` has what they want."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.robot.box import Box
+from tests.robot.image import copy_image, make_base_image
+from tests.robot.outside import Outside
+from tests.support.processes.gateway import chassis
+
+
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A directory whose name is short enough for sockets."""
+    path = Path(tempfile.mkdtemp(prefix="robot-"))
+    yield path
+    shutil.rmtree(path)
+
+
+@pytest.fixture
+def outside(place: Path) -> Iterator[Outside]:
+    """The chassis, fine, and the far end of its wire."""
+    with chassis("--variant", "fine") as (_, address), Outside(place, address) as wire:
+        yield wire
+
+
+@pytest.fixture(scope="session")
+def bare_image() -> Iterator[Path]:
+    """A disk with Debian alone."""
+    directory = Path(tempfile.mkdtemp(prefix="robot-"))
+    image = directory / "bare.img"
+    make_base_image(image, Path(os.environ["ROBOT_CLOCK"]), os.environ["ROBOT_NS_PER_TICK"])
+    yield image
+    shutil.rmtree(directory)
+
+
+@pytest.fixture(scope="session")
+def installed_image(bare_image: Path) -> Iterator[Path]:
+    """A disk with the package and its services on it, as a first boot left it."""
+    directory = Path(tempfile.mkdtemp(prefix="robot-"))
+    image = directory / "installed.img"
+    copy_image(bare_image, image)
+    with chassis("--variant", "fine") as (_, address), Outside(directory, address) as wire:
+        with Box(image, directory, wire.card, os.environ["ROBOT_PROCESSOR"]) as box:
+            box.boot()
+            box.wait_up()
+            shutil.copy(os.environ["ROBOT_PACKAGE"], box.share / "cruiser.deb")
+            box.run("dpkg -i /run/box/cruiser.deb", timeout_s=240)
+            box.run("systemctl enable --now cruiser-gateway cruiser-recorder", timeout_s=240)
+            box.wait_status()
+            box.power_off()
+        assert not wire.moves_since(0)
+    yield image
+    shutil.rmtree(directory)
+
+
+@pytest.fixture
+def box(installed_image: Path, place: Path, outside: Outside) -> Iterator[Box]:
+    """The robot's computer, off, with a disk of its own; its console is shown where a test fails."""
+    image = place / "box.img"
+    copy_image(installed_image, image)
+    with Box(image, place, outside.card, os.environ["ROBOT_PROCESSOR"]) as computer:
+        yield computer
+        print(computer.console.read_text(errors="replace")[-2000:])  # noqa: T201
