@@ -1,0 +1,71 @@
+"""The package is upgraded: while the robot stands, and not while it moves."""
+
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from tests.robot import scene
+from tests.robot.box import Box
+from tests.robot.image import call
+from tests.robot.outside import Outside
+
+NEWER: Final = "9.0-1~deb12"
+TRIES: Final = 3
+INSTALL_S: Final = 180.0
+
+
+@pytest.fixture(scope="session")
+def newer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package with a higher version."""
+    place = tmp_path_factory.mktemp("newer")
+    call("dpkg-deb", "-R", os.environ["ROBOT_PACKAGE"], place / "tree")
+    control = place / "tree/DEBIAN/control"
+    lines = control.read_text("utf-8").splitlines()
+    control.write_text(
+        "".join(f"{'Version: ' + NEWER if x.startswith('Version:') else x}\n" for x in lines), "utf-8"
+    )
+    call("dpkg-deb", "--root-owner-group", "-Zzstd", "-z1", "-b", place / "tree", place / "newer.deb")
+    return place / "newer.deb"
+
+
+def test_an_upgrade_while_the_robot_moves_and_while_it_stands(box: Box, outside: Outside, newer: Path) -> None:
+    """Refused with a line that says why, and nothing is changed; later the upgrade starts what ran again."""
+    scene.start(box)
+    shutil.copy(newer, box.share / "newer.deb")
+    for tries_left in reversed(range(TRIES)):
+        scene.begin_drive(box, outside)
+        tried_s = time.monotonic()
+        said = box.run("dpkg -i /run/box/newer.deb; echo ended with $?", timeout_s=INSTALL_S)
+        if "a robot moves" in said or not tries_left:
+            break
+        # What dpkg does in here before it asks held the drive up, which was stopped: once more.
+        box.run("systemctl stop box-operator")
+        box.wait_status()
+    assert "a robot moves, or is being commanded: nothing is changed" in said, said
+    assert "ended with 1" in said, said
+    scene.say("upgrade while moving", f"refused after {time.monotonic() - tried_s:.1f} s")
+    assert NEWER not in box.run("dpkg-query --show cruiser-gateway")
+    assert box.run("systemctl is-active cruiser-gateway").strip() == "active"
+
+    box.run("systemctl stop box-operator")
+    outside.wait_stands(30)
+    stood_s = time.monotonic()
+    box.wait_status()
+    time.sleep(3)
+    begun_s = time.monotonic()
+    box.run("dpkg -i /run/box/newer.deb", timeout_s=INSTALL_S)
+    box.wait_status()
+    scene.say("upgrade while standing", f"{time.monotonic() - begun_s:.0f} s until the new gateway is guarded")
+    assert NEWER in box.run("dpkg-query --show cruiser-gateway")
+    assert box.run("systemctl is-active cruiser-recorder").strip() == "active"
+    scene.check_stays(outside, stood_s + 1)
+    box.power_off()
+    box.boot()
+    box.wait_up()
+    box.wait_status()
+    scene.check_stays(outside, stood_s + 1, 1)
+    box.fetch("/var/lib/cruiser/logs")
