@@ -73,3 +73,27 @@ def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> No
     scene.check_latched(box)
     scene.check_stays(outside, stood_s + 1)
     assert "commanded it: stopping the robot" in box.run("journalctl -b -u 'cruiser-*'")
+
+
+def test_a_clock_that_is_set_back(box: Box, outside: Outside) -> None:
+    """An hour: what the robot does hangs on no time of day, and no log is lost or overwritten."""
+    scene.drive(box, outside)
+    before = outside.lives[-1]
+    set_s = time.monotonic()
+    box.run("date --set '1 hour ago'")
+    time.sleep(5)
+    told = [told for told in outside.drives_since(set_s) if told.at_s > set_s + 4]
+    scene.say("clock set back", f"the drive {'went on' if told else 'was ended'}")
+    box.run("systemctl stop box-operator")
+    outside.wait_stands(STANDS_S)
+    stood_s = time.monotonic()
+    last = outside.lives[-1]
+    box.wait_status()
+    scene.check_stays(outside, stood_s + 1)
+    box.cut_power()
+    box.boot()
+    box.wait_up()
+    box.wait_status()
+    scene.check_log(box, before)
+    scene.check_log(box, last)
+    scene.check_stays(outside, stood_s + 1, 1)
