@@ -224,8 +224,8 @@ class Issuer:
         path = self.store.path(REVOCATIONS_FILE)
         if serials.revocations > before.serial and not raise_epoch:
             raise CommandError(
-                f"{path} is not the newest list: a new one would lift what that revokes. Bring the newest back from "
-                "a copy or from a desk that shows it, or end all grants of before with --epoch",
+                f"{path} is not the newest list: a new one would lift what that revokes. Bring the newest back "
+                "from a copy or from a desk that shows it, or end all grants of before with --epoch",
                 ExitCode.USAGE,
             )
         serial = max(serials.revocations, before.serial, now_s) + 1
@@ -242,7 +242,7 @@ class Issuer:
         )
         if len(signed.text()) > TEXT_MAX_BYTES:
             raise CommandError(
-                "the list would be longer than a robot takes: with --epoch all grants of before end, and it begins anew",
+                "the list is longer than a robot takes. --epoch ends all earlier grants, and begins it anew",
                 ExitCode.USAGE,
             )
         save_serials(self.store, msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
