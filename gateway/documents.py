@@ -120,7 +120,7 @@ BUS_RULES: Final = (
         "_exhausted.py::test_a_stop_in_place_is_always_admitted",
     ),
 )
-"""What the gate admits, and the end of the name of the test that holds it."""
+"""The conditions of the gate, each with the end of its test's name."""
 
 
 def bus_frame_table() -> str:

@@ -119,7 +119,7 @@ class RequestInbox(Protocol):
 
 
 class Admission(Protocol):
-    """What stands between the inbox and the core: it knows what the core and the journal must not."""
+    """The door between inbox and core: it knows secrets that the core and the journal must not."""
 
     def number_of(self, lease_id: int) -> int:
         """The number that the holder's requests carry; 0 if no such lease was given."""
@@ -135,7 +135,7 @@ class Admission(Protocol):
 
 
 class SignedModePort(Protocol):
-    """What a gateway in signed mode has besides.
+    """The authority of a gateway in signed mode, and where it is saved.
 
     Attributes:
         authority: as the robot knows it.
@@ -291,7 +291,7 @@ def _status(core: Core, links: Links) -> str:
 
 
 def _publish_last(ports: LoopPorts, core: Core) -> None:
-    """What has not been published yet; in signed mode the heads of the chains last, so that they prove all."""
+    """Publish the last batches; in signed mode the heads of the chains last, so that they prove all."""
     for sample in core.last_batches(time.time_ns()):
         ports.sink.publish(sample)
     if ports.signed is not None:

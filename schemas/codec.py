@@ -31,7 +31,7 @@ encode: Final = msgspec.msgpack.Encoder().encode
 """A message's MessagePack bytes."""
 
 PAYLOAD_ERRORS: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
-"""What decoding may raise, whatever the payload holds."""
+"""Exceptions that decoding may raise, whatever the payload holds."""
 
 _DECODERS: Final = {subject.type: msgspec.msgpack.Decoder(subject.type) for subject in ALL_SUBJECTS}
 
@@ -60,7 +60,7 @@ class Understood(msgspec.Struct, Generic[Kind], frozen=True, gc=False):
 
 
 def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFault:
-    """What a reader knows of a message or reply that a newer version may have sent. Never for a request.
+    """Decode a message or reply of a newer version as far as it is understood. Never for a request.
 
     Values that an enumeration does not have cost one more decoding, unknown fields so when they are named.
     """

@@ -1,4 +1,4 @@
-"""What a client asks of a robot: one typed request for each verb, untrusted until the arbiter has judged it.
+"""Requests of clients to a robot: one type for each verb, untrusted until the arbiter has judged it.
 
 A request is a MessagePack map like every message. Unlike in messages, a field that is not known is an error:
 whoever sent it meant something by it, and a command that is obeyed in part is worse than one that is refused.
@@ -41,7 +41,7 @@ CurvatureInverseM = Annotated[
 
 
 class Role(Enum):
-    """What a holder of the lease is: program, operator, or highest supervisor. An equal one may take it too."""
+    """The rank of a lease's holder: program, operator, or highest supervisor. An equal one may take it too."""
 
     PROGRAM = "program"
     OPERATOR = "operator"
@@ -54,7 +54,7 @@ class Role(Enum):
 
 
 class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What every request is.
+    """The base of all requests.
 
     A field that is as without it is left out: so a robot that does not have it yet understands the request.
     """

@@ -1,4 +1,4 @@
-"""What another version says that this one does not know, judged where it arrives.
+"""Versions of schemas: samples and requests of other versions, judged where they arrive.
 
 An encoding names a schema and its version. Without a new version a message may get fields, which older receivers
 leave out, and an enumeration may get values, which they keep as the words that came.

@@ -92,6 +92,19 @@ SAID_TWICE = {"Drive", "Light"}
 """A report of the chassis, and a request: both stand in the names of schemas that clients know."""
 
 
+def test_no_docstring_begins_as_a_question() -> None:
+    """A docstring is an imperative or a noun phrase, and can be understood alone."""
+    found = [
+        f"{path.relative_to(ROOT)}:{one.lineno}"
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for one in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str)
+        if one.value.value.startswith(("What ", "Whether ", "How "))
+    ]
+    assert found == []
+
+
 def test_no_public_class_has_the_name_of_another() -> None:
     """A name in a traceback or a search means one thing."""
     places: dict[str, list[str]] = {}

@@ -126,7 +126,7 @@ def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[]
 def _answers(
     arguments: argparse.Namespace, machine: Machine, before: Settings, bundles: dict[Path, Bundle]
 ) -> Answers:
-    """What was said by flags, by the person, or found."""
+    """The answers: from flags, from the person, or found."""
     ask = _Asking(is_silent=arguments.defaults)
     robot = next((one for one in bundles.values() if one.role is EnrolmentRole.ROBOT), None)
     name = (
@@ -260,7 +260,7 @@ def _examine(
 
 
 def _facts(machine: Machine, settings: Settings, link: CanInterface | None, stopped: Callable[[], bool]) -> Facts:
-    """What setup looks at; without an interface the bus is not listened to."""
+    """Collect the facts that setup needs; without an interface the bus is not listened to."""
     is_running = any(unit.name == "cruiser-gateway.service" and unit.state == "active" for unit in look_at_units())
     # The service's own gateway is about to be started anew; any other is one too many.
     claims = count_claims(settings.can) + (0 if is_running else 1)

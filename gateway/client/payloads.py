@@ -82,7 +82,7 @@ def read_sample(received: Received) -> SampleRead | None:
 
 
 class NewerWords:
-    """What a newer version says and this one does not know: each counted, and said once.
+    """Words and fields of a newer version that this one does not know: each counted, and logged once.
 
     Attributes:
         counts: samples by what is unknown in them.

@@ -1,1 +1,1 @@
-"""What is wrong with a robot, and its cure: facts in, findings out. Pure; ``gateway/host`` looks the facts up."""
+"""The diagnosis of a robot, with cures: facts in, findings out. Pure; ``gateway/host`` collects the facts."""

@@ -65,7 +65,7 @@ USE_REASONS: Final = frozenset(
 
 
 class Detail(NamedTuple):
-    """What a check found, besides what its row says.
+    """The particulars of a finding, beyond the texts of its row.
 
     Attributes:
         text: the figures; empty if there are none.
@@ -102,7 +102,7 @@ class Check(msgspec.Struct, frozen=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
-    """What is wrong.
+    """A finding, in words.
 
     Attributes:
         check: the name of the check.

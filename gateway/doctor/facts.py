@@ -1,4 +1,4 @@
-"""What was found on a robot's computer, on its CAN bus and on Zenoh."""
+"""Facts about a robot's computer, its CAN bus, and its samples on Zenoh."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CanInterface(msgspec.Struct, frozen=True):
 
 
 class BusReport(msgspec.Struct, frozen=True):
-    """What was received of a CAN bus in a second, by somebody who sends nothing.
+    """The feedback that was received from a CAN bus in a second, without sending.
 
     Attributes:
         why_not: why it could not be opened; empty if it could.
@@ -48,7 +48,7 @@ class BusReport(msgspec.Struct, frozen=True):
 
 
 class ZenohReport(msgspec.Struct, frozen=True):
-    """What was received on Zenoh.
+    """The samples that were received on Zenoh.
 
     Attributes:
         place: where it was connected to, in words.

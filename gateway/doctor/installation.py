@@ -1,4 +1,4 @@
-"""What ``cruiser setup`` writes and runs, by what was answered and found. Places are those of the package."""
+"""Files that ``cruiser setup`` writes, and commands that it runs, by answers and findings."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ PENDING: Final = frozenset(
 
 
 class Answers(msgspec.Struct, frozen=True):
-    """What was answered, or found.
+    """Answers of the person or the flags, and findings.
 
     Attributes:
         name: the robot's.
@@ -178,7 +178,7 @@ def system_files(answers: Answers) -> dict[str, str]:
 
 
 def _bus(answers: Answers) -> str:
-    """What the gateway's unit comes and goes with."""
+    """Return the drop-in that binds the gateway's unit to the interface's device."""
     if not answers.is_kernels:
         return "# The bus is no interface of the kernel's.\n[Install]\nWantedBy=multi-user.target\n"
     device = f"sys-subsystem-net-devices-{escaped(answers.channel)}.device"
@@ -226,7 +226,7 @@ def start_services(answers: Answers) -> list[list[str]]:
 
 
 def by_hand(answers: Answers) -> list[str]:
-    """What somebody has to do where there is no systemd."""
+    """The steps that remain for a person where there is no systemd."""
     lines = [" ".join(program) for program in bring_up(answers)] if answers.is_kernels else []
     commands = {
         "router": f"cruiser router --directory {KEYS}/router",

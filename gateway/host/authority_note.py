@@ -1,4 +1,4 @@
-"""What a robot has learnt of its authority since it was provisioned: a file that outlives a restart."""
+"""Statements that a robot has taken over since it was provisioned: a file that outlives a restart."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class AuthorityNote:
         return cls(note_path(settings, environment))
 
     def read(self) -> Kept | str:
-        """What was saved last; nothing if there is no file. Words that say why it cannot be read."""
+        """Return the statements as saved last, none if there is no file; or why it cannot be read, in words."""
         if self.path is None:
             return "nothing can be kept: gateway.state_dir is empty, and what is revoked must outlive a restart"
         try:

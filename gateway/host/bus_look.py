@@ -76,7 +76,7 @@ class _Link(msgspec.Struct, frozen=True):
 
 
 def _link_of(run: Runner, name: str) -> _LinkInfo:
-    """What iproute2 says of an interface; nothing where it is not installed."""
+    """Return iproute2's description of an interface; empty where it is not installed."""
     try:
         printed = run(["ip", "-details", "-json", "link", "show", "dev", name]) or "[]"
         return next(iter(msgspec.json.decode(printed, type=list[_Link])), _Link()).linkinfo

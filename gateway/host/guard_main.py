@@ -34,7 +34,7 @@ _PRIORITY_MAX: Final = 99
 
 
 class GuardOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the gateway tells its guard on stdin.
+    """The order of the gateway to its guard, on stdin.
 
     Attributes:
         parent: the gateway's process.
@@ -45,7 +45,7 @@ class GuardOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _Asked:
-    """Whether a signal asked the process to end since the last look."""
+    """A signal's request that the process ends, read once."""
 
     def __init__(self) -> None:
         self._is_raised = False

@@ -81,7 +81,7 @@ class GuardProcess:
         return self._process.pid
 
     def look(self) -> GuardView:
-        """How it is now. Reading its status costs microseconds: once for all that is asked at a time."""
+        """Return its state now. Its status is read once for all questions of a tick: that takes microseconds."""
         status = self._memory.read_status()
         if status is None:
             return GuardView(stops=self._stops_before)

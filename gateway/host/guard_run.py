@@ -86,7 +86,7 @@ def run(
 
 
 def _skip_what_waits(bus: GuardBus) -> None:
-    """What came while this process stood still is old: it must not be taken for what the chassis says now."""
+    """Drop frames that arrived while this process stood still: they are old."""
     for _ in range(_SKIP_MAX_FRAMES):
         if bus.receive(0) is None:
             return

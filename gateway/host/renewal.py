@@ -55,7 +55,7 @@ class Renewal:
     """
 
     def __init__(self, settings: Settings) -> None:
-        """What is there now will be in use."""
+        """Take the present files as those in use."""
         self.is_ready = False
         self.is_taken = False
         self._settings = settings
@@ -77,7 +77,7 @@ class Renewal:
             self._thread.start()
 
     def notes(self) -> tuple[str, ...]:
-        """What somebody has to see to, or to know, in words."""
+        """Return notes for people, each one line."""
         return tuple(filter(None, (self._ending, self._waiting)))
 
     def close(self) -> None:
@@ -151,7 +151,7 @@ class Renewal:
 
 
 def _stamp(file: Path) -> tuple[int, int, int] | None:
-    """What changes when a file is replaced; None if it is not there."""
+    """Return times and number that change when a file is replaced; None if it is missing."""
     try:
         found = file.stat()
     except OSError:

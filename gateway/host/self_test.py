@@ -159,7 +159,7 @@ class SelfTest:
             self._ends.wait(LOOK_S)
 
     def _network_fault(self) -> str | None:
-        """What is not denied, at any endpoint; empty if everything is, None if no endpoint answers."""
+        """Return an act that is not denied at some endpoint; empty if all are, None if no endpoint answers."""
         try:
             return self._try_endpoints()
         except CommandError as error:
@@ -228,7 +228,7 @@ def endpoint_fault(place: Reached) -> str:
 
 
 def files_fault(settings: Settings) -> str:
-    """What is wrong with the files that rule who gets in; empty if nothing."""
+    """Return the fault of the files that rule access; empty if there is none."""
     zenoh: ZenohSettings = settings.zenoh
     if not zenoh.config:
         return "zenoh.config is not set: 'cruiser provision robot' and 'install' make robot.json5"

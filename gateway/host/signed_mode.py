@@ -1,4 +1,4 @@
-"""What a gateway in signed mode needs: its keys, its authority, and what it has learnt of it since."""
+"""Signed mode on a robot: its keys, its authority, and the statements that it has taken over since."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class StopNote:
         return "" if os.access(self.path.parent, os.W_OK | os.X_OK) else f"{self.path.parent} cannot be written to"
 
     def read(self) -> str:
-        """What the note says, in one line; empty if there is none. A damaged note is a note."""
+        """Return the note's text in one line; empty if there is none. A damaged note is a note."""
         if self.path is None:
             return ""
         try:

@@ -36,7 +36,7 @@ NAME_MAX: Final = 64
 """Length of a robot's or a recorder's name; one with a longer name is refused like one too many."""
 
 FORGOTTEN_NS: Final = 7 * 86_400 * 1_000_000_000
-"""What was silent for a week is forgotten."""
+"""A robot or recorder that is silent for a week is forgotten."""
 
 GAP_MAX: Final = 100_000
 """A step of the sequence by more is a sender that began anew, not a loss."""
@@ -45,7 +45,7 @@ _MEASURES: Final = {kind: measures(kind, prefix) for kind, prefix in PREFIXES.it
 
 
 class _Source:
-    """What is known of a robot, or of a recorder.
+    """A robot or a recorder, as far as it is known.
 
     Attributes:
         connected: its liveliness token is there.
@@ -118,7 +118,7 @@ class _Sources:
 
 
 class FleetMetrics:
-    """What a fleet says, as metric families.
+    """The samples of a fleet as metric families.
 
     Attributes:
         linked: this end is connected to Zenoh.

@@ -44,7 +44,7 @@ FURTHER_S: Final = 0.2
 """Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
 
 POLL_S: Final = 0.002
-"""How often a reply is looked for."""
+"""Period at which replies are looked for."""
 
 SAMPLES_WAITING: Final = 16_384
 """Samples of one subscription that may wait to be drained; beyond it the oldest go.
@@ -56,7 +56,7 @@ REPLIES_WAITING: Final = 16_384
 """Replies to one question that may wait to be polled; beyond it the oldest go. A fleet's stop has one a robot."""
 
 _TIMEOUT: Final = b"Timeout"
-"""What Zenoh itself replies to a query whose time is over."""
+"""Zenoh's own reply to a query whose time is over."""
 
 ROBOT_RECEIVES_BYTES: Final = 1 << 20
 """The largest message that a robot receives; Zenoh drops a larger one while it arrives. Its own bound is 1 GiB.
@@ -126,7 +126,7 @@ def client_endpoints(settings: ZenohSettings) -> list[str]:
 
 
 def said_of(settings: ZenohSettings) -> ZenohChoice:
-    """What the settings, or else the Zenoh configuration file, say of a session.
+    """Return the entries of a session: from the settings, or else from the Zenoh configuration file.
 
     Raises:
         CommandError: the configuration file is wrong.
@@ -205,7 +205,7 @@ def _enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
 
 
 def _of_file(config: zenoh.Config, path: str) -> Json:
-    """What the configuration file says; None if nothing. Zenoh's own start value cannot be told from silence."""
+    """Return the configuration file's entry; None if there is none, or if it is Zenoh's own start value."""
     value: Json = json.loads(config.get_json(path))
     return None if value == json.loads(zenoh.Config().get_json(path)) else value
 
@@ -403,7 +403,7 @@ class RobotListener(SessionOwner):
         return question
 
     def drain(self) -> Iterator[Arrival]:
-        """What has arrived since the last time, a bounded number: more may come while it is read."""
+        """Yield the arrivals since the last call, a bounded number: more may come meanwhile."""
         for _ in range(SAMPLES_WAITING):
             if (token := self._tokens.try_recv()) is None:
                 break

@@ -60,7 +60,7 @@ PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
 
 
 class _Said(msgspec.Struct, frozen=True):
-    """What tells the holder's requests from those that a flood puts under its name."""
+    """The fields that distinguish the holder's requests from a flood under its name."""
 
     lease: int
     seq: int | None = None

@@ -123,7 +123,7 @@ class Route:
         return message
 
     def understand(self, sample: ReceivedSample) -> Understood[Message] | None:
-        """What is known of a sample that is not decoded, or not in full, because a newer version sent it."""
+        """Return a sample of a newer version as far as it is understood; None if it is not at all."""
         if self.subject is None or self.kind is CanFrame or sample.encoding != self.encoding:
             return None
         read = understand(self.subject.type, sample.payload)

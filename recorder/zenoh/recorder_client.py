@@ -38,16 +38,16 @@ BACKFILL_TIMEOUT_S: Final = 180.0
 """A request for a backfill may wait for five others of 30 s each."""
 
 LOOK_S: Final = 0.3
-"""How long one query waits for recorders to be found; then it is asked again."""
+"""Duration of one query for recorders; then it is repeated."""
 
 PAUSE_S: Final = 0.5
 """Before a backfill is asked for again that was refused, or that nobody answered: the link may come back."""
 
 PROOF_S: Final = 2.0
-"""How long a recorder may take to give a challenge, and to take over a grant."""
+"""The longest wait for a recorder's challenge, and for its reply to a grant."""
 
 POLL_S: Final = 0.002
-"""How often a reply is looked for."""
+"""Period at which replies are looked for."""
 
 Answer = TypeVar("Answer", RecorderReply, BackfillPiece)
 
@@ -206,7 +206,7 @@ class RecorderClient:
         return self._samples(replies)
 
     def _samples(self, replies: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - Zenoh's handlers have no common type
-        """What comes, until nothing more will."""
+        """Yield the replies until the query is over."""
         try:
             while not self._stopped():
                 reply = replies.try_recv()
