@@ -23,6 +23,8 @@ FIRST: Final = "first-operator"
 SECOND: Final = "second-operator"
 OBSERVER: Final = "demo"
 
+SETTLED_TICKS: Final = 50
+
 EIGHT_SPEED_MPS: Final = 1.0
 EIGHT_ANGLE_DEG: Final = 20.0
 RENEWED_S: Final = 0.05
@@ -142,6 +144,10 @@ class DemoDrive:
             self._rest(observer)
             raise
         self._rest(observer)
+        # The last events, the lease's return among them, arrive before a state of half a second later.
+        observer.wait_for(lambda state: not state.lease_holder, LEASE_TIMEOUT_S)
+        tick = observer.state().state.tick
+        observer.wait_for(lambda state: state.tick > tick + SETTLED_TICKS, STOPPED_TIMEOUT_S)
 
     def _first(self, robot: Robot, relay: Relay, seconds: float) -> None:
         """A figure of eight, a bumper hit, a deliberate reset, away from it, and then the link stalls."""

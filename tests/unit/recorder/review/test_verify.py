@@ -375,7 +375,7 @@ def _signed_for(verb: str, operator: str = "ann", robot: str = ROBOT, payload: b
     [
         b"",
         _signed_for("engage")[:-1],
-        _signed_for("engage")[:-1] + b"\0",
+        _signed_for("engage")[:-1] + bytes([_signed_for("engage")[-1] ^ 1]),
         _signed_for("park"),
         _signed_for("engage", operator="bob"),
         _signed_for("engage", robot="cruiser-2"),
