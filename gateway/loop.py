@@ -397,6 +397,10 @@ class Reader:
                 return
 
 
+def _grant_ends_s(ports: LoopPorts) -> int | None:
+    return None if ports.signed is None else ports.signed.authority.grant_ends_s
+
+
 def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bool) -> Links:
     bus, sink = ports.bus, ports.sink
     peers = sink.peers() if is_full else before.zenoh_peers
@@ -426,7 +430,7 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
         inbox_drops=ports.inbox.drops if ports.inbox is not None else 0,
         outside=sink.outside() if is_full else before.outside,
         certificate_ends_s=None if ports.signed is None else ports.signed.certificate_ends_s,
-        grant_ends_s=None if ports.signed is None else ports.signed.authority.grant_ends_s,
+        grant_ends_s=_grant_ends_s(ports) if is_full else before.grant_ends_s,
         notes=ports.notes() if is_full else before.notes,
     )
 
