@@ -26,7 +26,7 @@ demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operato
 test: $(STAMP)  ## the whole test suite
 	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist loadfile --no-loadscope-reorder
 
-test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
+test-unit: $(STAMP)  ## what needs no process and no socket: two and a half minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
 
 nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties twelvefold, 10,000 random scenarios, the fuzzer, clients of other languages; two hours

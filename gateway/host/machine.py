@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.host.computer_look import owning
+from gateway.provisioning.key_store import replace_whole
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
@@ -87,8 +88,8 @@ class Machine:
                 return
             path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
             if before is not None:
-                _put(path.with_name(kept), before)
-            _put(path, text)
+                replace_whole(path.with_name(kept), before, 0o644)
+            replace_whole(path, text, 0o644)
         except (OSError, UnicodeDecodeError) as error:
             why = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "it is no text"
             raise CommandError(f"{name} cannot be written: {why}") from error
@@ -141,15 +142,3 @@ def _user(name: str) -> pwd.struct_passwd | None:
         return pwd.getpwnam(name)
     except KeyError:
         return None
-
-
-def _put(path: Path, text: str) -> None:
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    unfinished.unlink(missing_ok=True)
-    descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        os.fchmod(file.fileno(), 0o644)
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)

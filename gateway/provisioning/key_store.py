@@ -278,6 +278,24 @@ def naming(path: str | PurePath, cure: str = "") -> Iterator[None]:
         raise CommandError(f"{plain(str(path))}: {error}{cure and f'; {cure}'}", error.code) from error
 
 
+def replace_whole(path: Path, text: str, mode: int) -> None:
+    """Write a file of this mode: whole, or not at all; through no link.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    # What is left of a writing that was cut off, or what somebody else has put there to read along.
+    unfinished.unlink(missing_ok=True)
+    descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
 def write_private(path: Path, text: str, *, replace: bool) -> None:
     """Write a file of mode 0600: whole, or not at all; through no link.
 
@@ -285,18 +303,9 @@ def write_private(path: Path, text: str, *, replace: bool) -> None:
         CommandError: it is there already and not to be replaced, or cannot be written.
     """
     shown = plain(str(path))
-    unfinished = path.with_name(f".{path.name}.unfinished")
     try:
         if not replace and os.path.lexists(path):
             raise CommandError(f"{shown} is there already; --replace writes over", ExitCode.USAGE)
-        # What is left of a writing that was cut off, or what somebody else has put there to read along.
-        unfinished.unlink(missing_ok=True)
-        descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            os.fchmod(file.fileno(), 0o600)
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
+        replace_whole(path, text, 0o600)
     except OSError as error:
         raise CommandError(f"{shown} cannot be written: {error.strerror}") from error
