@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make the pictures of the README anew: `make pictures`. Runs the demo, and wants Chromium.
+"""Make the pictures of the README anew: `make pictures`. Wants an idle machine, Chromium and a Chinese font.
+
+On Debian: `apt-get install chromium fonts-wqy-microhei`.
 
 - ``demo.svg``    the terminal while the demo runs, and why the robot stopped, as the commands print it
 - ``report.png``  the top of the drive report of the same demo, without its summary in words
+- ``desk.png``    the desk with a virtual fleet: all robots, of which one was stopped, and below it one that drives
 """
 
 import io
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from typing import Final
 
+from PIL import Image
+from playwright.sync_api import Page, sync_playwright
 from rich.console import Console
 from rich.terminal_theme import MONOKAI
 from rich.text import Text
@@ -22,7 +28,13 @@ from rich.text import Text
 PICTURES: Final = Path(__file__).parent
 BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 COLUMNS: Final = 138
-WIDTH, HEIGHT = 1200, 1330
+WIDTH, HEIGHT = 1200, 1420
+DESK_WIDTH, DESK_HEIGHT = 1200, 760
+ROBOTS: Final = 4
+DRIVEN_MS: Final = 10_000
+"""So long a robot has driven in the picture: more than half of an eight."""
+
+DEADLINE_MS: Final = 300_000
 CSS: Final = "<style>ul + .card { display: none }</style></head>"
 
 
@@ -46,19 +58,88 @@ def terminal(screens: list[tuple[str, str]], title: str) -> str:
     return re.sub(r"[ \t]+$", "", svg.replace("Fira Code, monospace", "monospace"), flags=re.MULTILINE)
 
 
-def report(page: Path, picture: Path) -> None:
-    """The page as a browser shows it in the light."""
+def chromium() -> str:
+    """Where it is."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise SystemExit("no Chromium: apt-get install chromium")
+    return browser
+
+
+def report(page: Path, picture: Path) -> None:
+    """The page as a browser shows it in the light."""
     page.write_text(page.read_text("utf-8").replace("</head>", CSS, 1), "utf-8")
     flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=10000")
     size = (f"--window-size={WIDTH},{HEIGHT}", f"--screenshot={picture}")
-    subprocess.run([browser, *flags, *size, page.as_uri()], check=True, stderr=subprocess.DEVNULL)
+    subprocess.run([chromium(), *flags, *size, page.as_uri()], check=True, stderr=subprocess.DEVNULL)
+
+
+def desk(where: Path, picture: Path) -> None:
+    """The desk of a virtual fleet: the overview, and below it a robot that drives, as a browser shows them."""
+    words = ("demo-desk", "--no-browser", "--robots", str(ROBOTS), "--patrol", "1")
+    command = [sys.executable, "-m", "gateway", *words]
+    environment = os.environ | {"PYTHONPATH": str(PICTURES.parents[1])}
+    with subprocess.Popen(command, cwd=where, env=environment, stdout=subprocess.PIPE, text=True) as demo:
+        try:
+            address = re.search(r"http://\S+/", demo.stdout.readline() if demo.stdout else "")
+            if address is None:
+                raise SystemExit("the desk does not say where it is")
+            with sync_playwright() as playwright:
+                browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+                page = browser.new_page(
+                    viewport={"width": DESK_WIDTH, "height": DESK_HEIGHT}, color_scheme="light"
+                )
+                page.set_default_timeout(DEADLINE_MS)
+                _stopped(page, address[0])
+                driven = _driven(page)
+                stack(_fleet(page), driven, picture)
+                browser.close()
+        finally:
+            demo.send_signal(signal.SIGINT)
+
+
+def _stopped(page: Page, address: str) -> None:
+    """Stop the last robot of the fleet, and return to the overview."""
+    page.goto(f"{address}#/robot/cruiser-{ROBOTS}")
+    page.get_by_text("it waits for somebody who drives it").wait_for()
+    page.get_by_role("button", name=f"STOP cruiser-{ROBOTS}").click()
+    page.get_by_role("button", name="Close").click()
+    page.get_by_role("link", name="Fleet").click()
+
+
+def _driven(page: Page) -> bytes:
+    """The page of a robot that has driven for a while, and still does."""
+    driving = page.locator(".now .pill", has_text="driving")
+    while True:
+        page.locator("tr", has_text="driving").get_by_role("link").click()
+        page.wait_for_timeout(DRIVEN_MS)
+        # Whoever looks at a picture holds no pad.
+        page.locator(".drive").evaluate("panel => { panel.hidden = true; }")
+        picture = page.screenshot()
+        was_driving = driving.is_visible()
+        page.get_by_role("link", name="Fleet").click()
+        if was_driving:
+            return picture
+
+
+def _fleet(page: Page) -> bytes:
+    """The overview, while a robot drives."""
+    page.locator("tr", has_text="driving").wait_for()
+    bottom = page.locator("main").bounding_box() or {}
+    return page.screenshot(clip={"x": 0, "y": 0, "width": DESK_WIDTH, "height": bottom["y"] + bottom["height"]})
+
+
+def stack(above: bytes, below: bytes, picture: Path) -> None:
+    """One picture of two, of few colours."""
+    images = [Image.open(io.BytesIO(one)).convert("RGB") for one in (above, below)]
+    both = Image.new("RGB", (DESK_WIDTH, sum(one.height for one in images)), "white")
+    both.paste(images[0], (0, 0))
+    both.paste(images[1], (0, images[0].height))
+    both.quantize(128).save(picture, optimize=True)
 
 
 def main() -> None:
-    """Run the demo once, for both pictures."""
+    """Run the demo once, for two pictures, and the virtual fleet for the third."""
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder)
         demo = cruiser("demo", "--seconds", "30", "--out", "demo-log", where=where)
@@ -69,6 +150,7 @@ def main() -> None:
         (PICTURES / "demo.svg").write_text(terminal(screens, "Cruiser Gateway"), "utf-8")
         cruiser("review", "report", "demo-log", "-o", "report.html", where=where)
         report(where / "report.html", PICTURES / "report.png")
+        desk(where, PICTURES / "desk.png")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,171 @@
+"""``cruiser desk``: a fleet in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import socket
+import ssl
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from gateway.zenoh.client import DeskListener, place
+from gateway.zenoh.operator import CommandPort
+from schemas import keys
+from schemas.arguments import add_zenoh_arguments, ending_after, seconds
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.listen_address import address, certificate_files, shown_address
+from schemas.settings import DeskSettings, Settings
+
+EXAMPLE: Final = """\
+  cruiser desk
+  cruiser desk --config ~/.config/cruiser/desk.toml
+  cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --key desk.key --name desk.example"""
+
+PACKAGES: Final = frozenset({"starlette", "uvicorn", "websockets"})
+
+LOCAL_NAMES: Final = ("127.0.0.1", "localhost", "::1", "[::1]")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.add_argument(
+        "--listen",
+        dest="desk.listen",
+        metavar="ADDRESS:PORT",
+        help=f"where browsers ask ({DeskSettings().listen}: this machine alone); port 0 is a free one",
+    )
+    parser.add_argument(
+        "--certificate",
+        dest="desk.certificate",
+        metavar="FILE",
+        help="its certificate chain, PEM: needed beyond this machine",
+    )
+    parser.add_argument("--key", dest="desk.key", metavar="FILE", help="the certificate's private key, PEM")
+    parser.add_argument(
+        "--name",
+        dest="desk.names",
+        action="append",
+        metavar="HOST",
+        help="a name under which browsers reach it; may be given several times",
+    )
+    parser.add_argument(
+        "--logs",
+        dest="desk.logs",
+        metavar="DIR",
+        help="a recorder's directory: whoever opens the page may read its logs, and their reports",
+    )
+    parser.add_argument(
+        "--site",
+        dest="desk.sites",
+        action="append",
+        metavar="SITE=PATTERN",
+        help="robots whose names match belong to this site ('hall 1=cruiser-1*'); may be given several times",
+    )
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    add_zenoh_arguments(parser)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Serve the desk until it is stopped.
+
+    Raises:
+        CommandError: a package is missing, the address is taken or needs a certificate, or no Zenoh node answers.
+    """
+    try:
+        from gateway.cli.desk_hub import Hub  # noqa: PLC0415 - needs the extra 'desk'
+        from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
+        from gateway.cli.desk_server import make_app, serve  # noqa: PLC0415 - the same
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in PACKAGES:
+            raise
+        raise CommandError(
+            f"this needs {' and '.join(sorted(PACKAGES))}: pip install 'cruiser-gateway[desk]'"
+        ) from None
+    desk = settings.desk
+    host, port = _address(desk.listen)
+    certificate = _certificate(desk, host)
+    sites = [_site(text) for text in desk.sites]
+    with (
+        contextlib.nullcontext() if not desk.logs else contextlib.closing(DeskLogs.open(desk.logs)) as logs,
+        _listening(host, port) as listening,
+        DeskListener.open(settings) as listener,
+        CommandPort.open(settings, keys.ALL, "desk") as commands,
+    ):
+        where = shown_address(host, listening.getsockname()[1])
+        scheme = "https" if certificate else "http"
+        sys.stderr.write(f"desk: {scheme}://{where}/, robots at {place(settings.zenoh)}\n")
+        sys.stderr.flush()
+        ends = ending_after(stopped, arguments.seconds, time.monotonic)
+        hub = Hub(settings, listener, commands, sites=sites, has_logs=logs is not None)
+        app = make_app(hub, [*LOCAL_NAMES, host, *desk.names], logs)
+
+        async def work() -> None:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(hub.run(ends))
+                group.create_task(serve(app, listening, ends, certificate))
+
+        asyncio.run(work())
+    return int(ExitCode.OK)
+
+
+def _site(text: str) -> tuple[str, str]:
+    """A site, and the pattern of its robots' names.
+
+    Raises:
+        CommandError: it is none.
+    """
+    site, _, pattern = text.rpartition("=")
+    if not (site.strip() and pattern.strip()):
+        raise CommandError(f"desk.sites: {text!a} is not SITE=PATTERN, as 'hall 1=cruiser-1*'", ExitCode.USAGE)
+    return site.strip(), pattern.strip()
+
+
+def _address(listen: str) -> tuple[str, int]:
+    """The address to listen on.
+
+    Raises:
+        CommandError: it is none.
+    """
+    try:
+        return address(listen)
+    except argparse.ArgumentTypeError as error:
+        raise CommandError(f"desk.listen: {error}", ExitCode.USAGE) from error
+
+
+def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
+    """The files of the certificate and its key; None where browsers come from this machine alone.
+
+    Raises:
+        CommandError: one of them is missing where it is needed, or cannot be used.
+    """
+    try:
+        files = certificate_files(settings.certificate, settings.key, host, "browsers")
+    except CommandError as error:
+        raise CommandError(f"{error} (desk.certificate, desk.key)", error.code) from None
+    if files is None:
+        return None
+    chain, key = files
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(chain, key)
+    except (OSError, ValueError) as error:
+        raise CommandError(f"{chain} and {key} are no certificate with its key: {error}", ExitCode.USAGE) from None
+    return files
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """A socket that listens.
+
+    Raises:
+        CommandError: the address is taken, or not one of this machine.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        text = f"cannot listen on {shown_address(host, port)}: {error.strerror or error}"
+        raise CommandError(text, ExitCode.UNREACHABLE) from error

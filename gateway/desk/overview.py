@@ -1,0 +1,147 @@
+"""A robot in one row of the overview: what it does, or what is wrong with it. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from gateway.client.fleet import RobotStatus, alarm
+from gateway.client.reasons_text import is_idle, link_line, state_line, text_of
+from gateway.desk.words import RecorderRow, RobotRow
+from schemas.decisions import COMMANDING, ArbiterState, SafetyEvent, SafetyState
+from schemas.messages import GatewayHealth, Mode, RobotState
+from schemas.printable import plain, short
+from schemas.reasons import ACQUIRE, ENGAGE, RESET, TEXTS, Reason, cure_of
+from schemas.recording import RecorderHealth
+from schemas.settings import STANDSTILL_MPS
+
+FINE: Final = 0
+LOOK: Final = 1
+ALARM: Final = 2
+"""The levels: nothing is wrong; somebody should look; it needs a person."""
+
+WORDS: Final = {
+    "silent": ALARM,
+    "latched": ALARM,
+    "bus_down": ALARM,
+    "stopping": LOOK,
+    "transmitter": LOOK,
+    "blocked": LOOK,
+    "driving": FINE,
+    "engaged": FINE,
+    "held": FINE,
+    "ready": FINE,
+    "telemetry": FINE,
+}
+"""A word for all that a robot does or suffers, and its level. ``telemetry``: it has no arbiter."""
+
+
+COUNT_MAX: Final = 2**53 - 1
+
+BUTTONS: Final = {
+    RESET: "press Reset, then ",
+    ENGAGE: "Take control",
+    ACQUIRE: "Take control",
+    " ('cruiser drive ROBOT')": "",
+}
+"""The buttons of the page that do what a cure has a command for."""
+
+
+def row_of(report: RobotStatus, event: SafetyEvent | None) -> RobotRow:
+    """Return a robot's row."""
+    state, safety = report.state, report.safety
+    word, text, reasons = _word(report)
+    return RobotRow(
+        level=max(WORDS[word], LOOK if report.newer or report.health is None else FINE),
+        word=word,
+        text=short(plain(text)),
+        driver=short(plain(safety.lease_holder)) if safety is not None else "",
+        speed_mps=_rounded(state.speed_mps if state is not None else None),
+        limit_mps=_rounded(safety.speed_limit_mps if safety is not None else None),
+        link_age_s=_rounded(safety.link_age_s if safety is not None else None),
+        lost=_count(sum(frame.lost for frame in report.health.feedback)) if report.health is not None else None,
+        event=short(plain(event.text)) if event is not None else "",
+        event_ns=event.time_ns if event is not None else 0,
+        reasons=[reason.value for reason in reasons],
+    )
+
+
+def recorder_row(name: str, health: RecorderHealth) -> RecorderRow:
+    """Return a recorder's row."""
+    return RecorderRow(
+        name,
+        health.state.value,
+        health.robots,
+        _count(health.missed + sum(health.dropped.values())),
+        health.disk_free_bytes,
+    )
+
+
+def why_not(
+    safety: SafetyState, health: GatewayHealth | None, robot: str
+) -> tuple[list[tuple[str, str, str]], bool, list[str]]:
+    """Return the reasons for which a robot does not move, whether it only waits, and what else to see to."""
+    reasons = [(one.value, *_text(one, robot, safety.blocked_by)) for one in safety.blocked_by]
+    notes = [short(plain(note)) for note in health.notes] if health is not None else []
+    if health is not None and not health.realtime:
+        notes.append(_text(Reason.NO_REALTIME, robot)[0])
+    if link := link_line(safety):
+        notes.append(link)
+    return reasons, is_idle(safety.blocked_by), notes
+
+
+def reasons_in_words() -> dict[str, tuple[str, str]]:
+    """Return meaning and cure of each reason for which a request is refused; ROBOT stands for the robot's name."""
+    return {reason.value: (text.means, _with_buttons(text.cure, "ROBOT")) for reason, text in TEXTS.items()}
+
+
+def _text(reason: Reason, robot: str, beside: list[Reason] | None = None) -> tuple[str, str]:
+    text = text_of(reason, robot, beside or [])
+    return text.means, _with_buttons(text.cure, robot)
+
+
+def _with_buttons(cure: str, robot: str) -> str:
+    for command, button in BUTTONS.items():
+        cure = cure.replace(cure_of(command, robot), button)
+    return cure
+
+
+def _word(report: RobotStatus) -> tuple[str, str, list[Reason]]:
+    """Return one of the words, what it means here, and the reasons for it."""
+    state, safety = report.state, report.safety
+    if state is None:
+        return "silent", alarm(report), []
+    if not state.bus_up:
+        return "bus_down", "its CAN bus is down", [Reason.BUS_DOWN]
+    if safety is None:
+        return "telemetry", f"mode {state.mode.value}; it takes no commands", []
+    return _word_of_arbiter(state, safety, report.robot)
+
+
+def _word_of_arbiter(state: RobotState, safety: SafetyState, robot: str) -> tuple[str, str, list[Reason]]:
+    if safety.latched:
+        return "latched", _meanings(safety.latched, robot), safety.latched
+    if safety.state is ArbiterState.STOPPING:
+        return "stopping", state_line(safety), [safety.stop_reason]
+    if state.mode is Mode.REMOTE:
+        return "transmitter", _meanings([Reason.HAND_TRANSMITTER], robot), [Reason.HAND_TRANSMITTER]
+    if safety.state in COMMANDING:
+        moves = state.speed_mps is not None and abs(state.speed_mps) >= STANDSTILL_MPS
+        return "driving" if moves else "engaged", state_line(safety), []
+    blocked = [one for one in safety.blocked_by if not is_idle([one])]
+    if blocked:
+        return "blocked", _meanings(blocked, robot), blocked
+    return "held" if safety.lease_holder else "ready", state_line(safety), []
+
+
+def _meanings(reasons: list[Reason], robot: str) -> str:
+    return "; ".join(_text(one, robot)[0] for one in reasons)
+
+
+def _count(value: int) -> int:
+    """A sum of what others count, no larger than a browser's numbers are exact."""
+    return min(value, COUNT_MAX)
+
+
+def _rounded(value: float | None) -> float | None:
+    """As exact as it is shown, so that a row changes only where a person sees it."""
+    return None if value is None else round(value, 2)

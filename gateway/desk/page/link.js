@@ -1,0 +1,87 @@
+// The WebSocket to the desk: MessagePack maps, told apart by `is`. It connects anew by itself.
+
+const FIRST_WAIT_MS = 300;
+const LONGEST_WAIT_MS = 3000;
+const SILENT_MS = 3000; // the desk sends something each second: one that is silent so long hangs, or the way to it is cut
+const LOOK_MS = 500;
+
+export class Link {
+  constructor() {
+    this.handlers = new Map();
+    this.questions = new Map();
+    this.number = 0;
+    this.wait = FIRST_WAIT_MS;
+    this.socket = null;
+    this.connected = false;
+    this.heardMs = 0;
+    this.open();
+    setInterval(() => this.connected && performance.now() - this.heardMs > SILENT_MS && this.lose(this.socket), LOOK_MS);
+  }
+
+  /** Call back with each message of a kind, and with `opened` and `closed`. */
+  on(kind, handler) {
+    this.handlers.set(kind, [...(this.handlers.get(kind) ?? []), handler]);
+  }
+
+  open() {
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    const socket = new WebSocket(`${scheme}//${location.host}/link`);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = (event) => {
+      this.heardMs = performance.now();
+      this.receive(MessagePack.decode(new Uint8Array(event.data)));
+    };
+    socket.onopen = () => {
+      this.connected = true;
+      this.heardMs = performance.now();
+      this.wait = FIRST_WAIT_MS;
+      this.emit("opened", {});
+    };
+    socket.onclose = () => this.lose(socket);
+    this.socket = socket;
+  }
+
+  /** The connection has ended, or is of no use; another one is made. */
+  lose(socket) {
+    socket.onmessage = socket.onopen = socket.onclose = null;
+    socket.close();
+    this.connected = false;
+    for (const question of this.questions.values()) question.done();
+    this.questions.clear();
+    this.emit("closed", {});
+    setTimeout(() => this.open(), this.wait);
+    this.wait = Math.min(2 * this.wait, LONGEST_WAIT_MS);
+  }
+
+  receive(message) {
+    if (message.is === "reply") {
+      const question = this.questions.get(message.number);
+      if (question === undefined) return;
+      if (!message.last) return question.replies.push(message);
+      this.questions.delete(message.number);
+      return question.done();
+    }
+    this.emit(message.is, message);
+  }
+
+  emit(kind, message) {
+    for (const handler of this.handlers.get(kind) ?? []) handler(message);
+  }
+
+  /** Send; false where there is no connection. Nothing is kept for later: an old command is worse than none. */
+  send(message) {
+    if (!this.connected) return false;
+    this.socket.send(MessagePack.encode(message));
+    return true;
+  }
+
+  /** Ask, and return all replies. */
+  ask(message) {
+    const number = ++this.number;
+    return new Promise((resolve) => {
+      const replies = [];
+      if (!this.send({ ...message, number })) return resolve(replies);
+      this.questions.set(number, { replies, done: () => resolve(replies) });
+    });
+  }
+}

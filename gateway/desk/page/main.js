@@ -1,0 +1,105 @@
+// The page: which of its views is shown, and who is told what arrives.
+
+import { DrivePanel, operatorName } from "./drive.js";
+import { setText } from "./elements.js";
+import { Link } from "./link.js";
+import { Overview } from "./overview.js";
+import { RobotPage } from "./robot.js";
+import { Stops } from "./stops.js";
+import { changeLanguage, language, learnReasons, t } from "./words.js";
+
+const byId = (id) => document.getElementById(id);
+const fleet = { rows: new Map(), recorders: [], linked: false };
+const link = new Link();
+const stops = new Stops(link, byId("stops"), fleet);
+let hello = null;
+let view = null;
+
+const shownRobot = () => /^#\/(?:robot|kiosk)\/([a-z0-9-]+)$/.exec(location.hash)?.[1] ?? "";
+
+function route() {
+  view?.end?.();
+  const robot = shownRobot();
+  view = robot ? new RobotPage(robot, fleet, new DrivePanel(robot, link, () => hello)) : new Overview(fleet, link, location.hash === "#/wall");
+  byId("view").replaceChildren(view.element);
+  view.begin?.();
+  byId("stop-one").hidden = !robot;
+  setText(byId("stop-one"), `${t("stop")} ${robot}`);
+  setText(byId("where"), robot);
+  document.body.classList.toggle("kiosk", location.hash.startsWith("#/kiosk/"));
+  showTitle();
+  link.send({ is: "look", robot });
+}
+
+/** The page's name says how many alarms nobody sees to: also where another tab is shown. */
+function showTitle() {
+  const unseen = [...fleet.rows.values()].filter((row) => row.level === 2 && !row.acknowledged).length;
+  const title = `${unseen ? `(${unseen}) ` : ""}${shownRobot() ? `${shownRobot()} · ` : ""}Cruiser`;
+  if (document.title !== title) document.title = title;
+}
+
+function write() {
+  document.documentElement.lang = language();
+  for (const element of document.querySelectorAll("[data-t]")) setText(element, t(element.dataset.t));
+  setText(byId("language"), t("other_language"));
+  setText(byId("stop-all"), t("stop_all"));
+  showLink();
+}
+
+function showLink() {
+  const element = byId("link");
+  const good = link.connected && fleet.linked;
+  element.className = `pill level${good ? 0 : 2}`;
+  setText(element, !link.connected ? t("no_desk") : t(fleet.linked ? "linked" : "unlinked"));
+}
+
+link.on("hello", (message) => {
+  hello = message;
+  learnReasons(message.reasons);
+  fleet.rows.clear();
+  link.send({ is: "look", robot: shownRobot() });
+});
+link.on("rows", ({ rows, recorders, linked, full }) => {
+  for (const [robot, row] of Object.entries(rows)) {
+    if (row === null) fleet.rows.delete(robot);
+    else fleet.rows.set(robot, row);
+  }
+  fleet.recorders = recorders ?? fleet.recorders;
+  fleet.linked = linked;
+  fleet.full = full;
+  showLink();
+  showTitle();
+  if (view instanceof Overview) view.update();
+});
+const ofShown = (handle) => (message) => view instanceof RobotPage && view.name === (message.robot ?? shownRobot()) && handle(message);
+link.on("sample", ofShown((sample) => sample.key.endsWith(`/${view.name}/${sample.subject}`) && view.receiveSample(sample)));
+link.on("history", ofShown((history) => view.receiveHistory(history, hello)));
+link.on("why", ofShown((why) => view.receiveWhy(why)));
+link.on("answer", ofShown((answer) => view.driver.receiveAnswer(answer)));
+link.on("refused", ({ fault }) => console.warn(fault));
+link.on("opened", showLink);
+link.on("closed", () => {
+  showLink();
+  // Rows that nobody brings up to date are no rows.
+  fleet.rows.clear();
+  if (view instanceof Overview) view.update();
+});
+
+byId("stop-all").addEventListener("click", () => stops.stop("", operatorName()));
+byId("stop-one").addEventListener("click", () => stops.stop(shownRobot(), operatorName()));
+byId("language").addEventListener("click", () => {
+  changeLanguage();
+  write();
+  route();
+});
+addEventListener("keydown", (event) => {
+  if (event.key === "Escape" && shownRobot()) stops.stop(shownRobot(), operatorName());
+});
+addEventListener("hashchange", () => {
+  route();
+  // The link that led here is gone: whoever has no mouse goes on from the top.
+  scrollTo(0, 0);
+  byId("view").focus({ preventScroll: true });
+});
+write();
+route();

@@ -1,0 +1,69 @@
+// Who commands from this browser. In signed mode its key stays here, in IndexedDB, and cannot be taken out: the desk
+// passes on what is signed, and can sign nothing itself.
+
+import { Operator, signedText, utf8 } from "./proof.js";
+
+const DATABASE = "cruiser";
+const STORE = "operator";
+
+function store(mode, act) {
+  return new Promise((resolve, reject) => {
+    const opening = indexedDB.open(DATABASE, 1);
+    opening.onupgradeneeded = () => opening.result.createObjectStore(STORE);
+    opening.onerror = () => reject(opening.error);
+    opening.onsuccess = () => {
+      const request = act(opening.result.transaction(STORE, mode).objectStore(STORE));
+      request.onsuccess = () => {
+        opening.result.close();
+        resolve(request.result);
+      };
+      request.onerror = () => reject(request.error);
+    };
+  });
+}
+
+const read = (name) => store("readonly", (objects) => objects.get(name));
+const write = (name, value) => store("readwrite", (objects) => objects.put(value, name));
+
+const hex = (bytes) => Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+
+/** The public half of this browser's key, hexadecimal; made where there is none, and kept. */
+export async function publicKey() {
+  let pair = await read("pair");
+  if (pair === undefined) {
+    pair = await crypto.subtle.generateKey("Ed25519", false, ["sign", "verify"]);
+    await write("pair", pair);
+  }
+  return hex(new Uint8Array(await crypto.subtle.exportKey("raw", pair.publicKey)));
+}
+
+/** A request for a grant, as `cruiser provision sign` reads it. It asks for no certificate: the desk has one. */
+export async function requestFor(name) {
+  const key = await publicKey();
+  const { privateKey } = await read("pair");
+  const text = signedText("A", utf8("request"), utf8("operator"), utf8(name), utf8(""));
+  const proof = hex(new Uint8Array(await crypto.subtle.sign("Ed25519", privateKey, text)));
+  return JSON.stringify({ role: "operator", names: [name], csr: "", key, proof });
+}
+
+/** Take over the authority's answer. Whether robots believe it, they say themselves. */
+export async function install(bundle) {
+  const { role, chain, authority, name } = JSON.parse(bundle.split("\n", 1)[0]);
+  if (role !== "operator" || !chain) throw new Error("this is no bundle of an operator");
+  if (JSON.parse(chain.split("\n", 1)[0]).key !== (await publicKey())) throw new Error("this bundle is for another key");
+  await write("grant", { chain, authority: authority.active });
+  return name;
+}
+
+/** The operator with its key and grant; null in open mode, where names are as they are said. */
+export async function signer() {
+  const [pair, grant] = [await read("pair"), await read("grant")];
+  if (pair === undefined || grant === undefined) return null;
+  return Operator.create(pair.privateKey, grant.chain, grant.authority);
+}
+
+/** What the grant lets its holder do, as it says itself; robots judge by it. */
+export const grantOf = (one) => JSON.parse(one.statement.split("\n", 1)[0]);
+
+/** Go back to open mode. The key stays, so that another bundle for it can be taken over. */
+export const forget = () => store("readwrite", (objects) => objects.delete("grant"));

@@ -1,0 +1,168 @@
+// All robots: a table, or tiles for a screen on the wall. What needs a person comes first.
+
+import { operatorName } from "./drive.js";
+import { h, number, setText } from "./elements.js";
+import { said, t, textOf, valueOf, wordOf } from "./words.js";
+
+const natural = new Intl.Collator(undefined, { numeric: true }).compare;
+
+export class Overview {
+  constructor(fleet, link, wall) {
+    this.fleet = fleet;
+    this.link = link;
+    this.wall = wall;
+    this.order = { column: "state", down: true }; // what needs a person comes first
+    this.shown = new Map(); // robot -> {element, parts, row}
+    this.search = h("input", { type: "search", placeholder: t("search"), "aria-label": t("search"), oninput: () => this.update() });
+    const option = (value) => h("option", { value }, t(value));
+    this.filter = h("select", { "aria-label": t("state"), onchange: () => this.update() }, option("all"), option("needs_person"));
+    this.site = h("select", { "aria-label": t("site"), onchange: () => this.update() });
+    this.sites = "";
+    this.count = h("span", { class: "soft", role: "status" });
+    this.body = wall ? h("div", { class: "wall" }) : h("tbody");
+    this.empty = h("p", { class: "soft" }, t("no_robot"));
+    this.full = h("p", { class: "pill level2", role: "alert", hidden: true }, t("too_many"));
+    this.recorders = h("p", { class: "soft" });
+    this.element = h("div", {}, h("h1", { class: "heard" }, t("fleet")),
+      h("div", { class: "tools" }, wall ? null : [this.search, this.filter], this.site, this.count),
+      wall ? this.body : h("table", { class: "fleet" }, this.head(), this.body),
+      this.empty, this.full, this.recorders);
+    this.update();
+  }
+
+  /** Show the rows as they are now: of each robot only what is another than before. */
+  update() {
+    this.updateSites();
+    const wanted = this.search.value.trim().toLowerCase();
+    const rowOf = (name) => this.fleet.rows.get(name);
+    const names = [...this.fleet.rows.keys()].filter((name) => this.isShown(name, rowOf(name), wanted));
+    const key = new Map(names.map((name) => [name, SORTED[this.order.column](rowOf(name), name)]));
+    const sign = this.order.down ? -1 : 1;
+    names.sort((one, other) => sign * compare(key.get(one), key.get(other)) || natural(one, other));
+    for (const [name, shown] of this.shown) {
+      if (names.includes(name)) continue;
+      shown.element.remove();
+      this.shown.delete(name);
+    }
+    let before = null;
+    for (const name of names) {
+      const row = this.fleet.rows.get(name);
+      let shown = this.shown.get(name);
+      if (shown === undefined) this.shown.set(name, (shown = this.wall ? tile(name) : this.line(name)));
+      if (shown.row !== row) fill(shown, row);
+      // An element that stands where it belongs is not moved: moving takes the focus away.
+      const next = before === null ? this.body.firstChild : before.nextSibling;
+      if (next !== shown.element) this.body.insertBefore(shown.element, next);
+      before = shown.element;
+    }
+    const rows = [...this.fleet.rows.values()];
+    const needy = rows.filter((row) => row.level === 2);
+    const unseen = needy.filter((row) => !row.acknowledged).length;
+    setText(this.count, `${robots(rows.length)}${needy.length ? `, ${needy.length} ${t(needy.length === 1 ? "needs_person" : "need_person")}` : ""}${unseen ? `, ${unseen} ${t("unseen")}` : ""}`);
+    this.empty.hidden = rows.length > 0;
+    this.full.hidden = !this.fleet.full;
+    const gib = (bytes) => (bytes === null ? "--" : `${(bytes / 2 ** 30).toFixed(1)} GiB`);
+    setText(this.recorders, this.fleet.recorders.length === 0 ? "" : `${t("recorders")}: ${this.fleet.recorders
+      .map((one) => `${one.name} ${valueOf(one.state)}, ${robots(one.robots)}, ${one.lost} ${t("lost_samples")}, ${gib(one.disk_free_bytes)} ${t("free")}`).join("; ")}`);
+  }
+
+  isShown(name, row, wanted) {
+    if (this.filter.value === "needs_person" && row.level === 0) return false;
+    if (this.site.value && row.site !== this.site.value) return false;
+    return wanted === "" || [name, row.site, row.driver, row.text, textOf(row), wordOf(row.word)].some((text) => text.toLowerCase().includes(wanted));
+  }
+
+  /** Offer the sites that robots belong to. */
+  updateSites() {
+    const sites = [...new Set([...this.fleet.rows.values()].map((row) => row.site))].filter(Boolean).sort(natural);
+    const text = sites.join("\n");
+    this.site.hidden = sites.length === 0;
+    if (text === this.sites) return;
+    this.sites = text;
+    const chosen = this.site.value;
+    this.site.replaceChildren(h("option", { value: "" }, t("all_sites")), ...sites.map((site) => h("option", { value: site }, site)));
+    this.site.value = sites.includes(chosen) ? chosen : "";
+  }
+
+  /** The head of the table: each column sorts by itself, a second press the other way round. */
+  head() {
+    this.heads = new Map(COLUMNS.map(([name, kind]) => {
+      const sort = () => {
+        const { column, down } = this.order;
+        this.order = { column: name, down: name === column ? !down : name === "state" };
+        this.showOrder();
+        this.update();
+      };
+      return [name, h("th", { scope: "col", class: kind }, h("button", { type: "button", class: "plain", onclick: sort }, t(name)))];
+    }));
+    this.showOrder();
+    return h("thead", {}, h("tr", {}, ...this.heads.values()));
+  }
+
+  showOrder() {
+    for (const [name, element] of this.heads) {
+      if (name === this.order.column) element.setAttribute("aria-sort", this.order.down ? "descending" : "ascending");
+      else element.removeAttribute("aria-sort");
+    }
+  }
+
+  line(name) {
+    const parts = Object.fromEntries(COLUMNS.map(([column, kind]) => [column, h("td", { class: kind })]));
+    const pill = h("span", { class: "pill" });
+    const site = h("span", { class: "soft site" });
+    const text = h("span");
+    const seen = h("span", { class: "soft" });
+    const acknowledge = () => this.link.send({ is: "acknowledge", robot: name, word: this.fleet.rows.get(name).word, operator: operatorName() });
+    const see = h("button", { type: "button", class: "small", onclick: acknowledge, "aria-label": `${t("acknowledge")} ${name}` }, t("acknowledge"));
+    parts.robot.append(h("a", { href: `#/robot/${name}` }, name), " ", site);
+    parts.state.append(pill);
+    parts.what.append(text, " ", seen, see);
+    return { element: h("tr", { "data-robot": name }, ...Object.values(parts)), parts: { ...parts, pill, site, what: text, seen, see }, row: null };
+  }
+}
+
+const COLUMNS = [["robot"], ["state"], ["driver", "hide"], ["speed", "number"], ["limit", "number hide"], ["link_age", "number hide"], ["lost", "number hide"], ["what", "what"]];
+
+/** The value of a row that a column sorts by. An alarm that somebody sees to comes after those that nobody does. */
+const SORTED = {
+  robot: (row, name) => name,
+  state: (row) => 2 * row.level - (row.acknowledged ? 1 : 0),
+  driver: (row) => row.driver,
+  speed: (row) => (row.speed_mps === null ? -1 : Math.abs(row.speed_mps)),
+  limit: (row) => row.limit_mps ?? -1,
+  link_age: (row) => row.link_age_s ?? -1,
+  lost: (row) => row.lost ?? -1,
+  what: (row) => row.text,
+};
+
+const robots = (count) => `${count} ${t(count === 1 ? "one_robot" : "robots")}`;
+
+const compare = (one, other) => (typeof one === "string" ? natural(one, other) : one - other);
+
+function tile(name) {
+  const parts = { pill: h("span"), speed: h("span"), driver: h("span") };
+  const element = h("a", { class: "tile", href: `#/robot/${name}`, "data-robot": name }, h("b", {}, name), parts.pill, h("br"), parts.speed, " ", parts.driver);
+  return { element, parts, row: null };
+}
+
+function fill(shown, row) {
+  const { parts, element } = shown;
+  shown.row = row;
+  setText(parts.pill, wordOf(row.word));
+  setText(parts.driver, row.driver);
+  setText(parts.speed, number(row.speed_mps, 2, "m/s"));
+  if (parts.what === undefined) {
+    element.className = `tile level${row.level}`;
+    return;
+  }
+  element.className = `row${row.level}`;
+  parts.pill.className = `pill level${row.level}`;
+  setText(parts.limit, number(row.limit_mps, 2, "m/s"));
+  setText(parts.link_age, row.link_age_s === null ? "--" : `${Math.round(1000 * row.link_age_s)} ms`);
+  setText(parts.lost, row.lost === null ? "--" : String(row.lost));
+  // Of a robot that is fine, word and driver have said it all.
+  setText(parts.what, row.level > 0 ? textOf(row) : row.event && `${t("last_event")}: ${said(row.event)}`);
+  setText(parts.site, row.site);
+  setText(parts.seen, row.acknowledged ? `${t("seen_by")} ${row.acknowledged}` : "");
+  parts.see.hidden = row.level < 2 || row.acknowledged !== "";
+}

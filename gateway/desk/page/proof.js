@@ -1,0 +1,201 @@
+// SPDX-License-Identifier: Apache-2.0
+// Proof of commands to a robot in signed mode, and of what it says. Written from docs/proof.md alone.
+//
+// WebCrypto alone, no packages: the same file runs in Node.js and in a browser. Keys are CryptoKeys that need not be
+// extractable; a browser keeps one in IndexedDB. `npm test` holds it against schemas/vectors/proof.json.
+const VERSION = 1;
+const SIGNATURE_BYTES = 64;
+const TAG_BYTES = 16;
+const VERB_FIELDS_BYTES = 1 + 8 + 8 + 8; // of a verb's attachment, before the signature
+const ROBOT_FIELDS_BYTES = 1 + 8; // of a reply's attachment, before the signature
+const DOMAIN = utf8("cruiser-auth-1\0");
+/** The text that is signed. No two lists of parts give the same. */
+export function signedText(kind, ...parts) {
+    return concat(DOMAIN, utf8(kind), ...parts.flatMap((part) => [bigEndian(part.length, 4), part]));
+}
+/** The text under the proof of a message; `fields` is its attachment up to there. */
+export function messageText(kind, message, fields, ...request) {
+    return signedText(kind, utf8(message.key), utf8(message.encoding), fields, message.payload, ...request);
+}
+/** A key that signs verbs, the grant that makes robots obey it, and the authority that robots are known by. */
+export class Operator {
+    key;
+    grant;
+    name;
+    statement;
+    authority;
+    constructor(key, grant, 
+    /** The operator's chunk in the keys of its commands. */
+    name, 
+    /** The text of its grant with its chain, to be shown to robots. */
+    statement, 
+    /** The authority's active public key, hexadecimal. */
+    authority) {
+        this.key = key;
+        this.grant = grant;
+        this.name = name;
+        this.statement = statement;
+        this.authority = authority;
+    }
+    static async create(key, statement, authority) {
+        const [body = ""] = statement.split("\n", 1);
+        return new Operator(key, await statementId(body), JSON.parse(body).name, statement, authority);
+    }
+    /** The attachment of a verb, 89 bytes. `challenge` is the newest one of `safety/state`. */
+    async attach(message, challenge, nonce = random(8)) {
+        const fields = concat(Uint8Array.of(VERSION), this.grant, challenge, nonce);
+        const signature = await crypto.subtle.sign("Ed25519", this.key, messageText("S", message, fields));
+        return concat(fields, new Uint8Array(signature));
+    }
+}
+/** The key of a robot that was met: what it says is checked with it. */
+export class Robot {
+    key;
+    constructor(key) {
+        this.key = key;
+    }
+    /**
+     * The robot that proves by the chain of its own grant (`own` of its reply) that it has this name. The authority alone
+     * grants a robot, so that its chain is one statement.
+     */
+    static async ofChain(own, name, authority, nowS = Date.now() / 1000) {
+        const parts = /^([^\n]+)\ned25519 ([0-9a-f]{64}) ([0-9a-f]{128})\n?$/.exec(own);
+        if (parts === null)
+            throw new Error("the robot's grant is not one statement of the authority");
+        const [, body = "", signer = "", signature = ""] = parts;
+        if (signer !== authority)
+            throw new Error("the robot's grant is of another authority");
+        if (!(await fits(authority, hexBytes(signature), signedText("A", utf8(body))))) {
+            throw new Error("the signature of the robot's grant does not fit");
+        }
+        const grant = JSON.parse(body);
+        if (grant.kind !== "grant" || grant.role !== "robot" || grant.name !== name) {
+            throw new Error(`the grant is of ${grant.role} ${grant.name}, not of robot ${name}`);
+        }
+        if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
+            throw new Error("the robot's grant is over, or has not begun");
+        }
+        return new Robot(grant.key);
+    }
+    /** Is it the robot's reply to the request that had this attachment? */
+    async isReply(message, attachment, request) {
+        return this.hasSigned("R", message, attachment, request);
+    }
+    /**
+     * Did the robot publish it in this run, the one of its reply on `@auth`? A sample of this run may still be an old one:
+     * see isAhead.
+     */
+    async isPublication(message, attachment, run) {
+        return hex(runOf(attachment)) === hex(run) && this.hasSigned("P", message, attachment);
+    }
+    async hasSigned(kind, message, attachment, ...request) {
+        if (attachment.length !== ROBOT_FIELDS_BYTES + SIGNATURE_BYTES || attachment[0] !== VERSION)
+            return false;
+        const [fields, signature] = [attachment.slice(0, ROBOT_FIELDS_BYTES), attachment.slice(ROBOT_FIELDS_BYTES)];
+        return fits(this.key, signature, messageText(kind, message, fields, ...request));
+    }
+}
+/** The run of the gateway that made a reply or a sample, from its attachment. */
+export function runOf(attachment) {
+    return attachment.slice(1, ROBOT_FIELDS_BYTES);
+}
+/** Is this `sequence` after the newest one that was believed? After the last number, 0 follows. */
+export function isAhead(sequence, newest) {
+    return newest === undefined || ((sequence - newest) | 0) > 0; // the difference as a signed number of 32 bits
+}
+/** A lease: its number, and the key that its holder and the robot alone know. */
+export class Lease {
+    number;
+    key;
+    constructor(number, key) {
+        this.number = number;
+        this.key = key;
+    }
+    /** A key pair for one lease, and the public half, which goes into `acquire` or `take`. */
+    static async newKey() {
+        const pair = (await crypto.subtle.generateKey("X25519", false, ["deriveKey"]));
+        return [pair, new Uint8Array(await crypto.subtle.exportKey("raw", pair.publicKey))];
+    }
+    /**
+     * The lease of a verified reply to `acquire` or `take`. `theirs` is the reply's `public_key`, `attachment` the
+     * reply's, `driveKey` the key expression of the drive commands.
+     */
+    static async agree(privateKey, ours, theirs, attachment, number, driveKey) {
+        const other = await crypto.subtle.importKey("raw", concat(theirs), "X25519", false, []);
+        const x25519 = { name: "X25519", public: other };
+        const shared = await crypto.subtle.deriveKey(x25519, privateKey, "HKDF", false, ["deriveKey"]);
+        const salt = signedText("L", runOf(attachment), bigEndian(number, 8), utf8(driveKey));
+        const info = signedText("L", ...(hex(ours) < hex(theirs) ? [ours, theirs] : [theirs, ours]));
+        const hkdf = { name: "HKDF", hash: "SHA-256", salt, info };
+        const key = await crypto.subtle.deriveKey(hkdf, shared, { ...HMAC, length: 256 }, false, ["sign"]);
+        return new Lease(number, key);
+    }
+    /** The attachment of a drive command, 25 bytes. */
+    async attach(message) {
+        const fields = concat(Uint8Array.of(VERSION), bigEndian(this.number, 8));
+        const tag = await crypto.subtle.sign("HMAC", this.key, messageText("M", message, fields));
+        return concat(fields, new Uint8Array(tag, 0, TAG_BYTES));
+    }
+    /** The attachment of a verb of the lease's holder, 105 bytes, from the signed one: no flood keeps it waiting. */
+    async tag(message, signed) {
+        const text = messageText("S", message, signed.slice(0, VERB_FIELDS_BYTES));
+        const tag = await crypto.subtle.sign("HMAC", this.key, text);
+        return concat(signed, new Uint8Array(tag, 0, TAG_BYTES));
+    }
+}
+const HMAC = { name: "HMAC", hash: "SHA-256" };
+/** The identifier of a statement, from its JSON. */
+export async function statementId(body) {
+    return (await sha256(utf8(body))).slice(0, 8);
+}
+/** The head of the chain of a subject before its first sample. */
+export async function firstHead(run, subject) {
+    return sha256(signedText("H", run, utf8(subject)));
+}
+/** The head after another sample. */
+export async function nextHead(head, sample) {
+    return sha256(concat(head, sample));
+}
+/** The text under the heads of all chains. `former` is empty, or names the heads of the run before. */
+export function headsText(run, timeNs, sequence, heads, former) {
+    const parts = heads.flatMap((one) => [utf8(one.subject), bigEndian(one.count, 8), one.head]);
+    const linked = former.length > 0 ? [former] : [];
+    return signedText("H", run, bigEndian(timeNs, 8), bigEndian(sequence, 8), ...linked, ...parts);
+}
+/** Is it the signature of this key, hexadecimal, over this text? */
+export async function fits(key, signature, text) {
+    const known = await crypto.subtle.importKey("raw", hexBytes(key), "Ed25519", false, ["verify"]);
+    return crypto.subtle.verify("Ed25519", known, concat(signature), text);
+}
+/** An Ed25519 key from a PEM file (PKCS8), which signs and cannot be taken out again. */
+export async function privateKeyOfPem(pem) {
+    const der = Uint8Array.from(atob(pem.replace(/-----[A-Z ]+-----|\s/g, "")), (letter) => letter.charCodeAt(0));
+    return crypto.subtle.importKey("pkcs8", der, "Ed25519", false, ["sign"]);
+}
+export function utf8(text) {
+    return concat(new TextEncoder().encode(text));
+}
+export function hexBytes(text) {
+    return Uint8Array.from(text.match(/../g) ?? [], (two) => parseInt(two, 16));
+}
+function hex(bytes) {
+    return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+function bigEndian(value, bytes) {
+    return hexBytes(value.toString(16).padStart(2 * bytes, "0"));
+}
+export function random(bytes) {
+    return crypto.getRandomValues(new Uint8Array(bytes));
+}
+function concat(...parts) {
+    const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+    let at = 0;
+    for (const part of parts) {
+        whole.set(part, at);
+        at += part.length;
+    }
+    return whole;
+}
+async function sha256(text) {
+    return new Uint8Array(await crypto.subtle.digest("SHA-256", text));
+}

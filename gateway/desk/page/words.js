@@ -1,0 +1,261 @@
+// The words of the page, in the languages of its users. The names of states and reasons are those of the command line.
+
+const EN = {
+  fleet: "Fleet", wall: "Wall", stop: "STOP", stop_all: "STOP ALL", other_language: "中文",
+  linked: "connected", unlinked: "no Zenoh node is connected", no_desk: "no connection to the desk: nothing here is current",
+  search: "Search robots", all: "all", needs_person: "needs a person", need_person: "need a person", robots: "robots", one_robot: "robot", unseen: "not acknowledged",
+  site: "Site", all_sites: "all sites", acknowledge: "Acknowledge", seen_by: "acknowledged by",
+  robot: "Robot", state: "State", driver: "Driver", speed: "Speed", limit: "Limit", link_age: "Link", lost: "Lost frames", lost_samples: "lost", what: "What",
+  no_robot: "No robot is heard.",
+  too_many: "More robots or recorders are heard than the desk shows: those that came first are shown. STOP ALL reaches all. If there are not so many, a stranger is on the network.", recorders: "Recorders", free: "free", nobody: "nobody", last_event: "last event",
+  why: "Why it does not move", nothing_wrong: "Nothing is wrong: it waits for somebody who drives it.",
+  does_as_told: "Nothing keeps it from moving.", cure: "Cure",
+  silent_now: "Nothing is heard of this robot. What is below is not current.",
+  speed_chart: "Speed, m/s", angle_chart: "Steering angle, degrees", asked: "asked", told: "told", measured: "measured",
+  path: "Path by odometry", forward: "forward", left: "left", events: "Events", no_events: "none", facts: "Chassis",
+  mode: "Mode", gear: "Gear", braking: "Brake", parking: "Parking brake", bumpers: "Bumpers", lamps: "Lamps", mileage: "Mileage",
+  silent_frames: "Silent frames", none: "none", clear: "clear", front: "front", rear: "rear", off: "off", headlamp: "headlamp",
+  left_lamp: "left", right_lamp: "right", horn: "horn", latched: "Latched", age: "age", obeys_none: "obeys no commands",
+  stopping_now: "Stop sent to", stop_outcome: "Stop", everyone: "all robots", standing: "stands, latched, by measurement",
+  refused: "cannot stop", unconfirmed: "not seen to stop", silent_robot: "did not reply: it is not known to stand", nobody_replied: "No robot replied.",
+  no_outcome: "The desk does not say what came of it: nobody is known to stand.",
+  uncounted: "It is not known which robots are connected: there may be more.", not_sent: "NOT SENT: there is no connection to the desk",
+  control: "Drive", take_control: "Take control", take_over: "Take over from", give_back: "Give back", reset: "Reset", top_speed: "Speed",
+  logs: "Logs", report_of: "report of", download: "download the log", being_written: "is being written", no_logs: "none yet",
+  ask_for: "Ask", asked_for: "asked; waiting for the answer of", asks_for: "asks for this robot", hand_over: "Hand over", keep: "Keep it",
+  handed_over: "hands it over: take control", kept: "keeps it", sees: "Without a grant: you see all robots, and can stop them.", supervisor: "supervisor", operator: "operator", program: "program",
+  maintainer: "maintainer, does not drive", at_most: "at most", until: "until", lights: "Lights", sound_horn: "Horn",
+  hold: "Hold to drive: up is forward. Arrow keys, W A S D, U O M . for curves; a gamepad with its right shoulder button. Let go to stop. Esc is the remote stop.",
+  pad: "Hold to drive", no_pad: "Not in control", your_name: "Your name", open_mode: "Open mode: anybody may drive, under any name.", signed_as: "Signs as", keys: "Keys",
+  key_help: "In signed mode this browser signs with a key that never leaves it. Save the request, have it signed with 'cruiser provision sign', and load the bundle.",
+  save_request: "Save request", load_bundle: "Load bundle", forget: "Forget the grant", insecure: "Keys need a page from this machine or over HTTPS.",
+  needs_key: "This robot obeys signed commands alone: save a request under Keys, have it signed, and load the bundle.",
+  you_drive: "You drive.", ended: "You no longer drive", working: "…",
+  close: "Close", stop_mark: ". ", use_button: "Where a robot is not known to stand, use the button on it.",
+  word: {
+    silent: "silent", latched: "latched", bus_down: "bus down", stopping: "stopping", transmitter: "remote control", blocked: "blocked",
+    driving: "driving", engaged: "engaged", held: "lease held", ready: "ready", telemetry: "telemetry only",
+  },
+  reason: {},
+  of_robot: {},
+  value: { fully_braked: "fully braked" },
+};
+
+const ZH = {
+  fleet: "车队", wall: "大屏", stop: "停车", stop_all: "全部停车", other_language: "English",
+  linked: "已连接", unlinked: "没有连接到 Zenoh 节点", no_desk: "与控制台的连接已断开：页面内容不是最新",
+  search: "搜索机器人", all: "全部", needs_person: "需要处理", need_person: "台需要处理", robots: "台机器人", one_robot: "台机器人", unseen: "台未确认",
+  site: "站点", all_sites: "全部站点", acknowledge: "确认", seen_by: "已确认：",
+  robot: "机器人", state: "状态", driver: "驾驶者", speed: "速度", limit: "限速", link_age: "链路", lost: "丢帧", lost_samples: "丢失", what: "说明",
+  no_robot: "没有收到任何机器人的数据。",
+  too_many: "收到的机器人或记录器多于控制台能显示的数量：只显示最先出现的。“全部停车”对所有机器人有效。如果实际没有这么多，说明网络上有陌生设备。", recorders: "记录器", free: "剩余", nobody: "无人", last_event: "最近事件",
+  why: "为什么不动", nothing_wrong: "一切正常：等待有人驾驶。", does_as_told: "没有任何因素阻止它行驶。", cure: "处理办法",
+  silent_now: "收不到这台机器人的数据，以下内容不是最新。",
+  speed_chart: "速度，米/秒", angle_chart: "转向角，度", asked: "请求", told: "下发", measured: "实测",
+  path: "里程计轨迹", forward: "前", left: "左", events: "事件", no_events: "无", facts: "底盘",
+  mode: "模式", gear: "挡位", braking: "制动", parking: "驻车制动", bumpers: "防撞条", lamps: "灯光", mileage: "里程",
+  silent_frames: "缺失的帧", none: "无", clear: "未触发", front: "前", rear: "后", off: "关", headlamp: "前照灯",
+  left_lamp: "左转", right_lamp: "右转", horn: "喇叭", latched: "锁定", age: "已过", obeys_none: "未执行任何指令",
+  stopping_now: "已发送停车指令：", stop_outcome: "停车", everyone: "全部机器人", standing: "已停稳并锁定（实测）",
+  refused: "无法停车", unconfirmed: "未见停稳", silent_robot: "没有应答：不知道是否停稳", nobody_replied: "没有机器人应答。",
+  no_outcome: "控制台没有回报结果：不知道是否停稳。",
+  uncounted: "无法确定有哪些机器人在线：可能还有其他机器人。", not_sent: "未发送：与控制台没有连接",
+  control: "驾驶", take_control: "取得控制权", take_over: "从此人接管：", give_back: "交还控制权", reset: "复位", top_speed: "速度",
+  logs: "日志", report_of: "报告", download: "下载日志", being_written: "正在写入", no_logs: "还没有",
+  ask_for: "请求移交：", asked_for: "已请求，等待答复：", asks_for: "请求移交这台机器人", hand_over: "移交", keep: "不移交",
+  handed_over: "同意移交：请取得控制权", kept: "不移交", sees: "没有授权：可以查看和停车。", supervisor: "主管", operator: "操作员", program: "程序",
+  maintainer: "维护员，不能驾驶", at_most: "最高", until: "有效期至", lights: "灯光", sound_horn: "鸣笛",
+  hold: "按住行驶：上为前进。方向键，W A S D，U O M . 转弯；手柄须按住右肩键。松开即停。Esc 为远程停车。",
+  pad: "按住行驶", no_pad: "尚未取得控制权", your_name: "您的名字", open_mode: "开放模式：任何人都可以用任意名字驾驶。", signed_as: "签名者：", keys: "密钥",
+  key_help: "在签名模式下，本浏览器用不可导出的密钥签名。保存请求，用 'cruiser provision sign' 签发，再载入签发文件。",
+  save_request: "保存请求", load_bundle: "载入签发文件", forget: "删除授权", insecure: "密钥功能需要本机页面或 HTTPS。",
+  needs_key: "此机器人只接受签名指令：请在“密钥”中保存请求，签发后载入。",
+  you_drive: "您正在驾驶。", ended: "您已不再驾驶", working: "…",
+  close: "关闭", stop_mark: "。", use_button: "不能确认停稳的机器人，请按下车身上的急停按钮。",
+  word: {
+    silent: "失联", latched: "已锁定", bus_down: "总线断开", stopping: "停车中", transmitter: "遥控器控制", blocked: "受阻",
+    driving: "行驶中", engaged: "已接合", held: "已被占用", ready: "就绪", telemetry: "仅遥测",
+  },
+  // Of each reason what it means, and the cure in the words of this page. ROBOT stands for the robot's name.
+  reason: {
+    none: ["没有异常", ""],
+    malformed: ["请求不符合规定的格式", "只发送格式规定的字段；客户端较新时，网关可能也需要更新"],
+    too_large: ["请求超过允许的长度", "只发送格式规定的字段"],
+    unknown_verb: ["没有这个命令，或者请求的方式不对", "见 docs/commands.md 中的命令表"],
+    busy: ["同样的操作正在进行，或者同时的请求太多", "稍候再试"],
+    no_lease: ["控制权无效", "按“取得控制权”"],
+    lease_held: ["控制权在他人手中", "等对方交还，或者按“请求移交”“从此人接管”"],
+    role_too_low: ["持有者的角色更高", "请持有者移交，或者以更高的角色接管"],
+    lease_taken: ["控制权已被他人接管", "请对方移交，或者按“从此人接管”取回"],
+    lease_released: ["控制权已交还", "按“取得控制权”"],
+    lease_expired: ["控制权没有及时续期，已经失效", "按“取得控制权”；自己编写的客户端须自行续期"],
+    sequence: ["序号没有递增，或者跳得太多", "同一次控制权内，每条行驶指令的 seq 从 0 或 1 起逐条加 1"],
+    challenge_unknown: ["指令所带的随机数不是最近发布的，无法知道指令有多旧", "使用 safety/state 中最新的随机数"],
+    too_old: ["指令太旧", "使用 safety/state 中最新的随机数；改善链路"],
+    deadman: ["没有及时收到有效的行驶指令", "保持行驶指令不中断，然后按“取得控制权”"],
+    not_engaged: ["机器人未接合", "按“取得控制权”"],
+    engaging: ["机器人正在接合", "等到显示“已接合”"],
+    already_engaged: ["机器人已经接合", "直接驾驶，或者先按“交还控制权”"],
+    stopping: ["正在停车", "等停车过程结束"],
+    moving: ["机器人在移动", "等它停稳"],
+    parked: ["驻车制动已施加", "先交还控制权，再按“取得控制权”：驻车制动会随之释放"],
+    gear_shifting: ["正在换挡，或正在释放驻车制动", "稍候"],
+    command_not_zero: ["行驶指令不为零", "松开按键和操纵区"],
+    not_confirmed: ["底盘没有及时确认", "检查底盘及其反馈"],
+    disengaged: ["持有者已脱开", "按“取得控制权”"],
+    bus_down: ["CAN 总线不可用", "用 'cruiser list' 查看原因（gateway/health）"],
+    bus_off: ["CAN 控制器因错误过多而离线（bus-off）", "检查线缆、终端电阻和波特率；设置了 restart-ms 时接口会自行恢复"],
+    bus_errors: ["CAN 控制器的错误状态有变化", "检查线缆、终端电阻和波特率"],
+    feedback_missing: ["缺少底盘反馈", "在“底盘”一栏查看缺失的帧"],
+    feedback_faulty: ["底盘反馈的校验和或计数器有错", "用 'cruiser list --json' 查看是哪些帧（gateway/health）；检查线缆和终端电阻"],
+    feedback_late: ["报文来得比网关读得快，看到的已经过时", "查找向总线大量发送的节点，检查处理器负载"],
+    variant_unknown: ["固件版本及其速度比例尚未确定", "让机器人静止并保持总线反馈；如果本来就静止，则是 chassis.variant 设置有误"],
+    hand_transmitter: ["遥控器正在控制机器人", "把遥控器的 SA 拨杆拨到指令控制模式，然后按“取得控制权”"],
+    mode_not_auto: ["底盘不在自动模式", "检查机器人上的急停按钮和遥控器，然后按“取得控制权”"],
+    front_bumper: ["前防撞条被撞", "按“复位”，再按“取得控制权”并后退，直到离开障碍物；前后防撞条都被压住时，用人力或遥控器把机器人移开"],
+    rear_bumper: ["后防撞条被撞", "按“复位”，再按“取得控制权”并前进，直到离开障碍物；前后防撞条都被压住时，用人力或遥控器把机器人移开"],
+    implausible_speed: ["各个速度彼此不符，或与指令不符", "排除原因，按“复位”，然后按“取得控制权”"],
+    found_moving: ["没有人指挥，但发现底盘在移动或没有制动住", "查明是什么使它移动，检查驻车制动，然后按“取得控制权”"],
+    other_commander: ["另一台计算机正在总线上控制底盘", "停掉另一台，然后按“取得控制权”"],
+    remote_stop: ["收到远程停车", "按“复位”，然后按“取得控制权”"],
+    loop_late: ["网关的控制循环迟到", "检查处理器负载，然后按“取得控制权”"],
+    send_failed: ["总线不接收网关的报文", "检查线缆、终端电阻和总线负载，然后按“取得控制权”"],
+    gate: ["总线前的最后一道检查拒绝了一帧：网关自身的故障", "排除原因，按“复位”，然后按“取得控制权”"],
+    guard: ["看护进程代替网关停了车", "排除原因，按“复位”，然后按“取得控制权”"],
+    unguarded: ["没有看护进程看着网关：尚未启动，或此接口不支持", "等一秒；否则换用多个进程可以同时打开的接口，或者用 gateway.accept_unguarded 表示接受"],
+    shutdown: ["网关正在结束", "等它重新启动"],
+    link_too_slow: ["链路太慢，不能驾驶", "换用更快的链路，并使用 safety/state 中最新的随机数"],
+    no_realtime: ["网关没有实时优先级：处理器繁忙时它可能被延误，直到看护进程停车，因此限速较低", "像 deploy/cruiser-gateway.service 那样运行（LimitRTPRIO=20），或在 /etc/security/limits.conf 中允许（USER - rtprio 20），并使 gateway.realtime_priority 大于 0"],
+    rolling: ["机器人应当静止却在移动，或与指令反向移动：已施加驻车制动", "检查是否坡度太陡、电机无力或有人推动；然后按“复位”，再按“取得控制权”"],
+    overspeed: ["机器人超过当前限速", "排除原因，按“复位”，然后按“取得控制权”"],
+    steering: ["转向没有跟随指令", "排除原因，按“复位”，然后按“取得控制权”"],
+    feedback_frozen: ["机器人在行驶，里程却不变：含防撞条和模式的那一帧已冻结", "排除原因，按“复位”，然后按“取得控制权”"],
+    unauthenticated: ["其他计算机能够访问网关，而网关不知道是谁在指挥", "用 'cruiser provision robot ROBOT' 生成密钥，并把 authority.mode 设为 signed；或者只监听和连接 127.0.0.1"],
+    self_test: ["网关对密钥和访问控制的自检没有通过", "处理 'cruiser why ROBOT' 指出的问题；网关会自行重新检查，文件更换后也会重新读取"],
+    authority_stale: ["太久没有收到授权方的消息，其间撤销了什么不得而知", "把机器人连到站点；'cruiser provision time --robot ROBOT' 可以作答"],
+    proof_missing: ["请求没有签名", "用操作员的密钥来指挥：见 docs/authority.md"],
+    proof_wrong: ["签名与请求不符", "用授权所属的密钥签名，原样发给签名所指的机器人：见 docs/authority.md"],
+    replayed: ["同样的内容以前收到过", "每个请求都要重新签名"],
+    grant_unknown: ["对方不认识这份授权或其授权方", "向它出示授权及其证书链（查询 @auth）"],
+    grant_expired: ["授权已过期，或尚未生效", "向站点申请新的授权"],
+    grant_revoked: ["授权已被撤销", "询问车队的授权方"],
+    not_granted: ["授权不允许此操作", "申请允许此操作的授权"],
+  },
+  // The same where a reason is said of a robot, not of a request.
+  of_robot: {
+    no_lease: ["没有人持有控制权", "按“取得控制权”"],
+    grant_expired: ["机器人自己的授权已过期，或尚未生效", "时钟不准就校正时钟；否则：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace'"],
+    grant_revoked: ["机器人自己的授权已被撤销", "如果授权方已更换：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace'；否则询问授权方"],
+    grant_unknown: ["机器人自己的授权不是它所认识的授权方签发的", "重新接纳它：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace'"],
+  },
+  // Sentences of robots, by the kind of event: $1 is a part as it was sent, {1} one that is put in words as well.
+  event: {
+    lease: [
+      [/^(\S+) has acquired the lease as (\w+)$/, "$1 取得了控制权（{2}）"],
+      [/^(\S+) has taken the lease as (\w+)$/, "$1 接管了控制权（{2}）"],
+      [/^(\S+) took the lease from (\S+)$/, "$1 从 $2 手中接管了控制权"],
+      [/^(\S+) gave the lease back$/, "$1 交还了控制权"],
+      [/^the lease of (\S+) expired$/, "$1 的控制权已失效"],
+      [/^(\S+) loses the lease: (.+)$/, "$1 失去控制权：{2}"],
+    ],
+    engaged: [[/^engaged: the chassis reads auto$/, "已接合：底盘处于自动模式"]],
+    stop: [[/^stopping: (.+)$/, "停车：{1}"]],
+    stopped: [[/^stopped: the robot is told nothing, (.+)$/, "停车结束，不再发送指令，{1}"]],
+    latch: [[/^latched until a reset: (.+)$/, "已锁定，须复位：{1}"]],
+    reset: [[/^reset: (.+)$/, "复位：{1}"]],
+    takeover: [[/^nothing is sent any more: (.+)$/, "不再发送任何报文：{1}"]],
+    fault: [
+      [/^the loop was (\d+) ms late$/, "控制循环迟到 $1 ms"],
+      [/^the CAN controller: (\w+) before, (\w+) now$/, "CAN 控制器：之前{1}，现在{2}"],
+      [/^the parking brake does not read applied; the motor holds the robot in gear meanwhile$/, "没有读到驻车制动已施加；其间由电机在挡位上保持机器人"],
+      [/^the gateway starts again, with renewed keys and certificates$/, "网关以更新后的密钥和证书重新启动"],
+    ],
+    guard: [[/^the guard's stop has ended: (.+)$/, "看护进程的停车已结束：{1}"]],
+    gateway: [[/^the gateway ends, as it was told to$/, "网关按要求结束"]],
+  },
+  // What stands in them, and what else robots and the desk say in a fixed set of words.
+  said: [
+    [/^by (\S+)$/, "由 $1"], [/^by (\d+) ms$/, "迟到 $1 ms"], [/^none for (\d+) ms$/, "$1 ms 没有指令"], [/^(\w+) \((.+)\)$/, "{1}（{2}）"],
+    [/^nothing was latched$/, "没有锁定项"], [/^the mode does not read auto$/, "没有读到自动模式"],
+    [/^and stands$/, "已停稳"], [/^but is not seen to stand$/, "但未见停稳"], [/^but another computer commands it, and can move it$/, "但另一台计算机在控制它，可能使它移动"],
+    [/^or about to move, by what it was told before$/, "或按以前的指令即将移动"], [/^a stop could not be carried out before$/, "之前的停车未能执行"],
+    [/^the gateway's loop gave no sign of life$/, "网关的控制循环没有响应"], [/^the gateway could not send$/, "网关无法发送"], [/^the gateway is gone$/, "网关已消失"], [/^the robot stands$/, "机器人已停稳"], [/^the robot is not seen to stand$/, "未见机器人停稳"],
+    [/^(\w+), because of (.+)$/, "{1}，原因：{2}"], [/^last stop (.+)$/, "上次停车：{1}"], [/^nobody holds the lease$/, "无人持有控制权"],
+    [/^(\S+) holds the lease as (\w+), expires in ([\d.]+) s$/, "$1 持有控制权（{2}），$3 s 后到期"],
+    [/^mode (\w+)$/, "模式：{1}"], [/^it takes no commands$/, "不接受指令"],
+    [/^no state yet$/, "尚无状态"], [/^STALE: no state for ([\d.]+) s$/, "已过时：$1 s 没有状态"], [/^this end is not connected to Zenoh$/, "本端未连接到 Zenoh"],
+    [/^its gateway is not connected$/, "网关未连接"], [/^its gateway is connected, but sends no health$/, "网关已连接，但不发送健康状况"],
+    [/^its gateway is connected and sends health$/, "网关已连接，并在发送健康状况"],
+    [/^commands (\d+) ms old \(p50 (\d+) ms, p99 (\d+) ms\), deadman (\d+) ms, ([\d.]+) m until it can react, at most ([\d.]+) m\/s by that$/,
+      "指令已过 $1 ms（p50 $2 ms，p99 $3 ms），失联停车 $4 ms，作出反应前驶过 $5 m，因此最高 $6 m/s"],
+    [/^it replied that it stops, but (.+)$/, "它应答会停车，但{1}"], [/^its safety\/state does not say so$/, "它的 safety/state 没有这样显示"],
+    [/^its safety\/state says so too briefly$/, "它的 safety/state 这样显示的时间太短"], [/^its speed is not seen$/, "看不到它的速度"],
+    [/^it is seen to stand too briefly$/, "看到它静止的时间太短"], [/^it is seen to move at ([\d.]+) m\/s$/, "看到它在以 $1 m/s 移动"],
+  ],
+  value: {
+    undefined: "未定义", auto: "自动", remote: "遥控", stop: "停止", park: "驻车", reverse: "倒挡", neutral: "空挡", drive: "前进挡",
+    released: "已释放", braking: "制动中", fully_braked: "完全制动", applied: "已施加",
+    standby: "待命", engaging: "正在接合", engaged: "已接合", ramp: "减速", brake: "制动", hold: "保持制动", disable: "停止输出",
+    unknown: "未知", active: "正常", warning: "警告", passive: "被动", bus_off: "离线（bus-off）", recording: "记录中", stopped: "已停止", full: "空间用完",
+    operator: "操作员", supervisor: "主管", program: "程序",
+  },
+};
+
+let words = (localStorage.getItem("language") ?? navigator.language).startsWith("zh") ? ZH : EN;
+
+/** A text of the page. */
+export const t = (name) => words[name] ?? EN[name] ?? name;
+
+/** What a robot does or suffers. */
+export const wordOf = (word) => words.word[word] ?? word;
+
+/** The meaning of a reason; in English where the language has no words for it. */
+export const meaningOf = (reason, means) => words.reason[reason]?.[0] ?? means ?? EN.reason[reason]?.[0] ?? reason;
+
+/** The cure of a reason for which a request was refused; in the robot's words where the page has none. */
+export const cureOf = (reason, cure, robot) => (words.reason[reason]?.[1] ?? EN.reason[reason]?.[1] ?? cure).replaceAll("ROBOT", robot);
+
+/** Meaning and cure of a reason for which a robot does not move, as the desk says them in English. */
+export function whyOf(reason, means, cure, robot) {
+  const [ours, how] = words.of_robot[reason] ?? words.reason[reason] ?? [means, cure];
+  return [ours, how.replaceAll("ROBOT", robot)];
+}
+
+/** A value of the chassis. */
+export const valueOf = (value) => words.value[value] ?? value;
+
+/** What a row says of its robot; in English where the language has no words for its reasons. */
+export const textOf = (row) => (words === EN || row.reasons.length === 0 ? said(row.text) : row.reasons.map((one) => (words.of_robot[one] ?? [meaningOf(one)])[0]).join("；"));
+
+/** What a robot or the desk said in English, in the page's language as far as it is of a fixed set of words. */
+export function said(text) {
+  if (words === EN || !text) return text;
+  return sentence(text) ?? text.split("; ").map((part) => sentence(part) ?? part).join("；");
+}
+
+function sentence(text) {
+  const reason = Object.keys(EN.reason).find((one) => one === text || EN.reason[one][0] === text);
+  if (text in words.value || reason) return words.value[text] ?? meaningOf(reason);
+  for (const [pattern, translated] of [...Object.values(words.event).flat(), ...words.said]) {
+    const parts = pattern.exec(text);
+    if (parts) return translated.replace(/\$(\d)|\{(\d)\}/g, (_, plain, told) => (plain ? parts[plain] : said(parts[told])));
+  }
+  // Reasons in a row, as of a reset.
+  const all = text.split(", ");
+  return all.length > 1 && all.every((one) => one in EN.reason) ? all.map((one) => meaningOf(one)).join("、") : null;
+}
+
+/** Take over the meanings and cures that the desk knows, in English. */
+export function learnReasons(reasons) {
+  EN.reason = reasons;
+}
+
+export function changeLanguage() {
+  words = words === EN ? ZH : EN;
+  localStorage.setItem("language", words === ZH ? "zh" : "en");
+}
+
+export const language = () => (words === ZH ? "zh" : "en");
+
+/** The language of something that was said in English, once it was put in the page's. */
+export const languageOf = (text) => (said(text) === text ? "en" : language());

@@ -1,0 +1,326 @@
+"""The messages between browser and desk: MessagePack maps over a WebSocket, told apart by ``is``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Final
+
+import msgspec
+from msgspec import Meta
+
+from schemas.keys import KEY_MAX_LENGTH, OPERATOR_PATTERN, ROBOT_PATTERN
+
+FROM_BROWSER_BYTES: Final = 24_576
+"""The largest message of a browser: a statement of the authority, and what is around it."""
+
+# A robot's name is as long as its key lets it: whoever is shown can be stopped.
+_Robot = Annotated[str, Meta(pattern=rf"\A{ROBOT_PATTERN}\Z", max_length=KEY_MAX_LENGTH)]
+_RobotOrNone = Annotated[str, Meta(pattern=rf"\A({ROBOT_PATTERN})?\Z", max_length=KEY_MAX_LENGTH)]
+_Operator = Annotated[str, Meta(pattern=rf"\A{OPERATOR_PATTERN}\Z", max_length=64)]
+_Number = Annotated[int, Meta(ge=0, lt=2**32)]
+_Payload = Annotated[bytes, Meta(max_length=1024)]
+_Attachment = Annotated[bytes, Meta(max_length=128)]
+_Statement = Annotated[bytes, Meta(max_length=16_384)]
+
+
+def _tag(name: str) -> str:
+    return name.removeprefix("Browser").removeprefix("Desk").lower()
+
+
+class _Said(msgspec.Struct, frozen=True, tag_field="is", tag=_tag, forbid_unknown_fields=True):
+    """A message of a browser. Unknown fields are refused."""
+
+
+class BrowserLook(_Said, frozen=True):
+    """Show this robot closely from now on; none if empty."""
+
+    robot: _RobotOrNone
+
+
+class BrowserAsk(_Said, frozen=True):
+    """Put a verb to a robot, as a query. The bytes go out as they are: what is signed stays signed.
+
+    Attributes:
+        number: comes back with the replies.
+        payload: the request's MessagePack.
+        attachment: its proof; empty in open mode.
+    """
+
+    number: _Number
+    robot: _Robot
+    operator: _Operator
+    verb: Annotated[str, Meta(max_length=32)]
+    payload: _Payload
+    attachment: _Attachment
+
+
+class BrowserDrive(_Said, frozen=True):
+    """A drive command, as it goes out."""
+
+    robot: _Robot
+    operator: _Operator
+    payload: _Payload
+    attachment: _Attachment
+
+
+class BrowserShow(_Said, frozen=True):
+    """Show a robot a statement of the authority.
+
+    Attributes:
+        number: comes back with the replies.
+        statement: text.
+        question: random bytes, which the robot's reply is signed over.
+    """
+
+    number: _Number
+    robot: _Robot
+    statement: _Statement
+    question: _Attachment
+
+
+class BrowserStop(_Said, frozen=True):
+    """The remote stop of a robot, or of all where it is empty. Needs no proof.
+
+    Attributes:
+        operator: who stops.
+    """
+
+    robot: _RobotOrNone
+    operator: _Operator
+
+
+class BrowserRequest(_Said, frozen=True):
+    """Ask whoever holds the robot's lease to hand it over.
+
+    Attributes:
+        operator: who asks.
+    """
+
+    robot: _Robot
+    operator: _Operator
+
+
+class BrowserAnswer(_Said, frozen=True):
+    """Answer such a request. Whoever hands over gives the lease back by a verb of its own.
+
+    Attributes:
+        operator: who holds the lease.
+        asker: who asked.
+        granted: the lease is handed over.
+    """
+
+    robot: _Robot
+    operator: _Operator
+    asker: _Operator
+    granted: bool
+
+
+class BrowserAcknowledge(_Said, frozen=True):
+    """Say that somebody sees to what a robot suffers.
+
+    Attributes:
+        word: what it suffers, as its row says.
+        operator: who sees to it.
+    """
+
+    robot: _Robot
+    word: Annotated[str, Meta(max_length=32)]
+    operator: _Operator
+
+
+FromBrowser = (
+    BrowserLook
+    | BrowserAsk
+    | BrowserDrive
+    | BrowserShow
+    | BrowserStop
+    | BrowserRequest
+    | BrowserAnswer
+    | BrowserAcknowledge
+)
+
+
+class _Told(msgspec.Struct, frozen=True, tag_field="is", tag=_tag):
+    """A message of the desk."""
+
+
+class DeskHello(_Told, frozen=True):
+    """The first message.
+
+    Attributes:
+        root: of all keys.
+        version: of the desk.
+        requests: of each verb the encodings of its request and of its reply.
+        reasons: the meaning and the cure of each reason, in English; ROBOT in a cure stands for the robot's name.
+        statement_reply: the encoding of the reply to a statement.
+        period_s: of the points of a history.
+        wheelbase_m: for the path by odometry.
+        has_logs: it has a directory of logs, which can be read.
+    """
+
+    root: str
+    version: str
+    requests: dict[str, tuple[str, str]]
+    reasons: dict[str, tuple[str, str]]
+    statement_reply: str
+    period_s: float
+    wheelbase_m: float
+    has_logs: bool
+
+
+class DeskRows(_Told, frozen=True):
+    """The overview's rows that have changed; one that is null has gone.
+
+    Attributes:
+        linked: the desk is connected to Zenoh.
+        recorders: all recorders that are heard, where that has changed.
+        full: there are more robots, or recorders, than the desk shows.
+    """
+
+    rows: dict[str, RobotRow | None]
+    linked: bool
+    recorders: list[RecorderRow] | None = None
+    full: bool = False
+
+
+class RobotRow(msgspec.Struct, frozen=True):
+    """A robot in the overview.
+
+    Attributes:
+        level: 0 nothing is wrong, 1 somebody should look, 2 it needs a person.
+        word: what it does or suffers, one of the words of ``overview.WORDS``.
+        text: the same with figures, in English.
+        driver: who holds its lease; empty if nobody does.
+        speed_mps, limit_mps: measured, and the limit in force; null if not known.
+        link_age_s: age of the drive commands that it obeys; null where it obeys none.
+        lost: feedback frames that were lost since its gateway's start; null if not known.
+        event: the last thing that a person should know, in English; ``event_ns`` its time by the robot's clock.
+        site: where it belongs, as the desk's settings say; empty if they do not.
+        acknowledged: who sees to what it suffers; empty if nobody does.
+        asked_by: who asks its driver to hand it over.
+        reasons: why it has this word, for pages in other languages; empty where nothing is wrong.
+    """
+
+    level: int
+    word: str
+    text: str
+    driver: str
+    speed_mps: float | None
+    limit_mps: float | None
+    link_age_s: float | None
+    lost: int | None
+    event: str
+    event_ns: int
+    site: str = ""
+    acknowledged: str = ""
+    asked_by: list[str] = []
+    reasons: list[str] = []
+
+
+class RecorderRow(msgspec.Struct, frozen=True):
+    """A recorder in the overview."""
+
+    name: str
+    state: str
+    robots: int
+    lost: int
+    disk_free_bytes: int | None
+
+
+class DeskSample(_Told, frozen=True):
+    """A sample of the robot that is shown closely, as it came: its signature can be verified."""
+
+    subject: str
+    key: str
+    encoding: str
+    payload: bytes
+    attachment: bytes
+
+
+class DeskWhy(_Told, frozen=True):
+    """The reasons for which the robot that is shown closely does not move, in the words of ``cruiser why``.
+
+    Attributes:
+        reasons: each with its meaning and its cure.
+        idle: nothing is wrong, it waits for somebody who drives it.
+        notes: what else should be seen to.
+    """
+
+    robot: str
+    reasons: list[tuple[str, str, str]]
+    idle: bool
+    notes: list[str]
+
+
+class DeskHistory(_Told, frozen=True):
+    """The last minutes of the robot that is shown closely, one point each ``period_s``; null where not known.
+
+    Attributes:
+        age_s: of the newest point.
+        values: of each field of ``history.FIELDS``, the oldest first.
+    """
+
+    robot: str
+    age_s: float
+    values: dict[str, list[float | None]]
+
+
+class DeskReply(_Told, frozen=True):
+    """A reply to ``BrowserAsk`` or ``BrowserShow``, as it came; ``last`` ends the question, without a reply."""
+
+    number: int
+    last: bool
+    key: str = ""
+    encoding: str = ""
+    payload: bytes = b""
+    attachment: bytes = b""
+    fault: str = ""
+
+
+class DeskStopped(_Told, frozen=True):
+    """The outcome of a remote stop. Never more than is known.
+
+    Attributes:
+        robot: that was to be stopped; empty for all.
+        standing: robots that replied and are seen to stand, latched.
+        refused, unconfirmed: what the others that replied said, or why they are not known to stand.
+        silent: those that are connected and did not reply.
+        counted: it is known which robots are connected.
+    """
+
+    robot: str
+    standing: list[str]
+    refused: dict[str, str]
+    unconfirmed: dict[str, str]
+    silent: list[str]
+    counted: bool
+
+
+class DeskAnswer(_Told, frozen=True):
+    """The answer of a robot's driver to somebody who asked for it."""
+
+    robot: str
+    operator: str
+    asker: str
+    granted: bool
+
+
+class DeskRefused(_Told, frozen=True):
+    """Why a message of the browser was not obeyed.
+
+    Attributes:
+        stop: the robot of a stop whose outcome is not known, empty for all; null where it was no stop.
+    """
+
+    fault: str
+    stop: str | None = None
+
+
+ToBrowser = (
+    DeskHello | DeskRows | DeskSample | DeskWhy | DeskHistory | DeskReply | DeskStopped | DeskAnswer | DeskRefused
+)
+
+decode: Final[Callable[[bytes], FromBrowser]] = msgspec.msgpack.Decoder(FromBrowser).decode
+"""A browser's message. Raises ``msgspec.DecodeError`` or ``msgspec.ValidationError``, and nothing else."""
+
+encode: Final = msgspec.msgpack.Encoder().encode

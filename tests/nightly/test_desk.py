@@ -1,0 +1,79 @@
+"""The desk (``make nightly``): each way to let go twenty times over, and a browser that is far away."""
+
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from urllib.parse import urlparse
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from schemas.settings import CommandSettings
+from tests.support.processes.desk import DeskScene, chromium, desk_scene, drive, open_robot
+from tests.support.processes.far_tcp import far_tcp
+from tests.support.processes.letting_go import WAYS
+from tests.support.waiting import wait_until
+
+TIMES = 20
+COMMAND = CommandSettings()
+
+
+@pytest.fixture(scope="module")
+def running_browser() -> Iterator[Browser]:
+    """One Chromium for all tests; each has a context of its own."""
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DeskScene]:
+    """A robot and its desk."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        with desk_scene() as scene:
+            yield scene
+
+
+def let_go_and_watch(scene: DeskScene, page: Page, let_go: Callable[[Page], None]) -> float:
+    """Let go of a robot that is speeding up. Returns for how long it was told to go on with that, s."""
+    let_go_ns = time.monotonic_ns()
+    let_go(page)
+    scene.wait_told_zero()
+    bursts = [burst.at_ns for burst in scene.listener.bursts[:-1]]
+    told = list(zip(bursts, scene.told_mps(), strict=False))
+    faster_ns = [at_ns for (_, before), (at_ns, speed) in pairwise(told) if speed > before]
+    return max(0.0, (faster_ns[-1] - let_go_ns) / 1e9)
+
+
+@pytest.mark.parametrize("let_go", WAYS, ids=lambda way: way.__name__)
+def test_each_way_to_let_go_stops_the_robot_twenty_times(
+    scene: DeskScene, running_browser: Browser, let_go: Callable[[Page], None]
+) -> None:
+    """It speeds up for no longer than the deadman and a tick, and stands; no drive is begun by itself."""
+    late = []
+    for _ in range(TIMES):
+        context = running_browser.new_context(locale="en-GB")
+        try:
+            page = open_robot(context, scene)
+            drive(scene, page)
+            late.append(let_go_and_watch(scene, page, let_go))
+        finally:
+            context.close()
+    print(f"{let_go.__name__}: {min(late):.3f} to {max(late):.3f} s")  # noqa: T201 - a figure for docs/testing.md
+    assert max(late) <= COMMAND.deadman_s + 0.1
+
+
+def test_a_browser_that_is_300_ms_away_drives_slowly_and_stops(scene: DeskScene, running_browser: Browser) -> None:
+    """The robot obeys commands that are 600 ms old at a speed that this age allows; let go, it stands."""
+    with far_tcp(urlparse(scene.address).port or 0, 0.3) as port:
+        context = running_browser.new_context(locale="en-GB")
+        try:
+            page = open_robot(context, scene, f"http://127.0.0.1:{port}/")
+            drive(scene, page)
+            wait_until(lambda: "≤" in page.locator(".now").inner_text())
+            age_ms = int(page.locator(".now").inner_text().split("Link:")[1].split("ms")[0])
+            assert age_ms >= 600
+            page.mouse.up()
+            scene.wait_told_zero()
+        finally:
+            context.close()

@@ -1,0 +1,61 @@
+"""A browser of the desk as light as can be: a WebSocket, and what came over it."""
+
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import urlparse
+
+import msgspec
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+TIMEOUT_S = 20.0
+
+
+class DeskClient:
+    """A page that decodes what it is sent, and shows nothing.
+
+    Attributes:
+        rows: of the overview, by robot, as the page would show them.
+        recorders: their names.
+
+        messages, size: the number of messages that came, and their bytes.
+    """
+
+    def __init__(self, address: str) -> None:
+        """Name a desk, as it is typed into a browser; connected where a ``with`` begins."""
+        self._place = urlparse(address).netloc
+        self.rows: dict[str, dict[str, Any]] = {}
+        self.recorders: list[str] = []
+        self.full = False
+        self.messages = self.size = 0
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            own = Origin(f"http://{self._place}")
+            self._socket = stack.enter_context(connect(f"ws://{self._place}/link", origin=own, max_size=None))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def send(self, **message: object) -> None:
+        """Send a message of a page."""
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def receive(self, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
+        """Take the next message."""
+        data = self._socket.recv(timeout_s, decode=False)
+        self.messages += 1
+        self.size += len(data)
+        message: dict[str, Any] = msgspec.msgpack.decode(data)
+        if message["is"] == "rows":
+            self.rows |= message["rows"]
+            self.rows = {robot: row for robot, row in self.rows.items() if row is not None}
+            if message["recorders"] is not None:
+                self.recorders = [one["name"] for one in message["recorders"]]
+            self.full = message["full"]
+        return message

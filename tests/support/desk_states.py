@@ -1,0 +1,119 @@
+"""A desk of this very process whose robots do and suffer everything at once: for who looks at its page."""
+
+import asyncio
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from gateway.cli.desk_hub import Hub
+from gateway.cli.desk_logs import DeskLogs
+from gateway.cli.desk_server import make_app, serve
+from gateway.client.remote_stop import StopReport
+from gateway.desk.overview import WORDS
+from gateway.telemetry.received import Arrival
+from schemas import keys
+from schemas.decisions import ArbiterState, Severity, StopPhase
+from schemas.messages import Message, Mode
+from schemas.reasons import Reason
+from schemas.settings import Settings
+from tests.support.fakes.desk import FakeCommandPort, FakeDeskListener
+from tests.support.messages import HEALTH, STANDBY, STATE, event, recorder_health
+from tests.support.metrics import received
+
+HOST: Final = "127.0.0.1"
+
+TURNS: Final = 10
+"""The listener is asked a hundred times a second; robots publish ten times."""
+
+EVENTS: Final = 20
+"""So many fill the list of a robot's events, and it scrolls."""
+
+EVENTS_TURN: Final = 50
+"""What happened before its robot is known is not kept."""
+
+_READY: Final = msgspec.structs.replace(STANDBY, lease_holder="", blocked_by=[Reason.NO_LEASE, Reason.NOT_ENGAGED])
+_ENGAGED: Final = msgspec.structs.replace(
+    STANDBY, state=ArbiterState.ENGAGED, engaged=True, link_age_s=0.02, travel_speed_limit_mps=1.5
+)
+_STANDS: Final = msgspec.structs.replace(STATE, speed_mps=0.0)
+_LATCHED: Final = [Reason.FRONT_BUMPER, Reason.REMOTE_STOP]
+
+STATES: Final[dict[str, tuple[Message, ...]]] = {
+    "silent": (),
+    "latched": (_STANDS, msgspec.structs.replace(_READY, latched=_LATCHED, blocked_by=_LATCHED)),
+    "bus_down": (msgspec.structs.replace(STATE, bus_up=False), _READY),
+    "stopping": (STATE, msgspec.structs.replace(STANDBY, state=ArbiterState.STOPPING, stop_phase=StopPhase.RAMP)),
+    "transmitter": (msgspec.structs.replace(_STANDS, mode=Mode.REMOTE), _READY),
+    "blocked": (_STANDS, msgspec.structs.replace(_READY, blocked_by=[Reason.FEEDBACK_MISSING])),
+    "driving": (STATE, _ENGAGED),
+    "engaged": (_STANDS, _ENGAGED),
+    "held": (_STANDS, msgspec.structs.replace(STANDBY, blocked_by=[Reason.NOT_ENGAGED])),
+    "ready": (_STANDS, _READY),
+    "telemetry": (_STANDS,),
+}
+"""Of each word what such a robot publishes, beside its health. It has the word for its name, with a hyphen."""
+
+assert STATES.keys() == WORDS.keys()
+
+
+class _EverythingAtOnce(FakeDeskListener):
+    """All of these robots, and a recorder; the one that is latched has a past."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        messages = [(word.replace("_", "-"), one) for word, said in STATES.items() for one in (*said, HEALTH)]
+        self._said: list[Arrival] = [received(one, robot) for robot, one in messages]
+        self._said.append(received(recorder_health(), "depot"))
+        severities = list(Severity)
+        happened = [event(one, severity=severities[one % len(severities)]) for one in range(EVENTS)]
+        self._happened = [received(one, "latched") for one in happened]
+        self._turn = 0
+
+    def drain(self) -> Iterator[Arrival]:
+        self._turn += 1
+        if self._turn % TURNS == 0:
+            self.waiting += self._said
+        if self._turn == EVENTS_TURN:
+            self.waiting += self._happened
+        yield from super().drain()
+
+
+def _stop(_settings: Settings, robot: str, _operator: str, _timeout_s: float) -> StopReport:
+    """Of one robot the best that can come of a stop, of all of them everything."""
+    if robot != keys.ALL:
+        return StopReport([robot], {}, {}, [], linked=True)
+    blocked, held = {"blocked": "its bus is down"}, {"held": "its speed is not seen"}
+    return StopReport(["ready"], blocked, held, ["silent"], linked=True)
+
+
+@contextmanager
+def desk_of_all_states(logs: Path) -> Iterator[str]:
+    """Serve the desk meanwhile, with these logs. Yields its address."""
+    ended = threading.Event()
+    with ExitStack() as stack:
+        listening = stack.enter_context(socket.create_server((HOST, 0)))
+        hub = Hub(
+            Settings(),
+            _EverythingAtOnce(),  # type: ignore[arg-type]
+            FakeCommandPort(),  # type: ignore[arg-type]
+            _stop,
+            [("hall 1", "*d"), ("hall 2", "*")],
+            has_logs=True,
+        )
+        app = make_app(hub, [HOST], stack.enter_context(closing(DeskLogs(logs))))
+
+        async def work() -> None:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(hub.run(ended.is_set))
+                group.create_task(serve(app, listening, ended.is_set))
+
+        serving = threading.Thread(target=asyncio.run, args=(work(),))
+        stack.callback(serving.join)
+        stack.callback(ended.set)
+        serving.start()
+        yield f"http://{HOST}:{listening.getsockname()[1]}/"

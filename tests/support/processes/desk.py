@@ -1,0 +1,171 @@
+"""A robot, a desk, and real browsers on it; somebody on the bus writes down what the chassis is told."""
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_playwright
+
+from gateway.can.open_bus import open_bus
+from gateway.chassis.cruiser.frames import TARGET_SPEED
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.decode import Decoded, FrameDecoder
+from schemas.messages import Variant
+from schemas.settings import CanSettings
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.browser import browser
+from tests.support.processes.gateway import Running, chassis, gateway
+from tests.support.processes.guard import Burst, Listener
+from tests.support.waiting import wait_until
+
+ATTEMPTS = 5
+
+FLAGS = (
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    # Whatever asks for a name gets none, but for this machine's own.
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+)
+
+
+class DeskScene:
+    """A robot on a served bus, and a desk that shows it.
+
+    Attributes:
+        endpoint: where the gateway listens.
+        address: where the desk is, as it is typed into a browser.
+        desk: its process.
+    """
+
+    def __init__(self, stack: ExitStack, *words: str, desk_words: Sequence[str] = ()) -> None:
+        """Start all of it; ``words`` are the gateway's."""
+        self.endpoint = free_endpoint()
+        _, self.bus = stack.enter_context(chassis())
+        self.gateway = stack.enter_context(gateway(self.bus, self.endpoint, *words))
+        self.listener = Listener(open_bus(CanSettings(interface="socketcand", channel=self.bus)))
+        stack.callback(self.listener.close)
+        where = ("--listen", "127.0.0.1:0", "--connect", self.endpoint)
+        self.desk = stack.enter_context(Running("desk", *where, *desk_words))
+        self.address = self.desk.wait_says(r"desk: (http://127\.0\.0\.1:\d+/)")[1]
+        self._decoder = FrameDecoder(load(Variant.COARSE))
+        self._told_mps: list[float] = []
+
+    def told_mps(self) -> list[float]:
+        """The speeds that the chassis was told so far, one for each burst."""
+        self._told_mps += map(self._speed, self.listener.bursts[len(self._told_mps) : -1])
+        return self._told_mps
+
+    @property
+    def is_told_to_move(self) -> bool:
+        """The chassis was told to move last."""
+        return bool(self.told_mps()) and self.told_mps()[-1] != 0
+
+    def wait_told_zero(self) -> None:
+        """Wait until the chassis is told to stand, and see that it is told nothing else for a second."""
+        wait_until(lambda: not self.is_told_to_move)
+        stood, end_s = len(self.told_mps()), time.monotonic() + 1.0
+        wait_until(lambda: time.monotonic() > end_s)
+        assert max(map(abs, self.told_mps()[stood:]), default=0.0) == 0
+
+    def _speed(self, burst: Burst) -> float:
+        read = [one.signals for one in map(self._decoder.decode, burst.frames) if isinstance(one, Decoded)]
+        return next((float(signals[TARGET_SPEED]) for signals in read if TARGET_SPEED in signals), 0.0)
+
+
+@contextmanager
+def desk_scene(*words: str, desk_words: Sequence[str] = ()) -> Iterator[DeskScene]:
+    """A robot and a desk."""
+    with ExitStack() as stack:
+        yield DeskScene(stack, *words, desk_words=desk_words)
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """The system's Chromium, without a window."""
+    sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=browser(), args=[*FLAGS, *sandbox])
+        try:
+            yield running
+        finally:
+            running.close()
+
+
+def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str = "") -> Page:
+    """The page of the robot, once it can be driven; from another address than the desk's own, if given."""
+    page = context.new_page()
+    page.goto(f"{address or scene.address}#/robot/cruiser-1")
+    page.get_by_text("it waits for somebody who drives it").wait_for()
+    return page
+
+
+def take_control(page: Page) -> None:
+    """Engage the robot from its page; again, where a busy machine let it stop by its deadman at once."""
+    button = page.get_by_role("button", name="Take control")
+    for _ in range(ATTEMPTS):
+        button.click()
+        wait_until(lambda: is_engaged(page) or button.is_enabled())
+        if is_engaged(page):
+            return
+    raise AssertionError(f"the robot was not engaged: {page.locator('.drive').inner_text()}")
+
+
+def reset(page: Page, where: Locator) -> None:
+    """Reset the robot by the button there; again, where the stop was said anew half a second ago or less."""
+    button = where.get_by_role("button", name="Reset")
+    cured = page.get_by_text("it waits for somebody who drives it")
+    for _ in range(ATTEMPTS):
+        button.click()
+        wait_until(lambda: cured.is_visible() or "a reset counts after" in page.locator(".drive").inner_text())
+        if cured.is_visible():
+            return
+    raise AssertionError(f"the robot was not reset: {page.locator('.drive').inner_text()}")
+
+
+def is_engaged(page: Page) -> bool:
+    """This page drives the robot, and what is pressed from now on counts."""
+    return is_driven(page) and page.get_by_text("You drive.").is_visible()
+
+
+def is_driven(page: Page) -> bool:
+    """This page drives the robot."""
+    return page.locator(".robot.driving").count() > 0
+
+
+def hold_pad(page: Page, forward: float = 0.8, left: float = 0.0) -> None:
+    """Press the pointer on the pad, and keep it there."""
+    box = page.locator(".pad").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] * (1 - left) / 2, box["y"] + box["height"] * (1 - forward) / 2)
+    page.mouse.down()
+
+
+def drive(scene: DeskScene, page: Page, key: str = "", forward: float = 0.8) -> None:
+    """Hold the pad, or a key, until the robot moves.
+
+    On a busy machine the browser may stall: then the page lets go, or the robot has stopped by its deadman.
+    """
+    for _ in range(ATTEMPTS):
+        if not is_driven(page):
+            take_control(page)
+        if key:
+            page.keyboard.down(key)
+        else:
+            hold_pad(page, forward)
+        with suppress(TimeoutError):
+            wait_until(lambda: scene.is_told_to_move or not is_driven(page), deadline_s=6.0)
+        if scene.is_told_to_move:
+            return
+        if key:
+            page.keyboard.up(key)
+        else:
+            page.mouse.up()
+        wait_until(lambda: "0.00 m/s" in page.locator(".now").inner_text())
+    raise AssertionError("the robot never moved")
+
+
+def texts(page: Page, selector: str) -> Sequence[str]:
+    """What stands in these elements."""
+    return page.locator(selector).all_text_contents()

@@ -1,0 +1,178 @@
+"""``cruiser sim --fleet`` and ``cruiser demo-desk``, as a user starts them."""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+
+from gateway.client.robot import Robot
+from schemas.exit_codes import ExitCode
+from schemas.settings import Settings, ZenohSettings
+from tests.support.desk_client import DeskClient
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running, run
+from tests.support.waiting import wait_until
+
+PATROL_S = 200.0
+"""On a busy machine robots are stopped, and it comes by again."""
+
+TWO = ["cruiser-1", "cruiser-2"]
+
+
+def descendants(pid: int) -> set[int]:
+    """The processes that this one has started, and those that these have."""
+    parents = {}
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            parents[int(place.parent.name)] = int(place.read_text().rpartition(")")[2].split()[1])
+    found = {pid}
+    while more := {child for child, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found - {pid}
+
+
+def is_running(pid: int) -> bool:
+    """It is there, and no zombie that nobody waits for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@contextmanager
+def started(*words: str) -> Iterator[Running]:
+    """A command that starts others. A test that fails leaves none of them behind."""
+    with Running(*words) as running:
+        try:
+            yield running
+        finally:
+            if running.process.poll() is None:
+                running.stop(signal.SIGINT)
+
+
+def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
+    """Press Ctrl-C. All of its processes end with it, in good order."""
+    processes = descendants(running.process.pid)
+    assert len(processes) >= 3 * len(TWO)
+    assert running.stop(number) == 0
+    wait_until(lambda: not any(Path(f"/proc/{one}").exists() for one in processes))
+
+
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        (("sim", "--fleet", "1", "--endpoint", "ENDPOINT"), 3),  # a chassis, its gateway and the guard
+        (("demo", "--seconds", "60"), 4),
+        (("demo-fleet", "--hold"), 6),
+        (("demo-desk", "--robots", "1", "--no-browser", "--listen", "127.0.0.1:0", "--endpoint", "ENDPOINT"), 5),
+    ],
+    ids=["sim", "demo", "demo-fleet", "demo-desk"],
+)
+def test_nothing_goes_on_without_the_command_that_started_it(
+    words: tuple[str, ...], count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command that was killed ends nothing: what it has started ends by itself."""
+    monkeypatch.chdir(tmp_path)
+    endpoint = free_endpoint()
+    with Running(*(endpoint if word == "ENDPOINT" else word for word in words)) as running:
+        wait_until(lambda: len(descendants(running.process.pid)) >= count)
+        processes = descendants(running.process.pid)
+    try:
+        wait_until(lambda: not any(map(is_running, processes)))
+    finally:
+        for process in filter(is_running, processes):
+            os.kill(process, signal.SIGKILL)
+
+
+def test_a_fleet_is_listed_and_drives_by_itself_under_a_lease() -> None:
+    """At one endpoint, with guards. A robot that patrols has an operator like any other, who can be overruled."""
+    endpoint = free_endpoint()
+    with started("sim", "--fleet", "2", "--patrol", "--endpoint", endpoint) as fleet:
+        fleet.wait_says(f"sim: cruiser-1 to cruiser-2 at {endpoint}")
+        listed = run(["list", "--connect", endpoint, "--json"])
+        assert [json.loads(line)["robot"] for line in listed.stdout.splitlines()] == TWO
+
+        there = Settings(zenoh=ZenohSettings(mode="client", connect=[endpoint]))
+        with Robot.connect("cruiser-1", "test", there) as robot:
+
+            def reset_what_is_latched() -> None:
+                # On a busy machine the guard may have stopped it; the patrol leaves it alone then.
+                if robot.state().state.latched:
+                    run(["reset", "cruiser-1", "--connect", endpoint])
+
+            wait_until(
+                lambda: robot.wait_for(
+                    lambda state: state.lease_holder == "patrol" and (state.output_speed_mps or 0.0) > 0, 1.0
+                ),
+                reset_what_is_latched,
+                deadline_s=PATROL_S,
+            )
+        stopped = run(["stop", "cruiser-1", "--connect", endpoint])
+        assert stopped.returncode == 0, stopped.stderr
+        assert "remote_stop" in run(["why", "cruiser-1", "--connect", endpoint]).stdout
+        end(fleet)
+
+
+def logs_of(robot: str, desk: str) -> list[str]:
+    """The logs of a robot that a desk lists."""
+    with urlopen(f"{desk}logs/of/{robot}") as answer:  # noqa: S310 - the desk says http
+        names: list[str] = json.load(answer)
+        return names
+
+
+def test_the_demo_shows_a_fleet_on_the_desk_and_opens_the_browser(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its recorder, whose logs the desk lists. What it opens is what it prints, and serves the page."""
+    opened, out = tmp_path / "opened", tmp_path / "out"
+    browser = tmp_path / "browser"
+    browser.write_text(f"#!{sys.executable}\nimport sys\nopen({str(opened)!r}, 'w').write(sys.argv[1])\n")
+    browser.chmod(0o755)
+    words = ["--robots", "2", "--patrol", "1", "--out", str(out), "--listen", "127.0.0.1:0"]
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with started("demo-desk", *words, "--endpoint", free_endpoint()) as demo:
+        wait_until(lambda: (opened.exists() and opened.read_text() != "") or demo.process.poll() is not None)
+        with DeskClient(opened.read_text()) as page:
+            while sorted(page.rows) != TWO or not page.recorders:
+                page.receive()
+            while not any(row["driver"] == "patrol" and row["word"] == "driving" for row in page.rows.values()):
+                page.receive()
+        wait_until(lambda: logs_of("cruiser-1", opened.read_text()))
+        # The terminal is closed.
+        end(demo, signal.SIGHUP)
+    assert list(out.glob("**/*.mcap"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--fleet", "0"], "no whole number from 1 to 64"),
+        (["--fleet", "2", "--listen", "127.0.0.1:0"], "--listen and --fleet exclude each other"),
+        (["--fleet", "2", "--fault", "transmitter remote"], "--fault and --fleet exclude each other"),
+        (["--patrol", "2"], "need --fleet"),
+        (["--fleet", "2", "--endpoint", "tcp/0.0.0.0:0"], "can be reached from other machines"),
+        (["--fleet", "2", "--endpoint", "here"], "here"),
+    ],
+)
+def test_what_cannot_be_is_one_clear_line(words: list[str], said: str) -> None:
+    """Before anything is started: virtual robots have no keys, and are for this machine alone."""
+    refused = run(["sim", *words])
+    assert refused.returncode == ExitCode.USAGE
+    assert said in refused.stderr.splitlines()[-1]
+
+
+def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
+    """Which names it; no robot is left behind."""
+    endpoint = free_endpoint()
+    with started("sim", "--fleet", "1", "--endpoint", endpoint) as fleet:
+        fleet.wait_says("sim: cruiser-1")
+        refused = run(["sim", "--fleet", "1", "--endpoint", endpoint])
+        assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.UNREACHABLE, 1)
+        assert endpoint.partition("/")[2] in refused.stderr
+        assert fleet.stop(signal.SIGINT) == 0

@@ -1,0 +1,121 @@
+"""The desk's page and the reports as axe-core judges them, in a real browser: WCAG 2.2, levels A and AA."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final, Literal
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page
+
+from tests.support.desk_states import desk_of_all_states
+from tests.support.nights import by_night, every_pair
+from tests.support.processes.desk import chromium
+from tests.support.rigs.scenarios import front_bumper, recorded
+
+RULES: Final = {
+    "runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]}
+}
+
+LOG: Final = "latched-20260102T030405Z.mcap"
+
+REPORT_MS: Final = 100_000
+"""A report is made when it is asked for; a busy machine takes its time."""
+
+
+@pytest.fixture(scope="module")
+def running_browser() -> Iterator[Browser]:
+    """One Chromium for all tests; each has a context of its own."""
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A desk with robots in all states, and a log of one of them."""
+    logs = tmp_path_factory.mktemp("logs")
+    (logs / LOG).write_bytes(recorded(front_bumper))
+    with desk_of_all_states(logs) as address:
+        yield address
+
+
+def overview(page: Page, address: str) -> None:
+    """All robots; a stop of all, of which some did not come to rest."""
+    page.goto(address)
+    page.locator("tr[data-robot=telemetry]").wait_for()
+    page.locator("#stop-all").click()
+    page.locator("#stop-of- li").first.wait_for()
+
+
+def wall(page: Page, address: str) -> None:
+    """The same as tiles."""
+    page.goto(f"{address}#/wall")
+    page.locator(".tile[data-robot=telemetry]").wait_for()
+
+
+def robot(page: Page, address: str) -> None:
+    """One that is latched, with its reasons, events and logs, the keys unfolded; a stop of it."""
+    page.goto(f"{address}#/robot/latched")
+    page.locator(".why li").first.wait_for()
+    page.locator(".events .error").first.wait_for()
+    page.locator("a[href^='logs/']").first.wait_for()
+    page.locator("summary").click()
+    page.keyboard.press("Escape")
+    page.locator("#stop-of-latched li").wait_for()
+
+
+def kiosk(page: Page, address: str) -> None:
+    """One that moves, for itself."""
+    page.goto(f"{address}#/kiosk/driving")
+    page.locator(".why p, .why li").first.wait_for()
+
+
+def report(page: Page, address: str) -> None:
+    """A log's report, as the desk serves it."""
+    page.goto(f"{address}reports/{LOG}", timeout=REPORT_MS)
+    page.locator("html[data-drawn]").wait_for(state="attached")
+
+
+@pytest.mark.parametrize(
+    ("look", "theme", "language"),
+    [
+        *every_pair((overview, wall, robot, kiosk), ("light", "dark"), ("en-GB", "zh-CN")),
+        (report, "light", "en-GB"),
+        (report, "dark", "en-GB"),
+    ],
+    ids=lambda value: getattr(value, "__name__", value),
+)
+def test_every_page_is_for_everybody(
+    look: Callable[[Page, str], None],
+    theme: Literal["light", "dark"],
+    language: str,
+    address: str,
+    running_browser: Browser,
+) -> None:
+    """Names for whoever hears the page, contrast for whoever sees badly, the keyboard for whoever has no mouse."""
+    context = running_browser.new_context(locale=language, color_scheme=theme)
+    try:
+        page = context.new_page()
+        look(page, address)
+        found = Axe().run(page, options=RULES)
+    finally:
+        context.close()
+    assert found.response["violations"] == [], found.generate_report()
+
+
+@pytest.mark.parametrize("language", ["zh-CN", by_night("en-GB")])
+@pytest.mark.parametrize("look", [overview, wall, robot, kiosk], ids=lambda look: look.__name__)
+def test_no_page_is_wider_than_a_small_phone(
+    look: Callable[[Page, str], None], language: str, address: str, running_browser: Browser
+) -> None:
+    """At 320 pixels nobody scrolls sideways to read a line, or to reach a button (WCAG 1.4.10, reflow)."""
+    context = running_browser.new_context(locale=language, viewport={"width": 320, "height": 640})
+    try:
+        page = context.new_page()
+        look(page, address)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 320
+        outside = "[...document.querySelectorAll('button')].filter(one => one.getBoundingClientRect().right > 320)"
+        assert page.evaluate(f"{outside}.map(one => one.innerText)") == []
+    finally:
+        context.close()

@@ -1,0 +1,563 @@
+"""The desk in a real browser: what it shows, and every way in which whoever holds a robot lets go of it."""
+
+from __future__ import annotations
+
+import http.client
+import re
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from urllib.parse import urlparse
+
+import msgspec
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page
+
+from gateway.zenoh.client import open_session
+from schemas.exit_codes import ExitCode
+from schemas.settings import ZenohSettings
+from tests.support.messages import STATE
+from tests.support.metrics import received
+from tests.support.processes.desk import (
+    DeskScene,
+    chromium,
+    desk_scene,
+    drive,
+    is_driven,
+    open_robot,
+    reset,
+    take_control,
+    texts,
+)
+from tests.support.processes.gateway import run
+from tests.support.processes.letting_go import WAYS, lose_the_focus
+from tests.support.provisioning import ProvisionedFleet
+from tests.support.rigs.scenarios import front_bumper, recorded
+from tests.support.waiting import wait_until
+
+
+@pytest.fixture(scope="module")
+def running_browser() -> Iterator[Browser]:
+    """One Chromium for all tests; each has a context of its own."""
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture
+def context(running_browser: Browser) -> Iterator[BrowserContext]:
+    """A profile of its own. A page that complains in the console fails the test."""
+    complaints: list[str] = []
+    context = running_browser.new_context(locale="en-GB")
+    context.on("weberror", lambda error: complaints.append(str(error.error)))
+    context.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    yield context
+    context.close()
+    # A connection that was refused is the browser's own line, where a test has ended the desk.
+    assert [one for one in complaints if "ERR_CONNECTION_REFUSED" not in one] == []
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DeskScene]:
+    """A robot and its desk, for tests that leave both as they were."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        with desk_scene() as scene:
+            yield scene
+
+
+def test_a_robot_is_seen_at_once_with_why_it_stands(scene: DeskScene, context: BrowserContext) -> None:
+    """In the overview as a row, and closely with its reasons; on the wall as a tile."""
+    page = context.new_page()
+    page.goto(scene.address)
+    row = page.locator("tr[data-robot=cruiser-1]")
+    row.get_by_text("ready").wait_for()
+    assert page.get_by_label("Site").is_hidden()
+    row.get_by_role("link", name="cruiser-1").click()
+    page.get_by_text("Nothing is wrong: it waits for somebody who drives it.").wait_for()
+    wait_until(lambda: texts(page, ".now .big") == ["0.00 m/s", "0.0 °"])
+    page.get_by_role("link", name="Wall").click()
+    page.locator(".tile", has_text="cruiser-1").wait_for()
+
+
+def test_it_is_found_by_searching(scene: DeskScene, context: BrowserContext) -> None:
+    """By a part of its name; filters leave out what is fine."""
+    page = context.new_page()
+    page.goto(scene.address)
+    row = page.locator("tr[data-robot=cruiser-1]")
+    row.wait_for()
+    page.get_by_role("searchbox").fill("ser-1")
+    row.wait_for()
+    page.get_by_role("searchbox").fill("cruiser-7")
+    row.wait_for(state="detached")
+    page.get_by_role("searchbox").fill("")
+    row.wait_for()
+    page.get_by_label("State").select_option("needs_person")
+    row.wait_for(state="detached")
+
+
+def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserContext) -> None:
+    """The words, and the language of the page for who reads it aloud."""
+    page = open_robot(context, scene)
+    page.get_by_role("button", name="中文").click()
+    page.get_by_text("等待有人驾驶").wait_for()
+    page.reload()
+    page.get_by_text("等待有人驾驶").wait_for()
+    assert page.locator("html").get_attribute("lang") == "zh"
+    assert page.get_by_role("button", name="全部停车").is_visible()
+
+
+@pytest.mark.parametrize("let_go", WAYS, ids=lambda way: way.__name__)
+def test_whatever_takes_the_pointer_away_stops_the_robot(
+    scene: DeskScene, running_browser: Browser, let_go: Callable[[Page], None]
+) -> None:
+    """And nothing moves it again until somebody presses anew: the frames on the bus are the judge."""
+    context = running_browser.new_context(locale="en-GB")
+    try:
+        page = open_robot(context, scene)
+        drive(scene, page)
+        let_go(page)
+        scene.wait_told_zero()
+    finally:
+        context.close()
+    # Nobody holds it any more, as whoever opens the page next sees.
+    with running_browser.new_context(locale="en-GB") as context:
+        open_robot(context, scene)
+
+
+def test_keys_drive_while_they_are_held(scene: DeskScene, context: BrowserContext) -> None:
+    """A key that the page lost the focus over counts when it is pressed anew, not before."""
+    page = open_robot(context, scene)
+    drive(scene, page, "ArrowUp")
+    page.keyboard.up("ArrowUp")
+    scene.wait_told_zero()
+    drive(scene, page, "w")
+    lose_the_focus(page)
+    for _ in range(20):
+        page.keyboard.down("w")  # held on: it repeats
+    scene.wait_told_zero()
+    page.keyboard.up("w")
+    drive(scene, page, "s")
+    page.keyboard.up("s")
+    scene.wait_told_zero()
+
+
+def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, context: BrowserContext) -> None:
+    """Of a robot that is driven by somebody else; it stands latched until somebody resets it here."""
+    page, other = open_robot(context, scene), open_robot(context, scene)
+    drive(scene, page)
+    other.keyboard.press("Escape")
+    other.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
+    page.mouse.up()
+    page.get_by_text("You no longer drive: a remote stop was received").wait_for()
+    other.get_by_text("a remote stop was received (remote_stop)").wait_for()
+    reset(other, other.locator(".drive"))
+
+
+def test_stop_all_never_says_more_than_is_known(context: BrowserContext) -> None:
+    """Of a robot that hangs it says that it did not reply; of a desk that is gone, that nothing was sent."""
+    with desk_scene() as scene:
+        page = open_robot(context, scene)
+        page.goto(scene.address)
+        page.locator("tr[data-robot=cruiser-1]").wait_for()
+        scene.gateway.process.send_signal(signal.SIGSTOP)
+        try:
+            page.get_by_role("button", name="STOP ALL").click()
+            page.get_by_text("cruiser-1: did not reply: it is not known to stand").wait_for()
+        finally:
+            scene.gateway.process.send_signal(signal.SIGCONT)
+        assert scene.desk.stop() == 0
+        page.get_by_text("no connection to the desk").wait_for()
+        assert page.locator("tr[data-robot]").count() == 0
+        page.get_by_role("button", name="STOP ALL").click()
+        page.get_by_text("NOT SENT").wait_for()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_desk_that_dies_while_somebody_drives_stops_the_robot(
+    number: signal.Signals, context: BrowserContext
+) -> None:
+    """The robot stops by its deadman; the page does not drive on by itself when the desk is back."""
+    with desk_scene() as scene:
+        page = open_robot(context, scene)
+        drive(scene, page)
+        scene.desk.process.send_signal(number)
+        scene.wait_told_zero()
+        if number is signal.SIGSTOP:
+            stood = len(scene.told_mps())
+            scene.desk.process.send_signal(signal.SIGCONT)
+            page.get_by_text("You no longer drive").wait_for()
+            assert max(map(abs, scene.told_mps()[stood:])) == 0
+            assert scene.desk.stop() == 0
+
+
+def test_a_desk_that_hangs_shows_nothing_as_current_and_no_stop_as_made(context: BrowserContext) -> None:
+    """Within seconds, on the overview too; once it goes on, all is as before."""
+    with desk_scene() as scene:
+        page = context.new_page()
+        page.goto(scene.address)
+        row = page.locator("tr[data-robot=cruiser-1]")
+        row.wait_for()
+        scene.desk.process.send_signal(signal.SIGSTOP)
+        try:
+            page.get_by_role("button", name="STOP ALL").click()
+            page.get_by_text("use the button on it").wait_for()
+            page.locator("#link", has_text="no connection to the desk").wait_for()
+            assert row.count() == 0
+        finally:
+            scene.desk.process.send_signal(signal.SIGCONT)
+        row.wait_for()
+        assert scene.desk.stop() == 0
+
+
+def test_a_stop_fails_for_no_name(scene: DeskScene, context: BrowserContext) -> None:
+    """Whatever another page of this address has left in the browser."""
+    page = open_robot(context, scene)
+    page.evaluate("localStorage.setItem('operator', 'an/n *')")
+    page.keyboard.press("Escape")
+    page.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
+    reset(page, page.locator(".drive"))
+
+
+LEAVE_WHILE_IT_ASKS = """() => {
+    const send = WebSocket.prototype.send;
+    WebSocket.prototype.send = function (data) {
+        send.call(this, data);
+        const said = new TextDecoder().decode(data);
+        if (said.includes("acquire")) setTimeout(() => (location.hash = "#/"));
+        if (said.includes("release")) window.hasReleased = true;
+    };
+}"""
+
+
+def test_who_leaves_while_the_lease_is_asked_for_engages_nothing(
+    scene: DeskScene, context: BrowserContext
+) -> None:
+    """Nobody looks at the robot any more: its lease is given back, and the chassis is told nothing."""
+    page = open_robot(context, scene)
+    page.evaluate(LEAVE_WHILE_IT_ASKS)
+    before = len(scene.listener.bursts)
+    page.get_by_role("button", name="Take control").click()
+    wait_until(lambda: page.evaluate("window.hasReleased"))
+    page.locator("tr[data-robot=cruiser-1]", has_text="ready").wait_for()
+    assert len(scene.listener.bursts) == before
+
+
+def test_two_browsers_never_drive_one_robot(scene: DeskScene, context: BrowserContext) -> None:
+    """The second is told who drives. Where it takes over the robot stops, and the first drives no longer."""
+    first, second = open_robot(context, scene), open_robot(context, scene)
+    name_page(first, "ann")
+    name_page(second, "bob")
+    take_over = second.locator("button:enabled:visible", has_text="Take over from ann")
+    take_control(first)
+    # A busy machine may have let the first stop by its deadman: then nobody is taken over.
+    wait_until(lambda: take_over.count() or not is_driven(first))
+    if not take_over.count():
+        take_control(first)
+    take_over.click()
+    wait_until(lambda: is_driven(second))
+    wait_until(lambda: not is_driven(first))
+    drive(scene, second)
+    second.mouse.up()
+    scene.wait_told_zero()
+    second.get_by_role("button", name="Give back").click()
+    second.get_by_text("it waits for somebody who drives it").wait_for()
+
+
+def name_page(page: Page, name: str) -> None:
+    """Say who commands from this page, in open mode."""
+    page.get_by_label("Your name").fill(name)
+    page.get_by_label("Your name").blur()
+
+
+def test_a_robot_is_asked_for_and_handed_over(scene: DeskScene, context: BrowserContext) -> None:
+    """The driver keeps it, and drives on; or hands it over: it stops, and whoever takes it has it."""
+    first, second = open_robot(context, scene), open_robot(context, scene)
+    name_page(first, "ann")
+    name_page(second, "bob")
+    drive(scene, first)
+    second.get_by_role("button", name="Ask ann").click()
+    second.get_by_text("asked; waiting for the answer of ann").wait_for()
+    first.get_by_text("bob asks for this robot").wait_for()
+    # The page that is held does not move under the finger.
+    assert scene.is_told_to_move
+    first.mouse.up()
+    first.get_by_role("button", name="Keep it").click()
+    second.get_by_text("ann keeps it").wait_for()
+    first.get_by_text("bob asks for this robot").wait_for(state="detached")
+    assert is_driven(first)
+    second.get_by_role("button", name="Ask ann").click()
+    first.get_by_role("button", name="Hand over").click()
+    second.get_by_text("ann hands it over: take control").wait_for()
+    wait_until(lambda: not is_driven(first))
+    scene.wait_told_zero()
+    drive(scene, second)
+    second.mouse.up()
+    scene.wait_told_zero()
+    second.get_by_role("button", name="Give back").click()
+    second.get_by_text("it waits for somebody who drives it").wait_for()
+
+
+def test_lamps_and_horn_are_the_driver_s(scene: DeskScene, context: BrowserContext) -> None:
+    """As the chassis says; without control there is no button."""
+    page = open_robot(context, scene)
+    lights = page.get_by_role("button", name="Lights")
+    assert lights.is_hidden()
+    take_control(page)
+    lights.click()
+    page.locator("dd", has_text="headlamp").wait_for()
+    page.get_by_role("button", name="Horn").click()
+    lights.click()
+    page.locator("dt:has-text('Lamps') + dd", has_text="off").wait_for()
+    page.get_by_role("button", name="Give back").click()
+    page.get_by_text("it waits for somebody who drives it").wait_for()
+
+
+def test_an_alarm_is_acknowledged_for_all_and_cured_beside_its_reason(
+    scene: DeskScene, context: BrowserContext
+) -> None:
+    """It counts in the page's name until somebody sees to it. Cured, it is gone, and who saw to it too."""
+    overview = context.new_page()
+    overview.goto(scene.address)
+    page = open_robot(context, scene)
+    page.keyboard.press("Escape")
+    row = overview.locator("tr[data-robot=cruiser-1]")
+    row.get_by_text("latched", exact=True).wait_for()
+    wait_until(lambda: overview.title() == page.title().replace("cruiser-1 · ", "") == "(1) Cruiser")
+    row.get_by_role("button", name="Acknowledge cruiser-1").click()
+    row.get_by_text("acknowledged by desk").wait_for()
+    wait_until(lambda: overview.title() == "Cruiser")
+    reset(page, page.locator(".why"))
+    row.get_by_text("acknowledged by desk").wait_for(state="hidden")
+
+
+def test_a_kiosk_shows_one_robot_and_leads_nowhere(scene: DeskScene, context: BrowserContext) -> None:
+    """It can be stopped, and driven by who may."""
+    page = context.new_page()
+    page.goto(f"{scene.address}#/kiosk/cruiser-1")
+    page.get_by_text("it waits for somebody who drives it").wait_for()
+    assert page.get_by_role("button", name="STOP cruiser-1").is_visible()
+    assert [link for link in page.get_by_role("link").all() if link.is_visible()] == []
+
+
+@pytest.fixture
+def signed(tmp_path: Path) -> Iterator[tuple[DeskScene, ProvisionedFleet]]:
+    """A robot in signed mode, and who lets people in."""
+    fleet = ProvisionedFleet(tmp_path)
+    directory = fleet.let_in("robot", "cruiser-1")
+    settings = tmp_path / "robot.toml"
+    settings.write_text(
+        f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n[gateway]\nstate_dir = "{tmp_path / "state"}"\n'
+    )
+    with desk_scene("--config", str(settings)) as scene:
+        yield scene, fleet
+
+
+def let_ann_in(page: Page, fleet: ProvisionedFleet, directory: Path) -> None:
+    """Have this browser's key granted: from then on it signs as ann."""
+    name_page(page, "ann")
+    page.get_by_text("Keys", exact=True).click()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save request").click()
+    request = directory / "operator-ann.request"
+    download.value.save_as(request)
+    bundle = fleet.sign(request, "--speed-limit", "0.4")
+    page.get_by_label("Load bundle").set_input_files(bundle)
+    page.get_by_text(re.compile("Signs as ann, operator, at most 0.4 m/s, until ")).wait_for()
+
+
+NOTE_WHAT_IS_SHOWN = """() => {
+    let beganMs = null; // what is shown for a second after the beginning may be of before it
+    window.shown = [];
+    setInterval(() => {
+        beganMs = document.querySelector(".robot.driving") && (beganMs ?? performance.now());
+        const is = beganMs !== null && performance.now() - beganMs > 1500;
+        if (is) window.shown.push(document.querySelector(".now .big").textContent);
+    }, 20);
+}"""
+
+
+def test_who_drives_is_shown_no_speed_that_the_robot_did_not_sign(
+    signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext, tmp_path: Path
+) -> None:
+    """Whatever somebody else publishes on the robot's keys, or sends again of what it said before."""
+    scene, fleet = signed
+    page = open_robot(context, scene)
+    let_ann_in(page, fleet, tmp_path)
+    with closing(open_session(ZenohSettings(mode="client"), [scene.endpoint], [])) as stranger:
+        forged = received(msgspec.structs.replace(STATE, speed_mps=9.99, sequence=2**30))
+
+        def put() -> None:
+            stranger.put(forged.key, forged.payload, encoding=forged.encoding)
+
+        # Nobody drives: what is shown is believed of the desk.
+        wait_until(lambda: texts(page, ".now .big")[0] == "9.99 m/s", put)
+        page.evaluate(NOTE_WHAT_IS_SHOWN)
+
+        def forge() -> None:
+            # On a busy machine the robot may have stopped by its deadman.
+            if not is_driven(page):
+                take_control(page)
+            put()
+
+        wait_until(lambda: page.evaluate("window.shown.length") > 20, forge)
+        shown = set(page.evaluate("window.shown"))
+    assert "9.99 m/s" not in shown
+    assert "0.00 m/s" in shown
+
+
+def test_a_browser_signs_with_a_key_of_its_own(
+    signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext, tmp_path: Path
+) -> None:
+    """It asks for a grant, and drives within it. Without one nothing moves; stops need none."""
+    scene, fleet = signed
+    page = open_robot(context, scene)
+    page.get_by_role("button", name="Take control").click()
+    page.get_by_text("This robot obeys signed commands alone").wait_for()
+    assert set(map(abs, scene.told_mps())) <= {0.0}
+    let_ann_in(page, fleet, tmp_path)
+    drive(scene, page, forward=1.0)
+    wait_until(lambda: texts(page, ".now .big")[0].startswith("0.4"))
+    assert max(map(abs, scene.told_mps())) <= 0.4
+    page.mouse.up()
+    scene.wait_told_zero()
+    page.get_by_role("button", name="Give back").click()
+    page.get_by_text("it waits for somebody who drives it").wait_for()
+    # The key cannot be taken out, by no script of the page either.
+    taken = page.evaluate(
+        """async () => {
+            const opening = indexedDB.open("cruiser");
+            await new Promise((resolve) => { opening.onsuccess = resolve; });
+            const asked = opening.result.transaction("operator").objectStore("operator").get("pair");
+            const pair = await new Promise((resolve) => { asked.onsuccess = () => resolve(asked.result); });
+            return crypto.subtle.exportKey("pkcs8", pair.privateKey).then(() => "taken", (error) => error.name);
+        }"""
+    )
+    assert taken == "InvalidAccessError"
+
+
+def test_a_bundle_of_somebody_else_is_refused(
+    signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext
+) -> None:
+    """With one line; the browser goes on as before."""
+    scene, fleet = signed
+    page = open_robot(context, scene)
+    page.get_by_text("Keys", exact=True).click()
+    page.get_by_label("Load bundle").set_input_files(fleet.sign(fleet.request("operator", "bob")))
+    page.get_by_text("this bundle is for another key").wait_for()
+    assert page.get_by_text("Open mode").is_visible()
+
+
+def ask(address: str, path: str = "/", **headers: str) -> http.client.HTTPResponse:
+    """A request without a browser."""
+    place = urlparse(address)
+    with closing(http.client.HTTPConnection(str(place.hostname), place.port, timeout=30)) as connection:
+        connection.request("GET", path, headers=headers)
+        with connection.getresponse() as response:
+            return response
+
+
+def upgrade(origin: str, host: str) -> dict[str, str]:
+    """The headers of a WebSocket's beginning."""
+    return {
+        "Origin": origin,
+        "Host": host,
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    }
+
+
+def test_no_other_page_gets_in(scene: DeskScene) -> None:
+    """Nor one whose name was made to point here; the page itself may load and connect to this server alone."""
+    host = urlparse(scene.address).netloc
+    page = ask(scene.address)
+    assert page.status == 200
+    assert "default-src 'none'" in page.headers["Content-Security-Policy"]
+    assert "unsafe" not in page.headers["Content-Security-Policy"]
+    assert ask(scene.address, Host="evil.example").status == 400
+    assert ask(scene.address, "/link", **upgrade(f"http://{host}", host)).status == 101
+    for origin in ("http://evil.example", f"https://{host}", "null", ""):
+        assert ask(scene.address, "/link", **upgrade(origin, host)).status == 403
+    assert ask(scene.address, "/link", **upgrade("http://evil.example", "evil.example")).status in {400, 403}
+    for path in ("/../pyproject.toml", "/..%2f..%2fcli/desk.py", "/%2e%2e/words.py", "/words.py"):
+        assert ask(scene.address, path).status == 404
+
+
+def test_logs_and_reports_are_read_from_the_page(context: BrowserContext, tmp_path: Path) -> None:
+    """A log of this robot, and its report, which reaches neither the desk nor the browser's key."""
+    log = recorded(front_bumper)
+    (tmp_path / "cruiser-1-20260102T030405Z.mcap").write_bytes(log)
+    (tmp_path / "cruiser-2-20260102T030405Z.mcap").write_bytes(log)
+    (tmp_path / "cruiser-1-20260102T040506Z.mcap.part").write_bytes(log)
+    (tmp_path / "secret.txt").write_text("secret")
+    (tmp_path / "cruiser-1-20260102T030406Z.mcap").symlink_to(tmp_path / "secret.txt")
+    with desk_scene(desk_words=("--logs", str(tmp_path))) as scene:
+        page = open_robot(context, scene)
+        with page.expect_download() as download:
+            page.get_by_role("link", name="download the log").last.click()
+        assert Path(download.value.path()).read_bytes() == log
+        with context.expect_page() as opened:
+            page.get_by_role("link", name="report of cruiser-1-20260102T030405Z.mcap").click()
+        opened.value.get_by_text("the front bumper").first.wait_for(state="attached")
+        assert opened.value.evaluate("window.origin") == "null"
+        assert page.get_by_text("cruiser-2").count() == 0
+        # One that is being written has its report, and is downloaded once it is whole.
+        growing = "cruiser-1-20260102T040506Z.mcap.part"
+        assert f"report of {growing} is being written" in page.get_by_label("Logs").inner_text()
+        assert [ask(scene.address, f"/{kind}/{growing}").status for kind in ("logs", "reports")] == [404, 200]
+        (tmp_path / growing).rename(tmp_path / growing.removesuffix(".part"))
+        assert ask(scene.address, f"/reports/{growing}").status == 200
+        for name in ("cruiser-1-20260102T030406Z.mcap", "secret.txt", "..%2fsecret.txt", "%2e%2e%2fsecret.txt"):
+            assert [ask(scene.address, f"/{kind}/{name}").status for kind in ("logs", "reports")] == [404, 404]
+        # No page of another site has a report made behind somebody's back. A link that is followed is none.
+        for kind, status in (("image", 404), ("iframe", 404), ("document", 200)):
+            fetch = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": kind}
+            assert ask(scene.address, "/reports/cruiser-2-20260102T030405Z.mcap", **fetch).status == status
+
+
+def test_beyond_this_machine_it_wants_a_certificate() -> None:
+    """One clear line, before anything is opened."""
+    refused = run(["desk", "--listen", "0.0.0.0:0", "--seconds", "1"])
+    assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.USAGE, 1)
+    assert "--certificate" in refused.stderr
+
+
+def test_a_taken_port_and_a_wrong_certificate_are_one_clear_line(tmp_path: Path) -> None:
+    """Which names them."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        where = f"127.0.0.1:{taken.getsockname()[1]}"
+        refused = run(["desk", "--listen", where, "--seconds", "1"])
+    assert refused.returncode == ExitCode.UNREACHABLE
+    assert where in refused.stderr
+    (tmp_path / "desk.pem").write_text("none")
+    words = ["--certificate", str(tmp_path / "desk.pem"), "--key", str(tmp_path / "desk.key")]
+    refused = run(["desk", "--listen", "127.0.0.1:0", "--seconds", "1", *words])
+    assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.USAGE, 1)
+    assert "desk.pem" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ('listen = "nowhere"', "desk.listen"),
+        ('listen = "0.0.0.0:0"', "desk.certificate"),
+        ('certificate = "/nowhere/desk.pem"', "desk.key"),
+        ('certificate = "/nowhere/desk.pem"\nkey = "/nowhere/desk.key"', "/nowhere/desk.pem"),
+    ],
+)
+def test_a_wrong_settings_file_is_one_clear_line(tmp_path: Path, text: str, key: str) -> None:
+    """Which names the setting, or the file that it names."""
+    file = tmp_path / "desk.toml"
+    file.write_text(f"[desk]\n{text}\n")
+    refused = run(["desk", "--config", str(file), "--seconds", "1"])
+    assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.USAGE, 1)
+    assert key in refused.stderr
+
+
+def test_the_page_weighs_less_than_300_kilobytes() -> None:
+    """All of its files: it works without a network, and over a slow link."""
+    page = Path(__file__).parents[3] / "gateway" / "desk" / "page"
+    assert sum(file.stat().st_size for file in page.rglob("*") if file.is_file()) < 300_000

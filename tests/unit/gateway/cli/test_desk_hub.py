@@ -1,0 +1,395 @@
+"""Between Zenoh and the browsers: who gets what, and what goes out of what they say."""
+
+import asyncio
+import threading
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.cli.desk_hub import (
+    LOOK_NS,
+    QUESTIONS_MAX,
+    REPLIES_MAX,
+    SAID_MAX,
+    SAMPLE_MAX_BYTES,
+    STOPS_MAX,
+    Browser,
+    Hub,
+)
+from gateway.client.remote_stop import StopReport
+from gateway.desk import words
+from gateway.desk.fleet_view import EVENT_MAX_BYTES, ROBOTS_MAX
+from gateway.telemetry.received import Received
+from schemas.messages import Message
+from schemas.settings import Settings
+from schemas.subjects import BY_VERB
+from tests.support.fakes.desk import FakeCommandPort, FakeDeskListener
+from tests.support.messages import HEALTH, SECOND, STANDBY, STATE, event, recorder_health
+from tests.support.metrics import received
+
+
+class Scene:
+    """A hub, and what its browsers are told."""
+
+    def __init__(self) -> None:
+        self.listener, self.port = FakeDeskListener(), FakeCommandPort()
+        self.stops: list[tuple[str, str]] = []
+        self.hub = Hub(Settings(), self.listener, self.port, self.stop)  # type: ignore[arg-type]
+        self.now_ns = SECOND
+
+    def stop(self, _settings: Settings, robot: str, operator: str, _timeout_s: float) -> StopReport:
+        self.stops.append((robot, operator))
+        return StopReport(["cruiser-1"], {}, {"cruiser-2": "its speed is not seen"}, ["cruiser-3"], linked=True)
+
+    def step(self, *messages: Message, seconds: float = 0.25) -> None:
+        """Robots publish, and time goes on."""
+        self.listener.waiting += map(received, messages)
+        self.now_ns += round(seconds * SECOND)
+        self.hub.step(self.now_ns)
+
+    def say(self, browser: Browser, **message: object) -> None:
+        """A browser says this."""
+        self.hub.receive(browser, msgspec.msgpack.encode(message))
+
+
+def told(browser: Browser, kind: type) -> list[Any]:
+    """What a browser was told of a kind; the rest is forgotten."""
+    return [one for one in browser.outbox.take() if isinstance(one, kind)]
+
+
+def test_whoever_comes_is_told_all_and_then_what_changes() -> None:
+    """The names of things first; rows as they are; then only those that are others."""
+    scene = Scene()
+    scene.step(STATE, HEALTH)
+    browser = scene.hub.join()
+    hello, rows = browser.outbox.take()
+    assert isinstance(hello, words.DeskHello)
+    assert hello.requests["engage"] == (BY_VERB["engage"].encoding, BY_VERB["engage"].reply_encoding)
+    assert isinstance(rows, words.DeskRows)
+    assert set(rows.rows) == {"cruiser-1"}
+    scene.step(STATE, HEALTH)
+    assert told(browser, words.DeskRows) == []
+    scene.step(msgspec.structs.replace(STATE, bus_up=False))
+    assert told(browser, words.DeskRows)[0].rows["cruiser-1"].word == "bus_down"
+    scene.hub.leave(browser)
+    scene.step(STATE)
+    assert told(browser, words.DeskRows) == []
+
+
+def test_samples_go_to_whom_looks_at_their_robot() -> None:
+    """As they came, with their proofs; events of before at once; to nobody else."""
+    scene = Scene()
+    near, far = scene.hub.join(), scene.hub.join()
+    scene.step(event(1), STATE)
+    scene.say(near, **{"is": "look", "robot": "cruiser-1"})
+    assert [one.subject for one in told(near, words.DeskSample)] == ["safety/event"]
+    signed = msgspec.structs.replace(received(STANDBY), attachment=b"signature")
+    scene.listener.waiting.append(signed)
+    scene.step(STATE)
+    samples = {one.subject: one for one in told(near, words.DeskSample)}
+    assert set(samples) == {"state", "safety/state"}
+    assert samples["safety/state"] == words.DeskSample(
+        "safety/state", signed.key, signed.encoding, signed.payload, b"signature"
+    )
+    assert told(far, words.DeskSample) == []
+
+
+def test_what_is_signed_goes_out_as_it_is() -> None:
+    """A drive command, byte by byte, under the key that it names; a verb with the encoding of its table."""
+    scene = Scene()
+    browser = scene.hub.join()
+    scene.say(
+        browser, **{"is": "drive", "robot": "cruiser-1", "operator": "ann", "payload": b"p", "attachment": b"a"}
+    )
+    assert scene.port.puts == [("fleet/cruiser-1/@cmd/ann/drive", "drive", b"p", b"a")]
+    verb = {"is": "ask", "robot": "cruiser-1", "operator": "ann", "payload": b"q", "attachment": b"b"}
+    scene.port.replies = [Received("k", "e", b"answer", b"proof")]
+    scene.say(browser, number=7, verb="engage", **verb)
+    assert scene.port.questions == [("fleet/cruiser-1/@cmd/ann/engage", BY_VERB["engage"].encoding, b"q", b"b")]
+    scene.step()
+    reply, last = told(browser, words.DeskReply)
+    assert (reply.number, reply.payload, reply.attachment, reply.last) == (7, b"answer", b"proof", False)
+    assert (last.number, last.last) == (7, True)
+    scene.say(browser, **{"is": "show", "number": 8, "robot": "cruiser-1", "statement": b"s", "question": b"r"})
+    assert scene.port.questions[-1] == ("fleet/cruiser-1/@auth", "text/plain", b"s", b"r")
+
+
+def test_people_ask_each_other_for_a_robot() -> None:
+    """All see who asks; all who look at the robot see the answer. An answer to nobody goes to nobody."""
+    scene = Scene()
+    near, far = scene.hub.join(), scene.hub.join()
+    scene.say(near, **{"is": "look"}, robot="cruiser-1")
+    scene.step(STATE, HEALTH)
+    scene.say(far, **{"is": "request"}, robot="cruiser-1", operator="bob")
+    for browser in (near, far):
+        browser.outbox.take()
+    scene.step(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
+    for browser in (near, far):
+        assert told(browser, words.DeskRows)[0].rows["cruiser-1"].asked_by == ["bob"]
+    answer = {"is": "answer", "robot": "cruiser-1", "operator": "ann", "asker": "bob", "granted": True}
+    for _ in range(2):
+        scene.say(near, **answer)
+    assert told(near, words.DeskAnswer) == [words.DeskAnswer("cruiser-1", "ann", "bob", granted=True)]
+    assert told(far, words.DeskAnswer) == []
+    scene.say(far, **{"is": "acknowledge"}, robot="cruiser-1", word="held", operator="cat")
+    scene.step(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
+    row = told(far, words.DeskRows)[0].rows["cruiser-1"]
+    assert (row.asked_by, row.acknowledged) == ([], "cat")
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"is": "request", "operator": "bob"},
+        {"is": "acknowledge", "word": "latched", "operator": "bob"},
+        {"is": "answer", "operator": "ann", "asker": "bob", "granted": True},
+    ],
+)
+def test_of_a_robot_that_is_not_there_nothing_is_kept(said: dict[str, object]) -> None:
+    """Whoever makes names up fills no memory, and takes the room of no robot that is there."""
+    scene = Scene()
+    browser = scene.hub.join()
+    scene.say(browser, robot="made-up", **said)
+    assert [one.fault for one in told(browser, words.DeskRefused)] == ["no robot made-up is heard"]
+
+
+def test_what_cannot_be_done_is_said() -> None:
+    """A verb that is none, too many questions, bytes that are no message: one line each, and nothing goes out."""
+    scene = Scene()
+    browser = scene.hub.join()
+    scene.port.is_over = False
+    verb = {"is": "ask", "robot": "cruiser-1", "operator": "ann", "payload": b"q", "attachment": b""}
+    scene.say(browser, number=1, verb="fly", **verb)
+    scene.hub.receive(browser, b"\xc1")
+    assert next(one.fault for one in told(browser, words.DeskRefused)) == "there is no verb 'fly'"
+    for number in range(QUESTIONS_MAX + 1):
+        scene.say(browser, number=number, verb="renew", **verb)
+    scene.say(browser, number=0, verb="renew", **verb)
+    assert len(scene.port.questions) == QUESTIONS_MAX
+    assert len(told(browser, words.DeskRefused)) == 2
+
+
+def test_a_stop_goes_out_at_once_and_its_outcome_is_told() -> None:
+    """On the session that is open, without a proof; then each robot with what is known of it."""
+
+    async def scenario() -> None:
+        scene = Scene()
+        browser = scene.hub.join()
+        scene.say(browser, **{"is": "stop", "robot": "", "operator": "ann"})
+        assert scene.port.puts == [("fleet/*/@cmd/ann/stop", "stop", b"", b"")]
+        browser.ready.clear()
+        await asyncio.wait_for(browser.ready.wait(), 30)
+        (outcome,) = told(browser, words.DeskStopped)
+        assert scene.stops == [("*", "ann")]
+        assert (outcome.standing, outcome.silent) == (["cruiser-1"], ["cruiser-3"])
+        assert outcome.unconfirmed == {"cruiser-2": "its speed is not seen"}
+
+    asyncio.run(scenario())
+
+
+def test_a_stop_that_fails_is_never_silent() -> None:
+    """Whatever goes wrong while its outcome is looked for."""
+
+    async def scenario() -> None:
+        scene = Scene()
+
+        def fail(*_: object) -> StopReport:
+            raise OSError("no file descriptors")
+
+        scene.hub._stopper = fail
+        browser = scene.hub.join()
+        browser.outbox.take()
+        scene.say(browser, **{"is": "stop", "robot": "cruiser-1", "operator": "ann"})
+        browser.ready.clear()
+        await asyncio.wait_for(browser.ready.wait(), 30)
+        (refused,) = told(browser, words.DeskRefused)
+        assert "no file descriptors" in refused.fault
+
+    asyncio.run(scenario())
+
+
+def test_who_stops_what_is_being_stopped_learns_the_same() -> None:
+    """Each says it at once; one thread looks what comes of it, however often and by however many it is said."""
+
+    async def scenario() -> None:
+        scene = Scene()
+        hold = threading.Event()
+
+        def wait(*arguments: Any) -> StopReport:  # noqa: ANN401 - the stopper's own
+            hold.wait(30)
+            return scene.stop(*arguments)
+
+        scene.hub._stopper = wait
+        ann, bob = scene.hub.join(), scene.hub.join()
+        for browser, operator in ((ann, "ann"), (bob, "bob"), (ann, "ann")):
+            scene.say(browser, **{"is": "stop", "robot": "", "operator": operator})
+        assert [key for key, *_ in scene.port.puts] == [
+            f"fleet/*/@cmd/{one}/stop" for one in ("ann", "bob", "ann")
+        ]
+        hold.set()
+        for browser in (ann, bob):
+            while not (outcome := told(browser, words.DeskStopped)):
+                browser.ready.clear()
+                await asyncio.wait_for(browser.ready.wait(), 30)
+            assert [one.standing for one in outcome] == [["cruiser-1"]]
+        assert scene.stops == [("*", "ann")]
+
+    asyncio.run(scenario())
+
+
+def test_a_browser_that_stops_too_many_is_told_that_it_learns_no_more() -> None:
+    """All are stopped; of those beyond the bound it is said that nobody looks what came of it."""
+
+    async def scenario() -> None:
+        scene = Scene()
+        hold = threading.Event()
+        scene.hub._stopper = lambda *_: StopReport([], {}, {}, [], linked=hold.wait(30))
+        browser = scene.hub.join()
+        try:
+            for number in range(STOPS_MAX + 1):
+                scene.say(browser, **{"is": "stop", "robot": f"cruiser-{number}", "operator": "ann"})
+            assert len(scene.port.puts) == STOPS_MAX + 1
+            assert [one.stop for one in told(browser, words.DeskRefused)] == [f"cruiser-{STOPS_MAX}"]
+        finally:
+            hold.set()
+
+    asyncio.run(scenario())
+
+
+def test_who_says_too_much_waits_and_nobody_else() -> None:
+    """In each period a few messages of a browser are read, however many it has sent."""
+    scene = Scene()
+    loud, quiet = scene.hub.join(), scene.hub.join()
+    for _ in range(SAID_MAX):
+        assert loud.turn.is_set()
+        scene.say(loud, **{"is": "look", "robot": ""})
+    assert not loud.turn.is_set()
+    assert quiet.turn.is_set()
+    scene.step()
+    assert loud.turn.is_set()
+
+
+def test_the_last_minutes_are_put_together_seldom() -> None:
+    """Who looks here and there in a moment gets those of the robot at which it stays."""
+    scene = Scene()
+    scene.step(STATE)
+    scene.listener.waiting += [received(STATE, "cruiser-2"), received(event(1), "cruiser-2")]
+    scene.step()
+    browser = scene.hub.join()
+    for robot in ("cruiser-1", "cruiser-2", "cruiser-1", "cruiser-2"):
+        scene.say(browser, **{"is": "look", "robot": robot})
+    assert [one.robot for one in told(browser, words.DeskHistory)] == ["cruiser-1"]
+    scene.step(seconds=LOOK_NS / SECOND)
+    waiting = browser.outbox.take()
+    assert [one.robot for one in waiting if isinstance(one, words.DeskHistory)] == ["cruiser-2"]
+    assert [one.subject for one in waiting if isinstance(one, words.DeskSample)] == ["safety/event"]
+    scene.step(seconds=LOOK_NS / SECOND)
+    assert told(browser, words.DeskHistory) == []
+
+
+def test_what_is_larger_than_a_gateway_says_is_passed_over() -> None:
+    """Else whoever publishes, or answers, under a robot's name would fill the memory of desk and browsers."""
+    scene = Scene()
+    browser = scene.hub.join()
+    scene.say(browser, **{"is": "look", "robot": "cruiser-1"})
+    scene.listener.waiting += [msgspec.structs.replace(received(STATE), attachment=bytes(SAMPLE_MAX_BYTES))]
+    scene.step()
+    assert told(browser, words.DeskSample) == []
+    scene.step(STATE, event(1, text="x" * EVENT_MAX_BYTES), event(2))
+    assert [one.payload for one in scene.hub._view.events("cruiser-1")] == [received(event(2)).payload]
+    scene.port.replies = [Received("k", "e", bytes(SAMPLE_MAX_BYTES))] + [Received("k", "e", b"r")] * REPLIES_MAX
+    question = {"is": "show", "number": 1, "robot": "cruiser-1", "statement": b"s", "question": b"r"}
+    scene.port.is_over = False
+    scene.say(browser, **question)
+    for _ in range(REPLIES_MAX + 2):
+        scene.step()
+    assert len(told(browser, words.DeskReply)) == REPLIES_MAX - 1
+
+
+def test_no_count_breaks_what_all_browsers_are_sent() -> None:
+    """A gateway, or a recorder, whose counts add up to more than a message can say."""
+    scene = Scene()
+    browser = scene.hub.join()
+    most = 2**63 - 1
+    feedback = [msgspec.structs.replace(HEALTH.feedback[0], lost=most)] * 3
+    scene.step(STATE, msgspec.structs.replace(HEALTH, feedback=feedback))
+    scene.step(msgspec.structs.replace(recorder_health(), missed=most, dropped={"disk": most, "queue": most}))
+    rows = told(browser, words.DeskRows)
+    assert [msgspec.msgpack.decode(words.encode(one))["is"] for one in rows] == ["rows"]
+
+
+def test_everybody_is_told_where_not_all_robots_are_shown() -> None:
+    """Those who are there, and whoever comes then; and told again when it is over."""
+    scene = Scene()
+    scene.step(STATE)
+    browser = scene.hub.join()
+    assert [one.full for one in told(browser, words.DeskRows)] == [False]
+    scene.listener.waiting += [received(STATE, f"evil-{number}") for number in range(ROBOTS_MAX)]
+    scene.step()
+    assert [one.full for one in told(browser, words.DeskRows)] == [True]
+    assert [one.full for one in told(scene.hub.join(), words.DeskRows)] == [True]
+    scene.step(seconds=11)
+    assert [one.full for one in told(browser, words.DeskRows)] == [False]
+
+
+def test_what_holds_for_all_is_told_where_no_robot_changes() -> None:
+    """That Zenoh is gone, and back; that a robot is not shown, although those that are shown are as before."""
+    scene = Scene()
+    browser = scene.hub.join()
+    for linked in (False, True):
+        scene.step()
+        browser.outbox.take()
+        scene.listener.linked = linked
+        scene.step()
+        assert [(one.linked, one.rows) for one in told(browser, words.DeskRows)] == [(linked, {})]
+
+    full = Scene()
+    full.listener.waiting += [received(STATE, f"robot-{number}") for number in range(ROBOTS_MAX)]
+    full.step()
+    browser = full.hub.join()
+    browser.outbox.take()
+    full.listener.waiting.append(received(STATE, "stranger"))
+    full.step()
+    assert [(one.full, one.rows) for one in told(browser, words.DeskRows)] == [(True, {})]
+
+
+def test_a_desk_that_has_lost_zenoh_says_so() -> None:
+    """Once, to everybody; the robots are silent then."""
+    scene = Scene()
+    scene.step(STATE, HEALTH)
+    browser = scene.hub.join()
+    browser.outbox.take()
+    scene.listener.linked = False
+    scene.step(seconds=2)
+    (rows,) = told(browser, words.DeskRows)
+    assert not rows.linked
+    assert rows.rows["cruiser-1"].word == "silent"
+    scene.listener.linked = True
+    scene.step()
+    assert [one.linked for one in told(browser, words.DeskRows)] == [True]
+
+
+@pytest.mark.parametrize("robot", ["*", "**", "c$*", "../x", "cruiser-1/x", "@adv"])
+def test_no_browser_asks_several_robots_at_once(robot: str) -> None:
+    """But by the stop of all: no pattern becomes a key."""
+    scene = Scene()
+    browser = scene.hub.join()
+    for kind in ({"is": "drive"}, {"is": "ask", "number": 1, "verb": "engage"}):
+        scene.say(browser, robot=robot, operator="ann", payload=b"", attachment=b"", **kind)
+    scene.say(browser, **{"is": "stop", "robot": robot, "operator": "ann"})
+    assert scene.port.puts == []
+    assert scene.port.questions == []
+
+
+@given(st.binary(max_size=200))
+def test_whatever_a_browser_sends_ends_nothing(data: bytes) -> None:
+    """It is told why; the others go on."""
+    scene = Scene()
+    browser = scene.hub.join()
+    with suppress(RuntimeError):  # A stop wants a running loop.
+        scene.hub.receive(browser, data)
+    scene.step(STATE)

@@ -1,0 +1,182 @@
+"""Samples in, rows of what has changed out."""
+
+import msgspec
+
+from gateway.desk.fleet_view import EVENTS_KEPT, RECORDERS_MAX, ROBOTS_MAX, FleetView
+from gateway.desk.history import FIELDS, LENGTH, PERIOD_NS
+from gateway.desk.words import RecorderRow, RobotRow
+from gateway.telemetry.received import Missed, Received, TokenChange
+from schemas import keys
+from schemas.decisions import Severity
+from schemas.messages import Message
+from tests.support.messages import HEALTH, SECOND, STANDBY, STATE, event, recorder_health
+from tests.support.metrics import received
+
+START = 10 * SECOND
+
+
+class Scene:
+    """A view, and the time."""
+
+    def __init__(self) -> None:
+        self.view = FleetView("fleet")
+        self.now_ns = START
+        self.recorders: list[RecorderRow] | None = None
+
+    def say(self, *messages: Message) -> None:
+        """A robot, or a recorder, publishes."""
+        for message in messages:
+            self.view.receive(received(message))
+
+    def step(self, seconds: float = 0.2) -> dict[str, RobotRow | None]:
+        """Time goes on. Returns the rows that have changed."""
+        self.now_ns += round(seconds * SECOND)
+        self.view.update(self.now_ns, linked=True)
+        rows, self.recorders = self.view.changed_rows(self.now_ns)
+        return rows
+
+
+def test_only_what_has_changed_is_said() -> None:
+    """A robot that says the same again is not said again; one that has fallen silent is."""
+    scene = Scene()
+    assert scene.step() == {}
+    scene.view.receive(TokenChange(keys.liveliness("fleet", "cruiser-1"), present=True))
+    scene.say(STATE, STANDBY, HEALTH)
+    assert set(scene.step()) == {"cruiser-1"}
+    scene.say(STATE, STANDBY, HEALTH)
+    assert scene.step() == {}
+    (row,) = scene.step(2).values()
+    assert getattr(row, "word", None) == "silent"
+
+
+def test_a_robot_that_has_gone_is_taken_away() -> None:
+    """A minute after its last word; a browser that comes then does not see it."""
+    scene = Scene()
+    scene.say(STATE)
+    scene.step()
+    assert scene.step(61) == {"cruiser-1": None}
+    assert scene.view.all_rows()[0] == {}
+
+
+def test_of_each_key_the_newest_is_read() -> None:
+    """Fifty states between two looks are read as one; every event is kept, the last ones."""
+    scene = Scene()
+    for speed in range(50):
+        scene.say(msgspec.structs.replace(STATE, speed_mps=speed / 100))
+    for number in range(EVENTS_KEPT + 7):
+        scene.say(event(number, severity=Severity.WARNING, text=f"event {number}"))
+    scene.view.receive(Missed())
+    (row,) = scene.step().values()
+    assert getattr(row, "speed_mps", None) == 0.49
+    assert getattr(row, "event", None) == f"event {EVENTS_KEPT + 6}"
+    assert len(scene.view.events("cruiser-1")) == EVENTS_KEPT
+
+
+def test_recorders_are_listed_while_they_are_heard() -> None:
+    """And said again only where something is another."""
+    scene = Scene()
+    scene.say(recorder_health())
+    scene.step()
+    assert scene.recorders is not None
+    assert [one.name for one in scene.recorders] == ["depot"]
+    scene.say(recorder_health())
+    scene.step()
+    assert scene.recorders is None
+    scene.step(5)
+    assert scene.recorders == []
+
+
+def test_the_last_minutes_are_there_at_once() -> None:
+    """A point each period, the oldest first; what was not known is null; no more than five minutes."""
+    scene = Scene()
+    for number in range(LENGTH + 20):
+        scene.say(msgspec.structs.replace(STATE, speed_mps=float(number)))
+        scene.step(PERIOD_NS / SECOND)
+    history = scene.view.histories.of("cruiser-1", scene.now_ns + SECOND)
+    assert history.age_s == 1.0
+    assert set(history.values) == set(FIELDS)
+    assert history.values["speed_mps"] == [float(number) for number in range(20, LENGTH + 20)]
+    assert set(history.values["asked_mps"]) == {None}
+
+
+def test_nothing_is_known_of_a_robot_that_nobody_heard() -> None:
+    """An empty history, no reason, no events: no error."""
+    view = FleetView("fleet")
+    assert all(values == [] for values in view.histories.of("cruiser-9", START).values.values())
+    assert view.why("cruiser-9", START) is None
+    assert view.events("cruiser-9") == []
+
+
+def test_what_is_of_another_fleet_is_no_robot() -> None:
+    """Nor is what cannot be read, beyond a line that says so."""
+    scene = Scene()
+    sample = received(STATE)
+    scene.view.receive(msgspec.structs.replace(sample, key=sample.key.replace("fleet/", "other/")))
+    assert scene.step() == {}
+    scene.view.receive(msgspec.structs.replace(sample, payload=b"\xc1"))
+    (row,) = scene.step().values()
+    assert "unreadable" in getattr(row, "text", "")
+
+
+def test_a_row_says_where_a_robot_belongs_and_who_sees_to_it() -> None:
+    """The first site whose pattern matches; what people have said through the desk, as long as it holds."""
+    scene = Scene()
+    scene.view = FleetView("fleet", [("hall 1", "cruiser-[12]"), ("yard", "*")])
+    scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
+    (row,) = scene.step().values()
+    assert row is not None
+    assert (row.site, row.acknowledged, row.asked_by) == ("hall 1", "", [])
+    scene.view.people.ask("cruiser-1", "bob", scene.now_ns)
+    scene.view.people.acknowledge("cruiser-1", row.word, "cat")
+    (row,) = scene.step().values()
+    assert row is not None
+    assert (row.acknowledged, row.asked_by) == ("cat", ["bob"])
+    (row,) = scene.step(2).values()
+    assert row is not None
+    assert (row.word, row.acknowledged, row.asked_by) == ("silent", "", [])
+
+
+def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
+    """What is kept has a bound, whatever the stranger publishes; that not all are shown is said for a while."""
+    scene = Scene()
+    scene.say(STATE, STANDBY, HEALTH)
+    scene.step()
+    for number in range(3 * ROBOTS_MAX):
+        for message in (STATE, event(number, severity=Severity.WARNING)):
+            scene.view.receive(received(message, f"evil-{number}"))
+        scene.view.receive(TokenChange(keys.liveliness("fleet", f"worse-{number}"), present=True))
+    moving = msgspec.structs.replace(STATE, speed_mps=0.7)
+    scene.say(moving, event(1, severity=Severity.WARNING, text="seen all the same"))
+    rows = scene.step()
+    assert len(scene.view.all_rows()[0]) == ROBOTS_MAX
+    assert scene.view.is_full
+    row = rows["cruiser-1"]
+    assert row is not None
+    assert (row.speed_mps, row.event) == (0.7, "seen all the same")
+    scene.step(60)
+    scene.say(STATE)
+    scene.step(10)
+    assert not scene.view.is_full
+    scene.view.receive(received(STATE, "cruiser-2"))
+    assert "cruiser-2" in scene.step()
+
+
+def test_what_is_of_no_robot_takes_no_room_for_long() -> None:
+    """A name under which nothing came that a robot says is forgotten at the next look."""
+    scene = Scene()
+    for number in range(ROBOTS_MAX):
+        scene.view.receive(Received(f"fleet/evil-{number}/x", "text/plain", b""))
+    scene.step()
+    scene.say(STATE)
+    assert set(scene.step()) == {"cruiser-1"}
+
+
+def test_recorders_have_a_bound_too() -> None:
+    """And take no robot's room."""
+    scene = Scene()
+    for number in range(2 * RECORDERS_MAX):
+        scene.view.receive(received(recorder_health(), f"evil-{number}"))
+    scene.say(STATE)
+    assert set(scene.step()) == {"cruiser-1"}
+    assert scene.view.is_full
+    assert len(scene.view.all_rows()[1]) <= RECORDERS_MAX

@@ -1,0 +1,87 @@
+"""What the page shows to a person is there in Chinese as well."""
+
+import re
+from enum import Enum
+from pathlib import Path
+
+import pytest
+
+import gateway.desk
+from gateway.desk.overview import WORDS, reasons_in_words
+from schemas.decisions import EventKind
+from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus
+from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
+from schemas.recording import RecorderState
+from tests.support.rigs.scenarios import Scenario, acted, deadman, front_bumper, guard_acts, hand_transmitter
+
+PAGE = (Path(gateway.desk.__file__).parent / "page" / "words.js").read_text("utf-8")
+ENGLISH, CHINESE = re.findall(r"^const (?:EN|ZH) = \{\n(.*?)^\};$", PAGE, flags=re.DOTALL | re.MULTILINE)
+HAN = re.compile(r"[\u4e00-\u9fff]")
+
+
+def table(name: str) -> str:
+    """A table of the Chinese words."""
+    [rows] = re.findall(rf"^  {name}: [{{\[]\n(.*?)^  [}}\]],$", CHINESE, flags=re.DOTALL | re.MULTILINE)
+    return str(rows)
+
+
+def texts(language: str) -> dict[str, str]:
+    """The texts of a language that have a name of their own."""
+    return dict(re.findall(r"\b(\w+): \"([^\"]*)\"", language.partition("  word: {")[0]))
+
+
+def reasons(name: str) -> dict[str, tuple[str, str]]:
+    """Meaning and cure of the reasons of a table."""
+    return {one: (means, cure) for one, means, cure in re.findall(r'(\w+): \["([^"]*)", "([^"]*)"\]', table(name))}
+
+
+def sentences() -> dict[str, list[re.Pattern[str]]]:
+    """The sentences of each kind of event that are known."""
+    kinds = re.split(r"^    (\w+): ", table("event"), flags=re.MULTILINE)[1:]
+    patterns = ([re.compile(one) for one in re.findall(r"\[/(.*?)/, \"", rows)] for rows in kinds[1::2])
+    return dict(zip(kinds[::2], patterns, strict=True))
+
+
+def test_every_reason_has_a_meaning_and_a_cure_in_chinese() -> None:
+    """And one of its own where it means something else of a robot than of a request."""
+    assert reasons("reason").keys() == {reason.value for reason in Reason}
+    assert reasons("of_robot").keys() == {one.value for one in Reason if OF_A_ROBOT[one] != TEXTS[one]}
+    for name in ("reason", "of_robot"):
+        for reason, (means, cure) in reasons(name).items():
+            assert HAN.search(means)
+            assert bool(HAN.search(cure)) == bool(TEXTS[Reason(reason)].cure), reason
+
+
+def test_a_cure_in_chinese_names_the_same_buttons() -> None:
+    """As they are called in Chinese."""
+    buttons = {"press Reset": texts(CHINESE)["reset"], "Take control": texts(CHINESE)["take_control"]}
+    cures = reasons("reason")
+    for reason, (_, cure) in reasons_in_words().items():
+        for english, chinese in buttons.items():
+            assert english not in cure or f"“{chinese}”" in cures[reason][1], (reason, chinese)
+
+
+def test_every_kind_of_event_has_a_sentence_in_chinese() -> None:
+    """None without one."""
+    assert sentences().keys() == {kind.value for kind in EventKind}
+    assert all(sentences().values())
+
+
+@pytest.mark.parametrize("scenario", [deadman, front_bumper, guard_acts, hand_transmitter])
+def test_what_a_robot_reports_is_a_sentence_that_is_known(scenario: Scenario) -> None:
+    """Whatever stops it. Only what the core was told in words of others stays as it was sent."""
+    known = [pattern for patterns in sentences().values() for pattern in patterns]
+    meanings = {text.means for text in TEXTS.values()}
+    events = acted(scenario).events
+    assert events
+    for event in events:
+        assert event.text in meanings or any(pattern.fullmatch(event.text) for pattern in known), event
+
+
+def test_every_word_and_value_is_there_in_chinese() -> None:
+    """Those of the overview, of the chassis and of recorders; and each text that the page has in English."""
+    words, values = (table(name) for name in ("word", "value"))
+    assert set(re.findall(r"(\w+): \"", words)) == WORDS.keys()
+    kinds: list[type[Enum]] = [Mode, GearPosition, BrakingStatus, ParkingStatus, RecorderState]
+    assert {one.value for kind in kinds for one in kind} <= set(re.findall(r"(\w+): \"", values))
+    assert texts(CHINESE).keys() == texts(ENGLISH).keys()

@@ -1,0 +1,89 @@
+"""What a browser may say; whatever else it sends is refused, and nothing else happens."""
+
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.desk import words
+
+ASK = {
+    "is": "ask",
+    "number": 1,
+    "robot": "cruiser-1",
+    "operator": "ann",
+    "verb": "acquire",
+    "payload": b"\x80",
+    "attachment": b"",
+}
+
+
+def said(message: object) -> words.FromBrowser:
+    """A message as a browser packs it."""
+    return words.decode(msgspec.msgpack.encode(message))
+
+
+def test_each_message_is_read() -> None:
+    """By the word that it calls itself."""
+    assert isinstance(said(ASK), words.BrowserAsk)
+    assert said({"is": "look", "robot": ""}) == words.BrowserLook("")
+    assert said({"is": "stop", "robot": "", "operator": "ann"}) == words.BrowserStop("", "ann")
+    assert isinstance(
+        said({"is": "drive", **{k: ASK[k] for k in ("robot", "operator", "payload", "attachment")}}),
+        words.BrowserDrive,
+    )
+    assert isinstance(
+        said({"is": "show", "number": 2, "robot": "a", "statement": b"{}", "question": b"q"}), words.BrowserShow
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"robot": "*"},
+        {"robot": "**"},
+        {"robot": "a/b"},
+        {"robot": "cruiser-1\n"},
+        {"robot": "c$*"},
+        {"operator": ""},
+        {"operator": "ann/../bob"},
+        {"operator": "a" * 65},
+        {"operator": "*"},
+        {"number": -1},
+        {"number": 2**32},
+        {"payload": bytes(1025)},
+        {"attachment": bytes(129)},
+        {"payload": "text"},
+        {"more": 1},
+        {"is": "_said"},
+        {"is": ""},
+    ],
+)
+def test_what_is_not_of_its_form_is_refused(change: dict[str, Any]) -> None:
+    """No key expression can be made of it that names more than one robot, one operator, one verb."""
+    with pytest.raises(msgspec.ValidationError):
+        said({**ASK, **change})
+
+
+@given(st.binary(max_size=300))
+def test_no_bytes_raise_anything_else(data: bytes) -> None:
+    """Whatever comes over the WebSocket is read, or refused."""
+    with suppress(msgspec.DecodeError, msgspec.ValidationError):
+        words.decode(data)
+
+
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@given(st.dictionaries(st.sampled_from([*ASK, "statement", "question", "x"]), _VALUES, max_size=8))
+def test_no_map_raises_anything_else(message: dict[str, Any]) -> None:
+    """Of the right names with any values."""
+    with suppress(msgspec.DecodeError, msgspec.ValidationError):
+        said(message)
