@@ -1,0 +1,149 @@
+"""``cruiser upload``: finished logs and incidents to an object store."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from contextlib import AsyncExitStack
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from recorder.cli.missing_extra import missing_extra
+from recorder.cli.show import show
+from recorder.disk.upload_note import UploadNote
+from recorder.upload.background import enter_background
+from recorder.upload.pace import RateLimit, is_within
+from recorder.upload.relay import paced_way
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
+from schemas.recorder_settings import UploadSettings
+from schemas.settings import Settings
+
+if TYPE_CHECKING:
+    from recorder.upload.uploader import Uploader, UploadTotals
+
+log = logging.getLogger(__name__)
+
+EXAMPLE: Final = """\
+  cruiser upload -d logs --store file:///media/disk/logs --once
+  AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=... cruiser upload -d logs --store s3://fleet-logs/plant-1"""
+
+KINDS: Final = ("s3://", "gs://", "az://", "file:///")
+"""The stores that there are."""
+
+LOOK_S: Final = 10.0
+"""Pause between two looks at the directory..."""
+
+AWAY_MAX_S: Final = 600.0
+"""...which doubles up to this while the store does not answer."""
+
+POLL_S: Final = 0.1
+"""A stop is noticed so soon."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    # It runs for as long as its machine, and its log says what is safe.
+    parser.set_defaults(log_level="info")
+    parser.add_argument("-d", "--directory", dest="recorder.directory", metavar="DIR", help="of the logs (.)")
+    parser.add_argument(
+        "--store", dest="upload.store", metavar="URL", help="s3://BUCKET/PLACE, gs://, az:// or file:///DIRECTORY"
+    )
+    parser.add_argument(
+        "--rate",
+        dest="upload.rate_bytes_s",
+        metavar="N",
+        help="bytes/s that it takes of the link (250000); 0: no limit",
+    )
+    parser.add_argument("--once", action="store_true", help="end when all that is finished now has been tried")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Upload until it is stopped, and print what became of the logs.
+
+    Raises:
+        CommandError: no store is named, a package is missing, or the directory cannot be used.
+    """
+    upload, directory = settings.upload, Path(settings.recorder.directory)
+    if not upload.store:
+        raise CommandError("no store is named: give --store URL, or upload.store in the settings", ExitCode.USAGE)
+    if not upload.store.startswith(KINDS):
+        # The library has others: one in memory, of which nothing would be left, while its logs were called safe.
+        raise CommandError(f"a store is one of {', '.join(KINDS)}, and not {plain(upload.store)}", ExitCode.USAGE)
+    if not directory.is_dir():
+        raise CommandError(f"{plain(str(directory))} is no directory", ExitCode.USAGE)
+    try:
+        import recorder.upload.store  # noqa: F401, PLC0415 - needs the extra 'upload'
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "obstore":
+            raise
+        raise missing_extra("obstore", "upload") from None
+    enter_background()
+    with UploadNote(directory) as note:
+        totals, is_there = asyncio.run(_upload(upload, directory, note, stopped, is_once=arguments.once))
+    show(totals, _lines(totals), as_json=arguments.json)
+    if not totals.faults:
+        return int(ExitCode.OK)
+    if totals.uploaded:
+        return int(ExitCode.PARTIAL)
+    return int(ExitCode.FAILURE if is_there else ExitCode.UNREACHABLE)
+
+
+async def _upload(
+    upload: UploadSettings, directory: Path, note: UploadNote, stopped: Callable[[], bool], *, is_once: bool
+) -> tuple[UploadTotals, bool]:
+    """Return what became of the logs, and whether the store is there."""
+    from recorder.upload.store import LOCAL, ObstoreLogs  # noqa: PLC0415 - not before the package is known
+    from recorder.upload.uploader import Uploader, UploadPlan  # noqa: PLC0415 - the same
+
+    is_local = upload.store.startswith(LOCAL)
+    async with AsyncExitStack() as stack:
+        way = ""
+        if upload.rate_bytes_s and not is_local:
+            way = await stack.enter_async_context(paced_way(upload.rate_bytes_s))
+        store = ObstoreLogs(upload.store, upload.options, upload.rate_bytes_s, way)
+        plan = UploadPlan(
+            directory, upload.store, upload.logs == "incidents", upload.read_back, version("cruiser-gateway")
+        )
+        # The way over the network has its own.
+        uploader = Uploader(plan, store, note, RateLimit(upload.rate_bytes_s if is_local else 0))
+        log.info("finished logs of %s go to %s", plain(str(directory)), plain(upload.store))
+        work = asyncio.create_task(_work(uploader, upload.hours, stopped, is_once=is_once))
+        while not work.done():
+            await asyncio.wait([work], timeout=POLL_S)
+            if stopped():
+                # What is under way appears whole in the store, or not at all.
+                work.cancel()
+                await asyncio.wait([work])
+        return uploader.totals, work.cancelled() or work.result()
+
+
+async def _work(uploader: Uploader, hours: str, stopped: Callable[[], bool], *, is_once: bool) -> bool:
+    pause_s = LOOK_S
+
+    def may_begin() -> bool:
+        now = time.localtime()
+        return not stopped() and is_within(hours, now.tm_hour * 60 + now.tm_min)
+
+    while True:
+        is_there = True
+        try:
+            is_there = await uploader.upload_all(may_begin)
+        except OSError as error:
+            if is_once:
+                raise CommandError(f"cannot read the logs: {error.strerror or error}") from error
+            log.debug("cannot read the logs: %s", error)
+        if is_once:
+            return is_there
+        pause_s = LOOK_S if is_there else min(2 * pause_s, AWAY_MAX_S)
+        await asyncio.sleep(pause_s)
+
+
+def _lines(totals: UploadTotals) -> list[str]:
+    lines = [f"{totals.uploaded} logs uploaded, {totals.bytes} bytes; {len(totals.waiting)} wait"]
+    return lines + [f"{name}: {fault}" for name, fault in totals.faults.items()]

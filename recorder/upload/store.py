@@ -1,0 +1,165 @@
+"""The questions to an object store, and any store that obstore knows: S3, GCS, Azure, a directory."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Generator, Mapping
+from contextlib import contextmanager
+from datetime import timedelta
+from typing import Any, Final, Protocol
+
+import msgspec
+import obstore
+from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
+from obstore.store import ObjectStore, from_url
+
+from recorder.upload.finished import PART_BYTES
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain, short
+
+READ_BACK_BYTES: Final = 4 * 1024 * 1024
+"""A log is read back in ranges of this length: of a link that breaks no more is asked again."""
+
+SILENCE_S: Final = 60.0
+"""A request may take so long, and what it carries as long again as its rate says."""
+
+REQUEST_S: Final = timedelta(minutes=3)
+"""A link may be away for so long, and a part that was begun goes on."""
+
+LOCAL: Final = ("file://", "memory://")
+"""Stores that no network is between."""
+
+
+class StoreError(Exception):
+    """The store did not do what was asked: in a line. It may do it later."""
+
+
+class StoredObject(msgspec.Struct, frozen=True):
+    """An object, as the store has it.
+
+    Attributes:
+        e_tag: the store's own mark of its content, without quotes; empty if it has none.
+    """
+
+    bytes: int
+    e_tag: str
+
+
+class LogStore(Protocol):
+    """A store of logs. Each method raises StoreError where it is not answered, or refused."""
+
+    async def create(self, name: str, data: bytes) -> bool:
+        """Put a small object where none is. False if there is one."""
+
+    async def replace(self, name: str, data: bytes) -> None:
+        """Put a small object in the place of what is there."""
+
+    async def read(self, name: str) -> bytes | None:
+        """A small object; None if there is none."""
+
+    async def write(self, name: str, pieces: AsyncIterator[bytes], size: int) -> None:
+        """Put a log there. It appears when all of it has come, and not before."""
+
+    async def look(self, name: str) -> StoredObject | None:
+        """Return length and mark of what is there; None if nothing is."""
+
+    def read_back(self, name: str, size: int) -> AsyncIterator[bytes]:
+        """The bytes of a log, of which there should be so many."""
+
+
+class ObstoreLogs:
+    """The store at a URL.
+
+    Args:
+        url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY.
+        options: of this store, by obstore's names; credentials come from the environment.
+        bytes_per_s: the rate of the way there; 0 if it is not bounded.
+        proxy: URL of the way there; empty is straight.
+
+    Raises:
+        CommandError: no store is called so, or an option is none of it.
+    """
+
+    def __init__(self, url: str, options: Mapping[str, Any], bytes_per_s: int, proxy: str) -> None:
+        slowest_s = PART_BYTES / bytes_per_s if bytes_per_s else 0.0
+        config = dict(options)
+        client: dict[str, Any] = {
+            "timeout": timedelta(seconds=SILENCE_S + 2 * slowest_s),
+            "allow_http": bool(config.pop("allow_http", False)),
+        }
+        if proxy:
+            client["proxy_url"] = proxy
+        # Options of S3, GCS and Azure have different types.
+        opened: Any = from_url
+        try:
+            if url.startswith(LOCAL):
+                self._store: ObjectStore = (
+                    opened(url, mkdir=True, **config) if url.startswith("file:") else opened(url)
+                )
+            else:
+                retries = {"retry_timeout": REQUEST_S}
+                self._store = opened(url, config=config, client_options=client, retry_config=retries)
+        except (BaseError, ValueError, TypeError, OSError) as error:
+            raise CommandError(f"cannot use the store {plain(url)}: {_line(error)}", ExitCode.USAGE) from error
+
+    async def create(self, name: str, data: bytes) -> bool:
+        """Put a small object where none is. False if there is one."""
+        with _store_errors():
+            try:
+                await obstore.put_async(self._store, name, data, mode="create")
+            except (AlreadyExistsError, PreconditionError, FileExistsError):
+                return False
+        return True
+
+    async def replace(self, name: str, data: bytes) -> None:
+        """Put a small object in the place of what is there."""
+        with _store_errors():
+            await obstore.put_async(self._store, name, data)
+
+    async def read(self, name: str) -> bytes | None:
+        """A small object; None if there is none."""
+        with _store_errors():
+            try:
+                found = await obstore.get_async(self._store, name)
+                return bytes(await found.bytes_async())
+            except FileNotFoundError:
+                return None
+
+    async def write(self, name: str, pieces: AsyncIterator[bytes], size: int) -> None:
+        """Put a log there. It appears when all of it has come, and not before."""
+        with _store_errors():
+            if size <= PART_BYTES:
+                whole = b"".join([piece async for piece in pieces])
+                await obstore.put_async(self._store, name, whole, use_multipart=False)
+            else:
+                await obstore.put_async(self._store, name, pieces, chunk_size=PART_BYTES, max_concurrency=1)
+
+    async def look(self, name: str) -> StoredObject | None:
+        """Return length and mark of what is there; None if nothing is."""
+        with _store_errors():
+            try:
+                found = await obstore.head_async(self._store, name)
+            except FileNotFoundError:
+                return None
+        return StoredObject(found["size"], (found["e_tag"] or "").strip('"'))
+
+    async def read_back(self, name: str, size: int) -> AsyncIterator[bytes]:
+        """The bytes of a log, of which there should be so many."""
+        for start in range(0, size, READ_BACK_BYTES):
+            with _store_errors():
+                length = min(READ_BACK_BYTES, size - start)
+                piece = bytes(await obstore.get_range_async(self._store, name, start=start, length=length))
+            yield piece
+
+
+@contextmanager
+def _store_errors() -> Generator[None, None, None]:
+    """Raise one StoreError for whatever the library reports."""
+    try:
+        yield
+    except (BaseError, OSError) as error:
+        raise StoreError(_line(error)) from error
+
+
+def _line(error: Exception) -> str:
+    # Behind the first line the library shows its own insides.
+    return short(plain(str(error).partition("\n")[0] or type(error).__name__))

@@ -1,0 +1,256 @@
+"""Finished logs to a store, one after the other, incidents first.
+
+Of each log first the manifest is made, where none is; then the log comes, is verified, and the manifest says so;
+then the note beside the logs. Whatever breaks off in between is done again from the beginning of that log: a store
+shows an object whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import msgspec
+
+from recorder.disk.keeper import read_entries
+from recorder.disk.log_directory import SUFFIX
+from recorder.disk.upload_note import UploadedLog, UploadNote
+from recorder.record.retention import LogEntry
+from recorder.upload.finished import LogDigest, UnfitLogError, digest, finished_log, read_facts, read_slowly
+from recorder.upload.manifest import MANIFEST_SUFFIX, UploadManifest, UploadState, object_names, read_manifest
+from recorder.upload.pace import RateLimit
+from recorder.upload.store import LogStore, StoreError
+from schemas.printable import plain
+
+log = logging.getLogger(__name__)
+
+TRIES: Final = 2
+"""A log that the store holds otherwise than it was sent is sent so often before it has to wait."""
+
+RETRY_S: Final = 600.0
+"""Pause before a log that cannot be uploaded is tried again; others go before it."""
+
+STORE_RETRY_S: Final = 60.0
+"""The same for one that the store did not take, which may be gone as a whole."""
+
+AWAY_AFTER: Final = 2
+"""A store that did not take so many logs in a row is gone."""
+
+READ_BACK: Final = "read back"
+CHECKSUM: Final = "checksum"
+
+
+class UploadPlan(msgspec.Struct, frozen=True):
+    """The choice of logs, and the way in which they are uploaded.
+
+    Attributes:
+        directory: of the logs.
+        url: the store's, for the note.
+        only_incidents: leave logs where they are.
+        reads_back: verify a log by reading it back; else by the store's own checksum, where it has one.
+        version: of the software.
+    """
+
+    directory: Path
+    url: str
+    only_incidents: bool
+    reads_back: bool
+    version: str
+
+
+class UploadTotals(msgspec.Struct):
+    """The result of an upload.
+
+    Attributes:
+        uploaded: logs that are safe now; ``bytes`` in all.
+        waiting: names of those that are not, yet.
+        faults: why; a line each.
+    """
+
+    uploaded: int = 0
+    bytes: int = 0
+    waiting: list[str] = []
+    faults: dict[str, str] = {}
+
+
+class Uploader:
+    """Uploads what is finished.
+
+    Args:
+        plan: what, and how.
+        store: the place.
+        note: what is safe already.
+        pace: the rate at which a log is read while it is sent.
+    """
+
+    def __init__(self, plan: UploadPlan, store: LogStore, note: UploadNote, pace: RateLimit) -> None:
+        self._plan = plan
+        self._store = store
+        self._note = note
+        self._pace = pace
+        self._retry_s: dict[str, float] = {}
+        """Logs that could not be uploaded, and when to try again."""
+        self._failures = 0
+        """Logs in a row that the store did not take."""
+        self.totals = UploadTotals()
+
+    async def upload_all(self, may_go_on: Callable[[], bool]) -> bool:
+        """Upload all that is there; look for incidents again before each.
+
+        Returns:
+            True if the store took what it was asked to: it is worth asking again soon.
+
+        Raises:
+            CommandError: the note cannot be written.
+            OSError: the directory cannot be read.
+        """
+        self._failures = 0
+        self._note.forget({entry.name for entry in read_entries(self._plan.directory)})
+        while True:
+            entries = self.waiting()
+            self.totals.waiting = [entry.name for entry in entries]
+            # Some have gone since, or are safe.
+            faults = self.totals.faults
+            self.totals.faults = {name: faults[name] for name in self.totals.waiting if name in faults}
+            now_s = time.monotonic()
+            due = [entry for entry in entries if self._retry_s.get(entry.name, now_s) <= now_s]
+            if not due or self._failures == AWAY_AFTER or not may_go_on():
+                return self._failures < AWAY_AFTER
+            await self._upload_one(due[0])
+
+    def waiting(self) -> list[LogEntry]:
+        """Return what is finished, and not safe yet; incidents first, of each kind the oldest first.
+
+        Raises:
+            OSError: the directory cannot be read.
+        """
+        entries = [
+            entry
+            for entry in read_entries(self._plan.directory, safe=self._note.safe())
+            if entry.name.endswith(SUFFIX)
+            and not entry.is_safe
+            and (entry.is_incident or not self._plan.only_incidents)
+        ]
+        return sorted(entries, key=lambda one: (not one.is_incident, one.started, one.number, one.name))
+
+    async def _upload_one(self, entry: LogEntry) -> None:
+        try:
+            with finished_log(self._plan.directory / entry.name) as stream:
+                found = await digest(stream)
+                name, how = await self._send(entry, stream, found)
+        except FileNotFoundError:
+            return  # Retention was faster.
+        except StoreError as error:
+            self._failures += 1
+            self._put_off(entry.name, str(error), STORE_RETRY_S)
+            return
+        except (UnfitLogError, _WrongLogError, OSError) as error:
+            self._put_off(entry.name, (isinstance(error, OSError) and error.strerror) or str(error), RETRY_S)
+            return
+        self._failures = 0
+        self._note.add(UploadedLog(entry.name, found.bytes, found.modified_ns, found.sha256, self._plan.url, name))
+        log.info("%s is safe as %s, %d bytes, verified: %s", plain(entry.name), plain(name), found.bytes, how)
+        self._retry_s.pop(entry.name, None)
+        self.totals.uploaded += 1
+        self.totals.bytes += found.bytes
+
+    def _put_off(self, name: str, fault: str, pause_s: float) -> None:
+        is_new = self.totals.faults.get(name) != fault
+        log.log(logging.WARNING if is_new else logging.DEBUG, "%s is not uploaded: %s", plain(name), fault)
+        self._retry_s[name] = time.monotonic() + pause_s
+        self.totals.faults[name] = fault
+
+    async def _send(self, entry: LogEntry, stream: BinaryIO, found: LogDigest) -> tuple[str, str]:
+        """Have the store hold it. Returns its name there, and how that was verified."""
+        for name in object_names(entry.robot, entry.name):
+            claim = self._manifest(name, entry, stream, found)
+            is_new = await self._store.create(name + MANIFEST_SUFFIX, msgspec.json.encode(claim))
+            before = claim if is_new else await self._manifest_of(name)
+            if before is None or (before.sha256, before.bytes) != (found.sha256, found.bytes):
+                continue  # The name is another log's.
+            how = "" if is_new else await self._found_there(name, before, found)
+            if not how:
+                how = await self._write(name, stream, found)
+            if not before.verified:
+                done = msgspec.structs.replace(claim, state=UploadState.VERIFIED, verified=how)
+                await self._store.replace(name + MANIFEST_SUFFIX, msgspec.json.encode(done))
+            return name, how
+        raise _WrongLogError("the store has too many other logs of that name")
+
+    def _manifest(self, name: str, entry: LogEntry, stream: BinaryIO, found: LogDigest) -> UploadManifest:
+        facts = read_facts(stream)
+        return UploadManifest(
+            state=UploadState.UPLOADING,
+            object=name,
+            file=entry.name,
+            bytes=found.bytes,
+            sha256=found.sha256,
+            robot=entry.robot,
+            is_incident=entry.is_incident,
+            messages=facts.messages,
+            start_ns=facts.start_ns,
+            end_ns=facts.end_ns,
+            metadata=facts.metadata,
+            verified="",
+            recorder_version=self._plan.version,
+            uploaded_ns=time.time_ns(),
+        )
+
+    async def _manifest_of(self, name: str) -> UploadManifest | None:
+        """Raises StoreError for one that is said to be there and cannot be seen: an answer of a while ago."""
+        data = await self._store.read(name + MANIFEST_SUFFIX)
+        if data is None:
+            raise StoreError(f"{plain(name)} has a manifest, which cannot be read yet")
+        return read_manifest(data)
+
+    async def _found_there(self, name: str, manifest: UploadManifest, found: LogDigest) -> str:
+        """Return in which way the store is known to hold it already; empty if it does not."""
+        held = await self._store.look(name)
+        if held is None or held.bytes != found.bytes:
+            return ""
+        if manifest.state is UploadState.VERIFIED and manifest.verified:
+            return manifest.verified
+        # One that was broken off between the log and its manifest need not be sent again.
+        return await self._verify(name, found)
+
+    async def _write(self, name: str, stream: BinaryIO, found: LogDigest) -> str:
+        for _ in range(TRIES):
+            await self._store.write(name, self._unchanged(stream, found), found.bytes)
+            if how := await self._verify(name, found):
+                return how
+            log.warning("the store does not hold %s as it was sent", plain(name))
+        raise _WrongLogError("the store does not hold it as it was sent")
+
+    async def _unchanged(self, stream: BinaryIO, found: LogDigest) -> AsyncIterator[bytes]:
+        """The bytes of a log, the last of them only if all are those that were summed up."""
+        whole, last = hashlib.sha256(), b""
+        async for piece in read_slowly(stream, self._pace):
+            whole.update(piece)
+            if last:
+                yield last
+            last = piece
+        if whole.hexdigest() != found.sha256 or os.fstat(stream.fileno()).st_mtime_ns != found.modified_ns:
+            raise _WrongLogError("was changed while it was read")
+        yield last
+
+    async def _verify(self, name: str, found: LogDigest) -> str:
+        """Return in which way it was verified that the store holds what the disk held; empty if it does not."""
+        held = await self._store.look(name)
+        if held is None or held.bytes != found.bytes:
+            return ""
+        if not self._plan.reads_back and held.e_tag in found.e_tags:
+            return CHECKSUM
+        whole, size = hashlib.sha256(), 0
+        async for piece in self._store.read_back(name, found.bytes):
+            whole.update(piece)
+            size += len(piece)
+        return READ_BACK if (size, whole.hexdigest()) == (found.bytes, found.sha256) else ""
+
+
+class _WrongLogError(Exception):
+    """This log cannot be uploaded now, and others can. Says why."""

@@ -1,0 +1,172 @@
+"""``cruiser upload`` and a server that speaks S3: HTTP as the library makes it, by way of the pacer."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import obstore
+import pytest
+from obstore.store import S3Store
+
+from recorder.cli import upload as command
+from recorder.disk.upload_note import NAME, SafeLogReader
+from schemas.exit_codes import ExitCode
+from schemas.recorder_settings import RecorderSettings, UploadSettings
+from schemas.settings import Settings
+from tests.support.commands import run_command
+from tests.support.fakes.peer import free_endpoint
+from tests.support.logs import gears, own_log, saved
+from tests.support.processes.s3_server import BUCKET, s3_server
+
+SMALL = "cruiser-1-20270115T080000Z.mcap"
+LARGE = "cruiser-1-20270115T090000Z.mcap"
+INCIDENT = "cruiser-1-20270115T100000Z.incident.mcap"
+
+RATE = 40_000_000
+"""So the pacer is in the way, and nobody waits for it."""
+
+
+@pytest.fixture
+def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Where a server with an empty bucket is."""
+    monkeypatch.setattr(command, "enter_background", lambda: None)
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "testtest")
+    port = int(free_endpoint().rpartition(":")[2])
+    with s3_server(port, tmp_path):
+        yield port
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """Three logs, one of which takes three parts."""
+    directory = tmp_path / "logs"
+    ballast = [("ballast", os.urandom(11_000_000))]
+    saved(directory / SMALL, own_log([gears(0, 3, 0)]))
+    saved(directory / LARGE, own_log([gears(0, 3, 0)], attachments=ballast))
+    saved(directory / INCIDENT, own_log([gears(0, 4, 0)]))
+    return directory
+
+
+def upload(logs: Path, port: int, *, read_back: bool = True, rate: int = RATE) -> int:
+    """The command, once."""
+    settings = Settings(
+        recorder=RecorderSettings(directory=str(logs)),
+        upload=UploadSettings(f"s3://{BUCKET}/plant-1", options_of(port), "all", rate, "", read_back),
+    )
+    return run_command(command, "--once", settings=settings)
+
+
+def options_of(port: int) -> dict[str, str | int | float | bool]:
+    """A server of one's own."""
+    endpoint = f"http://127.0.0.1:{port}"
+    return {"endpoint": endpoint, "region": "us-east-1", "virtual_hosted_style_request": False, "allow_http": True}
+
+
+def held(port: int) -> dict[str, bytes]:
+    """What the bucket holds."""
+    options: dict[str, Any] = options_of(port)
+    options.pop("allow_http")
+    store = S3Store(BUCKET, client_options={"allow_http": True}, **options)
+    names = [one["path"] for page in obstore.list(store) for one in page]
+    return {name: bytes(obstore.get(store, name).bytes()) for name in names}
+
+
+def check_all_there(logs: Path, port: int, verified: str) -> None:
+    """Each log byte for byte, with a manifest, and marked."""
+    objects = held(port)
+    assert len(objects) == 6
+    for name in (SMALL, LARGE, INCIDENT):
+        assert objects[f"plant-1/cruiser-1/{name}"] == (logs / name).read_bytes()
+        found = json.loads(objects[f"plant-1/cruiser-1/{name}.json"])
+        assert (found["state"], found["verified"]) == ("verified", verified)
+    assert set(SafeLogReader(logs).read()) == {SMALL, LARGE, INCIDENT}
+
+
+@pytest.mark.parametrize("rate", [RATE, 0], ids=["paced", "straight"])
+@pytest.mark.parametrize(("read_back", "verified"), [(True, "read back"), (False, "checksum")])
+def test_logs_of_one_part_and_of_several_are_there_and_verified(
+    logs: Path, port: int, *, read_back: bool, verified: str, rate: int
+) -> None:
+    """The checksum is the one that S3 gives, also of several parts."""
+    assert upload(logs, port, read_back=read_back, rate=rate) == ExitCode.OK
+    check_all_there(logs, port, verified)
+    # A robot whose note is lost sends nothing again.
+    (logs / NAME).unlink()
+    assert upload(logs, port, read_back=read_back, rate=rate) == ExitCode.OK
+    check_all_there(logs, port, verified)
+
+
+def test_another_log_of_the_same_name_is_not_overwritten(logs: Path, port: int, tmp_path: Path) -> None:
+    """The server itself refuses the second manifest."""
+    upload(logs, port)
+    before = held(port)
+    saved(tmp_path / "depot" / SMALL, own_log([gears(0, 9, 0)]))
+    assert upload(tmp_path / "depot", port) == ExitCode.OK
+    after = held(port)
+    assert before.items() <= after.items()
+    second = "plant-1/cruiser-1/" + SMALL.replace(".mcap", "-2.mcap")
+    assert after.keys() - before.keys() == {second, f"{second}.json"}
+
+
+@pytest.mark.parametrize("after_bytes", [100, 6_000_000, 11_500_000, 18_000_000])
+def test_a_connection_that_is_lost_in_the_middle_only_holds_the_upload_up(
+    logs: Path, port: int, after_bytes: int
+) -> None:
+    """Wherever that is: in a request, in a part, while a log is read back."""
+    with cut_link(port, after_bytes) as (other_port, has_cut):
+        assert upload(logs, other_port) == ExitCode.OK
+        assert has_cut.is_set()
+    check_all_there(logs, port, "read back")
+
+
+def test_a_server_that_is_not_there_is_said(logs: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """4, and nothing is marked."""
+    monkeypatch.setattr("recorder.upload.store.REQUEST_S", timedelta(seconds=1))
+    assert port
+    nobody = int(free_endpoint().rpartition(":")[2])
+    assert upload(logs, nobody) == ExitCode.UNREACHABLE
+    assert SafeLogReader(logs).read() == {}
+
+
+@contextmanager
+def cut_link(port: int, after_bytes: int) -> Iterator[tuple[int, threading.Event]]:
+    """A port that leads to another one, and cuts a connection once, after so many bytes in both directions."""
+    has_cut = threading.Event()
+    left = [after_bytes]
+
+    def carry(source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(16_384):
+                left[0] -= len(data)
+                if left[0] < 0 and not has_cut.is_set():
+                    has_cut.set()
+                    break
+                sink.sendall(data)
+        for one in (source, sink):
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+        # The other direction sees it by itself.
+        sink.close()
+
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+
+        def serve() -> None:
+            with suppress(OSError):
+                while True:
+                    one, _ = server.accept()
+                    there = socket.create_connection(("127.0.0.1", port))
+                    for source, sink in ((one, there), (there, one)):
+                        threading.Thread(target=carry, args=[source, sink], daemon=True).start()
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield server.getsockname()[1], has_cut
+        server.shutdown(socket.SHUT_RDWR)

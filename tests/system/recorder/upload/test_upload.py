@@ -1,0 +1,54 @@
+"""``cruiser upload`` as a process: it yields to everybody, and what kills it costs nothing but time."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from recorder.disk.upload_note import SafeLogReader
+from schemas.exit_codes import ExitCode
+from tests.support.logs import gears, own_log, saved
+from tests.support.waiting import wait_until
+
+LOG = "cruiser-1-20270115T080000Z.mcap"
+NEXT = "cruiser-1-20270115T090000Z.mcap"
+
+
+def words(logs: Path, store: Path, rate: int, *more: str) -> list[str]:
+    """The command."""
+    program = [sys.executable, "-m", "gateway", "upload", "-d", str(logs), "--store", f"file://{store}"]
+    return [*program, "--rate", str(rate), *more]
+
+
+def test_what_is_killed_in_the_middle_is_done_again(tmp_path: Path) -> None:
+    """The store shows no wrong log meanwhile; the process had the lowest priority."""
+    logs, store = tmp_path / "logs", tmp_path / "store"
+    data = own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(2_000_000))])
+    saved(logs / LOG, data)
+    manifest = store / "cruiser-1" / f"{LOG}.json"
+    with subprocess.Popen(words(logs, store, 10_000)) as process:
+        wait_until(manifest.exists)
+        assert os.sched_getscheduler(process.pid) == os.SCHED_IDLE
+        assert os.getpriority(os.PRIO_PROCESS, process.pid) == 19
+        process.kill()
+    assert not (store / "cruiser-1" / LOG).exists()
+    assert b'"state":"uploading"' in manifest.read_bytes()
+    done = subprocess.run(words(logs, store, 0, "--once"), check=False)
+    assert done.returncode == ExitCode.OK
+    assert (store / "cruiser-1" / LOG).read_bytes() == data
+    assert b'"state":"verified"' in manifest.read_bytes()
+    assert set(SafeLogReader(logs).read()) == {LOG}
+
+
+def test_it_ends_in_the_middle_when_it_is_told_to(tmp_path: Path) -> None:
+    """Without waiting for a log that takes an hour, and says what waits."""
+    logs, store = tmp_path / "logs", tmp_path / "store"
+    saved(logs / LOG, own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(2_000_000))]))
+    with subprocess.Popen(words(logs, store, 100, "--json"), stdout=subprocess.PIPE, text=True) as process:
+        wait_until((store / "cruiser-1" / f"{LOG}.json").exists)
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout is not None
+        said = process.stdout.read()
+    assert process.returncode == ExitCode.OK
+    assert f'"waiting":["{LOG}"]' in said

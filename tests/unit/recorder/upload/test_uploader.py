@@ -1,0 +1,416 @@
+"""Finished logs to a store that does all that stores do."""
+
+import asyncio
+import fcntl
+import hashlib
+import os
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
+from recorder.upload import uploader as uploading
+from recorder.upload.manifest import NAMESAKES_MAX, UploadManifest, UploadState
+from recorder.upload.pace import RateLimit
+from recorder.upload.store import LogStore, ObstoreLogs
+from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
+from schemas.exit_codes import CommandError, ExitCode
+from tests.support.fakes.log_store import FakeLogStore
+from tests.support.logs import gears, own_log, saved
+
+LOG = "cruiser-1-20270115T080000Z.mcap"
+LATER = "cruiser-1-20270115T090000Z.mcap"
+INCIDENT = "cruiser-1-20270115T100000Z.incident.mcap"
+
+ABOUT = {"robots": "cruiser-1", "recorder_version": "0.1.0"}
+
+
+def log_of(count: int = 3) -> bytes:
+    """A whole log."""
+    return own_log([gears(0, count, 1000)], metadata=[("cruiser", ABOUT)])
+
+
+@pytest.fixture
+def store() -> FakeLogStore:
+    """A store that holds nothing."""
+    return FakeLogStore()
+
+
+def plan_of(directory: Path, *, reads_back: bool = True, only_incidents: bool = False) -> UploadPlan:
+    """All that is finished there, read back."""
+    return UploadPlan(directory, "s3://logs", only_incidents, reads_back, "0.1.0")
+
+
+def upload(
+    directory: Path, store: LogStore, *, reads_back: bool = True, only_incidents: bool = False
+) -> UploadTotals:
+    """Upload all that is there, as a start of the command does."""
+    with UploadNote(directory) as note:
+        plan = plan_of(directory, reads_back=reads_back, only_incidents=only_incidents)
+        uploader = Uploader(plan, store, note, RateLimit(0))
+        asyncio.run(uploader.upload_all(lambda: True))
+        return uploader.totals
+
+
+def manifest(store: FakeLogStore, name: str) -> UploadManifest:
+    """The manifest of a log in the store."""
+    return msgspec.json.decode(store.objects[f"cruiser-1/{name}.json"], type=UploadManifest)
+
+
+def safe(directory: Path) -> set[str]:
+    """The logs that retention takes for safe."""
+    return set(SafeLogReader(directory).read())
+
+
+def test_a_log_is_whole_in_the_store_with_a_manifest_and_a_mark(tmp_path: Path, store: FakeLogStore) -> None:
+    """The manifest says what the log is without a look into it."""
+    data = log_of()
+    saved(tmp_path / LOG, data)
+    totals = upload(tmp_path, store)
+    assert store.objects[f"cruiser-1/{LOG}"] == data
+    found = manifest(store, LOG)
+    assert found == UploadManifest(
+        state=UploadState.VERIFIED,
+        object=f"cruiser-1/{LOG}",
+        file=LOG,
+        bytes=len(data),
+        sha256=hashlib.sha256(data).hexdigest(),
+        robot="cruiser-1",
+        is_incident=False,
+        messages=3,
+        start_ns=1000,
+        end_ns=1020,
+        metadata=ABOUT,
+        verified=READ_BACK,
+        recorder_version="0.1.0",
+        uploaded_ns=found.uploaded_ns,
+    )
+    assert (totals.uploaded, totals.bytes, totals.waiting, totals.faults) == (1, len(data), [], {})
+    assert safe(tmp_path) == {LOG}
+
+
+def test_what_is_safe_is_not_sent_again(tmp_path: Path, store: FakeLogStore) -> None:
+    """Nor is the store asked for it."""
+    saved(tmp_path / LOG, log_of())
+    upload(tmp_path, store)
+    store.calls.clear()
+    assert upload(tmp_path, store).uploaded == 0
+    assert store.calls == []
+
+
+def test_incidents_come_first_and_then_the_oldest(tmp_path: Path, store: FakeLogStore) -> None:
+    """Also one that ends while a log is under way."""
+    saved(tmp_path / LATER, log_of(1))
+    saved(tmp_path / LOG, log_of(2))
+
+    async def incident_ends(method: str, name: str) -> None:
+        if (method, name) == ("write", f"cruiser-1/{LOG}"):
+            saved(tmp_path / INCIDENT, log_of(4))
+
+    store.meanwhile = incident_ends
+    upload(tmp_path, store)
+    written = [name for method, name in store.calls if method == "write"]
+    assert written == [f"cruiser-1/{name}" for name in (LOG, INCIDENT, LATER)]
+
+
+def test_incidents_alone_leave_logs_where_they_are(tmp_path: Path, store: FakeLogStore) -> None:
+    """For links that cost money."""
+    saved(tmp_path / LOG, log_of())
+    saved(tmp_path / INCIDENT, log_of())
+    upload(tmp_path, store, only_incidents=True)
+    assert safe(tmp_path) == {INCIDENT}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        f"{LOG}.part",
+        f"{LOG}.damaged",
+        f"{LOG}.rest",
+        "holiday.mcap",
+        "notes.txt",
+        "catalog.parquet",
+    ],
+)
+def test_what_is_no_finished_log_of_a_recorder_stays(tmp_path: Path, store: FakeLogStore, name: str) -> None:
+    """Parts are not whole yet, and logs of other makers are somebody else's."""
+    saved(tmp_path / name, log_of())
+    totals = upload(tmp_path, store)
+    assert (store.calls, totals.faults) == ([], {})
+
+
+def test_a_file_that_only_has_the_name_of_a_log_is_named_and_stays(tmp_path: Path, store: FakeLogStore) -> None:
+    """No file that it leads to goes out, nothing is waited for, and the others go."""
+    saved(tmp_path / LOG, b"none of ours")
+    secret = saved(tmp_path / "elsewhere" / "secret", log_of())
+    (tmp_path / "a-20270115T080000Z.mcap").symlink_to(secret)
+    os.mkfifo(tmp_path / "b-20270115T080000Z.mcap")
+    (tmp_path / "c-20270115T080000Z.mcap").mkdir()
+    saved(tmp_path / LATER, log_of())
+    totals = upload(tmp_path, store)
+    assert totals.faults == {
+        LOG: "is no MCAP file",
+        "a-20270115T080000Z.mcap": "is a link",
+        "b-20270115T080000Z.mcap": "is a FIFO",
+        "c-20270115T080000Z.mcap": "is a directory",
+    }
+    assert safe(tmp_path) == {LATER}
+
+
+def test_a_log_that_somebody_has_in_hand_waits(tmp_path: Path, store: FakeLogStore) -> None:
+    """A recorder, or a recovery by hand, may still change it."""
+    path = saved(tmp_path / LOG, log_of())
+    with path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert upload(tmp_path, store).faults == {LOG: "is being written or recovered"}
+    assert upload(tmp_path, store).uploaded == 1
+
+
+def test_a_log_that_is_cut_off_is_evidence_all_the_same(tmp_path: Path, store: FakeLogStore) -> None:
+    """Of its contents the manifest says nothing."""
+    saved(tmp_path / LOG, log_of()[:-20])
+    upload(tmp_path, store)
+    assert (manifest(store, LOG).state, manifest(store, LOG).messages) == (UploadState.VERIFIED, None)
+
+
+def test_a_connection_that_is_lost_in_the_middle_leaves_no_log_and_no_mark(
+    tmp_path: Path, store: FakeLogStore
+) -> None:
+    """The next try begins that log again, under the same name."""
+    saved(tmp_path / LOG, log_of())
+    store.cuts = 1
+    totals = upload(tmp_path, store)
+    assert totals.faults == {LOG: "connection reset by peer"}
+    assert f"cruiser-1/{LOG}" not in store.objects
+    assert manifest(store, LOG).state is UploadState.UPLOADING
+    assert safe(tmp_path) == set()
+    assert upload(tmp_path, store).uploaded == 1
+    assert set(store.objects) == {f"cruiser-1/{LOG}", f"cruiser-1/{LOG}.json"}
+    assert manifest(store, LOG).state is UploadState.VERIFIED
+
+
+@pytest.mark.parametrize("method", ["look", "read_back", "replace"])
+def test_what_was_broken_off_behind_the_log_is_verified_and_not_sent_again(
+    tmp_path: Path, store: FakeLogStore, method: str
+) -> None:
+    """The log is there already: on a thin link it took an hour."""
+    saved(tmp_path / LOG, log_of())
+
+    async def break_off(asked: str, _name: str) -> None:
+        store.is_gone = asked == method
+
+    store.meanwhile = break_off
+    assert upload(tmp_path, store).uploaded == 0
+    store.meanwhile, store.is_gone = None, False
+    store.calls.clear()
+    assert upload(tmp_path, store).uploaded == 1
+    assert "write" not in {asked for asked, _ in store.calls}
+    assert manifest(store, LOG).state is UploadState.VERIFIED
+
+
+def test_a_log_that_the_store_spoils_is_sent_once_more(tmp_path: Path, store: FakeLogStore) -> None:
+    """What the store holds is what the disk held, or it is not said to be."""
+    data = log_of()
+    saved(tmp_path / LOG, data)
+    store.spoils = 1
+    assert upload(tmp_path, store).uploaded == 1
+    assert store.objects[f"cruiser-1/{LOG}"] == data
+
+
+def test_a_log_that_the_store_spoils_each_time_is_never_called_safe(tmp_path: Path, store: FakeLogStore) -> None:
+    """Neither here nor there; the next log is tried."""
+    saved(tmp_path / LOG, log_of())
+    saved(tmp_path / LATER, log_of())
+    store.spoils = uploading.TRIES
+    totals = upload(tmp_path, store)
+    assert totals.faults == {LOG: "the store does not hold it as it was sent"}
+    assert manifest(store, LOG).state is UploadState.UPLOADING
+    assert safe(tmp_path) == {LATER}
+
+
+def test_where_the_stores_checksum_is_that_of_the_log_it_is_enough(tmp_path: Path, store: FakeLogStore) -> None:
+    """If that was asked for; and what was spoiled is seen by it, too."""
+    saved(tmp_path / LOG, log_of())
+    store.spoils = 1
+    upload(tmp_path, store, reads_back=False)
+    assert manifest(store, LOG).verified == CHECKSUM
+    # Of the spoiled one the checksum was another, which may also mean another kind of checksum: it was read.
+    assert [asked for asked, _ in store.calls].count("read_back") == 1
+
+
+def test_a_store_that_answers_as_of_a_while_ago_takes_no_log_twice_and_loses_none(
+    tmp_path: Path, store: FakeLogStore
+) -> None:
+    """It says that a manifest is there, and shows none: then the log waits."""
+    saved(tmp_path / LOG, log_of())
+    store.is_old = True
+    assert upload(tmp_path, store).uploaded == 0
+    totals = upload(tmp_path, store)
+    assert totals.faults == {LOG: f"cruiser-1/{LOG} has a manifest, which cannot be read yet"}
+    store.is_old = False
+    assert upload(tmp_path, store).uploaded == 1
+    assert set(store.objects) == {f"cruiser-1/{LOG}", f"cruiser-1/{LOG}.json"}
+
+
+def test_another_log_of_the_same_name_is_never_overwritten(tmp_path: Path, store: FakeLogStore) -> None:
+    """A robot's own recorder and a depot's may begin a log in the same second."""
+    robots, depots = log_of(1), log_of(2)
+    saved(tmp_path / "robot" / LOG, robots)
+    saved(tmp_path / "depot" / LOG, depots)
+    upload(tmp_path / "robot", store)
+    upload(tmp_path / "depot", store)
+    assert store.objects[f"cruiser-1/{LOG}"] == robots
+    second = LOG.replace(".mcap", "-2.mcap")
+    assert store.objects[f"cruiser-1/{second}"] == depots
+    assert (manifest(store, second).file, manifest(store, second).object) == (LOG, f"cruiser-1/{second}")
+
+
+def test_there_are_not_endless_logs_of_one_name(tmp_path: Path, store: FakeLogStore) -> None:
+    """Who fills a store with manifests makes nobody ask for ever."""
+    stem = LOG.removesuffix(".mcap")
+    for number in range(1, NAMESAKES_MAX + 1):
+        store.objects[f"cruiser-1/{stem}{f'-{number}' * (number > 1)}.mcap.json"] = b"[]"
+    saved(tmp_path / LOG, log_of())
+    assert upload(tmp_path, store).faults == {LOG: "the store has too many other logs of that name"}
+
+
+def test_two_machines_that_upload_the_same_log_at_once_make_one_of_it(tmp_path: Path, store: FakeLogStore) -> None:
+    """Copies of one disk, in any order of their steps."""
+    data = log_of()
+    for name in ("a", "b"):
+        saved(tmp_path / name / LOG, data)
+
+    async def let_the_other(_method: str, _name: str) -> None:
+        await asyncio.sleep(0)
+
+    async def both() -> None:
+        store.meanwhile = let_the_other
+        with UploadNote(tmp_path / "a") as one, UploadNote(tmp_path / "b") as other:
+            uploaders = [
+                Uploader(plan_of(tmp_path / name), store, note, RateLimit(0))
+                for name, note in (("a", one), ("b", other))
+            ]
+            await asyncio.gather(*(each.upload_all(lambda: True) for each in uploaders))
+
+    asyncio.run(both())
+    assert set(store.objects) == {f"cruiser-1/{LOG}", f"cruiser-1/{LOG}.json"}
+    assert store.objects[f"cruiser-1/{LOG}"] == data
+    assert safe(tmp_path / "a") == safe(tmp_path / "b") == {LOG}
+
+
+def test_a_second_upload_from_one_directory_is_refused(tmp_path: Path) -> None:
+    """Two would send each log twice over a link that is short."""
+    with UploadNote(tmp_path), pytest.raises(CommandError, match="another upload") as refused:
+        UploadNote(tmp_path)
+    assert refused.value.code is ExitCode.REFUSED
+
+
+def test_a_log_that_changes_while_it_is_sent_does_not_appear(tmp_path: Path, store: FakeLogStore) -> None:
+    """Its last piece is held back until all of it is what was summed up."""
+    path = saved(tmp_path / LOG, log_of())
+
+    async def change(method: str, _name: str) -> None:
+        if method == "write":
+            path.write_bytes(log_of(7))
+
+    store.meanwhile = change
+    assert upload(tmp_path, store).faults == {LOG: "was changed while it was read"}
+    assert f"cruiser-1/{LOG}" not in store.objects
+
+
+def test_a_log_that_changes_after_it_was_sent_is_not_safe_any_more(tmp_path: Path, store: FakeLogStore) -> None:
+    """It was recovered by hand, for one; it goes under another name."""
+    path = saved(tmp_path / LOG, log_of())
+    upload(tmp_path, store)
+    path.write_bytes(log_of(7))
+    assert upload(tmp_path, store).uploaded == 1
+    assert store.objects[f"cruiser-1/{LOG}".replace(".mcap", "-2.mcap")] == log_of(7)
+
+
+def test_a_log_that_retention_deletes_meanwhile_still_gets_there(tmp_path: Path, store: FakeLogStore) -> None:
+    """One that is gone before it was begun is no fault."""
+    data = log_of()
+    path = saved(tmp_path / LOG, data)
+
+    async def delete(method: str, _name: str) -> None:
+        if method == "write":
+            path.unlink()
+
+    store.meanwhile = delete
+    assert upload(tmp_path, store).faults == {}
+    assert store.objects[f"cruiser-1/{LOG}"] == data
+
+
+def test_a_store_that_is_gone_is_not_asked_for_each_log(tmp_path: Path, store: FakeLogStore) -> None:
+    """Nor does one log that it refuses hold up the others."""
+    names = [f"cruiser-1-20270115T08000{second}Z.mcap" for second in range(5)]
+    for number, name in enumerate(names):
+        saved(tmp_path / name, log_of(number + 1))
+    store.is_gone = True
+    assert len(upload(tmp_path, store).faults) == len(store.calls) == AWAY_AFTER
+    store.is_gone = False
+    store.refused = {f"cruiser-1/{names[0]}"}
+    assert list(upload(tmp_path, store).faults) == names[:1]
+    assert safe(tmp_path) == set(names[1:])
+
+
+def test_nothing_is_begun_outside_of_the_hours(tmp_path: Path, store: FakeLogStore) -> None:
+    """What is not begun waits."""
+    saved(tmp_path / LOG, log_of())
+    with UploadNote(tmp_path) as note:
+        uploader = Uploader(plan_of(tmp_path), store, note, RateLimit(0))
+        assert asyncio.run(uploader.upload_all(lambda: False))
+    assert (store.calls, uploader.totals.waiting) == ([], [LOG])
+
+
+def test_no_name_leads_out_of_the_stores_directory(tmp_path: Path, store: FakeLogStore) -> None:
+    """Anybody who may write there may call a log as he likes."""
+    saved(tmp_path / "..-20270115T080000Z.mcap", log_of())
+    upload(tmp_path, store)
+    assert set(store.objects) == {"_/..-20270115T080000Z.mcap", "_/..-20270115T080000Z.mcap.json"}
+
+
+@pytest.mark.parametrize("place", ["memory:///", "file://{}/a%20store/of%20logs"])
+@pytest.mark.parametrize("count", [3, 300_000], ids=["in one piece", "in parts"])
+def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, count: int) -> None:
+    """And refuses a second manifest of one name."""
+    data = (
+        log_of(3) if count == 3 else own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(11_000_000))])
+    )
+    saved(tmp_path / "logs" / LOG, data)
+    store = ObstoreLogs(place.format(tmp_path), {}, 0, "")
+    assert upload(tmp_path / "logs", store).uploaded == 1
+
+    async def look() -> bytes:
+        assert not await store.create(f"cruiser-1/{LOG}.json", b"")
+        assert await store.look("nothing") is None
+        assert await store.read("nothing") is None
+        return b"".join([piece async for piece in store.read_back(f"cruiser-1/{LOG}", len(data))])
+
+    assert asyncio.run(look()) == data
+    (tmp_path / "logs" / NAME).unlink()
+    assert upload(tmp_path / "logs", store).uploaded == 1
+
+
+def test_a_write_that_is_broken_off_shows_nothing_in_a_directory(tmp_path: Path) -> None:
+    """Whoever looks into it finds whole logs, or none."""
+    store = ObstoreLogs(f"file://{tmp_path}/store", {}, 0, "")
+
+    async def broken() -> AsyncIterator[bytes]:
+        for _ in range(100):
+            yield bytes(100_000)
+        raise OSError(5, "Input/output error")
+
+    with pytest.raises(Exception, match="Input/output"):
+        asyncio.run(store.write("log.mcap", broken(), 20_000_000))
+    assert asyncio.run(store.look("log.mcap")) is None
+
+
+@pytest.mark.parametrize("url", ["nonsense", "ftp://host/place", "s3://"])
+def test_a_store_that_nothing_is_called_is_a_clear_error(url: str) -> None:
+    """It is said at the start, not with the first log."""
+    with pytest.raises(CommandError, match="cannot use the store") as error:
+        ObstoreLogs(url, {}, 0, "")
+    assert error.value.code is ExitCode.USAGE
