@@ -102,6 +102,25 @@ class LogInfo(msgspec.Struct, frozen=True):
     incident: dict[str, str]
 
 
+class LogBrief(msgspec.Struct, frozen=True, kw_only=True):
+    """A log of many, in a line; the fields are those of ``LogInfo``.
+
+    Attributes:
+        lost: samples and messages, as its recorder says; None if it does not.
+    """
+
+    path: str
+    bytes: int
+    whole: bool
+    is_being_written: bool
+    messages: int
+    start_ns: int | None
+    end_ns: int | None
+    duration_s: float
+    robots: list[str]
+    lost: int | None
+
+
 class SetInfo(msgspec.Struct, frozen=True):
     """Several logs together.
 
@@ -134,7 +153,28 @@ def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
         return _read(stream, size, str(path), progress)
 
 
-def total(infos: Sequence[LogInfo]) -> SetInfo:
+def brief(info: LogInfo) -> LogBrief:
+    """The same in short."""
+    return LogBrief(
+        path=info.path,
+        bytes=info.bytes,
+        whole=info.whole,
+        is_being_written=info.is_being_written,
+        messages=info.messages,
+        start_ns=info.start_ns,
+        end_ns=info.end_ns,
+        duration_s=info.duration_s,
+        robots=info.robots,
+        lost=lost(info),
+    )
+
+
+def lost(info: LogInfo) -> int | None:
+    """The samples and messages that were lost, as the recorder says; None if it does not."""
+    return sum(one.lost for one in info.completeness.values()) if info.completeness else None
+
+
+def total(infos: Sequence[LogInfo | LogBrief]) -> SetInfo:
     """Of several logs."""
     start_ns = min((info.start_ns for info in infos if info.start_ns is not None), default=None)
     end_ns = max((info.end_ns for info in infos if info.end_ns is not None), default=None)

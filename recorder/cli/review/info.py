@@ -10,14 +10,15 @@ from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, t
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport
-from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total
+from recorder.review.info import LogBrief, LogInfo, LogSourceInfo, SetInfo, brief, read_info, total
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap\n  cruiser review info logs"
 DESCRIPTION: Final = (
     "What logs hold: channels, rates, times, robots, versions, attachments, and what the recorder says that it "
-    "lost while it wrote them. Of a whole log only its end is read; a log without one is gone through. Whether "
+    "lost while it wrote them; of the logs of a directory a line each. Of a whole log only its end is read, and "
+    "not even that where the directory has a catalog; a log without one is gone through. Whether "
     "all of it is true is asked with 'check'. Exit code 3 if a file is not whole, "
     "unless a recorder is writing it, or if it takes too long to read."
 )
@@ -34,28 +35,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Show all logs; of a broken file the part that can be read."""
     asked = find(arguments)
-    infos: list[LogInfo] = []
+    infos: list[LogInfo | LogBrief] = []
+    is_fine = True
     with progress_bar("looking", asked.bytes, stopped, prints=True) as progress:
         for log in asked.logs:
             if stopped():
                 break
+            is_named = log.path in arguments.logs
+            if not is_named and log.path in asked.known:
+                infos.append(asked.known[log.path].brief)
+                is_fine &= infos[-1].whole
+                continue
             try:
-                infos.append(read_info(log.path, progress))
+                info = read_info(log.path, progress)
             except CommandError as error:
                 asked.faults.add(str(error))
-    answers: list[LogInfo | SetInfo] = [*infos]
+                continue
+            infos.append(info if is_named else brief(info))
+            is_fine &= info.whole or (info.is_being_written and not info.faults)
+    answers: list[LogInfo | LogBrief | SetInfo] = [*infos]
     if len(infos) > 1:
         answers.append(total(infos))
     for answer in answers:
         show(answer, describe(answer), as_json=arguments.json)
     code = end_with(asked.faults)
-    is_fine = all(info.whole or (info.is_being_written and not info.faults) for info in infos)
     return code if is_fine else int(ExitCode.PARTIAL)
 
 
-def describe(info: LogInfo | SetInfo) -> Iterator[str]:
+def describe(info: LogInfo | LogBrief | SetInfo) -> Iterator[str]:
     """Return lines for people about a log, or about several together."""
-    return _of_all(info) if isinstance(info, SetInfo) else _of_one(info)
+    if isinstance(info, SetInfo):
+        return _of_all(info)
+    return _in_short(info) if isinstance(info, LogBrief) else _of_one(info)
+
+
+def _in_short(info: LogBrief) -> Iterator[str]:
+    period = "no time"
+    if info.start_ns is not None:
+        period = f"from {in_words(info.start_ns)}, {info.duration_s:.0f} s"
+    lost = "losses not told" if info.lost is None else f"{info.lost} lost"
+    robots = f"robot {', '.join(info.robots)}" if info.robots else "no robot"
+    yield f"{info.path}: {_state(info)}, {robots}, {period}, {info.bytes} bytes, {info.messages} messages, {lost}"
+
+
+def _state(info: LogInfo | LogBrief) -> str:
+    return "whole" if info.whole else "being written" if info.is_being_written else "NOT WHOLE"
 
 
 def _of_all(info: SetInfo) -> Iterator[str]:
@@ -66,8 +90,7 @@ def _of_all(info: SetInfo) -> Iterator[str]:
 
 
 def _of_one(info: LogInfo) -> Iterator[str]:
-    state = "whole" if info.whole else "being written" if info.is_being_written else "NOT WHOLE"
-    yield f"{info.path}: {state}, {info.bytes} bytes, {info.messages} messages"
+    yield f"{info.path}: {_state(info)}, {info.bytes} bytes, {info.messages} messages"
     if info.source is LogSourceInfo.RECORDS:
         yield "  it has no end that tells what it holds: read record by record"
     yield from (f"  fault: {fault}" for fault in info.faults)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from recorder.review.catalog.known import CATALOG_NAME
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.logs import Log, foreign_log, gears, own_log, saved
@@ -60,6 +61,34 @@ def test_a_directory_is_shown_with_a_total(whole: Path, capsys: pytest.CaptureFi
     assert "2 files, 2 of them whole" in out
     assert "22 messages" in out
     assert "robots cruiser-1" in out
+
+
+def test_a_directory_is_a_line_for_each_log(whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file that is named is told in full."""
+    assert review("info", str(whole.parent)) == ExitCode.PARTIAL
+    first, second, *_ = sorted(capsys.readouterr().out.splitlines()[:2], reverse=True)
+    assert first.startswith(f"{whole}: whole, robot cruiser-1, from 2027-01-15 08:00:00.000 UTC, ")
+    assert first.endswith(", 12 messages, 0 lost")
+    assert second.startswith(f"{cut}: NOT WHOLE, robot cruiser-1, ")
+
+
+def test_a_directory_is_told_alike_with_a_catalog_and_without_one(
+    whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """For people and for programs, and with the same exit code."""
+    saved(whole.with_name("foreign.mcap"), foreign_log())
+    saved(whole.with_name("empty.mcap"), own_log([]))
+    saved(whole.with_name("whole-1.incident.mcap"), whole.read_bytes())
+    words = [
+        ("info", str(whole.parent)),
+        ("info", "--json", str(whole.parent)),
+        ("info", str(cut), str(cut.parent)),
+    ]
+    before = [(review(*one), capsys.readouterr()) for one in words]
+    assert review("find", "log", str(whole.parent)) == ExitCode.PARTIAL
+    capsys.readouterr()
+    assert (whole.parent / CATALOG_NAME).exists()
+    assert [(review(*one), capsys.readouterr()) for one in words] == before
 
 
 def test_one_file_that_is_none_is_an_error(tmp_path: Path) -> None:

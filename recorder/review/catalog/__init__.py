@@ -1,0 +1,7 @@
+"""The catalog of a directory of logs: a summary of each, as a row of one Parquet file beside them.
+
+- ``rows``       a row: what the other questions find in a log
+- ``table``      rows as Parquet, and back
+- ``directory``  the catalog of a directory: rows that still hold, logs that have to be opened
+- ``known``      a log that need not be opened, for the other questions
+"""

@@ -1,0 +1,351 @@
+"""A row of the catalog: what the other questions find in one log."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+import msgspec
+
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Selection, decoded_rows
+from recorder.review.info import LogInfo, lost, read_info
+from recorder.review.report.findings import Report, RobotReport
+from recorder.review.report.survey import read_report
+from recorder.review.report.words import moment_words
+from recorder.review.timeline.entries import EntryKind
+from recorder.review.verify import shown_statements
+from recorder.review.verifying.commands import COMMANDING_ROLES
+from schemas.authority.statement import Grant, StatementFault, read_chain
+from schemas.decisions import ChainHeads, Severity
+from schemas.reasons import Reason
+
+INCIDENT: Final = "incident"
+"""The kind of a moment for which an incident was kept."""
+
+NEVER_NS: Final = 2**63 - 1
+"""The latest time that a column holds: MCAP's own reach further."""
+
+HEADS_WITHIN_NS: Final = 5_000_000_000
+"""The last chain heads are looked for in so much of a log's end. They come once a second."""
+
+DAMAGE_MAX: Final = 3
+"""Faults of a file that are kept in words."""
+
+
+class LoggedMoment(msgspec.Struct, frozen=True):
+    """Something that happened: an entry of ``cruiser review events``, refusals of one kind, or an incident.
+
+    Attributes:
+        time_ns: by the robot's clock, nanoseconds since 1970...
+        last_ns: ...and when the last of ``count`` alike ones was.
+        kind: those of ``events``, or ``incident``.
+        operator: who did it; where nobody did, the lease's holder.
+        is_stop: the robot was commanded no longer, or its gateway died.
+    """
+
+    time_ns: int
+    last_ns: int
+    robot: str
+    kind: str
+    severity: str
+    reason: str
+    operator: str
+    count: int
+    is_stop: bool
+    text: str
+
+
+class LoggedDrive(msgspec.Struct, frozen=True):
+    """A time of being commanded, or of moving, between long rests.
+
+    Attributes:
+        severity: that of the worst finding, and ``text`` what that is.
+    """
+
+    start_ns: int
+    end_ns: int
+    robot: str
+    distance_m: float
+    stops: int
+    severity: str
+    text: str
+
+
+class LoggedRobot(msgspec.Struct, frozen=True):
+    """A robot that has keys in the log."""
+
+    root: str
+    name: str
+
+
+class LoggedDriver(msgspec.Struct, frozen=True):
+    """An operator who drove a robot."""
+
+    robot: str
+    name: str
+    seconds: float
+    distance_m: float
+
+
+class LoggedGrant(msgspec.Struct, frozen=True):
+    """A grant to command that a robot showed. Nothing of it is verified here.
+
+    Attributes:
+        id: hexadecimal.
+    """
+
+    robot: str
+    id: str
+    name: str
+    role: str
+    serial: int
+
+
+class LoggedHead(msgspec.Struct, frozen=True):
+    """The last head of a chain in the log, as the robot said it: ``cruiser review verify`` proves it.
+
+    Attributes:
+        run: of the gateway, hexadecimal, as is ``head``.
+        samples: in the chain.
+    """
+
+    robot: str
+    run: str
+    subject: str
+    samples: int
+    head: str
+
+
+class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A log.
+
+    Attributes:
+        file: its name in the directory.
+        modified_ns: the time of its last change, as the file system has it.
+        summary_crc: the checksum of the summary at its end; None if it has none.
+        start_ns, end_ns: the first and the last log time, both 0 if it holds no message; at most NEVER_NS.
+        is_whole: it was closed properly.
+        faults: parts that could not be read; ``damage`` has the first ones in words.
+        robots: those with keys in it; ``names`` also those that its recorder names alone.
+        is_incident: it repeats what happened around an incident...
+        is_covered: ...and the other logs of the directory hold all of it.
+        distance_m, moving_s, top_mps: of all robots together; the highest speed in either direction.
+        accepted, refused: requests.
+        events, stops: their numbers by kind and by reason.
+        outages: times that a gateway fell silent or began anew.
+        lost, lost_bus, lost_source: by the recorder's own account; None if it gives none.
+        gap_s: time for which nothing is known of a robot's motion.
+        versions: of the recorder, and of each robot's gateway and packages.
+        settings: hashes of the configurations that were in force.
+        more_moments, more_drives: those for which there was no room.
+    """
+
+    file: str
+    bytes: int
+    modified_ns: int
+    summary_crc: int | None
+    messages: int
+    start_ns: int
+    end_ns: int
+    is_whole: bool
+    faults: int
+    damage: list[str]
+    is_incident: bool
+    is_covered: bool
+    robots: list[LoggedRobot]
+    names: list[str]
+    distance_m: float
+    moving_s: float
+    top_mps: float
+    operators: list[LoggedDriver]
+    grants: list[LoggedGrant]
+    accepted: int
+    refused: int
+    events: dict[str, int]
+    stops: dict[str, int]
+    outages: int
+    lost: int | None
+    lost_bus: int | None
+    lost_source: int | None
+    gap_s: float
+    variants: list[str]
+    versions: dict[str, str]
+    settings: list[str]
+    chain_heads: list[LoggedHead]
+    drives: list[LoggedDrive]
+    more_drives: int
+    more_moments: int
+    moments: list[LoggedMoment] = []
+
+
+def summarize(
+    log: LogFile, file: str, modified_ns: int, summary_crc: int | None, progress: Progress = lambda _: None
+) -> CatalogRow:
+    """Make the row of a log, which is read from its beginning to its end.
+
+    Args:
+        log: the file, as ``look_at`` gives it.
+        file: its name, as the row has it.
+        modified_ns: the time of its last change.
+        summary_crc: the checksum of its summary.
+        progress: receives the number of bytes that were read.
+
+    Raises:
+        CommandError: it can no longer be opened.
+    """
+    faults = Faults()
+    info = read_info(log.path)
+    report = read_report([log], Selection(), faults, progress, is_drawing=False)
+    moments = sorted(_moments(info, report), key=lambda one: (one.time_ns, one.robot, one.kind, one.text))
+    accounts = info.completeness.values()
+    found = faults.told or info.faults
+    summaries = [robot.summary for robot in report.robots]
+    return CatalogRow(
+        file=file,
+        bytes=log.bytes,
+        modified_ns=modified_ns,
+        summary_crc=summary_crc,
+        messages=info.messages,
+        start_ns=_bounded(log.start_ns),
+        end_ns=_bounded(log.end_ns),
+        is_whole=info.whole,
+        faults=max(faults.count, info.fault_count),
+        damage=[one.removeprefix(f"{log.path}: ") for one in found[:DAMAGE_MAX]],
+        is_incident=log.is_incident,
+        is_covered=False,
+        robots=[LoggedRobot(*one) for one in sorted(log.robots)],
+        names=info.robots,
+        distance_m=sum(one.distance_m for one in summaries),
+        moving_s=sum(one.moving_s for one in summaries),
+        top_mps=max((abs(one.top_mps) for one in summaries), default=0.0),
+        operators=[
+            LoggedDriver(one.name, driver.name, driver.seconds, driver.distance_m)
+            for one in summaries
+            for driver in one.drivers
+        ],
+        grants=_grants(log),
+        accepted=sum(one.accepted for one in summaries),
+        refused=sum(one.refused for one in summaries),
+        events=_added(one.events for one in summaries),
+        stops=_added(one.stops for one in summaries),
+        outages=sum(len(one.outages) + one.more_outages for one in summaries),
+        lost=lost(info),
+        lost_bus=sum(one.lost_bus or 0 for one in accounts) if accounts else None,
+        lost_source=sum(one.lost_source for one in accounts) if accounts else None,
+        gap_s=sum(one.gap_s for one in summaries),
+        variants=sorted({one.variant for summary in summaries for one in summary.in_force}),
+        versions=dict(sorted(info.versions.items())),
+        settings=sorted({one.configuration_sha256 for summary in summaries for one in summary.in_force}),
+        chain_heads=_heads(log),
+        drives=[drive for robot in report.robots for drive in _drives(robot)],
+        more_drives=sum(robot.more_drives for robot in report.robots),
+        moments=moments,
+        more_moments=sum(robot.charts.more_moments + robot.summary.other_refusals for robot in report.robots),
+    )
+
+
+def _bounded(time_ns: int) -> int:
+    return max(0, min(time_ns, NEVER_NS))
+
+
+def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
+    return dict(sorted(sum(map(Counter, counts), Counter[str]()).items()))
+
+
+def _drives(robot: RobotReport) -> Iterator[LoggedDrive]:
+    for one in robot.drives:
+        yield LoggedDrive(
+            start_ns=_bounded(one.start_ns),
+            end_ns=_bounded(one.end_ns),
+            robot=robot.summary.name,
+            distance_m=one.distance_m,
+            stops=one.stops,
+            severity=one.severity,
+            text=one.worst,
+        )
+
+
+def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
+    for robot in report.robots:
+        name = robot.summary.name
+        for one in robot.charts.moments:
+            yield LoggedMoment(
+                time_ns=_bounded(one.time_ns),
+                last_ns=_bounded(one.last_ns),
+                robot=name,
+                kind=one.kind,
+                severity=one.severity,
+                reason=one.reason,
+                operator=one.operator or one.holder,
+                count=one.count,
+                is_stop=one.is_stop,
+                text=moment_words(one),
+            )
+        for refusal in robot.summary.refusals:
+            yield LoggedMoment(
+                time_ns=_bounded(refusal.first_ns),
+                last_ns=_bounded(refusal.last_ns),
+                robot=name,
+                kind=EntryKind.REFUSAL.value,
+                severity=Severity.WARNING.value,
+                reason=refusal.reason,
+                operator=refusal.operator,
+                count=refusal.count,
+                is_stop=False,
+                text=f"{refusal.request} refused{'' if refusal.count == 1 else f' {refusal.count} times'}",
+            )
+    robots = [robot.summary.name for robot in report.robots] or info.robots
+    for entries in info.incidents:
+        at_ns = _time(entries.get("at_ns", ""))
+        if at_ns is not None:
+            yield LoggedMoment(
+                time_ns=at_ns,
+                last_ns=at_ns,
+                # A log of several robots does not say whose incident it is.
+                robot=robots[0] if len(robots) == 1 else "",
+                kind=INCIDENT,
+                severity=Severity.WARNING.value,
+                reason=Reason.NONE.value,
+                operator="",
+                count=1,
+                is_stop=False,
+                text=entries.get("because", ""),
+            )
+
+
+def _time(text: str) -> int | None:
+    """A time of a log's metadata, which may be anybody's."""
+    is_number = text.isascii() and text.isdecimal() and len(text) <= len(str(NEVER_NS))
+    return _bounded(int(text)) if is_number else None
+
+
+def _grants(log: LogFile) -> list[LoggedGrant]:
+    """The grants of those who may command. What cannot be read has been reported by the reading before."""
+    found = set()
+    for shown in shown_statements([log], Faults()):
+        chain = read_chain(shown.text.encode())
+        if isinstance(chain, StatementFault):
+            continue
+        first = chain[0]
+        grant = first.statement
+        if isinstance(grant, Grant) and grant.role in COMMANDING_ROLES:
+            found.add((shown.robot, first.id.hex(), grant.name, grant.role.value, grant.serial))
+    return [LoggedGrant(*one) for one in sorted(found)]
+
+
+def _heads(log: LogFile) -> list[LoggedHead]:
+    """The last head of each robot's chains; of a log in open mode none."""
+    last: dict[str, ChainHeads] = {}
+    selection = Selection(
+        lambda topic: topic.kind is ChainHeads and bool(topic.robot), max(0, log.end_ns - HEADS_WITHIN_NS)
+    )
+    for row, message in decoded_rows([log], selection, Faults()):
+        last[row.topic.robot] = message
+    return [
+        LoggedHead(robot, heads.boot.hex(), one.subject, one.count, one.head.hex())
+        for robot, heads in sorted(last.items())
+        for one in heads.heads
+    ]

@@ -1,0 +1,125 @@
+"""The rows of a catalog as an Arrow table, and as a Parquet file that says of which form it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+from msgspec import inspect
+
+from recorder.review.catalog.rows import NEVER_NS, CatalogRow
+
+FORMAT: Final = "cruiser-catalog"
+VERSION: Final = 1
+"""Rises with each change of what a row says; a catalog of another version is made anew."""
+
+ROWS_IN_GROUP: Final = 8192
+
+
+class CatalogUnreadableError(Exception):
+    """The catalog is damaged, or of another version; the text is for people."""
+
+
+def _arrow_type(kind: inspect.Type) -> pa.DataType:
+    if isinstance(kind, inspect.UnionType):
+        [kind] = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
+    if isinstance(kind, inspect.ListType):
+        return pa.list_(_arrow_type(kind.item_type))
+    if isinstance(kind, inspect.DictType):
+        return pa.map_(_arrow_type(kind.key_type), _arrow_type(kind.value_type))
+    if isinstance(kind, inspect.StructType):
+        return pa.struct([(field.encode_name, _arrow_type(field.type)) for field in kind.fields])
+    return _PLAIN[type(kind)]
+
+
+_PLAIN: Final = {
+    inspect.BoolType: pa.bool_(),
+    inspect.FloatType: pa.float64(),
+    inspect.IntType: pa.int64(),
+    inspect.StrType: pa.string(),
+}
+
+SCHEMA: Final = pa.schema(
+    list(_arrow_type(inspect.type_info(CatalogRow))), metadata={"format": FORMAT, "version": str(VERSION)}
+)
+"""The columns, made of the fields of ``CatalogRow``."""
+
+
+def to_table(rows: Iterable[CatalogRow]) -> pa.Table:
+    """Rows as a table."""
+    return pa.Table.from_pylist([_bounded(msgspec.to_builtins(row)) for row in rows], SCHEMA)
+
+
+def _bounded(value: Any) -> Any:  # noqa: ANN401 - any of a row's parts
+    """The same with all counts in the range of a column: those of a log may be of anybody's making."""
+    match value:
+        case dict():
+            return {key: _bounded(one) for key, one in value.items()}
+        case list():
+            return [_bounded(one) for one in value]
+        case bool():
+            return value
+        case int():
+            return max(-NEVER_NS, min(value, NEVER_NS))
+        case _:
+            return value
+
+
+def to_rows(table: pa.Table) -> list[CatalogRow]:
+    """The rows of a table with all columns."""
+    return msgspec.convert(table.to_pylist(maps_as_pydicts="strict"), list[CatalogRow])
+
+
+def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
+    """Read a catalog.
+
+    Args:
+        path: the file.
+        columns: these alone; all unless told otherwise.
+
+    Raises:
+        FileNotFoundError: there is none.
+        CatalogUnreadableError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as stream, pq.ParquetFile(stream, page_checksum_verification=True) as file:
+            schema = file.schema_arrow
+            told: dict[bytes, bytes] = schema.metadata or {}
+            version = told.get(b"version", b"").decode(errors="replace")
+            if told.get(b"format") != FORMAT.encode():
+                raise CatalogUnreadableError("is no catalog")
+            if version != str(VERSION) or not schema.equals(SCHEMA):
+                raise CatalogUnreadableError("is of another version")
+            return file.read(columns=None if columns is None else list(columns)).combine_chunks()
+    except FileNotFoundError:
+        raise
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise CatalogUnreadableError("is damaged") from error
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Replace a catalog in one step: whoever reads meanwhile sees the old one or the new one.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with beside.open("wb") as stream:
+            pq.write_table(
+                table.replace_schema_metadata(SCHEMA.metadata),
+                stream,
+                row_group_size=ROWS_IN_GROUP,
+                compression="zstd",
+                write_page_checksum=True,
+            )
+            stream.flush()
+            os.fsync(stream.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)

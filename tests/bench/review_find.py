@@ -1,0 +1,133 @@
+"""``cruiser review find`` on a directory of very many logs: seconds of a question, as a process and in one.
+
+The catalog is made up, a few stops in each log; the logs are empty files of the lengths and times that it names.
+So all of them are compared, and none is opened.
+
+Usage: python -m tests.bench.review_find [--logs N]. Not a test: machines differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.review.catalog.directory import Catalog
+from recorder.review.catalog.known import CATALOG_NAME
+from recorder.review.catalog.rows import LoggedRobot
+from recorder.review.catalog.table import to_table, write_table
+from recorder.review.find import columns_of, find, read_words
+from schemas.reasons import Reason
+from tests.bench.loads import Row, print_table
+from tests.support.catalog import DRIVE, STOP, row
+from tests.support.messages import SECOND, WALL_NS
+
+LOGS: Final = 50_000
+ROBOTS: Final = 200
+MOMENTS: Final = 12
+HOUR_NS: Final = 3600 * SECOND
+CRUISER: Final = Path(sys.executable).with_name("cruiser")
+
+WORDS: Final = {
+    "a stop of some robots in 30 days": "stop reason=front_bumper robot=cruiser-1? last 30d",
+    "long drives": "drive distance_m>900",
+    "logs of an operator": "log operator=nobody lost>0",
+}
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--logs", type=int, default=LOGS, help=f"in the directory (default {LOGS})")
+    print_table(rows(parser.parse_args().logs))
+
+
+def rows(logs: int = LOGS) -> list[Row]:
+    """The table of the search."""
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        fill(directory, logs)
+        size_mb = (directory / CATALOG_NAME).stat().st_size / 1e6
+        found: list[Row] = [("logs in the catalog", f"{logs:,}, {size_mb:.1f} MB", "")]
+        for about, words in WORDS.items():
+            wall_s, cpu_s, count = ask(directory, words)
+            process_s = ask_as_process(directory, words)
+            figure = f"{wall_s:.2f} s, {cpu_s:.2f} s of CPU, {count:,} found"
+            found.append((f"find: {about}", figure, "under 1 s"))
+            found.append(("  as a command, from its start to its end", f"{process_s:.2f} s", ""))
+    return found
+
+
+def fill(directory: Path, logs: int) -> None:
+    """Write the catalog, and files as it says."""
+    reasons = [one.value for one in Reason]
+    made = []
+    for number in range(logs):
+        robot = f"cruiser-{number % ROBOTS}"
+        start_ns = WALL_NS + number // ROBOTS * HOUR_NS
+        moments = [
+            msgspec.structs.replace(
+                STOP,
+                time_ns=start_ns + place * 60 * SECOND,
+                last_ns=start_ns + place * 60 * SECOND,
+                robot=robot,
+                kind=("stop", "lease", "engaged", "fault", "gap")[place % 5],
+                is_stop=place % 5 == 0,
+                reason=reasons[(number + place) % len(reasons)],
+                operator=f"operator-{number % 37}",
+                text=f"what happened for the {number % 991}. time",
+            )
+            for place in range(MOMENTS)
+        ]
+        drive = msgspec.structs.replace(
+            DRIVE, start_ns=start_ns, end_ns=start_ns + HOUR_NS, robot=robot, distance_m=float(number % 1000)
+        )
+        file = directory / f"{robot}-{number:06}.mcap"
+        file.touch()
+        os.truncate(file, 1000 + number)
+        made.append(
+            row(
+                file=file.name,
+                bytes=1000 + number,
+                modified_ns=file.stat().st_mtime_ns,
+                start_ns=start_ns,
+                end_ns=start_ns + HOUR_NS,
+                robots=[LoggedRobot("fleet", robot)],
+                names=[robot],
+                lost=number % 3,
+                stops={moments[0].reason: 3},
+                drives=[drive],
+                moments=moments,
+            )
+        )
+    write_table(directory / CATALOG_NAME, to_table(made))
+
+
+def ask(directory: Path, words: str) -> tuple[float, float, int]:
+    """Seconds of a question here, those of the processors, and the number of answers."""
+    begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
+    now_ns = WALL_NS + LOGS // ROBOTS * HOUR_NS
+    query = read_words(words, now_ns)
+    catalog = Catalog(directory, columns_of(query))
+    count = len(find(catalog.table, query))
+    if catalog.stale or catalog.notes:
+        raise RuntimeError("the catalog does not hold")
+    return time.perf_counter() - begun_s, time.process_time() - begun_cpu_s, count
+
+
+def ask_as_process(directory: Path, words: str) -> float:
+    """Seconds of the command."""
+    begun_s = time.perf_counter()
+    subprocess.run([CRUISER, "review", "find", words, directory, "--json"], check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - begun_s
+
+
+if __name__ == "__main__":
+    main()

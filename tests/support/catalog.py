@@ -1,0 +1,75 @@
+"""Made-up rows of a catalog."""
+
+from typing import Any
+
+import msgspec
+
+from recorder.review.catalog.rows import CatalogRow, LoggedDrive, LoggedMoment, LoggedRobot
+from tests.support.messages import SECOND, WALL_NS
+
+ROW = CatalogRow(
+    file="a.mcap",
+    bytes=1000,
+    modified_ns=WALL_NS,
+    summary_crc=7,
+    messages=10,
+    start_ns=WALL_NS,
+    end_ns=WALL_NS + 60 * SECOND,
+    is_whole=True,
+    faults=0,
+    damage=[],
+    is_incident=False,
+    is_covered=False,
+    robots=[LoggedRobot("fleet", "cruiser-1")],
+    names=["cruiser-1"],
+    distance_m=0.0,
+    moving_s=0.0,
+    top_mps=0.0,
+    operators=[],
+    grants=[],
+    accepted=0,
+    refused=0,
+    events={},
+    stops={},
+    outages=0,
+    lost=None,
+    lost_bus=None,
+    lost_source=None,
+    gap_s=0.0,
+    variants=[],
+    versions={},
+    settings=[],
+    chain_heads=[],
+    drives=[],
+    more_drives=0,
+    more_moments=0,
+)
+"""A log of a minute in which nothing happened."""
+
+STOP = LoggedMoment(
+    time_ns=WALL_NS,
+    last_ns=WALL_NS,
+    robot="cruiser-1",
+    kind="stop",
+    severity="warning",
+    reason="front_bumper",
+    operator="alice",
+    count=1,
+    is_stop=True,
+    text="stopping: the front bumper was hit",
+)
+
+DRIVE = LoggedDrive(
+    start_ns=WALL_NS,
+    end_ns=WALL_NS + 10 * SECOND,
+    robot="cruiser-1",
+    distance_m=12.5,
+    stops=1,
+    severity="warning",
+    text="stopping: the front bumper was hit",
+)
+
+
+def row(**changes: Any) -> CatalogRow:  # noqa: ANN401 - any field of a row
+    """A row that is otherwise ``ROW``."""
+    return msgspec.structs.replace(ROW, **changes)

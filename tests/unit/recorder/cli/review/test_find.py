@@ -1,0 +1,169 @@
+"""``cruiser review find``."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from recorder.cli.review import asking
+from recorder.cli.review.find import page_of
+from recorder.review.catalog.known import CATALOG_NAME
+from schemas.exit_codes import CommandError, ExitCode
+from tests.support.commands import review
+from tests.support.drives import drive_messages, drives_over, write_messages
+from tests.support.logs import saved
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """Two robots: one that a bumper stopped, and one that it stopped on each of three days."""
+    directory = tmp_path / "logs"
+    directory.mkdir()
+    write_messages(directory / "cruiser-1-a.mcap", drive_messages(60))
+    write_messages(directory / "cruiser-2-b.mcap", drives_over(3, 3), robots=("cruiser-2",))
+    return directory
+
+
+def test_moments_are_shown_with_links_into_their_reports(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A line each, and the command that writes the page."""
+    assert review("find", "stop reason=front_bumper robot=cruiser-2", logs) == ExitCode.OK
+    out = capsys.readouterr().out.splitlines()
+    assert len(out) == 1 + 3 + 1
+    assert f"{logs}/cruiser-2-b.html#t=2027-01-16T08:00:02.950Z&robot=cruiser-2" in out[2]
+    assert out[-1].endswith(f"cruiser review report {logs}/cruiser-2-b.mcap -o {logs}/cruiser-2-b.html")
+
+
+def test_json_is_an_object_a_line_that_says_how_to_go_on(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The commands of an answer work."""
+    assert review("find", "stop robot=cruiser-1", logs, "--json") == ExitCode.OK
+    (answer,) = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (answer["robot"], answer["kind"], answer["reason"]) == ("cruiser-1", "stop", "front_bumper")
+    assert answer["file"] == f"{logs}/cruiser-1-a.mcap"
+    assert review(*shlex.split(answer["why"])[2:]) == ExitCode.OK
+    assert "front bumper" in capsys.readouterr().out
+    assert review(*shlex.split(answer["report"])[2:]) == ExitCode.OK
+    page, _, moment = answer["link"].partition("#t=")
+    assert f'href="#t={moment.partition("&")[0]}' in Path(page).read_text()
+
+
+def test_drives_and_logs(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each has a table of its own, and JSON."""
+    assert review("find", "drive", logs) == ExitCode.OK
+    assert len(capsys.readouterr().out.splitlines()) == 1 + 4 + 1
+    assert review("find", "log distance_m>5", logs) == ExitCode.OK
+    head, line = capsys.readouterr().out.splitlines()
+    assert head.split() == ["begin", "robots", "lasted", "distance", "stops", "lost", "log"]
+    assert line.endswith(f"{logs}/cruiser-2-b.mcap")
+    assert review("find", "log", logs, "--json") == ExitCode.OK
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert [first["names"], second["names"]] == [["cruiser-1"], ["cruiser-2"]]
+    assert "moments" not in first
+    assert review("find", "drive", logs, "--json") == ExitCode.OK
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def test_nothing_is_said_to_be_nothing(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For people; for programs there is no line."""
+    assert review("find", "stop reason=deadman", logs) == ExitCode.OK
+    assert capsys.readouterr().out == "nothing of that is in the logs\n"
+    assert review("find", "stop reason=deadman", logs, "--json") == ExitCode.OK
+    assert not capsys.readouterr().out
+
+
+def test_several_directories_are_one_answer(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What two of them hold is told once; each has its catalog."""
+    other = tmp_path / "depot"
+    other.mkdir()
+    (other / "c.mcap").write_bytes((logs / "cruiser-1-a.mcap").read_bytes())
+    write_messages(other / "d.mcap", drive_messages(60), robots=("cruiser-3",))
+    assert review("find", "stop", logs, other, "--json") == ExitCode.OK
+    answers = list(map(json.loads, capsys.readouterr().out.splitlines()))
+    assert [one["robot"] for one in answers].count("cruiser-1") == 1
+    assert {one["robot"] for one in answers} == {"cruiser-1", "cruiser-2", "cruiser-3"}
+    assert (logs / CATALOG_NAME).exists()
+    assert (other / CATALOG_NAME).exists()
+
+
+def test_a_damaged_catalog_is_told_in_a_line(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The answer is whole."""
+    saved(logs / CATALOG_NAME, b"rubbish")
+    assert review("find", "stop", logs, "--json") == ExitCode.OK
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 4
+    assert said.err == f"cruiser review: {logs}/{CATALOG_NAME} is damaged: it is made anew from the logs\n"
+
+
+def test_it_is_made_anew_when_told_to(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For who does not believe it: a log of the same length and time may be another one."""
+    assert review("find", "stop", logs) == ExitCode.OK
+    before = (logs / CATALOG_NAME).stat().st_ino
+    assert review("find", "stop", logs) == ExitCode.OK
+    assert (logs / CATALOG_NAME).stat().st_ino == before
+    assert review("find", "stop", logs, "--rebuild") == ExitCode.OK
+    assert (logs / CATALOG_NAME).stat().st_ino != before
+    assert not capsys.readouterr().err
+
+
+def test_a_log_that_cannot_be_read_is_told_and_costs_no_other(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3."""
+    saved(logs / "e.mcap", b"no log at all")
+    assert review("find", "stop", logs, "--json") == ExitCode.PARTIAL
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 4
+    assert "e.mcap is no MCAP file" in said.err
+
+
+def test_a_damaged_log_is_answered_as_far_as_it_goes_each_time(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3, and the words that list such logs."""
+    path = logs / "cruiser-1-a.mcap"
+    path.write_bytes(path.read_bytes()[:-200])
+    for _ in range(2):
+        assert review("find", "stop robot=cruiser-1", logs, "--json") == ExitCode.PARTIAL
+        said = capsys.readouterr()
+        assert len(said.out.splitlines()) == 1
+        assert said.err == "cruiser review: 1 of 2 logs are damaged, or not whole: 'log faults>0' lists them\n"
+    assert review("find", "log faults>0", logs, "--json") == ExitCode.PARTIAL
+    (answer,) = map(json.loads, capsys.readouterr().out.splitlines())
+    assert answer["file"] == str(path)
+    assert "cut off" in " ".join(answer["damage"])
+
+
+def test_what_takes_too_long_is_given_up(
+    logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A log may be made to keep a reader busy. What was read until then is not read again."""
+    with monkeypatch.context() as patched:
+        patched.setattr(asking, "BUDGET_S", -1.0)
+        with pytest.raises(CommandError, match="given up after") as caught:
+            review("find", "stop", logs)
+    assert caught.value.code == ExitCode.PARTIAL
+    assert review("find", "stop", logs, "--json") == ExitCode.OK
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def test_a_directory_without_logs_is_an_error(tmp_path: Path) -> None:
+    """As for every question."""
+    with pytest.raises(CommandError, match="there is no log in"):
+        review("find", "stop", tmp_path)
+
+
+def test_a_logs_words_do_not_reach_the_terminal_as_commands(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor does a file's name."""
+    (logs / "cruiser-1-a.mcap").rename(logs / "x\x1b[2J.mcap")
+    assert review("find", "log", logs) == ExitCode.OK
+    assert "\x1b" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.mcap.part"])
+def test_a_page_is_called_after_its_log(name: str) -> None:
+    """Whole or not."""
+    assert page_of(f"logs/{name}") == "logs/a.html"

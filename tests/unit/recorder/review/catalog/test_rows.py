@@ -1,0 +1,75 @@
+"""A row of the catalog, of logs whose contents are known."""
+
+from pathlib import Path
+
+import pytest
+
+from recorder.reading.logs import look_at
+from recorder.record.incidents import INCIDENT_NAME
+from recorder.review.catalog.rows import INCIDENT, NEVER_NS, CatalogRow, LoggedGrant, LoggedMoment, summarize
+from recorder.review.catalog.table import to_rows, to_table
+from schemas.decisions import ChainHeads
+from tests.support.authority import Fleet
+from tests.support.logs import gears, own_log, saved
+from tests.support.messages import ROBOT
+from tests.support.signed_run import driven, log_of
+
+
+def row_of(path: Path, data: bytes) -> CatalogRow:
+    """The row of a log with this content, by way of its table."""
+    row = summarize(look_at(saved(path, data)), path.name, 5, 7)
+    assert to_rows(to_table([row])) == [row]
+    return row
+
+
+def test_a_row_of_signed_mode_has_grants_and_last_heads(tmp_path: Path) -> None:
+    """The grant of who may command, and not the robot's own; the heads of the last second, of every chain."""
+    run, ann = driven(Fleet())
+    row = row_of(tmp_path / "a.mcap", log_of(run.samples))
+    (grant,) = row.grants
+    assert grant == LoggedGrant(ROBOT, ann.chain[0].id.hex(), "ann", "operator", grant.serial)
+    last = [one for one in run.samples if isinstance(one, ChainHeads)][-1]
+    assert [(one.robot, one.run, one.subject, one.samples, one.head) for one in row.chain_heads] == [
+        (ROBOT, last.boot.hex(), one.subject, one.count, one.head.hex()) for one in last.heads
+    ]
+    assert row.accepted > 0
+
+
+@pytest.mark.parametrize(
+    ("at_ns", "time_ns"), [("1800000000000000123", 1_800_000_000_000_000_123), ("9" * 19, NEVER_NS)]
+)
+def test_an_incident_is_a_moment(tmp_path: Path, at_ns: str, time_ns: int) -> None:
+    """With the reason that its recorder gave; a time beyond all is as late as can be."""
+    kept = {"at_ns": at_ns, "because": "it swerved", "file": "b.incident.mcap"}
+    row = row_of(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, kept)]))
+    assert row.moments == [
+        LoggedMoment(
+            time_ns=time_ns,
+            last_ns=time_ns,
+            robot="cruiser-1",
+            kind=INCIDENT,
+            severity="warning",
+            reason="none",
+            operator="",
+            count=1,
+            is_stop=False,
+            text="it swerved",
+        )
+    ]
+
+
+@pytest.mark.parametrize("at_ns", ["", "soon", "-5", "1.5", "٣", "9" * 40])
+def test_an_incident_without_a_time_is_none(tmp_path: Path, at_ns: str) -> None:
+    """Metadata may be anybody's."""
+    row = row_of(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, {"at_ns": at_ns})]))
+    assert not row.moments
+
+
+def test_counts_beyond_a_column_are_cut(tmp_path: Path) -> None:
+    """An account in a log may say anything; times of MCAP reach further than those of a column."""
+    account = {"fleet/x": f'{{"lost_link": {2**64 - 1}}}'}
+    data = own_log([gears(0, 1, 2**64 - 5)], metadata=[("cruiser.completeness", account)])
+    row = summarize(look_at(saved(tmp_path / "a.mcap", data)), "a.mcap", 5, None)
+    (kept,) = to_rows(to_table([row]))
+    assert (kept.start_ns, kept.end_ns, kept.lost) == (NEVER_NS, NEVER_NS, NEVER_NS)
+    assert kept.summary_crc is None
