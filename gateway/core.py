@@ -26,6 +26,8 @@ from gateway.chassis.cruiser.variant import VariantDetector
 from gateway.chassis.decode import check, unknown_frame
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, Frame
+from gateway.checkpoint import checkpoint, resume
+from gateway.command.carried import Carried, carried, may_start_again, take_over
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.command.snapshot import QUIET_NS, Snapshot, as_array, is_at_rest, restore, snapshot
@@ -59,6 +61,9 @@ REST_PERIOD_NS: Final = 60_000_000_000
 
 REST_LOOK_NS: Final = 1_000_000_000
 """Period at which the core looks whether the gateway is at rest."""
+
+CHECKPOINT_PERIOD_NS: Final = 60_000_000_000
+"""Period at which the journal holds the whole state, at rest or not."""
 
 RX, TX = "can/{bus}/rx", "can/{bus}/tx"
 _SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
@@ -123,11 +128,17 @@ class Core:
         self._offered: list[Frame] = []
         self._journal = None if self.command is None else JournalWriter(run)
         self._rest_due_ns = now_ns + QUIET_NS
+        self._checkpoint_due_ns = now_ns + CHECKPOINT_PERIOD_NS
 
     @property
     def variant(self) -> Variant:
         """The firmware variant in force; UNKNOWN while there is no evidence, or evidence against it."""
         return Variant.UNKNOWN if self._detector.contradicted else self._detector.variant
+
+    @property
+    def newest_frames(self) -> list[Frame]:
+        """The newest valid feedback frame of each identifier; when they came is not told."""
+        return [Frame(can_id, one.data, 0) for can_id, one in self._streams.items() if one.data is not None]
 
     def receive_frame(self, frame: Frame, now_ns: int) -> Sample | None:
         """A frame came from the bus. Returns the decoded sample, if the frame is a valid feedback frame."""
@@ -209,7 +220,22 @@ class Core:
         for frame in self._offered[:count]:
             self._sent.add(msgspec.structs.replace(frame, wall_ns=wall_ns))
         self._offered = []
-        return [_sample(decision) for decision in self.command.sent(count, now_ns, wall_ns)]
+        decisions = [_sample(decision) for decision in self.command.sent(count, now_ns, wall_ns)]
+        if now_ns >= self._checkpoint_due_ns:
+            # The tick's frames are out: only the beat to the guard waits, for a millisecond or two.
+            self._checkpoint_due_ns = now_ns + CHECKPOINT_PERIOD_NS
+            self._journal.add((Kind.CHECKPOINT, now_ns, wall_ns, _STATE.encode(checkpoint(self))))
+        return decisions
+
+    def resume(self, state: bytes) -> None:
+        """From here on this new core is the one of which a checkpoint was taken, with the same settings.
+
+        Raises:
+            CheckpointError: the checkpoint is damaged, or of another version.
+        """
+        resume(self, state)
+        for stream, decoders in self._scaled:
+            stream.decoder = decoders.get(self.variant)
 
     def look_from(self, links: Links, controller: ControllerState) -> None:
         """A new core begins in the midst of a run: with these around it, which are no news."""
@@ -295,8 +321,19 @@ class Core:
         return self.command.arbiter.link.last_sequence if self.command is not None else -1
 
     def may_start_again(self, now_ns: int) -> bool:
-        """Would another start of the gateway forget nothing, and hold up nobody?"""
-        return self.command is None or is_at_rest(self.command, now_ns)
+        """Return True if the gateway may be away for seconds: the robot stands, and nobody holds its lease."""
+        return self.command is None or may_start_again(self.command, now_ns)
+
+    @property
+    def carried(self) -> Carried:
+        """The state that the gateway which starts again has to know: latches above all."""
+        return Carried() if self.command is None else carried(self.command)
+
+    def take_over(self, former: Carried, now_ns: int) -> None:
+        """Begin where the gateway before this one ended: what was latched stays latched until a reset."""
+        if self.command is not None and self._journal is not None:
+            self._journal.add((Kind.CARRIED, now_ns, msgspec.structs.astuple(former)))
+            take_over(self.command, former, now_ns)
 
     @property
     def is_at_rest(self) -> bool:
@@ -382,6 +419,8 @@ class Core:
         self._state_sequence = (self._state_sequence + 1) & SEQUENCE_MAX
         return _sample(state)
 
+
+_STATE: Final = msgspec.msgpack.Encoder()
 
 _told: Final[Callable[[Links], tuple[Any, ...]]] = attrgetter(*LINKS)
 """The links that the command flow decides by, and the journal holds."""

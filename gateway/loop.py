@@ -7,13 +7,14 @@ import logging
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final, Protocol
 
 import msgspec
 
 from gateway.authority.robot_authority import Kept, RobotAuthority
+from gateway.authority.self_test import UNDER_WAY
 from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.lease_numbers import LeaseNumbers
@@ -23,7 +24,7 @@ from gateway.guard.beat import GuardView
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Severity
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import Reason, of_a_robot
 from schemas.requests import CHALLENGE_BYTES, LEASE_MAX
 from schemas.settings import BEHIND_NS, LATE_NS, LATE_TOLD_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
 
@@ -71,7 +72,10 @@ class FrameSource(Protocol):
 class SampleSink(Protocol):
     """Zenoh, as the loop sees it: it never fails and never blocks."""
 
-    failures: int
+    @property
+    def failures(self) -> int:
+        """Samples that Zenoh did not take."""
+        ...
 
     def publish(self, sample: Sample) -> None:
         """Hand a sample to Zenoh."""
@@ -91,13 +95,12 @@ class SampleSink(Protocol):
 
 
 class RequestInbox(Protocol):
-    """Where requests wait, as the loop sees it: it never fails and never blocks.
+    """Where requests wait, as the loop sees it: it never fails and never blocks."""
 
-    Attributes:
-        drops: requests that were dropped unread since the start, because too many came.
-    """
-
-    drops: int
+    @property
+    def drops(self) -> int:
+        """Requests that were dropped unread since the start, because too many came."""
+        ...
 
     def drain(self, holder: str, lease: int, after: int) -> list[RawRequest]:
         """The requests that wait, stops first, a bounded number; the holder's of the lease before others'.
@@ -170,6 +173,14 @@ class Note(Protocol):
         ...
 
 
+class LatchNoteView(Protocol):
+    """The note of what is latched, as the loop sees it: it never fails and never blocks."""
+
+    def follow(self, latched: Mapping[Reason, str]) -> str:
+        """Each tick: what is latched. Returns, once, why it could not be written down."""
+        ...
+
+
 class FormerGuardView(Protocol):
     """The guard of the gateway before this one, as the loop sees it.
 
@@ -198,7 +209,7 @@ class NoManager:
 
 
 class LoopPorts(msgspec.Struct):
-    """The ports of the loop. ``inbox``, ``guard`` and ``note`` are None for a gateway that only listens."""
+    """The ports of the loop. Inbox, guard and notes are None for a gateway that only listens."""
 
     bus: FrameSource
     sink: SampleSink
@@ -210,6 +221,7 @@ class LoopPorts(msgspec.Struct):
     signed: SignedModePort | None = None
     notes: Callable[[], tuple[str, ...]] = tuple
     manager: Manager = msgspec.field(default_factory=NoManager)
+    latch_note: LatchNoteView | None = None
 
 
 @contextmanager
@@ -287,7 +299,8 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
 def _status(core: Core, links: Links) -> str:
     state = "listening only" if core.command is None else core.command.arbiter.state.value
     bus = "bus up" if links.bus_up else f"no bus: {links.bus_detail}"
-    return f"{state}, {bus}, {'guarded' if links.guarded else 'not guarded'}"
+    guard = "guarded" if links.guarded else "not guarded"
+    return "; ".join((f"{state}, {bus}, {guard}", *links.notes))
 
 
 def _publish_last(ports: LoopPorts, core: Core) -> None:
@@ -296,6 +309,17 @@ def _publish_last(ports: LoopPorts, core: Core) -> None:
         ports.sink.publish(sample)
     if ports.signed is not None:
         ports.sink.publish(ports.signed.authority.heads(time.time_ns()))
+        ports.signed.save(ports.signed.authority.to_keep(time.clock_gettime_ns(time.CLOCK_BOOTTIME)))
+
+
+def _note_latches(ports: LoopPorts, core: Core, now_ns: int) -> None:
+    if core.command is None:
+        return
+    latched = core.command.arbiter.latches.details
+    if ports.note is not None:
+        ports.note.follow(is_latched=Reason.GUARD in latched)
+    if ports.latch_note is not None and (fault := ports.latch_note.follow(latched)):
+        core.warn(fault, now_ns)
 
 
 def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_ns: int, late_ns: int) -> None:
@@ -318,8 +342,7 @@ def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_
     samples = core.sent(count, monotonic_ns(), time.time_ns())
     if ports.guard is not None and core.command is not None:
         ports.guard.beat(monotonic_ns(), core.command)
-    if ports.note is not None and core.command is not None:
-        ports.note.follow(is_latched=Reason.GUARD in core.command.arbiter.latches.details)
+    _note_latches(ports, core, monotonic_ns())
     if inbox is not None:
         for reply in due.replies:
             inbox.reply(admission.reply(reply))
@@ -330,9 +353,15 @@ def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_
 
 
 def warn_of_bars(bars: dict[Reason, str]) -> None:
-    """Say why nobody can engage this robot."""
+    """Say why nobody can engage this robot. A test that is under way, as at each start, is no warning."""
     for reason, words in bars.items():
-        log.warning("nobody can engage this robot: %s: %s; %s", TEXTS[reason].means, words, TEXTS[reason].cure)
+        if (reason, words) == (Reason.SELF_TEST, UNDER_WAY):
+            log.info(
+                "the gateway tests its keys and its access control; until that has passed nobody can engage it"
+            )
+            continue
+        text = of_a_robot(reason, bars)
+        log.warning("nobody can engage this robot: %s: %s; %s", text.means, words, text.cure)
 
 
 def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | None, now_ns: int) -> list[Sample]:

@@ -32,3 +32,9 @@ class Kind(IntEnum):
     """reason, words: the grant of who holds the lease does not hold any more"""
     BARS = 10
     """{reason: words}: why nobody may engage the robot, whoever asks; empty again when that is over"""
+    CARRIED = 11
+    """[latched causes with their details, why the last stop began, its figures, whether a stop is owed, lamps,
+    horn]: the gateway has started again by itself, with renewed files: see ``gateway.command.carried``"""
+    CHECKPOINT = 12
+    """wall_ns, state: nothing is given to the core. All of its state, as MessagePack, once a minute whatever the
+    robot does, so that from here on a run can be run again by the same version: see ``gateway.checkpoint``"""

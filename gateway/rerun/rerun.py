@@ -10,6 +10,8 @@ from typing import Any, Final
 import msgspec
 
 from gateway.chassis.frame import Frame
+from gateway.checkpoint import CheckpointError
+from gateway.command.carried import Carried
 from gateway.command.request import Credentials, RawRequest
 from gateway.command.snapshot import Snapshot
 from gateway.core import Core, TickEffects
@@ -35,17 +37,22 @@ class Run(msgspec.Struct, frozen=True):
         run: its number.
         begins_ns: when its first input came, monotonic; of a part, the first of those that warm it up.
         inputs: all of them, in their order.
-        warm_up: of a part, what came right before it; the last of them is the place of rest.
+        warm_up: of a part that begins at a place of rest, what came right before it; the last of them is the
+            place.
+        state: of a part that begins at a checkpoint, the core's.
     """
 
     run: int
     begins_ns: int
     inputs: Iterator[Input]
     warm_up: tuple[Input, ...] = ()
+    state: bytes = b""
 
     def core(self, settings: Settings) -> Core:
         """A core as it was when the run, or the part, began."""
         core = Core(settings, "", self.begins_ns, self.run)
+        if self.state:
+            core.resume(self.state)
         if self.warm_up:
             *before, (_, now_ns, kept, controller, *told) = self.warm_up
             core.look_from(_as_links(told), ControllerState(controller))
@@ -63,8 +70,8 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
     Args:
         settings: those of the run, or others.
         journals: of one run, in their order and without a gap; they may come bit by bit. Where they do not begin
-            with the run's first input, it is run again from the first place of rest. A run made under other rules
-            is run from its first input alone, for those rules remembered other things at rest.
+            with the run's first input, it is run again from the first checkpoint or place of rest. A run made
+            under other rules is run from its first input alone, for those rules remembered other things.
 
     Raises:
         BrokenJournalError: an input cannot be given to a core, or some are missing.
@@ -72,14 +79,25 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
     run = run_of(journals)
     if run is not None:
         core = run.core(settings)
-        for _, samples in run_again(core, run.inputs):
-            yield from samples
+        try:
+            for _, samples in run_again(core, run.inputs):
+                yield from samples
+        except AttributeError as error:
+            if not run.state:
+                raise
+            # A checkpoint that somebody made up may name any of the core's classes anywhere.
+            raise BrokenJournalError(f"a checkpoint that no core has taken: {error}") from error
         # Where one ends depends on when the core was made.
         yield from core.last_batches(0)
 
 
-def run_of(journals: Iterable[Journal]) -> Run | None:
-    """The run that journals hold, from its first input or place of rest on; None if there is neither."""
+def run_of(journals: Iterable[Journal], *, at_rest: bool = False) -> Run | None:
+    """The run that journals hold, from its first input, checkpoint or place of rest on; None if there is none.
+
+    Args:
+        journals: as for ``rerun``.
+        at_rest: no checkpoint will do: the settings may be others than those of the run.
+    """
     rest = iter(journals)
     first = next(rest, None)
     if first is None:
@@ -95,26 +113,43 @@ def run_of(journals: Iterable[Journal]) -> Run | None:
         while one[1] - warm_up[0][1] > WARM_UP_NS:
             warm_up.popleft()
             is_warm = True
+        if one[0] == Kind.CHECKPOINT and not at_rest and first.rules == COMMAND_RULES and _fits(one[3]):
+            return Run(first.run, one[1], inputs, state=one[3])
         if is_warm and one[0] == Kind.REST and first.rules == COMMAND_RULES:
             return Run(first.run, warm_up[0][1], inputs, tuple(warm_up))
     return None
 
 
+def _fits(state: bytes) -> bool:
+    """This version's core can be resumed from the state."""
+    try:
+        Core(Settings(), "", 0).resume(state)
+    except CheckpointError:
+        return False
+    return True
+
+
 _REST_BEGINS: Final = msgspec.msgpack.encode([Kind.REST.value, *range(3 + len(LINKS))])[:2]
 """A place of rest is an array that begins so."""
 
+_STATE_NAMES: Final = f"{Core.__module__}:{Core.__qualname__}".encode()
+"""A checkpoint has this in it."""
 
-def rests(journal: Journal) -> list[int]:
-    """Return the times in a journal message when the gateway was at rest: nanoseconds since 1970, by its clock.
+
+def places(journal: Journal) -> list[int]:
+    """Return the times in a journal message from which a run can be run again: ns since 1970, by its clock.
 
     Raises:
         BrokenJournalError: it cannot be read.
     """
     # Most hold none, and looking through their inputs takes much longer.
-    if journal.rules != COMMAND_RULES or _REST_BEGINS not in journal.inputs:
+    raw = journal.inputs
+    if journal.rules != COMMAND_RULES or (_REST_BEGINS not in raw and _STATE_NAMES not in raw):
         return []
-    # The tick in which it was is the next input, and tells the time of day.
-    return [tick[2] for one, tick in pairwise(inputs_of(journal)) if one[0] == Kind.REST]
+    inputs = inputs_of(journal)
+    # The tick in which it was at rest is the next input, and tells the time of day.
+    rests = [tick[2] for one, tick in pairwise(inputs) if one[0] == Kind.REST]
+    return sorted(rests + [one[2] for one in inputs if one[0] == Kind.CHECKPOINT and _fits(one[3])])
 
 
 def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:
@@ -184,8 +219,10 @@ _GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample] | None]]] = {
     Kind.SENT: lambda core, now_ns, count, wall_ns: core.sent(count, now_ns, wall_ns),
     Kind.SHUT_DOWN: lambda core, now_ns: core.shut_down(now_ns),
     Kind.REST: lambda *_: None,
+    Kind.CHECKPOINT: lambda *_: None,
     Kind.GUARD_STOP: lambda core, now_ns, words: core.latch_guard_stop(words, now_ns),
     Kind.WARNING: lambda core, now_ns, words: core.warn(words, now_ns),
     Kind.END_LEASE: lambda core, now_ns, reason, detail: core.end_lease(Reason(reason), detail, now_ns),
     Kind.BARS: lambda core, now_ns, bars: core.bar({Reason(key): words for key, words in bars.items()}, now_ns),
+    Kind.CARRIED: lambda core, now_ns, former: core.take_over(msgspec.convert(former, Carried), now_ns),
 }

@@ -39,6 +39,10 @@ _COUNTED_BYTES: Final = 6
 """Bytes of a command frame before alive counter and checksum (manual V2.0, section 5)."""
 
 
+Effects = TickEffects | list[Sample]
+"""All that comes of one input: of a tick its effects, else samples."""
+
+
 class GivenOutput(msgspec.Struct, frozen=True, gc=False):
     """A sample of one of the two runs.
 
@@ -59,50 +63,64 @@ def what_if(settings: Settings, other: Settings, journals: Iterable[Journal]) ->
         other: those to try.
         journals: of one run, as in ``gateway.rerun.rerun.rerun``.
     """
-    run = run_of(journals)
+    run = run_of(journals, at_rest=True)
     if run is not None:
-        pair = _Pair(run.core(settings), run.core(other))
+        pair = RunPair(run.core(settings), run.core(other))
         for one in run.inputs:
-            yield from pair.give(one)
+            for returned, is_other in zip(pair.give(one), (False, True), strict=True):
+                for sample in samples_of(returned):
+                    yield GivenOutput(sample, is_other)
 
 
-class _Pair:
-    """The run as it was, and beside it the other one."""
+class RunPair:
+    """The run as it was, and beside it the other one.
+
+    Args:
+        core: of the run.
+        other: with the other settings, in a state of the same moment.
+
+    Attributes:
+        core, other: the same.
+        differs: in the last tick the chassis was told different things.
+    """
 
     def __init__(self, core: Core, other: Core) -> None:
-        self._core = core
-        self._other = other
+        self.core = core
+        self.other = other
+        self.differs = False
         self._echo = _Echo(core, other)
         self._stand_in: StandIn | None = None
         self._offered: list[Frame] = []
         self._offered_other: list[Frame] = []
         self._resting_since_ns: int | None = None
 
-    def give(self, one: Input) -> Iterator[GivenOutput]:
-        """One input, to both."""
+    def give(self, one: Input) -> tuple[Effects, Effects]:
+        """Give one input to both. Returns what each does."""
         kind, now_ns = one[0], one[1]
-        returned = give(self._core, one)
+        returned = give(self.core, one)
         if kind == Kind.FRAME:
             one = self._shown(one)
         elif kind == Kind.REQUEST:
             one = self._echo.asked(one)
         elif kind == Kind.SENT:
             one = self._sent(one)
-        answer = give(self._other, one)
+        answer = give(self.other, one)
         if isinstance(returned, TickEffects) and isinstance(answer, TickEffects):
             self._compare(returned.frames, answer.frames, now_ns)
-        for samples, is_other in ((_samples(returned), False), (_samples(answer), True)):
-            for sample in samples:
+        for effects, is_other in ((returned, False), (answer, True)):
+            for sample in samples_of(effects):
                 if sample.subject == SAFETY_STATE:
                     self._echo.published(sample, is_other=is_other)
-                yield GivenOutput(sample, is_other)
+        return returned, answer
 
     def _shown(self, one: Input) -> Input:
         stand_in = self._stand_in
         if stand_in is None:
-            if self._core.variant is Variant.UNKNOWN:
+            if self.core.variant is Variant.UNKNOWN:
                 return one
-            stand_in = self._stand_in = StandIn(self._core.variant)
+            stand_in = self._stand_in = StandIn(self.core.variant)
+            for before in self.core.newest_frames:
+                stand_in.show(before, one[1])
         frame = Frame(*one[2])
         shown = stand_in.show(frame, one[1])
         return one if shown is frame else (one[0], one[1], msgspec.structs.astuple(shown))
@@ -120,10 +138,11 @@ class _Pair:
     def _compare(self, frames: list[Frame], others: list[Frame], now_ns: int) -> None:
         """Compare the commands of both runs, and begin or end the stand-in for the chassis accordingly."""
         self._offered, self._offered_other = frames, others
+        self.differs = _told(frames) != _told(others)
         stand_in = self._stand_in
         if stand_in is None:
             return
-        if _told(frames) != _told(others):
+        if self.differs:
             stand_in.begin(now_ns)
         if frames or others or not stand_in.stands:
             self._resting_since_ns = None
@@ -201,5 +220,6 @@ def _told(frames: list[Frame]) -> list[tuple[int, bytes]]:
     return [(frame.can_id, frame.data[:_COUNTED_BYTES]) for frame in frames]
 
 
-def _samples(returned: TickEffects | list[Sample]) -> list[Sample]:
+def samples_of(returned: Effects) -> list[Sample]:
+    """The samples among what a core does."""
     return returned.samples if isinstance(returned, TickEffects) else returned

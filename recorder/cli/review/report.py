@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterator
+import shlex
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.review.asking import add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.missing_extra import missing_extra
+from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.review.why import chain_in_words
 from recorder.cli.show import show
-from recorder.review.report.findings import Report
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import Progress, Selection
+from recorder.reading.survey import survey
+from recorder.review.report.findings import Report, Why
 from recorder.review.report.page import page
 from recorder.review.report.survey import read_report
 from recorder.review.report.words import headline, summary_lines
+from recorder.review.why import Explainer
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -31,11 +39,15 @@ DESCRIPTION: Final = (
 
 DEFAULT_FILE: Final = "report.html"
 
+WHYS_MAX: Final = 100
+"""Stops whose reasons are looked for; each takes a tenth of a second."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print the summary as JSON")
     add_period(parser)
+    parser.add_argument("--robot", metavar="NAME", help="this one alone, where the logs are of several")
     parser.add_argument(
         "-o",
         "--out",
@@ -54,24 +66,68 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     asked = find(arguments)
     with progress_bar("report", asked.bytes, stopped) as progress:
         report = read_report(
-            asked.logs, asked.selection, asked.faults, progress, version=version("cruiser-gateway")
+            asked.logs,
+            _selection(asked, arguments.robot),
+            asked.faults,
+            progress,
+            version=version("cruiser-gateway"),
         )
+    if not report.robots and arguments.robot is not None:
+        end_with(asked.faults)
+        raise CommandError(f"there is nothing of {plain(arguments.robot)} in these logs", ExitCode.USAGE)
     if not report.robots:
         end_with(asked.faults)
         raise CommandError("there is no state, decision or event of a robot in these logs, so nothing to report")
     if out is not None:
-        _write(out, page(report, plotly).encode())
+        with progress_bar("why", asked.bytes, stopped) as progress:
+            whys = reasons(report, asked.logs, progress)
+        _write(out, page(report, plotly, whys, shlex.join(map(str, arguments.logs))).encode())
     show(summary(report), describe(report, out), as_json=arguments.json)
     return end_with(asked.faults)
+
+
+def _selection(asked: Asked, robot: str | None) -> Selection:
+    """Select what is asked about; of one robot its own messages and those of recorders."""
+    if robot is None:
+        return asked.selection
+    return msgspec.structs.replace(asked.selection, wants=lambda topic: topic.robot in {robot, ""})
 
 
 def summary(report: Report) -> dict[str, Any]:
     """Return all of a report but what is drawn."""
     fields: dict[str, Any] = msgspec.structs.asdict(report)
     fields["robots"] = [
-        {**msgspec.structs.asdict(robot.summary), "moments": robot.charts.moments} for robot in report.robots
+        {
+            **msgspec.structs.asdict(robot.summary),
+            "moments": robot.charts.moments,
+            "drives": [msgspec.structs.replace(drive, report=None) for drive in robot.drives],
+            "more_drives": robot.more_drives,
+        }
+        for robot in report.robots
     ]
     return fields
+
+
+def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict[tuple[str, int], Why]:
+    """Explain the stops of a report, the first WHYS_MAX of them, by the robot's key and the time of the stop.
+
+    What cannot be read of the logs has been reported by the reading before.
+    """
+    found: dict[tuple[str, int], Why] = {}
+    contents = survey(logs, Faults())
+    explainers: dict[str, Explainer] = {}
+    for robot in report.drawn:
+        stops = dict.fromkeys(one.time_ns for one in robot.charts.moments if one.is_stop)
+        if not stops or len(found) >= WHYS_MAX:
+            continue
+        name = robot.summary.name
+        if name not in explainers:
+            explainers[name] = Explainer(name, logs, contents, Faults(), progress)
+        for time_ns in list(stops)[: WHYS_MAX - len(found)]:
+            progress(0)
+            explanation = explainers[name].at(time_ns)
+            found[robot.summary.key, time_ns] = Why(explanation.headline, list(chain_in_words(explanation)))
+    return found
 
 
 def describe(report: Report, out: Path | None) -> Iterator[str]:
@@ -92,7 +148,7 @@ def _plotly() -> str:
     try:
         from plotly.offline import get_plotlyjs  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise CommandError("a report needs plotly: pip install 'cruiser-gateway[review]'") from error
+        raise missing_extra("plotly", "review") from error
     return str(get_plotlyjs())
 
 

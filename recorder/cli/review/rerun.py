@@ -11,20 +11,19 @@ from typing import Final
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.cli.show import show
-from recorder.reading.configurations import CONFIGURATION
 from recorder.reading.times import in_words
 from recorder.review.rerun.counterfactual import (
-    CounterfactualVerdict,
     Journey,
     StopMade,
     StopMoved,
     WhatIfResult,
     what_if_logs,
 )
+from recorder.review.rerun.minutes import verdict_in_words
 from recorder.review.rerun.parallel import rerun_in_parallel
 from recorder.review.rerun.player import RerunResult
+from recorder.review.rerun.tried_settings import TriedSettings
 from schemas.command_rules import COMMAND_RULES, rules_notice
-from schemas.configuration import TomlSource, merge
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -49,36 +48,51 @@ TOLD: Final = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print a JSON object a line, one for each run of a gateway")
+    add_tried_settings(parser)
+    add_jobs(parser, "without --set and --with: run in N processes at once")
+
+
+def add_tried_settings(parser: argparse.ArgumentParser) -> None:
+    """--set and --with."""
     parser.add_argument(
         "--set", action="append", default=[], dest="changes", metavar="SETTING=VALUE", help="try another value"
     )
     parser.add_argument(
         "--with", type=Path, dest="file", metavar="FILE", help="try this whole configuration, a TOML file"
     )
+
+
+def add_jobs(parser: argparse.ArgumentParser, words: str) -> None:
+    """--jobs."""
     processors = len(os.sched_getaffinity(0))
-    parser.add_argument(
-        "--jobs",
-        type=_jobs,
-        default=processors,
-        metavar="N",
-        help=f"without --set and --with: run in N processes at once (default: {processors}, the processors)",
-    )
+    help_text = f"{words} (default: {processors}, the processors)"
+    parser.add_argument("--jobs", type=whole_number, default=processors, metavar="N", help=help_text)
+
+
+def tried_settings(arguments: argparse.Namespace) -> TriedSettings:
+    """Return the settings that --set and --with ask for.
+
+    Raises:
+        CommandError: a file cannot be read, or a value is wrong.
+    """
+    changes = dict(map(_change, arguments.changes))
+    text = None if arguments.file is None else _read(arguments.file)
+    tried = TriedSettings(text, str(arguments.file), changes)
+    if text is not None:
+        # A wrong file or a wrong value is told before a long log is read.
+        tried("")
+    return tried
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run again."""
-    changes = dict(map(_change, arguments.changes))
-    text = None if arguments.file is None else _read(arguments.file)
-    settings_of = _settings_of(text, arguments.file, changes)
-    if text is not None:
-        # A wrong file or a wrong value is told before a long log is read.
-        settings_of("")
+    tried = tried_settings(arguments)
     asked = find(arguments)
     with progress_bar("running again", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
         results: Iterator[RerunResult | WhatIfResult] = (
-            what_if_logs(asked.logs, settings_of, asked.faults, progress=progress)
-            if changes or text is not None
-            else rerun_in_parallel(asked.logs, asked.faults, arguments.jobs, progress=progress)
+            rerun_in_parallel(asked.logs, asked.faults, arguments.jobs, progress=progress)
+            if tried.is_own
+            else what_if_logs(asked.logs, tried, asked.faults, progress=progress)
         )
         worst = ExitCode.OK
         runs = 0
@@ -103,11 +117,12 @@ def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
     return ExitCode.PARTIAL if result.detail else ExitCode.OK
 
 
-def _jobs(text: str) -> int:
+def whole_number(text: str) -> int:
+    """A number of at least 1, for argparse."""
     with suppress(ValueError):
-        if (jobs := int(text)) > 0:
-            return jobs
-    raise argparse.ArgumentTypeError(f"{text!r} is no number of processes")
+        if (number := int(text)) > 0:
+            return number
+    raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
 
 
 def _change(text: str) -> tuple[str, object]:
@@ -122,17 +137,6 @@ def _read(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise CommandError(f"cannot read {plain(str(path))}: {error}", ExitCode.USAGE) from error
-
-
-def _settings_of(text: str | None, path: Path | None, changes: dict[str, object]) -> Callable[[str], Settings]:
-    def settings_of(recorded: str) -> Settings:
-        if text is None:
-            source = TomlSource(CONFIGURATION, recorded, is_recorded=True)
-        else:
-            source = TomlSource(str(path), text)
-        return merge(source, {}, changes)
-
-    return settings_of
 
 
 def describe(result: RerunResult | WhatIfResult) -> Iterator[str]:
@@ -177,8 +181,8 @@ def _of_what_if(result: WhatIfResult) -> Iterator[str]:
     changed = sum(change.count for change in result.changes)
     yield f"  {changed} of {result.decisions} decisions would have been others"
     yield from (
-        f"    {change.count} x {change.request} of {change.operator}: {_verdict(change.recorded)}, then "
-        f"{_verdict(change.other)}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
+        f"    {change.count} x {change.request} of {change.operator}: {verdict_in_words(change.recorded)}, then "
+        f"{verdict_in_words(change.other)}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
         for change in sorted(result.changes, key=lambda one: one.first_ns)
     )
 
@@ -206,8 +210,3 @@ def _stop(stop: StopMade) -> str:
 def _moved(moved: StopMoved) -> str:
     seconds = (moved.other_ns - moved.stop.time_ns) / 1e9
     return f"{abs(seconds):.2f} s {'later' if seconds > 0 else 'sooner'}"
-
-
-def _verdict(verdict: CounterfactualVerdict) -> str:
-    text = verdict.verdict if verdict.reason == "none" else f"{verdict.verdict} ({verdict.reason})"
-    return f"{text}, bound by {' and '.join(verdict.bound_by)}" if verdict.bound_by else text

@@ -8,19 +8,21 @@ from typing import Final
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Row
 from recorder.reading.topics import UNREADABLE
-from recorder.review.rerun.segments import BEFORE_NS, JournalLateness, Rests
+from recorder.review.rerun.segments import BEFORE_NS, JournalLateness, Places
 from recorder.review.rerun.tapes import Tape
 
 MARGIN_NS: Final = 1_000_000_000
 """A batch is published up to this long after the oldest sample in it."""
 
 
-def beginning(rows: Iterator[Row], rests: Rests, until_ns: int, incident_ns: int, faults: Faults) -> int | None:
+def beginning(
+    rows: Iterator[Row], places_in: Places, until_ns: int, incident_ns: int, faults: Faults
+) -> int | None:
     """The log time from which on a robot's run can be run again up to an incident; None if there is none.
 
     Args:
         rows: the robot's journals, by log time.
-        rests: finds the places of rest.
+        places_in: finds the places from which a run can be run again.
         until_ns: the log time by which it should begin; where it cannot, it begins as soon as it can.
         incident_ns: the log time by which it has to begin.
         faults: takes what cannot be read.
@@ -39,7 +41,7 @@ def beginning(rows: Iterator[Row], rests: Rests, until_ns: int, incident_ns: int
                 if journal.first == 0:
                     places.append(part_ns)
             try:
-                found = rests(journal)
+                found = places_in(journal)
             except UNREADABLE as error:
                 faults.add(f"a journal that cannot be read: {error}")
                 continue

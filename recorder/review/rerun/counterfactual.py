@@ -18,7 +18,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE
-from recorder.review.rerun.player import NO_CONFIGURATION, RerunPlayer, SampleAgain, installed
+from recorder.review.rerun.player import NO_CONFIGURATION, RerunPlayer, RerunResult, SampleAgain, installed
 from schemas import codec
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
@@ -79,6 +79,16 @@ class CounterfactualVerdict(msgspec.Struct, frozen=True):
     verdict: str
     reason: str
     bound_by: tuple[str, ...]
+
+
+class EventDifference(msgspec.Struct, frozen=True):
+    """An event that the two runs do not have equally often; the first of them is at ``time_ns``, since 1970."""
+
+    time_ns: int
+    kind: str
+    reason: str
+    recorded: int
+    other: int
 
 
 class DecisionChange(msgspec.Struct):
@@ -169,43 +179,24 @@ def what_if_logs(
 
 def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str], Settings]) -> WhatIfResult:
     text = player.configuration()
-    pair = _Pair()
+    pair = RunsCompared()
     changed: dict[str, tuple[object, object]] = {}
     if text is None:
         run = player.skip(NO_CONFIGURATION)
     else:
         settings, other = settings_from(text), settings_of(text)
-        changed = _changed(settings, other)
+        changed = changed_settings(settings, other)
         try:
             for said in run_both(settings, other, player.journals()):
-                pair.take(said)
+                pair.take(said.sample, is_other=said.is_other)
         except UNREADABLE as error:
             player.break_off(error)
         run = player.result(pair.start_ns)
-    recorded, tried = pair.sides[False].journey, pair.sides[True].journey
-    stops = compared(recorded.stops, tried.stops)
-    return WhatIfResult(
-        robot=run.robot,
-        run=run.run,
-        first=run.first,
-        inputs=run.inputs,
-        detail=run.detail,
-        start_ns=pair.start_ns,
-        end_ns=pair.end_ns,
-        settings=changed,
-        decisions=pair.decisions,
-        changes=list(pair.changes.values()),
-        recorded=recorded,
-        other=tried,
-        stops_avoided=stops.avoided,
-        stops_added=stops.added,
-        stops_moved=stops.moved,
-        rules=run.rules,
-    )
+    return pair.result(run, changed)
 
 
-def _changed(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
-    """The settings of the arbiter that differ; bus and network make no difference here."""
+def changed_settings(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
+    """Return the settings of the arbiter that differ; bus and network make no difference here."""
     return {
         f"{section}.{name}": (was, tried)
         for section in ("command", "chassis", "gateway")
@@ -243,6 +234,7 @@ class _Side:
 
     def __init__(self) -> None:
         self.journey = Journey()
+        self.events: dict[tuple[str, str], list[int]] = {}
         self.waiting: dict[int, Decision] = {}
         self._last: RobotState | None = None
 
@@ -262,44 +254,89 @@ class _Side:
         if mean_mps > STANDSTILL_MPS:
             self.journey.moving_s += passed_s
 
-    def take_stop(self, event: SafetyEvent) -> None:
-        self.journey.stops.append(StopMade(event.time_ns, event.reason.value, event.operator, event.text))
+    def take_event(self, event: SafetyEvent) -> None:
+        self.events.setdefault((event.kind.value, event.reason.value), []).append(event.time_ns)
+        if event.kind is EventKind.STOP:
+            self.journey.stops.append(StopMade(event.time_ns, event.reason.value, event.operator, event.text))
 
 
-class _Pair:
-    """Both runs."""
+class RunsCompared:
+    """Both runs, as they were and as they would have been.
+
+    Attributes:
+        changes: the decisions that differ, alike ones together.
+        start_ns, end_ns: of the states that were taken; 0 before the first.
+    """
 
     def __init__(self) -> None:
-        self.sides = {False: _Side(), True: _Side()}
-        self.decisions = 0
         self.changes: dict[tuple[object, ...], DecisionChange] = {}
         self.start_ns = self.end_ns = 0
+        self._sides = {False: _Side(), True: _Side()}
+        self._decisions = 0
 
-    def take(self, said: SaidOnce) -> None:
-        sample = said.sample
+    def take(self, sample: SampleAgain, *, is_other: bool) -> None:
+        """Take a sample of one of them."""
         if sample.subject not in _TAKEN:
             return
         message = codec.decode(BY_NAME[sample.subject], sample.payload)
-        side = self.sides[said.is_other]
+        side = self._sides[is_other]
         match message:
             case RobotState():
                 self.start_ns = self.start_ns or message.time_ns
                 self.end_ns = message.time_ns
                 side.take_state(message)
-            case SafetyEvent() if message.kind is EventKind.STOP:
-                side.take_stop(message)
+            case SafetyEvent():
+                side.take_event(message)
             case Decision():
-                self._take_decision(message, is_other=said.is_other)
+                self._take_decision(message, is_other=is_other)
             case _:
                 pass
 
+    def result(self, run: RerunResult, settings: dict[str, tuple[object, object]]) -> WhatIfResult:
+        """Sum up both.
+
+        Args:
+            run: the recorded one.
+            settings: those that differ.
+        """
+        recorded, tried = self._sides[False].journey, self._sides[True].journey
+        stops = compared(recorded.stops, tried.stops)
+        return WhatIfResult(
+            robot=run.robot,
+            run=run.run,
+            first=run.first,
+            inputs=run.inputs,
+            detail=run.detail,
+            start_ns=self.start_ns,
+            end_ns=self.end_ns,
+            settings=settings,
+            decisions=self._decisions,
+            changes=list(self.changes.values()),
+            recorded=recorded,
+            other=tried,
+            stops_avoided=stops.avoided,
+            stops_added=stops.added,
+            stops_moved=stops.moved,
+            rules=run.rules,
+        )
+
+    def first_event(self) -> EventDifference | None:
+        """Return the first event that one of them has more often than the other."""
+        recorded, other = (self._sides[is_other].events for is_other in (False, True))
+        found = [
+            EventDifference(min(was + now), *key, len(was), len(now))
+            for key in recorded.keys() | other.keys()
+            if len(was := recorded.get(key, [])) != len(now := other.get(key, []))
+        ]
+        return min(found, key=lambda one: one.time_ns, default=None)
+
     def _take_decision(self, decision: Decision, *, is_other: bool) -> None:
         """Pair the decisions of both runs by sequence: both judge the same requests in the same order."""
-        counterpart = self.sides[not is_other].waiting.pop(decision.sequence, None)
+        counterpart = self._sides[not is_other].waiting.pop(decision.sequence, None)
         if counterpart is None:
-            self.sides[is_other].waiting[decision.sequence] = decision
+            self._sides[is_other].waiting[decision.sequence] = decision
             return
-        self.decisions += 1
+        self._decisions += 1
         recorded, other = (counterpart, decision) if is_other else (decision, counterpart)
         was, would_be = _verdict(recorded), _verdict(other)
         if was == would_be:

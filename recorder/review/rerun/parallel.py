@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import signal
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import msgspec
 
@@ -25,7 +25,7 @@ from recorder.reading.rows import Progress, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.review.rerun.comparison import DIFFERENCES_TOLD
 from recorder.review.rerun.player import BROKEN_OFF, RerunPlayer, RerunResult, installed, rerun_logs, rerun_parts
-from recorder.review.rerun.segments import WHOLE, Plan, Rests, RunSegment, plan
+from recorder.review.rerun.segments import WHOLE, Places, Plan, RunSegment, plan
 from recorder.review.rerun.tapes import JOURNAL
 from schemas.exit_codes import CommandError
 
@@ -37,6 +37,9 @@ SEGMENTS_PER_JOB: Final = 8
 
 LOOK_S: Final = 0.1
 """Interval at which a process looks for a stop."""
+
+
+Outcome = TypeVar("Outcome")
 
 
 class RerunTask(msgspec.Struct, frozen=True):
@@ -93,13 +96,13 @@ def rerun_in(
     """The same in processes that are there; a segment is at least so long."""
     found = survey(logs, faults)
     size = sum(log.bytes for log in logs)
-    rests: Rests = installed("rests")
+    places: Places = installed("places")
     begun: list[tuple[RerunTask, Plan, list[Future[RerunOutcome]]]] = []
     # All are begun before the first is waited for.
     for robot in found.robots:
         whole = RerunTask(robot, list(logs), configurations_of(robot, logs, found, faults), WHOLE)
         selection = _journals_of(robot)
-        planned = plan(read_rows(logs, selection, faults, lambda _: progress(0)), rests, length_ns, faults)
+        planned = plan(read_rows(logs, selection, faults, lambda _: progress(0)), places, length_ns, faults)
         tasks = [msgspec.structs.replace(whole, segment=segment) for segment in planned.segments]
         begun.append((whole, planned, [pool.submit(run_task, task) for task in tasks]))
     for whole, planned, futures in begun:
@@ -120,7 +123,7 @@ def _journals_of(robot: str) -> Selection:
     return Selection(lambda topic: topic.robot == robot and topic.subject == JOURNAL)
 
 
-def outcome_of(future: Future[RerunOutcome], progress: Progress) -> RerunOutcome:
+def outcome_of(future: Future[Outcome], progress: Progress) -> Outcome:
     """Wait for the result of a task; the progress is called meanwhile, with no bytes.
 
     Raises:
@@ -186,7 +189,7 @@ def _joined(before: RerunResult, behind: RerunResult) -> RerunResult:
 def run_task(task: RerunTask) -> RerunOutcome:
     """A segment of a robot's time, run again in this process."""
     faults = Faults()
-    player = RerunPlayer(task.robot, task.logs, task.configurations, faults, _look, task.segment)
+    player = RerunPlayer(task.robot, task.logs, task.configurations, faults, look, task.segment)
     return RerunOutcome(list(rerun_parts(player)), faults)
 
 
@@ -203,6 +206,16 @@ def processes(jobs: int) -> Generator[ProcessPoolExecutor, None, None]:
         pool.shutdown(cancel_futures=True)
 
 
+class InThisProcess(Executor):
+    """Runs each task at once, where there is to be no other process."""
+
+    def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
+        """Run the task."""
+        future = Future[Any]()
+        future.set_result(act(*words, **named))
+        return future
+
+
 _stop: Event | None = None
 """Of a process that runs tasks: it is to end."""
 
@@ -213,6 +226,11 @@ def _enter(stop: Event) -> None:
     _stop = stop
 
 
-def _look(_count: int) -> None:
+def look(_count: int) -> None:
+    """End the task if the process is to end; a progress that counts nothing.
+
+    Raises:
+        KeyboardInterrupt: it is.
+    """
     if _stop is not None and _stop.is_set():
         raise KeyboardInterrupt

@@ -37,7 +37,9 @@ COMPARED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
 """The subjects that must come out the same."""
 
 NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
-NO_REST: Final = "the gateway was never at rest in it, so there is no place to begin"
+NO_PLACE: Final = (
+    "it holds no checkpoint of this version, and the gateway was never at rest in it: there is no place to begin"
+)
 OTHER_RULES: Final = "made under other rules, it can be run again from its first input alone"
 """A reason for running nothing again: the log begins in the run, and its rules were others."""
 
@@ -162,9 +164,11 @@ class RerunPlayer:
         faults: takes what cannot be read.
         progress: receives the number of bytes that were read.
         segment: the part of its time that is played.
+        compared: the subjects that are compared with what comes out again.
 
     Attributes:
         comparison: of the run that has come.
+        recorded_ns: the first and the last time of the journals that were played of it; 0 before.
     """
 
     def __init__(
@@ -175,12 +179,14 @@ class RerunPlayer:
         faults: Faults,
         progress: Progress,
         segment: RunSegment = WHOLE,
+        compared: Sequence[str] = COMPARED,
     ) -> None:
         self.comparison = Comparison(_decode, segment.holds)
+        self.recorded_ns = (0, 0)
         self._robot = robot
         self._configurations = configurations
         self._segment = segment
-        wanted = {JOURNAL, *COMPARED}
+        wanted = {JOURNAL, *compared}
         selection = Selection(
             lambda topic: topic.robot == robot and topic.subject in wanted, segment.log_from_ns, segment.log_to_ns
         )
@@ -195,8 +201,10 @@ class RerunPlayer:
 
     def journals(self) -> Iterator[Journal]:
         """The journals of the part, in their order."""
+        self.recorded_ns = (0, 0)
         for journal in self._tape.journals():
             self._rules = journal.rules
+            self.recorded_ns = (self.recorded_ns[0] or journal.time_ns, journal.time_ns)
             yield journal
 
     def configuration(self) -> str | None:
@@ -207,6 +215,10 @@ class RerunPlayer:
         """The journal cannot be used from here on: this part ends."""
         self._tape.break_off(f"{BROKEN_OFF}: {error!r}"[:DETAIL_MAX])
         self._faults.add(f"{self._robot}: run {self._tape.end.run}: {self._tape.end.detail}")
+
+    def leave(self) -> None:
+        """No more of this part is wanted."""
+        self._tape.break_off("")
 
     def skip(self, detail: str) -> RerunResult:
         """The run is not run again."""
@@ -219,7 +231,7 @@ class RerunPlayer:
         result = self._result(start_ns)
         if start_ns:
             return result
-        why = NO_REST if self._rules == COMMAND_RULES else OTHER_RULES
+        why = NO_PLACE if self._rules == COMMAND_RULES else OTHER_RULES
         return msgspec.structs.replace(result, detail="; ".join(filter(None, (result.detail, why))))
 
     def _result(self, start_ns: int) -> RerunResult:

@@ -1,6 +1,7 @@
 """The places at which a robot's runs can be cut, so that several processes run them again in parallel. Pure.
 
-A run can be run again from any place where the gateway was at rest. A segment goes from one such place to another.
+A run can be run again from any checkpoint in its journal, and from any place where the gateway was at rest. A
+segment goes from one such place to another.
 Which messages belong in it is said by their times alone: a robot whose clock was ever set back is not cut.
 """
 
@@ -18,7 +19,7 @@ from recorder.review.rerun.tapes import JOURNAL, PartEnd, Tape
 from schemas.decisions import Journal
 
 SETTLED_NS: Final = 500_000_000
-"""Time between a place of rest and the cut: what is said in batches is then all of this side or of that."""
+"""Time between a place and the cut: what is said in batches is then all of this side or of that."""
 
 BEFORE_NS: Final = 4_500_000_000
 """The inputs that are needed before a cut: a gateway looks back three seconds from where it was at rest."""
@@ -32,8 +33,8 @@ EARLY_NS: Final = 5_000_000_000
 LATE_NS: Final = 30_000_000_000
 """A record is received no later than this after the latest journal."""
 
-Rests = Callable[[Journal], list[int]]
-"""A journal message to the times at which the gateway was at rest, in nanoseconds since 1970."""
+Places = Callable[[Journal], list[int]]
+"""A journal message to the times in it from which a run can be run again, in nanoseconds since 1970."""
 
 
 class RunSegment(msgspec.Struct, frozen=True):
@@ -92,23 +93,31 @@ class JournalLateness:
     def watch(self, rows: Iterator[Row]) -> Iterator[Row]:
         """The same rows, looked at."""
         for row in rows:
-            late_ns = row.log_ns - row.publish_ns
-            self.least_ns = min(self.least_ns, late_ns)
-            self.most_ns = max(self.most_ns, late_ns)
+            if row.topic.subject == JOURNAL:
+                late_ns = row.log_ns - row.publish_ns
+                self.least_ns = min(self.least_ns, late_ns)
+                self.most_ns = max(self.most_ns, late_ns)
             yield row
 
 
-def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> Plan:
+def plan(
+    rows: Iterator[Row],
+    places_in: Places,
+    length_ns: int,
+    faults: Faults,
+    take: Callable[[Row], None] = lambda _: None,
+) -> Plan:
     """Look through a robot's journals for places to cut.
 
     Args:
         rows: of its journals, by log time.
-        rests: finds the places of rest.
+        places_in: finds the places from which a run can be run again.
         length_ns: a segment is at least so long.
         faults: takes what cannot be read.
+        take: takes each row that is no journal.
     """
     lateness = JournalLateness()
-    tape = Tape(lateness.watch(rows), lambda _: None, faults)
+    tape = Tape(lateness.watch(rows), take, faults)
     parts: list[PartEnd] = []
     cuts: list[int] = []
     begins_ns, newest_ns, is_steady = None, 0, True
@@ -121,7 +130,7 @@ def plan(rows: Iterator[Row], rests: Rests, length_ns: int, faults: Faults) -> P
             part_ns = newest_ns if part_ns is None else part_ns
             begins_ns = newest_ns if begins_ns is None else begins_ns
             try:
-                places += rests(journal)
+                places += places_in(journal)
             except UNREADABLE:
                 is_steady = False
         parts.append(tape.end)

@@ -21,7 +21,7 @@ from schemas.reasons import Reason
 from schemas.subjects import BY_NAME
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis, gateway
-from tests.support.waiting import wait_until
+from tests.support.waiting import DEADLINE_S, wait_until
 from tests.unit.gateway.rerun.test_rerun import ReadBack
 
 SAFETY: dict[str, type[Message]] = {"safety/decision": Decision, "safety/event": SafetyEvent}
@@ -35,7 +35,7 @@ def recorder(endpoint: str, directory: Path) -> Running:
 def drive(endpoint: str) -> None:
     """Engage, drive, stop, reset, and stand by again."""
     settings = merge(TomlSource("", f'[zenoh]\nconnect = ["{endpoint}"]\n'), {}, {})
-    with Robot.connect("cruiser-1", settings=settings) as robot, robot.lease() as lease:
+    with Robot.connect("cruiser-1", settings=settings, timeout_s=DEADLINE_S) as robot, robot.lease() as lease:
         wait_until(lambda: robot.state().state.blocked_by == [Reason.NOT_ENGAGED])
         lease.engage()
         lease.unpark()

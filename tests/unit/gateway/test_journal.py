@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from gateway.chassis.frame import EXTENDED, FD, REMOTE, Frame
+from gateway.command.carried import Carried
 from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.journal import BrokenJournalError, Input, JournalGapError, JournalWriter, reach, read
@@ -104,6 +105,7 @@ def test_every_input_of_the_core_is_written_down() -> None:
     )
     core.latch_guard_stop("the robot stands", 7)
     core.warn("somebody is there", 7)
+    core.take_over(Carried({"remote_stop": ""}, "remote_stop", "by a desk"), 7)
     core.shut_down(8)
     assert inputs_of(core, 0) == [
         (Kind.FRAME, 0, [EXTENDED | 0x18C4D1EF, bytes(8), WALL_NS, 0, 0]),
@@ -114,6 +116,7 @@ def test_every_input_of_the_core_is_written_down() -> None:
         (Kind.LINKS, 6, True, 1, True, False, 1, False, True, "it has given up"),
         (Kind.GUARD_STOP, 7, "the robot stands"),
         (Kind.WARNING, 7, "somebody is there"),
+        (Kind.CARRIED, 7, [{"remote_stop": ""}, "remote_stop", "by a desk", False, {}, False]),
         (Kind.SHUT_DOWN, 8),
     ]
     core.sent(0, 8, WALL_NS + 8)

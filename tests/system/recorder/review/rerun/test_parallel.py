@@ -16,7 +16,8 @@ from recorder.review.rerun.parallel import (
     run_task,
 )
 from recorder.review.rerun.segments import WHOLE
-from schemas.exit_codes import CommandError
+from schemas.exit_codes import CommandError, ExitCode
+from tests.support.commands import review
 from tests.support.waiting import wait_until
 from tests.unit.recorder.review.rerun.test_parallel import LENGTH_NS, NAME, Change, alone, changed, day_log
 
@@ -34,6 +35,23 @@ def test_processes_do_it(tmp_path: Path) -> None:
     assert results == alone(tmp_path)[0]
     assert [one.robot for one in results] == ["a" * 9, "b" * 9]
     assert sum(told) == pytest.approx(2 * sum(one.bytes for one in logs), rel=0.01)
+
+
+def test_the_command_says_the_same_with_several_processes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of each robot, in the order of their names; also of what is damaged."""
+    for robot in ("a", "b"):
+        # The attachments' checksums are wrong then.
+        (tmp_path / f"{robot}.mcap").write_bytes(day_log().replace(b"cruiser-1", robot.encode() * 9))
+    codes, said = zip(
+        *[(review("rerun", tmp_path, f"--jobs={jobs}", "--json"), capsys.readouterr()) for jobs in (1, 2)],
+        strict=True,
+    )
+    assert codes == (ExitCode.PARTIAL, ExitCode.PARTIAL)
+    assert said[0].out == said[1].out
+    assert sorted(said[0].err.splitlines()) == sorted(said[1].err.splitlines())
+    assert len(said[0].out.splitlines()) == 2
 
 
 def test_a_process_that_is_killed_is_one_clear_error() -> None:

@@ -1,16 +1,23 @@
 """``cruiser review report``."""
 
 import json
+import re
+import shlex
 import sys
+from html import unescape
 from pathlib import Path
 
 import pytest
 
+from recorder.cli.review import report
+from recorder.review.report import survey
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
-from tests.support.drives import drive_messages, restart, write_messages
+from tests.support.drives import drive_messages, drives_over, restart, write_messages
 from tests.support.logs import Log
 from tests.support.messages import gear, sample_of
+from tests.support.rigs import scenarios
+from tests.support.rigs.scenarios import recorded
 
 
 @pytest.fixture(autouse=True)
@@ -129,3 +136,60 @@ def test_a_missing_library_is_named_with_what_installs_it(
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     assert ask(log, "-o", "r.html") == ExitCode.FAILURE
     assert "pip install 'cruiser-gateway[review]'" in capsys.readouterr().err
+
+
+def test_one_robot_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The others are left out; one that is not there is a matter of usage."""
+    path = write_messages(tmp_path / "a.mcap", drive_messages(20), robots=["r-1", "r-2"])
+    assert ask(path, "--json", "--robot", "r-2") == ExitCode.OK
+    assert [one["name"] for one in json.loads(capsys.readouterr().out)["robots"]] == ["r-2"]
+    assert ask(path, "--json", "--robot", "r-3") == ExitCode.USAGE
+    assert "there is nothing of r-3 in these logs" in capsys.readouterr().err
+
+
+def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command works as it stands, and its report is of this drive alone."""
+    monkeypatch.setattr(survey, "DRAWN_MAX", 1)
+    write_messages(tmp_path / "a b.mcap", drives_over(3, 3), robots=["r-1"])
+    assert ask("a b.mcap", "--json") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert [one["stops"] for one in robot["drives"]] == [1, 1, 1]
+    assert ask("a b.mcap", "-o", "r.html") == ExitCode.OK
+    commands = re.findall("<code>cruiser review report (.*?)</code>", (tmp_path / "r.html").read_text())
+    assert len(commands) == 2
+    words = shlex.split(unescape(commands[1]))
+    assert ask(*words) == ExitCode.OK
+    assert ask(*words[:-2], "--json") == ExitCode.OK
+    (alone,) = json.loads(capsys.readouterr().out.rpartition("written: ")[2].partition("\n")[2])["robots"]
+    assert len(alone["drives"]) == 1
+    assert alone["drives"][0]["start_ns"] == robot["drives"][1]["start_ns"]
+    assert alone["stops"] == {"front_bumper": 1}
+
+
+def test_stops_beyond_the_limit_have_a_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is the one that explains them."""
+    monkeypatch.setattr(report, "WHYS_MAX", 0)
+    path = write_messages(tmp_path / "a.mcap", drive_messages(60))
+    assert ask(path, "-o", "r.html") == ExitCode.OK
+    html = (tmp_path / "r.html").read_text()
+    assert '<details class="why">' not in html
+    assert "cruiser review why" in html
+    assert "--robot cruiser-1 --at 2027-01-15T08:00:02.950Z" in html
+
+
+def test_each_stop_has_its_reason_as_why_words_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every sentence of the command's answer is on the page."""
+    (tmp_path / "a.mcap").write_bytes(recorded(scenarios.front_bumper))
+    assert ask(tmp_path / "a.mcap", "-o", "r.html") == ExitCode.OK
+    html = (tmp_path / "r.html").read_text()
+    capsys.readouterr()
+    assert review("why", tmp_path / "a.mcap", "--json") == ExitCode.OK
+    answer = json.loads(capsys.readouterr().out)
+    block = html.partition('<details class="why">')[2].partition("</details>")[0]
+    page_says = unescape(re.sub("<[^>]*>", " ", block))
+    assert answer["headline"] in page_says
+    assert len(answer["chain"]) > 5
+    for link in answer["chain"]:
+        assert link["text"][1:] in page_says

@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.writer import Writer
 
+from gateway import core
 from recorder.encoding.transcode import compile_encoder
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
@@ -31,9 +32,10 @@ from recorder.review.rerun.player import RerunResult, rerun_logs
 from recorder.review.rerun.segments import WHOLE, Plan, RunSegment
 from recorder.review.rerun.tapes import PartEnd
 from schemas.decisions import Decision, Journal, Verdict
+from schemas.messages import Variant
 from tests.support.messages import MS, SECOND
 from tests.support.nights import by_night
-from tests.support.rigs.day import restful_day
+from tests.support.rigs.day import Day, restful_day
 
 LENGTH_NS: Final = 5 * SECOND
 DRIVEN_NS: Final = 1_700_000_050_000_000_000
@@ -152,7 +154,7 @@ def changed(path: Path, change: Callable[[str, Message], list[Message]]) -> Path
 
 @pytest.mark.parametrize(
     "name",
-    ["losses", "gaps", "nonsense", by_night("nothing"), by_night("other_decisions"), by_night("latecomers")],
+    ["losses", "nonsense", *map(by_night, ["gaps", "nothing", "other_decisions", "latecomers"])],
 )
 def test_the_answer_is_the_one_that_a_single_process_gives(name: str, tmp_path: Path) -> None:
     """Whatever is in the log, with the same differences, counts and faults."""
@@ -171,6 +173,23 @@ def test_a_log_that_ends_in_a_drive_has_the_same_end(seed: int, tmp_path: Path) 
     results, _, tasks = in_parallel(path)
     assert results == alone(path)[0]
     assert len(tasks) > 1
+
+
+def test_a_robot_that_never_rests_is_cut_at_its_checkpoints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the midst of drives and stops; the answer is the one that a single process gives."""
+    monkeypatch.setattr(core, "CHECKPOINT_PERIOD_NS", 2 * SECOND)
+    monkeypatch.setattr(core, "REST_PERIOD_NS", 3600 * SECOND)
+    day = Day(4, Variant.COARSE, ticks=2500)
+    day.live()
+    path = tmp_path / NAME
+    path.write_bytes(day.rig.log(lag_ns=MS))
+    results, faults, tasks = in_parallel(path)
+    assert (results, faults) == alone(path)
+    assert [(one.difference_count, one.detail) for one in results] == [(0, "")]
+    assert len(tasks) > 3
+    assert all(task.segment != WHOLE for task in tasks)
 
 
 def test_a_short_log_of_one_robot_needs_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

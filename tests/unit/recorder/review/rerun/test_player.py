@@ -121,7 +121,7 @@ def test_a_log_in_two_files_is_one_run(tmp_path: Path, log: Path) -> None:
     [late], _ = run_again(second)
     assert late.first == early_inputs(first)
     assert late.same == {}
-    assert "are missing; the gateway was never at rest" in late.detail
+    assert "are missing; it holds no checkpoint of this version, and the gateway was never at rest" in late.detail
     [early], _ = run_again(first)
     assert 0 < early.inputs < result.inputs
     assert early.difference_count == 0
