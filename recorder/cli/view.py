@@ -1,0 +1,172 @@
+"""``cruiser view``: robots live in Foxglove and Lichtblick. It commands nothing."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from recorder.cli.missing_extra import missing_extra
+from recorder.layouts.attached import RobotKeys, layouts
+from recorder.zenoh.session import said_of
+from recorder.zenoh.source import ZenohSource
+from schemas import keys
+from schemas.arguments import add_zenoh_arguments, ending_after, robot_name, seconds
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.listen_address import add_certificate_arguments, address, certificate_files
+from schemas.printable import plain
+from schemas.settings import Settings
+from schemas.subjects import SUBJECTS, Pattern
+
+if TYPE_CHECKING:
+    from recorder.view.live_channels import LiveChannels
+    from recorder.view.run import ViewLoop
+
+EXAMPLE: Final = """\
+  cruiser view                                    all robots, at ws://127.0.0.1:8765
+  cruiser view cruiser-1 --layouts layouts        one robot, and the layouts to import
+  cruiser view --root replay                      what 'cruiser review replay' publishes"""
+
+LISTEN: Final = ("127.0.0.1", 8765)
+"""The port that viewers propose."""
+
+TIMEOUT_S: Final = 5.0
+
+QUEUE_SAMPLES: Final = 1000
+"""Samples of a subject that wait while the loop is held up; beyond it the oldest go."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    parser.add_argument(
+        "robots", nargs="*", type=robot_name, metavar="ROBOT", help="the robots; all of them if left out"
+    )
+    parser.add_argument(
+        "--listen",
+        type=address,
+        default=LISTEN,
+        metavar="ADDRESS:PORT",
+        help=f"where viewers connect ({LISTEN[0]}:{LISTEN[1]}: this machine alone); port 0 is a free one",
+    )
+    add_certificate_arguments(parser)
+    parser.add_argument(
+        "--layouts", type=Path, metavar="DIRECTORY", help="write each robot's layouts there; made if it is missing"
+    )
+    parser.add_argument(
+        "--timeout",
+        type=seconds,
+        default=TIMEOUT_S,
+        metavar="S",
+        help=f"how long to wait for the robots ({TIMEOUT_S:g})",
+    )
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    add_zenoh_arguments(parser)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Show the robots until it is stopped.
+
+    Raises:
+        CommandError: the package is missing, the address is taken or needs a certificate, no Zenoh node answers,
+            or none of the robots appears.
+    """
+    try:
+        from recorder.view.live_channels import LiveChannels  # noqa: PLC0415 - not before the package is known
+        from recorder.view.run import ViewLoop  # noqa: PLC0415 - needs the extra 'live'
+        from recorder.view.server import ViewServer  # noqa: PLC0415 - the same
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "foxglove":
+            raise
+        raise missing_extra("foxglove-sdk", "live") from None
+    host, port = arguments.listen
+    certificate = certificate_files(arguments.certificate, arguments.key, host, "viewers")
+    shown = ", ".join(arguments.robots) or "all robots"
+    ends = ending_after(stopped, arguments.seconds, time.monotonic)
+    with (
+        ViewServer(f"cruiser: {shown}", host, port, certificate) as server,
+        closing(
+            ZenohSource(settings.zenoh, expressions(settings.robot.root, arguments.robots), QUEUE_SAMPLES)
+        ) as source,
+    ):
+        channels = LiveChannels(server, version("cruiser-gateway"))
+        loop = ViewLoop(source, server, channels, Layouts(arguments.layouts).write)
+        place = ", ".join(map(plain, said_of(settings.zenoh).connect))
+        _wait(loop, channels, source, arguments, place, ends)
+        missing = ", ".join(sorted(set(arguments.robots) - channels.robots))
+        _tell(f"{server.where}, {shown} at {place}{missing and f'; not there yet: {missing}'}")
+        loop.run(ends)
+    if channels.left_out:
+        _tell(f"{channels.left_out} samples were too large to be shown")
+    return int(ExitCode.OK)
+
+
+def expressions(root: str, robots: Sequence[str]) -> list[str]:
+    """The keys of all that these robots publish, or all robots, one subject at a time: as people may subscribe."""
+    published = [subject.name.format(bus=keys.ALL) for subject in SUBJECTS if subject.pattern is Pattern.PUBLISHED]
+    return [f"{root}/{robot}/{name}" for robot in robots or [keys.ALL] for name in published]
+
+
+def _wait(
+    loop: ViewLoop,
+    channels: LiveChannels,
+    source: ZenohSource,
+    arguments: argparse.Namespace,
+    place: str,
+    ends: Callable[[], bool],
+) -> None:
+    """Wait for the robots, or, if all are asked for, for any Zenoh node. One that comes later is shown, too.
+
+    Raises:
+        CommandError: none of them appears in time.
+    """
+    end_s = time.monotonic() + arguments.timeout
+    wanted = set(arguments.robots)
+
+    def is_there() -> bool:
+        return wanted <= channels.robots if wanted else source.is_connected
+
+    loop.run(lambda: is_there() or ends() or time.monotonic() >= end_s)
+    if wanted & channels.robots or is_there() or ends():
+        return
+    missing = (
+        f"no sample of {' or '.join(sorted(wanted))} came" if source.is_connected else "no Zenoh node answered"
+    )
+    cure = "; 'cruiser list' says who is there" if source.is_connected else ""
+    raise CommandError(f"{missing} within {arguments.timeout:g} s at {place}{cure}", ExitCode.UNREACHABLE)
+
+
+class Layouts:
+    """Writes the layouts of robots, as ``cruiser review layouts`` does.
+
+    Args:
+        directory: the place; None writes nothing.
+    """
+
+    def __init__(self, directory: Path | None) -> None:
+        self._directory = directory
+
+    def write(self, robot: RobotKeys) -> None:
+        """Write those of a robot; once more when its bus is known.
+
+        Raises:
+            CommandError: the directory cannot be written in.
+        """
+        if self._directory is None:
+            return
+        try:
+            self._directory.mkdir(parents=True, exist_ok=True)
+            for layout in layouts(robot):
+                (self._directory / f"{robot.key.rpartition('/')[2]}.{layout.name}").write_bytes(layout.data)
+        except OSError as error:
+            text = f"cannot write in {plain(str(self._directory))}: {error.strerror or error}"
+            raise CommandError(text) from error
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(f"view: {text}\n")
+    sys.stderr.flush()
