@@ -8,6 +8,7 @@ What the log does not show is said, and nothing is claimed of it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
@@ -98,23 +99,62 @@ def explain(
         faults: takes what cannot be read.
         progress: receives the number of bytes that were read.
     """
-    reader = WindowReader(robot, logs, attached(robot, found), faults)
-    story = stories.told(robot, logs, faults, progress)
-    last: Heard[SafetyState] | None = None
-    if at_ns is None:
-        if story.last_stop() is None:
-            story = stories.derived(robot, logs, faults, progress)
+    explainer = Explainer(robot, logs, found, faults, progress)
+    return explainer.last() if at_ns is None else explainer.at(at_ns)
+
+
+class Explainer:
+    """Explains moments of one robot's logs; its events are read once for all of them.
+
+    Args:
+        robot: its name.
+        logs: in the order of their beginnings.
+        found: the survey of these logs.
+        faults: takes what cannot be read.
+        progress: receives the number of bytes that were read.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        logs: Sequence[LogFile],
+        found: Survey,
+        faults: Faults,
+        progress: Progress = lambda _: None,
+    ) -> None:
+        self._robot = robot
+        self._logs = logs
+        self._faults = faults
+        self._progress = progress
+        self._reader = WindowReader(robot, logs, attached(robot, found), faults)
+        self._told = stories.told(robot, logs, faults, progress)
+
+    @cached_property
+    def _derived(self) -> Story:
+        return stories.derived(self._robot, self._logs, self._faults, self._progress)
+
+    def at(self, at_ns: int) -> Explanation:
+        """Explain a moment, in nanoseconds since 1970."""
+        return self._explain(at_ns, self._told, None)
+
+    def last(self) -> Explanation:
+        """Explain the last stop of the logs, or the death of a gateway at work if that was later."""
+        robot, logs, progress = self._robot, self._logs, self._progress
+        story = self._told if self._told.last_stop() is not None else self._derived
         stop = story.last_stop()
-        ended = stories.endings(robot, logs, 0 if stop is None else stop.time_ns - NEAR_NS, faults, progress)
-        last = ended.last
+        from_ns = 0 if stop is None else stop.time_ns - NEAR_NS
+        ended = stories.endings(robot, logs, from_ns, self._faults, progress)
         at_ns = max(
             (one.time_ns for one in (stop, ended.died, story.death(END_OF_TIME_NS)) if one is not None),
             default=_period(robot, logs)[1],
         )
-    answer = _Answer(reader, story, at_ns)
-    if not answer.is_told:
-        answer = _Answer(reader, stories.derived(robot, logs, faults, progress), at_ns)
-    return answer.beyond(*_period(robot, logs)) or answer.explanation(last)
+        return self._explain(at_ns, story, ended.last)
+
+    def _explain(self, at_ns: int, story: Story, last: Heard[SafetyState] | None) -> Explanation:
+        answer = _Answer(self._reader, story, at_ns)
+        if not answer.is_told:
+            answer = _Answer(self._reader, self._derived, at_ns)
+        return answer.beyond(*_period(self._robot, self._logs)) or answer.explanation(last)
 
 
 def _period(robot: str, logs: Sequence[LogFile]) -> tuple[int, int]:

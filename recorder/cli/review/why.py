@@ -12,6 +12,7 @@ import msgspec
 from recorder.cli.review.asking import Asked, add_logs, end_with, find, progress_bar
 from recorder.cli.show import show
 from recorder.reading.faults import Faults
+from recorder.reading.log_file import logs_of
 from recorder.reading.survey import survey
 from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.why import Explanation, explain
@@ -46,10 +47,12 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Explain."""
     asked = find(arguments)
     at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
-    found = survey(asked.logs, asked.faults)
+    # Of hundreds of robots the others' logs need not be opened.
+    logs = asked.logs if arguments.robot is None else logs_of(arguments.robot, asked.logs)
+    found = survey(logs, asked.faults)
     robot = _robot(arguments.robot, found.robots, asked.faults)
     with progress_bar("why", asked.bytes, stopped) as progress:
-        explanation = explain(robot, asked.logs, found, at_ns, asked.faults, progress)
+        explanation = explain(robot, logs, found, at_ns, asked.faults, progress)
     show(record_of(explanation, asked.start_ns), describe(explanation, asked), as_json=arguments.json)
     code = end_with(asked.faults)
     return code if code or explanation.is_answered else int(ExitCode.FAILURE)
@@ -103,13 +106,21 @@ def describe(explanation: Explanation, asked: Asked) -> Iterator[str]:
     since_s = (at_ns - asked.start_ns) / 1e9
     yield f"{explanation.robot} at {since_s:.3f} s, {in_words(at_ns)}: {explanation.headline}"
     yield ""
-    for link in explanation.chain:
-        when = "" if link.time_ns is None else f"{(link.time_ns - at_ns) / 1e9:+.3f} s"
-        clock = "" if link.time_ns is None else in_words(link.time_ns).split(" ")[-2]
-        head = f"  {when:>12}  {clock:12}  {link.step.value:8}  "
-        lines = wrap(plain(_sentence(link.text)), _WIDTH - 12) or [""]
+    for when, clock, step, sentence in chain_in_words(explanation):
+        head = f"  {when:>12}  {clock:12}  {step:8}  "
+        lines = wrap(plain(sentence), _WIDTH - 12) or [""]
         yield f"{head}{lines[0]}"
         yield from (f"{'':{len(head)}}{line}" for line in lines[1:])
+
+
+def chain_in_words(explanation: Explanation) -> Iterator[tuple[str, str, str, str]]:
+    """Yield each link: time since the moment and time of day, empty where it has none; step, and sentence."""
+    for link in explanation.chain:
+        when, clock = "", ""
+        if link.time_ns is not None:
+            when = f"{(link.time_ns - explanation.at_ns) / 1e9:+.3f} s"
+            clock = in_words(link.time_ns).split(" ")[-2]
+        yield when, clock, link.step.value, _sentence(link.text)
 
 
 def _sentence(text: str) -> str:

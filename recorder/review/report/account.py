@@ -10,8 +10,10 @@ from typing import Final
 import msgspec
 
 from recorder.record.accounting import KeyReport
-from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog
+from recorder.review.report.drives import REST_NS, Drives
+from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog, is_stop
 from recorder.review.report.findings import (
+    Drive,
     Driver,
     Outage,
     Refusal,
@@ -20,15 +22,15 @@ from recorder.review.report.findings import (
     RobotSummary,
     Unwritten,
 )
-from recorder.review.report.odometry import GAP_NS, Odometer
-from recorder.review.report.series import Series
+from recorder.review.report.odometry import GAP_NS, PLACES_MAX, STANDING_MPS, Odometer
+from recorder.review.report.series import BUCKETS_MAX, Series
 from recorder.review.report.spans import Spans
 from recorder.review.report.versions import Versions
 from recorder.review.timeline.clock import RobotClock
 from recorder.review.timeline.ending import SILENT_NS, LogEnding
 from recorder.review.timeline.entries import Entry
 from recorder.review.timeline.repeats import Repeats
-from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
+from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
 
 REMOTE_CONTROL: Final = "the remote control (RC)"
@@ -71,18 +73,30 @@ class Account:
         versions: of its gateways, as far as they are known before.
         begins_ns: its logs, or the period that is asked about, begin then. A recorder may have asked a gateway for
             what was before; it is left out.
+        ends_ns: likewise what was later.
+        share: the part of the points that a chart usually has.
     """
 
-    def __init__(self, name: str, key: str, versions: Versions | None = None, begins_ns: int = 0) -> None:
+    def __init__(
+        self,
+        name: str,
+        key: str,
+        versions: Versions | None = None,
+        begins_ns: int = 0,
+        *,
+        ends_ns: int = 2**64,
+        share: float = 1.0,
+    ) -> None:
         self.name = name
         self.key = key
-        self._begins_ns = begins_ns - CLOCKS_APART_NS
+        self._begins_ns, self._ends_ns = begins_ns - CLOCKS_APART_NS, ends_ns
         self.versions = Versions() if versions is None else versions
         self.event_log = EventLog()
         self._start_ns, self._end_ns = 2**64, 0
         self._clock = RobotClock()
-        self._odometer = Odometer()
-        self._lines = {line: Series(GAP_NS) for line in LINES}
+        self._drives = Drives()
+        self._odometer = Odometer(round(PLACES_MAX * share))
+        self._lines = {line: Series(GAP_NS, round(BUCKETS_MAX * share)) for line in LINES}
         self._bands = {band: Spans(GAP_NS) for band in BANDS}
         self._seen: dict[type[Message], Repeats] = {}
         self._held_by = ""
@@ -108,14 +122,16 @@ class Account:
         if not seen.is_new(message.time_ns, message.sequence):
             return False
         time_ns = self._place(message, publish_ns, log_ns)
-        if time_ns < self._begins_ns:
+        if not self._begins_ns <= time_ns < self._ends_ns:
             return True
         self._start_ns, self._end_ns = min(self._start_ns, time_ns), max(self._end_ns, time_ns)
         match message:
             case RobotState():
-                self._take_state(message, time_ns)
+                self._take_state(message, time_ns, log_ns)
             case SafetyState():
                 self._take_arbiter(message, time_ns)
+                if message.state in COMMANDING:
+                    self._drives.add(time_ns, log_ns)
             case Decision():
                 self._take_decision(message, time_ns)
             case GatewayHealth():
@@ -136,8 +152,9 @@ class Account:
 
     def take_entry(self, entry: Entry) -> None:
         """The next entry of the timeline that is about this robot."""
-        if entry.last_ns >= self._begins_ns:
+        if entry.last_ns >= self._begins_ns and entry.time_ns < self._ends_ns:
             self.event_log.take(entry)
+            self._drives.take_entry(entry, is_stop=is_stop(entry))
 
     def lose(self, topic: str, reason: str, count: int) -> None:
         """The recorder says that it could not keep so many messages."""
@@ -209,7 +226,13 @@ class Account:
             in_force=self.versions.in_force(self._clock.offset_ns, from_ns, to_ns),
             more_in_force=self.versions.left_out,
         )
-        return RobotReport(summary, self._draw())
+        drives = self._drives.drives()
+        return RobotReport(summary, self._draw(), drives, self._drives.more, self._is_apart(drives))
+
+    def _is_apart(self, drives: Sequence[Drive]) -> bool:
+        if len(drives) != 1:
+            return bool(drives)
+        return max(drives[0].start_ns - self._start_ns, self._end_ns - drives[0].end_ns) > REST_NS
 
     def _draw(self) -> RobotCharts:
         places = self._odometer.end()
@@ -223,8 +246,10 @@ class Account:
             outages=[(one.heard_ns, one.began_ns) for one in self.event_log.outages if one.began_ns is not None],
         )
 
-    def _take_state(self, state: RobotState, time_ns: int) -> None:
+    def _take_state(self, state: RobotState, time_ns: int, log_ns: int) -> None:
         grew_m = self._odometer.add(time_ns, state.speed_mps, state.angle_deg)
+        if state.speed_mps is not None and abs(state.speed_mps) > STANDING_MPS:
+            self._drives.add(time_ns, log_ns, grew_m)
         self._draw_on("speed_mps", time_ns, state.speed_mps)
         self._draw_on("angle_deg", time_ns, state.angle_deg)
         self._bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)

@@ -13,7 +13,7 @@ import msgspec
 
 from recorder.review.report.findings import Moment, Outage, Silence
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
+from recorder.review.timeline.entries import STOPS, Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 
@@ -60,7 +60,7 @@ class EventLog:
         self._guard_stops_ns: deque[int] = deque(maxlen=RECENT)
 
     def take(self, entry: Entry) -> None:
-        """The next one."""
+        """Add the next one."""
         if entry.kind in _IN_OTHER_TABLES:
             return
         self._keep(entry)
@@ -175,4 +175,13 @@ def _moment(entry: Entry, time_ns: int, place: Place | None) -> Moment:
         text=entry.text,
         x_m=None if place is None else place.x_m,
         y_m=None if place is None else place.y_m,
+        is_stop=is_stop(entry),
     )
+
+
+def is_stop(entry: Entry) -> bool:
+    """Report whether the robot was commanded no longer then, or its gateway died."""
+    is_latch = entry.kind is EntryKind.LATCH and entry.reason is Reason.GUARD
+    is_death = entry.kind is EntryKind.GATEWAY and entry.severity is Severity.ERROR
+    stops = entry.kind in STOPS and entry.reason is not Reason.NONE and not entry.tells_of_guard
+    return stops or is_latch or is_death

@@ -116,7 +116,7 @@ def over_time(charts: RobotCharts) -> Figure:
 
 
 def on_map(charts: RobotCharts) -> Figure:
-    """The path, where it began and ended, and what happened on it. The last trace marks a place; it is empty."""
+    """The path, where it began and ended, and what happened on it."""
     places = charts.places
     x: list[float | None] = []
     y: list[float | None] = []
@@ -158,18 +158,18 @@ def on_map(charts: RobotCharts) -> Figure:
         known = [one for one in charts.moments if one.kind == kind and one.x_m is not None and one.y_m is not None]
         x_m, y_m = ([round(getattr(one, axis), 3) for one in known] for axis in ("x_m", "y_m"))
         events.append(_marks_of(kind, known, x_m, y_m))
-    mark = {"symbol": "circle-cross-open", "size": 18, "color": ORANGE, "line": {"width": 2}}
-    here = _marks("here", [], [], mark, showlegend=False, hoverinfo="skip")
-    return {"data": [path, *ends, *events, here], "layout": _LAYOUTS["map"]}
+    return {"data": [path, *ends, *events], "layout": _LAYOUTS["map"]}
 
 
-def placed(places: Sequence[Place]) -> dict[str, list[float]]:
-    """The places by time, for the page to find one."""
+def placed(places: Sequence[Place]) -> dict[str, Sequence[float]]:
+    """The places by time, for the page to find one; before those of the numbers ``begins`` the path breaks off."""
     ordered = sorted(places, key=lambda place: place.time_ns)
     return {
         "time_ms": [_ms(place.time_ns) for place in ordered],
         "x_m": [round(place.x_m, 3) for place in ordered],
         "y_m": [round(place.y_m, 3) for place in ordered],
+        "heading_deg": [round(place.heading_deg, 1) for place in ordered],
+        "begins": [number for number, place in enumerate(ordered) if place.begins],
     }
 
 

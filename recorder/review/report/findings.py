@@ -19,6 +19,7 @@ class Moment(msgspec.Struct, frozen=True):
         operator: the operator behind it; empty if there is none.
         holder: the lease's holder then, as far as the log shows; empty if nobody.
         x_m, y_m: where, as far as the path is known.
+        is_stop: the robot was commanded no longer, or its gateway died.
     """
 
     time_ns: int
@@ -32,6 +33,19 @@ class Moment(msgspec.Struct, frozen=True):
     text: str
     x_m: float | None
     y_m: float | None
+    is_stop: bool = False
+
+
+class Why(msgspec.Struct, frozen=True):
+    """The reason of a stop, as ``cruiser review why --at`` words it.
+
+    Attributes:
+        headline: in one sentence.
+        links: the chain that leads to it: time since the stop, time of day, step and sentence of each.
+    """
+
+    headline: str
+    links: list[tuple[str, str, str, str]]
 
 
 class Outage(msgspec.Struct, frozen=True):
@@ -182,11 +196,41 @@ class RobotCharts(msgspec.Struct, frozen=True):
     outages: list[tuple[int, int]]
 
 
+class Drive(msgspec.Struct, frozen=True):
+    """A time of being commanded, or of moving, behind a long rest and before another one.
+
+    Attributes:
+        log_start_ns, log_end_ns: the log times of its first and last message.
+        stops: their number.
+        severity: that of the worst finding.
+        worst: that in words; empty if nothing is worse than ``info``.
+        report: all of it, where it is drawn.
+    """
+
+    start_ns: int
+    end_ns: int
+    log_start_ns: int
+    log_end_ns: int
+    distance_m: float
+    stops: int
+    severity: str
+    worst: str
+    report: RobotReport | None = None
+
+
 class RobotReport(msgspec.Struct, frozen=True):
-    """A robot."""
+    """A robot.
+
+    Attributes:
+        drives: its drives; ``more_drives`` are left out.
+        is_apart: each drive is for itself: there are several, or the robot rested for long before or behind one.
+    """
 
     summary: RobotSummary
     charts: RobotCharts
+    drives: list[Drive] = []
+    more_drives: int = 0
+    is_apart: bool = False
 
 
 class ReportedFile(msgspec.Struct, frozen=True):
@@ -224,3 +268,11 @@ class Report(msgspec.Struct, frozen=True):
     faults: list[str]
     fault_count: int
     version: str
+
+    @property
+    def drawn(self) -> list[RobotReport]:
+        """All that is drawn on one time axis, in the order of the page: whole robots, and drives."""
+        found = []
+        for robot in self.robots:
+            found += [one.report for one in robot.drives if one.report is not None] if robot.is_apart else [robot]
+        return found

@@ -12,7 +12,9 @@ from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, decoded_rows
 from recorder.reading.topics import Topic
 from recorder.review.report.account import TAKEN, Account
-from recorder.review.report.findings import Report, ReportedFile, RobotReport
+from recorder.review.report.drives import MARGIN_NS
+from recorder.review.report.event_log import CLOCKS_APART_NS
+from recorder.review.report.findings import Drive, Report, ReportedFile, RobotReport
 from recorder.review.report.margins import Margins, of_robot, read_margins, versions_of
 from recorder.review.report.versions import Versions
 from recorder.review.timeline.entries import Entry
@@ -22,12 +24,20 @@ from schemas.messages import GatewayInfo
 from schemas.recording import RecorderEvent, RecordGap
 
 ROBOTS_MAX: Final = 30
+
+DRAWN_MAX: Final = 30
+"""Drives that are drawn; of the others a line says how it went."""
+
+WHOLE_SHARES: Final = 4
+"""Drives that are drawn with all points that a chart can show; more of them share as many."""
+
 OTHERS_MAX: Final = 5000
 
 REMEMBERED: Final = 256
 """Messages of recorders that are known again when they come a second time."""
 
 _OF_ROBOTS: Final = TAKEN | {GatewayInfo}
+_RANKS: Final = {"warning": 1, "error": 2}
 _OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})
 
 
@@ -38,8 +48,9 @@ def read_report(
     progress: Progress = lambda _: None,
     *,
     version: str = "",
+    is_drawing: bool = True,
 ) -> Report:
-    """Read what logs say of their robots, in one pass and in memory that does not grow with them.
+    """Read what logs say of their robots, in memory that does not grow with them; drives drawn apart once more.
 
     Args:
         logs: as ``find_logs`` gives them.
@@ -47,31 +58,73 @@ def read_report(
         faults: takes what cannot be read; the rest is read all the same.
         progress: receives the number of bytes that were read.
         version: of the program, which the report names.
+        is_drawing: read drives that are apart once more, for their charts.
     """
     versions: dict[str, Versions] = {}
     margins = [read_margins(log, versions) for log in logs]
     fleet = _Fleet(logs, selection, versions, faults)
-    # The states before tell whether the first one is of another gateway.
-    looked_at = Selection(
-        lambda topic: _is_wanted(topic) and selection.wants(topic),
-        max(0, selection.from_ns - BEFORE_NS),
-        selection.to_ns,
-    )
-    for row, message in decoded_rows(logs, looked_at, faults, progress):
-        if row.log_ns >= selection.from_ns:
-            fleet.take(row, message)
-        elif isinstance(message, SafetyState):
-            fleet.look_back(row, message)
+    fleet.read(progress)
+    robots = sorted(fleet.end(margins), key=lambda one: one.summary.name)
     return Report(
         files=[_reported(log, margin) for log, margin in zip(logs, margins, strict=True)],
         from_ns=selection.from_ns,
         to_ns=None if selection.to_ns == END_OF_TIME_NS else selection.to_ns,
-        robots=sorted(fleet.end(margins), key=lambda one: one.summary.name),
+        robots=_drawn(robots, logs, selection, progress) if is_drawing else robots,
         more_robots=len(fleet.others),
         faults=faults.told,
         fault_count=faults.count,
         version=version,
     )
+
+
+def _drawn(
+    robots: Sequence[RobotReport], logs: Sequence[LogFile], selection: Selection, progress: Progress
+) -> list[RobotReport]:
+    """The same robots, with the drives that are drawn: the worst ones, and of these the last ones."""
+    whole = sum(not robot.is_apart for robot in robots)
+    apart = [
+        (_RANKS.get(drive.severity, 0), drive.stops, drive.start_ns, robot.summary.key)
+        for robot in robots
+        if robot.is_apart
+        for drive in robot.drives
+    ]
+    chosen = sorted(apart, reverse=True)[: max(0, DRAWN_MAX - whole)]
+    places = {(key, start_ns) for _, _, start_ns, key in chosen}
+    share = min(1.0, WHOLE_SHARES / max(1, len(chosen) + whole))
+
+    def drawn(robot: RobotReport, drive: Drive) -> Drive:
+        if (robot.summary.key, drive.start_ns) not in places:
+            return drive
+        report = _of_drive(robot, drive, logs, selection, share, progress)
+        return msgspec.structs.replace(drive, report=report)
+
+    return [
+        msgspec.structs.replace(robot, drives=[drawn(robot, drive) for drive in robot.drives])
+        if robot.is_apart
+        else robot
+        for robot in robots
+    ]
+
+
+def _of_drive(
+    robot: RobotReport,
+    drive: Drive,
+    logs: Sequence[LogFile],
+    selection: Selection,
+    share: float,
+    progress: Progress,
+) -> RobotReport | None:
+    """Read a drive once more. What cannot be read of it has been reported by the reading before."""
+    from_ns, to_ns = drive.log_start_ns - MARGIN_NS, drive.log_end_ns + MARGIN_NS
+
+    def wants(topic: Topic) -> bool:
+        return selection.wants(topic) and (topic.kind in _OF_RECORDERS or _robot_key(topic) == robot.summary.key)
+
+    part = Selection(wants, max(selection.from_ns, from_ns, 0), min(selection.to_ns, to_ns))
+    within = [log for log in logs if log.start_ns < part.to_ns and log.end_ns >= part.from_ns]
+    fleet = _Fleet(within, part, {}, Faults(), drive, share)
+    fleet.read(lambda _: progress(0))
+    return next((one for one in fleet.end([]) if one.summary.key == robot.summary.key), None)
 
 
 class _Fleet:
@@ -82,20 +135,46 @@ class _Fleet:
         asked: the time in question.
         versions: the known versions of the robots' gateways, by their keys.
         faults: takes what cannot be read.
+        drive: the drive that is drawn; all of the time in question if there is none.
+        share: the part of the points that a chart usually has.
 
     Attributes:
         others: keys of robots for which there was no room.
     """
 
     def __init__(
-        self, logs: Sequence[LogFile], asked: Selection, versions: dict[str, Versions], faults: Faults
+        self,
+        logs: Sequence[LogFile],
+        asked: Selection,
+        versions: dict[str, Versions],
+        faults: Faults,
+        drive: Drive | None = None,
+        share: float = 1.0,
     ) -> None:
         self.others: set[str] = set()
         self._logs = logs
         self._asked = asked
         self._versions = versions
+        self._faults = faults
+        self._drive = drive
+        self._share = share
         self._accounts: dict[str, Account] = {}
         self._timeline = Timeline(faults, kept=REMEMBERED)  # The accounts remember the robots' messages.
+
+    def read(self, progress: Progress) -> None:
+        """Read what is asked about."""
+        asked = self._asked
+        # The states before tell whether the first one is of another gateway.
+        looked_at = Selection(
+            lambda topic: _is_wanted(topic) and asked.wants(topic),
+            max(0, asked.from_ns - BEFORE_NS),
+            asked.to_ns,
+        )
+        for row, message in decoded_rows(self._logs, looked_at, self._faults, progress):
+            if row.log_ns >= asked.from_ns:
+                self.take(row, message)
+            elif isinstance(message, SafetyState):
+                self.look_back(row, message)
 
     def look_back(self, row: Row, message: SafetyState) -> None:
         """A state of the time before."""
@@ -139,13 +218,22 @@ class _Fleet:
         key = _robot_key(topic)
         account = self._accounts.get(key)
         if account is None and len(self._accounts) < ROBOTS_MAX:
-            begins_ns = min((log.start_ns for log in logs_of(key, self._logs)), default=0)
+            begins_ns, ends_ns = self._period(key)
+            versions = versions_of(key, self._versions)
             account = self._accounts[key] = Account(
-                topic.robot, key, versions_of(key, self._versions), max(self._asked.from_ns, begins_ns)
+                topic.robot, key, versions, begins_ns, ends_ns=ends_ns, share=self._share
             )
         elif account is None and len(self.others) < OTHERS_MAX:
             self.others.add(key)
         return account
+
+    def _period(self, key: str) -> tuple[int, int]:
+        """The times by a robot's clock between which its messages count."""
+        if self._drive is not None:
+            # An account reaches further back than it is told, by as much as two clocks may differ.
+            return self._drive.start_ns - MARGIN_NS + CLOCKS_APART_NS, self._drive.end_ns + MARGIN_NS
+        begins_ns = min((log.start_ns for log in logs_of(key, self._logs)), default=0)
+        return max(self._asked.from_ns, begins_ns), END_OF_TIME_NS
 
     def _lose(self, gap: RecordGap) -> None:
         for key, account in self._accounts.items():

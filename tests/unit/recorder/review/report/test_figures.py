@@ -139,6 +139,7 @@ def test_a_broken_path_is_drawn_broken() -> None:
     path = on_map(RobotCharts({}, {}, places, [], 0, []))["data"][0]
     assert path["x"] == [1.0, 2.0, None, 2.0, 3.0]
     assert placed(places)["x_m"] == [2.0, 1.0, 2.0, 3.0]
+    assert placed(places)["begins"] == [0, 1]
 
 
 def test_every_state_and_event_has_a_look_of_its_own() -> None:

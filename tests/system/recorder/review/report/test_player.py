@@ -1,0 +1,283 @@
+"""Reports in a real browser: moments in the address, drives that are played, reasons of stops, an overview."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from schemas.exit_codes import ExitCode
+from tests.support.commands import review
+from tests.support.drives import drive_messages, drives_over, write_messages
+from tests.support.messages import SECOND, WALL_NS
+from tests.support.processes.browser import browser
+from tests.support.processes.desk import chromium
+from tests.support.rigs import scenarios
+from tests.support.rigs.scenarios import recorded
+from tests.support.waiting import wait_until
+
+pytestmark = [pytest.mark.skipif(browser() is None, reason="there is no Chromium"), pytest.mark.long]
+
+BEGIN = "2027-01-15T08:00:00.000Z"
+DEADLINE_MS = 120_000
+PHONE = {"width": 390, "height": 844}
+
+
+@pytest.fixture(scope="module")
+def chrome() -> Iterator[Browser]:
+    """The browser."""
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture
+def page(chrome: Browser) -> Iterator[Page]:
+    """A page without a network. One that complains in the console fails the test."""
+    context = chrome.new_context(offline=True)
+    context.set_default_timeout(DEADLINE_MS)
+    found = context.new_page()
+    said: list[str] = []
+    found.on("console", lambda message: said.append(message.text))
+    found.on("pageerror", lambda error: said.append(str(error)))
+    yield found
+    context.close()
+    assert said == []
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a drive of 10 s that goes round a bend, of two robots."""
+    folder = tmp_path_factory.mktemp("drive")
+    log = write_messages(folder / "a.mcap", drive_messages(201), robots=["r-1", "r-2"])
+    assert review("report", log, "-o", folder / "report.html") == ExitCode.OK
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def bumper(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a drive that a bumper ends, with all its frames."""
+    folder = tmp_path_factory.mktemp("bumper")
+    (folder / "a.mcap").write_bytes(recorded(scenarios.front_bumper))
+    assert review("report", folder / "a.mcap", "-o", folder / "report.html") == ExitCode.OK
+    return folder / "report.html"
+
+
+def opened(page: Page, file: Path, address: str = "") -> None:
+    """Open a report there, and wait until it is drawn."""
+    page.goto(file.as_uri() + address)
+    page.locator("html[data-drawn]").wait_for(state="attached")
+
+
+def moment(page: Page, number: int = 0) -> str:
+    """The time that a player shows."""
+    return page.locator(f"#player-{number} a").inner_text()
+
+
+def pose(page: Page, number: int = 0) -> list[float]:
+    """Where the robot's outline is: x and y in metres, and heading in radians."""
+    said = page.locator(f"#drive-{number} .robot").get_attribute("data-pose") or ""
+    return [float(word) for word in said.split()]
+
+
+@pytest.mark.parametrize(
+    ("address", "clock"),
+    [
+        ("#t=2027-01-15T08:00:04.500Z", "08:00:04.500"),
+        ("#t=2027-01-15T08:00:04.500", "08:00:04.500"),
+        ("#t=2027-01-15T16:00:04.500%2B08:00", "08:00:04.500"),
+        ("#t=2027-01-15T16:00:04.500+08:00", "08:00:04.500"),
+        ("#t=2027-01-15 08:00:04.500 UTC", "08:00:04.500"),
+        (f"#t={WALL_NS // SECOND + 4}.5", "08:00:04.500"),
+        (f"#t={WALL_NS + 4 * SECOND + SECOND // 2}", "08:00:04.500"),
+        ("#robot=r-1&t=2027-01-15T08:00:04.500Z", "08:00:04.500"),
+    ],
+)
+def test_an_address_with_a_time_opens_there(page: Page, drive: Path, address: str, clock: str) -> None:
+    """In ISO 8601, as UTC where it names no zone, or since 1970: player, outline and line are there."""
+    opened(page, drive, address)
+    assert moment(page) == clock
+    x_m, y_m, heading_rad = pose(page)
+    assert x_m > 0
+    assert y_m > 0
+    assert heading_rad > 0
+    assert (page.locator("#drive-0 .now").get_attribute("d") or "").startswith("M")
+    assert page.locator("#note").is_hidden()
+    wait_until(lambda: page.evaluate("scrollY") > 0)
+
+
+def test_an_address_names_the_robot_where_there_are_several(page: Page, drive: Path) -> None:
+    """The other one stays at its beginning."""
+    opened(page, drive, "#t=2027-01-15T08:00:04.500Z&robot=r-2")
+    assert (moment(page, 0), moment(page, 1)) == ("08:00:00.000", "08:00:04.500")
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("#t=yesterday", "The address names no time: yesterday"),
+        ("#t=%E0%A4%A", "The address names no time: %E0%A4%A"),
+        ("#t=", "The address names no time: "),
+        ("#t=2027-01-15T08:00:04Z&robot=r-9", "This report draws no drive of r-9."),
+        (
+            "#t=2027-01-16T00:00:00Z",
+            "This report draws nothing of 2027-01-16T00:00:00.000Z. The nearest moment is shown.",
+        ),
+        ("#t=<img src=x onerror=alert(1)>", "The address names no time: <img src=x onerror=alert(1)>"),
+    ],
+)
+def test_an_address_that_leads_nowhere_is_said_so(page: Page, drive: Path, address: str, said: str) -> None:
+    """In a line, and nothing of the address is markup."""
+    opened(page, drive, address)
+    assert page.locator("#note").text_content() == said
+
+
+def test_an_events_link_leads_to_its_moment_and_back(page: Page, drive: Path) -> None:
+    """The address has it, and its row is marked; the way back is the browser's."""
+    opened(page, drive)
+    row = page.locator("#drive-1 tr[data-ms]", has_text="front_bumper").first
+    clock = row.locator("a").inner_text()
+    row.locator("a").click()
+    page.locator("#player-1 a", has_text=clock).wait_for()
+    assert page.evaluate("location.hash") == f"#t=2027-01-15T{clock}Z&robot=r-2"
+    assert row.get_attribute("aria-current") == "time"
+    page.go_back()
+    wait_until(lambda: page.evaluate("location.hash") == "")
+
+
+def test_the_keys_move_the_moment_and_write_the_address(page: Page, drive: Path) -> None:
+    """A second, ten with shift, to the ends; as text for who hears it."""
+    opened(page, drive)
+    page.locator("#player-0 input").focus()
+    for key, clock in (
+        ("ArrowRight", "08:00:01.000"),
+        ("ArrowUp", "08:00:02.000"),
+        ("ArrowLeft", "08:00:01.000"),
+        ("Shift+ArrowRight", "08:00:10.000"),
+        ("Home", "08:00:00.000"),
+        ("ArrowLeft", "08:00:00.000"),
+        ("End", "08:00:10.000"),
+        ("Shift+ArrowLeft", "08:00:00.000"),
+        ("PageUp", "08:00:10.000"),
+        ("ArrowDown", "08:00:09.000"),
+    ):
+        page.keyboard.press(key)
+        assert moment(page) == clock
+    wait_until(lambda: page.evaluate("location.hash") == "#t=2027-01-15T08:00:09.000Z&robot=r-1")
+    said = page.locator("#player-0 input").get_attribute("aria-valuetext") or ""
+    assert said == "08:00:09.000 UTC, 1.00 m/s · 10.0° · auto · engaged · operator-1"
+
+
+def test_a_drive_plays_pauses_and_ends(page: Page, drive: Path) -> None:
+    """At sixteen times its speed; the outline moves on the path, and one robot plays at a time."""
+    opened(page, drive)
+    here = pose(page)
+    page.locator("#player-0 select").select_option("16")
+    page.locator("#player-0 input").focus()
+    page.keyboard.press(" ")
+    wait_until(lambda: moment(page) == "08:00:10.000")
+    assert page.locator("#player-0 button").inner_text() == "Play"
+    assert here == [0.0, 0.0, 0.0]
+    assert pose(page) != here
+    page.locator("#player-0 select").select_option("1")
+    page.locator("#player-0 button").click()  # from the beginning again
+    page.locator("#player-1 button").click()
+    wait_until(lambda: moment(page, 1) > "08:00:00.000")
+    assert moment(page) < "08:00:10.000"
+    assert page.locator("#player-0 button").inner_text() == "Play"
+    page.locator("#player-1 button").click()
+    stood = moment(page, 1)
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert moment(page, 1) == stood
+
+
+def test_a_click_on_the_charts_goes_there(page: Page, drive: Path) -> None:
+    """And the arrow keys go on from there."""
+    opened(page, drive)
+    field = page.locator("#time-0 .nsewdrag[data-subplot='xy']")
+    field.scroll_into_view_if_needed()
+    box = field.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    wait_until(lambda: moment(page) > "08:00:04")
+    assert moment(page) < "08:00:06"
+    assert page.locator("#player-0 input").evaluate("input => input === document.activeElement")
+
+
+def test_a_stop_opens_its_reason(page: Page, bumper: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the keyboard; it says what `cruiser review why` says of that moment."""
+    opened(page, bumper)
+    stop = page.locator("details.why", has_text="stopping: the front bumper was hit").first
+    assert not stop.locator("ol").is_visible()
+    stop.locator("summary").focus()
+    page.keyboard.press("Enter")
+    stop.locator("ol").wait_for()
+    link = stop.locator("a").get_attribute("href") or ""
+    at = link.partition("=")[2]
+    capsys.readouterr()
+    review("why", bumper.with_name("a.mcap"), "--at", at)
+    lines = capsys.readouterr().out.split()
+    said = stop.locator("li span:last-child").all_text_contents()
+    assert len(said) > 5
+    for sentence in said:
+        # All but what depends on the millisecond that the address leaves out.
+        assert " ".join(sentence.split()[:4]) in " ".join(lines)
+    stop.locator("a").click()
+    page.locator("#player-0 a", has_text=at.partition("T")[2].rstrip("Z")).wait_for()
+
+
+def test_a_phone_needs_no_sideways_scrolling(page: Page, bumper: Path) -> None:
+    """With a reason open; what is wide scrolls in its own box."""
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    opened(page, bumper, "#t=1700000002")
+    page.locator("details.why summary").first.click()
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    box = page.locator("#player-0 input").bounding_box()
+    assert box is not None
+    assert box["width"] > PHONE["width"] / 3
+
+
+@pytest.fixture(scope="module")
+def weeks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of 36 short drives in 25 days."""
+    folder = tmp_path_factory.mktemp("weeks")
+    log = write_messages(folder / "a.mcap", drives_over(25, 36))
+    assert review("report", log, "-o", folder / "report.html") == ExitCode.OK
+    return folder / "report.html"
+
+
+def test_many_days_begin_with_an_overview(page: Page, weeks: Path) -> None:
+    """A drive is a row; its link leads to its section, which is drawn when it comes near, over its own seconds."""
+    opened(page, weeks)
+    rows = page.locator(".overview tbody tr")
+    assert rows.count() == 36
+    assert page.locator("h2").first.inner_text() == "Drives"
+    assert page.locator(".overview details").count() == 6
+    assert page.locator("section.drive").count() == 30
+    last = rows.last.locator("td:nth-child(2) a")
+    number = (last.get_attribute("href") or "").rpartition("-")[2]
+    assert page.locator(f"#time-{number} .main-svg").count() == 0
+    last.click()
+    page.locator(f"#time-{number} .main-svg").first.wait_for()
+    from_text, to_text = page.evaluate(f"document.getElementById('time-{number}').layout.xaxis.range")
+    assert from_text[:13] == to_text[:13] == "2027-02-08 15"
+
+
+def test_a_moment_of_many_days_is_found(page: Page, weeks: Path) -> None:
+    """In the section of its drive; one that is not drawn is said so."""
+    opened(page, weeks, "#t=2027-02-08T15:20:01Z")
+    number = page.locator(".player").count() - 1
+    page.locator(f"#time-{number} .main-svg").first.wait_for()
+    assert moment(page, number) == "15:20:01.000"
+    assert page.locator("#note").is_hidden()
+    page.evaluate("location.hash = '#t=2027-01-15T08:00:01Z'")
+    page.locator("#note", has_text="draws nothing of 2027-01-15T08:00:01.000Z").wait_for()
+
+
+def test_many_days_fit_a_phone(page: Page, weeks: Path) -> None:
+    """With a command open."""
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    opened(page, weeks)
+    page.locator(".overview summary").first.click()
+    assert "--from 2027-01-15T07:59:50.000Z" in page.locator(".overview code").first.inner_text()
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
