@@ -22,7 +22,6 @@ from recorder.record.accounting import KeyReport, total
 from recorder.record.actions import Action, LogAction, Publish, Query
 from recorder.record.health import HealthReport, Vitals
 from recorder.record.inbox import SampleInbox
-from recorder.record.notices import DiskBack
 from recorder.record.orders import OperatorRequest, Orders
 from recorder.record.recorder import Recorder
 from schemas.messages import Message
@@ -155,7 +154,7 @@ class RecorderLoop:
         inbox: holds samples that wait.
         health: makes the report of each second.
         keeper: says what room the disk has.
-        leftovers: recovers what a fault of the disk left, when the disk takes the logs again.
+        leftovers: recovers what was left unfinished, at the start and when the disk takes the logs again.
     """
 
     def __init__(
@@ -261,8 +260,8 @@ class RecorderLoop:
             for notice in reporter.notices():
                 if self._orders is not None:
                     self._orders.receive_notice(notice)
-                if isinstance(notice, DiskBack) and self._leftovers is not None:
-                    self._leftovers.look_again()
+                if self._leftovers is not None:
+                    self._leftovers.receive_notice(notice)
                 self._apply(self._recorder.receive_notice(notice, now_ns, wall_ns))
 
     def _obey(self, control: Control, now_ns: int, wall_ns: int) -> None:

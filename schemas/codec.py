@@ -72,7 +72,10 @@ def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFa
     else:
         if count_fields(payload) <= len(kind.__struct_fields__):
             return Understood(message)
-        return Understood(message, _unknown_fields(kind, payload))
+        try:
+            return Understood(message, _unknown_fields(kind, payload))
+        except (*PAYLOAD_ERRORS, TypeError) as error:  # The name of a field that this version does not have.
+            return PayloadFault(str(error))
     try:
         values: Any = _UNTYPED.decode(payload)
         foreign = _take_foreign(kind, values)

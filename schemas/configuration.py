@@ -32,6 +32,10 @@ REMOVED: Final = frozenset({"command.brake_pedal_percent"})
 """Settings of earlier versions, which their logs hold."""
 
 
+NO_GATEWAYS: Final = frozenset({"desk"})
+"""Tables that no gateway reads. Logs hold its settings, and earlier versions read none that they do not know."""
+
+
 class TomlSource(msgspec.Struct, frozen=True):
     """The text of a TOML file, and the file's name for messages.
 
@@ -98,9 +102,11 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
 
 
 def to_toml(settings: Settings) -> str:
-    """The settings in force as TOML, every one of them."""
+    """A gateway's settings in force as TOML, every one of them."""
     lines: list[str] = []
     for section in SECTIONS:
+        if section in NO_GATEWAYS:
+            continue
         lines += ["", f"[{section}]"] if lines else [f"[{section}]"]
         table = getattr(settings, section)
         lines += [

@@ -106,13 +106,16 @@ class Text(msgspec.Struct, frozen=True):
 
 
 _BOTH: Final = "; with both pressed, free the robot by hand or with the remote control"
-_ACQUIRE: Final = "acquire it with 'cruiser drive ROBOT', or with 'cruiser lease ROBOT --hold'"
-_ENGAGE: Final = "engage with 'cruiser drive ROBOT' (driving: key g)"
+ACQUIRE: Final = "acquire it with 'cruiser drive ROBOT', or with 'cruiser lease ROBOT --hold'"
+"""The cure where nobody holds the lease, on the command line."""
+
+ENGAGE: Final = "engage with 'cruiser drive ROBOT' (driving: key g)"
+"""The cure where the robot is not engaged, on the command line."""
 
 RESET: Final = "reset with 'cruiser reset ROBOT' (driving: key r), then "
 """With this the cure of a latch begins, or goes on; what stands before it comes first."""
 
-_RESET: Final = f"clear the cause, then {RESET}{_ENGAGE}"
+_RESET: Final = f"clear the cause, then {RESET}{ENGAGE}"
 
 
 class _Texts(dict[Reason, Text]):
@@ -134,8 +137,8 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.UNKNOWN_VERB: Text(
         "there is no such verb, or it is not asked for in this way", "see the command table in docs/commands.md"
     ),
-    Reason.BUSY: Text("the same is under way already", "wait for its reply"),
-    Reason.NO_LEASE: Text("this lease is not in force", f"{_ACQUIRE}, and use the number that it shows"),
+    Reason.BUSY: Text("the same is under way already, or too many ask at once", "wait a moment, and try again"),
+    Reason.NO_LEASE: Text("this lease is not in force", f"{ACQUIRE}, and use the number that it shows"),
     Reason.LEASE_HELD: Text(
         "someone else holds the lease", "wait until it is given back, or take it with 'cruiser lease ROBOT --take'"
     ),
@@ -147,9 +150,9 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
         "someone else has taken the lease",
         "ask who has it now, as 'cruiser lease ROBOT' says, or take it back with 'cruiser lease ROBOT --take'",
     ),
-    Reason.LEASE_RELEASED: Text("the lease was given back", _ACQUIRE),
+    Reason.LEASE_RELEASED: Text("the lease was given back", ACQUIRE),
     Reason.LEASE_EXPIRED: Text(
-        "the lease was not renewed in time", f"{_ACQUIRE}, which renew it; a client of its own has to"
+        "the lease was not renewed in time", f"{ACQUIRE}, which renew it; a client of its own has to"
     ),
     Reason.SEQUENCE: Text(
         "the sequence number does not rise, or by too much",
@@ -162,9 +165,9 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.TOO_OLD: Text("the command is too old", "echo the newest challenge of safety/state; mend the link"),
     Reason.DEADMAN: Text(
         "no acceptable drive command came in time",
-        f"keep the stream of drive commands without a pause, then {_ENGAGE}",
+        f"keep the stream of drive commands without a pause, then {ENGAGE}",
     ),
-    Reason.NOT_ENGAGED: Text("the robot is not engaged", _ENGAGE),
+    Reason.NOT_ENGAGED: Text("the robot is not engaged", ENGAGE),
     Reason.ENGAGING: Text("the robot is being engaged", "wait until 'cruiser watch ROBOT' shows engaged"),
     Reason.ALREADY_ENGAGED: Text(
         "the robot is engaged already", "drive it, or leave 'cruiser drive' first (lease.disengage())"
@@ -178,7 +181,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.GEAR_SHIFTING: Text("the gear is being changed, or the parking brake released", "wait"),
     Reason.COMMAND_NOT_ZERO: Text("the drive command is not zero", "let go of the keys, or lease.drive(0.0)"),
     Reason.NOT_CONFIRMED: Text("the chassis did not confirm it in time", "look at the chassis and its feedback"),
-    Reason.DISENGAGED: Text("the holder of the lease disengaged", _ENGAGE),
+    Reason.DISENGAGED: Text("the holder of the lease disengaged", ENGAGE),
     Reason.BUS_DOWN: Text("the CAN bus is not there", "see 'cruiser list' for why (gateway/health)"),
     Reason.BUS_OFF: Text(
         "the CAN controller has left the bus after too many errors",
@@ -204,10 +207,10 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     ),
     # The remote control (RC), by its old name: this stands in events, which a journal run again gives by the byte.
     Reason.HAND_TRANSMITTER: Text(
-        "the hand transmitter has the robot", f"switch the transmitter's SA to command control, then {_ENGAGE}"
+        "the hand transmitter has the robot", f"switch the transmitter's SA to command control, then {ENGAGE}"
     ),
     Reason.MODE_NOT_AUTO: Text(
-        "the chassis does not read auto", f"look at the robot's button and at the remote control, then {_ENGAGE}"
+        "the chassis does not read auto", f"look at the robot's button and at the remote control, then {ENGAGE}"
     ),
     Reason.FRONT_BUMPER: Text(
         "the front bumper was hit", f"{RESET}drive backward ('cruiser drive ROBOT') until it is clear{_BOTH}"
@@ -218,15 +221,15 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.IMPLAUSIBLE_SPEED: Text("the speeds do not fit each other or the command", _RESET),
     Reason.FOUND_MOVING: Text(
         "the chassis was found moving, or not held, and nobody commanded it",
-        f"look for what moved it, and at its parking brake, then {_ENGAGE}",
+        f"look for what moved it, and at its parking brake, then {ENGAGE}",
     ),
     Reason.OTHER_COMMANDER: Text(
-        "another computer commands the chassis on the bus", f"end the other one, then {_ENGAGE}"
+        "another computer commands the chassis on the bus", f"end the other one, then {ENGAGE}"
     ),
-    Reason.REMOTE_STOP: Text("a remote stop was received", f"{RESET}{_ENGAGE}"),
-    Reason.LOOP_LATE: Text("the gateway's loop was late", f"look at the processor's load, then {_ENGAGE}"),
+    Reason.REMOTE_STOP: Text("a remote stop was received", f"{RESET}{ENGAGE}"),
+    Reason.LOOP_LATE: Text("the gateway's loop was late", f"look at the processor's load, then {ENGAGE}"),
     Reason.SEND_FAILED: Text(
-        "the bus does not take our frames", f"look at cables, termination and the bus's load, then {_ENGAGE}"
+        "the bus does not take our frames", f"look at cables, termination and the bus's load, then {ENGAGE}"
     ),
     Reason.GATE: Text("the last gate before the bus refused a frame: a fault of the gateway's own", _RESET),
     Reason.GUARD: Text("the guard has stopped the robot in place of the gateway", _RESET),
@@ -247,7 +250,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.ROLLING: Text(
         "the robot moves although it is told to stand, or against what it is told: the parking brake is applied",
-        f"look for a slope that is too steep, a weak motor, or somebody who pushes; then {RESET}{_ENGAGE}",
+        f"look for a slope that is too steep, a weak motor, or somebody who pushes; then {RESET}{ENGAGE}",
     ),
     Reason.OVERSPEED: Text("the robot is faster than the limit in force", _RESET),
     Reason.STEERING: Text("the steering does not follow what it is told", _RESET),
@@ -274,11 +277,11 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.PROOF_WRONG: Text(
         "the signature does not fit the request",
-        "send it with the key of the grant, to this robot, as it was signed: see docs/authority.md",
+        "send it with the key of the grant, to whom it was signed for, as it was signed: see docs/authority.md",
     ),
     Reason.REPLAYED: Text("the same was received before", "sign each request anew"),
     Reason.GRANT_UNKNOWN: Text(
-        "the robot does not know the grant, or its authority", "show it the grant with its chain (query @auth)"
+        "the grant, or its authority, is not known there", "show it the grant with its chain (query @auth)"
     ),
     Reason.GRANT_EXPIRED: Text("the grant is over, or has not begun", "get a new grant from the site"),
     Reason.GRANT_REVOKED: Text("the grant was revoked", "ask the fleet's authority"),
@@ -288,8 +291,23 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
 TEXTS: Final[dict[Reason, Text]] = _Texts(_KNOWN_TEXTS)
 """Every reason in words; a test holds that none is missing."""
 
+_RENEW_ROBOT: Final = "'cruiser provision renew robot' on the robot, 'sign' at the authority, 'install --replace'"
+
 OF_A_ROBOT: Final[dict[Reason, Text]] = _Texts(
-    {**_KNOWN_TEXTS, Reason.NO_LEASE: Text("nobody holds the lease", _ACQUIRE)}
+    {
+        **_KNOWN_TEXTS,
+        Reason.NO_LEASE: Text("nobody holds the lease", ACQUIRE),
+        Reason.GRANT_EXPIRED: Text(
+            "the robot's own grant is over, or has not begun",
+            f"set its clock if it is wrong; if not: {_RENEW_ROBOT}",
+        ),
+        Reason.GRANT_REVOKED: Text(
+            "the robot's own grant was revoked", f"if its authority was replaced: {_RENEW_ROBOT}; else ask there"
+        ),
+        Reason.GRANT_UNKNOWN: Text(
+            "the robot's own grant is not of the authority that it knows", f"let it in anew: {_RENEW_ROBOT}"
+        ),
+    }
 )
 """The same where a reason is said of a robot, not of a request."""
 

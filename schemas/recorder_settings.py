@@ -45,7 +45,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The recorder.
 
     Attributes:
-        name: the recorder's chunk of its keys; if empty, the host's name
+        name: the recorder's chunk of its keys; if empty, in signed mode the name of its grant, else the host's
         keys: key expressions to record; if empty, everything under the root
         directory: the directory of the logs
         per_robot: a log for each robot; else one for all
@@ -87,3 +87,24 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     incident_before_s: Annotated[float, Meta(ge=0, le=300)] = 30.0
     incident_after_s: Annotated[float, Meta(ge=0, le=300)] = 30.0
     incident_ring_bytes: Annotated[int, Meta(ge=0, le=16_000_000_000)] = 64_000_000
+
+
+class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The upload of finished logs: see docs/upload.md.
+
+    Attributes:
+        store: URL of the object store: s3://BUCKET/PLACE, gs://BUCKET/PLACE, az://CONTAINER/PLACE,
+            file:///DIRECTORY; empty: nothing is uploaded
+        options: of that store, by obstore's names, such as endpoint and region; credentials are the environment's
+        logs: incidents and logs, or incidents alone
+        rate_bytes_s: bytes/s that it takes of the link, each way, at most; 0 is no limit
+        hours: HH:MM-HH:MM, by the machine's own time, in which a log may be begun; empty: at any time
+        read_back: read each log back, and compare; else the store's own checksum is enough, where it has one
+    """
+
+    store: str = ""
+    options: dict[str, str | int | float | bool] = {}
+    logs: Literal["all", "incidents"] = "all"
+    rate_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 250_000
+    hours: Annotated[str, Meta(pattern=r"^(([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d)?$")] = ""
+    read_back: bool = True

@@ -17,7 +17,7 @@ from msgspec import Meta
 from schemas import keys
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.messages import BUS_MAX_LENGTH
-from schemas.recorder_settings import RecorderSettings
+from schemas.recorder_settings import RecorderSettings, UploadSettings
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 """The endpoint where a gateway listens and every other command connects. One robot needs no router."""
@@ -380,7 +380,7 @@ class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         accept_unguarded: engage although no guard process can watch on this interface
         wait_for_bus: start although the bus is not there, and wait for it; else that is an error
         realtime_priority: SCHED_FIFO priority of the loop, where the system allows it; 0 is off
-        state_dir: directory of the note that keeps a stop by the guard latched across a restart; auto:
+        state_dir: directory of the notes that keep what is latched across a restart; auto:
             $STATE_DIRECTORY, which systemd sets, else $XDG_STATE_HOME/cruiser, else ~/.local/state/cruiser; empty:
             no note is kept
     """
@@ -434,14 +434,34 @@ class AuthoritySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
             it; signed: people and robots are proven by their keys
         directory: directory of keys and grants, as 'cruiser provision' made it; auto: $XDG_CONFIG_HOME/cruiser,
             else ~/.config/cruiser
-        max_offline_h: h; so long after its start a robot is engaged without a word of its authority
-        require_fresh: engage only after a word of the authority since the start: against thieves
+        max_offline_h: h; so long after the last word of its authority, or its first start, a robot is engaged
+        require_fresh: engage only after an answer to the robot's challenge since the start: against thieves
     """
 
     mode: Literal["open", "signed"] = "open"
     directory: str = "auto"
     max_offline_h: Annotated[float, Meta(ge=0.1, le=720)] = 24.0
     require_fresh: bool = False
+
+
+class DeskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The desk: see docs/desk.md.
+
+    Attributes:
+        listen: ADDRESS:PORT where browsers ask; beyond this machine it needs a certificate
+        certificate: its certificate chain for browsers, PEM
+        key: that certificate's private key, PEM
+        names: names under which browsers reach it, besides those of this machine
+        sites: SITE=PATTERN; robots whose names match belong to this site, the first that matches
+        logs: directory of a recorder, whose logs and reports whoever opens the page may read; empty: none
+    """
+
+    listen: str = "127.0.0.1:8080"
+    certificate: str = ""
+    key: str = ""
+    names: list[str] = []
+    sites: list[str] = []
+    logs: str = ""
 
 
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -466,5 +486,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gateway: GatewaySettings = GatewaySettings()
     command: CommandSettings = CommandSettings()
     recorder: RecorderSettings = RecorderSettings()
+    upload: UploadSettings = UploadSettings()
+    desk: DeskSettings = DeskSettings()
     sim: SimSettings = SimSettings()
     authority: AuthoritySettings = AuthoritySettings()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from enum import Enum
 from functools import lru_cache
-from typing import Any, Final, TypeVar, get_args, get_origin
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin
 
 _ENCODING: Final = re.compile(
     r"application/msgpack;(?P<schema>cruiser(\.[A-Za-z]{1,64}){1,2})/(?P<version>[0-9]{1,9})"
@@ -38,11 +38,19 @@ def encoding_fault(encoding: str, known: str, receiver: str, sender: str) -> str
     theirs, ours = _ENCODING.fullmatch(encoding), _ENCODING.fullmatch(known)
     if theirs is None or ours is None or theirs["schema"] != ours["schema"]:
         return f"{encoding[:100]!a} is not {known}"
-    old = int(theirs["version"]) < int(ours["version"])
     return (
         f"version {theirs['version']} of {ours['schema']}, and {receiver} knows {ours['version']}: "
-        f"upgrade {sender if old else receiver}"
+        f"upgrade {sender if other_version(encoding, known) == 'older' else receiver}"
     )
+
+
+def other_version(encoding: str, known: str) -> Literal["newer", "older", ""]:
+    """Report how another version of the known schema stands to it; empty for the same, and for another schema."""
+    theirs, ours = _ENCODING.fullmatch(encoding), _ENCODING.fullmatch(known)
+    if theirs is None or ours is None or theirs["schema"] != ours["schema"]:
+        return ""
+    step = int(theirs["version"]) - int(ours["version"])
+    return "newer" if step > 0 else "older" if step else ""
 
 
 def names_schema(encoding: str) -> bool:

@@ -10,11 +10,20 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol
 
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import ZenohSettings
 
 RECONNECT_MIN_MS: Final = 100
 RECONNECT_MAX_MS: Final = 500
+
+SCOUTING_MS: Final = 50
+"""The longest wait of a session that opens for the nodes that it connects to.
+
+Zenoh's own is 500 ms, and Zenoh 1.10 often waits for all of it although everybody is connected: an initial
+declaration that comes before the connection is noted down is not counted. Who is farther away connects later, and
+``finds_router`` waits for that.
+"""
 
 OPEN_TIMEOUT_MS: Final = 2000
 """The period in which a new connection must speak Zenoh, or it is closed."""
@@ -38,6 +47,7 @@ _ENDPOINT: Final = re.compile(
     r"(?P<protocol>[a-z0-9_-]+)/(?P<host>[^?#]*):(?P<port>[0-9]+)(?P<metadata>[?][^#]*)?(?P<options>#.*)?"
 )
 _LOOPBACK: Final = re.compile(r"localhost|\[::1\]|127(\.[0-9]+){3}")
+_NOT_CONNECTED: Final = re.compile(r"Single\(([^)]*)\)")
 _HIGHEST_PORT: Final = 65535
 
 Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
@@ -48,6 +58,7 @@ LEASE: Final = "transport/link/tx/lease"
 CONNECT: Final = "connect/endpoints"
 LISTEN: Final = "listen/endpoints"
 MULTICAST: Final = "scouting/multicast/enabled"
+SCOUTING: Final = "scouting/delay"
 PROTOCOLS: Final = "transport/link/protocols"
 
 Says = Callable[[str], bool]
@@ -198,6 +209,36 @@ def reason(message: str) -> str:
     return plain(nested[1] if nested else text).strip()
 
 
+class SessionError(CommandError):
+    """A session that could not be opened: Zenoh says of certificates and keys neither which nor why.
+
+    Attributes:
+        config: the Zenoh file of the session; empty without one.
+        is_unanswered: the session would have opened, if anybody had answered and let it in.
+    """
+
+    def __init__(self, what: str, message: str, config: str = "") -> None:
+        super().__init__(f"{what}: {_nobody(reason(message))}", ExitCode.UNREACHABLE)
+        self.config = config
+        self.is_unanswered = bool(_places(message))
+
+
+def _places(text: str) -> list[str]:
+    """The endpoints to none of which a session could connect."""
+    return _NOT_CONNECTED.findall(text) if "Unable to connect" in text else []
+
+
+def _nobody(text: str) -> str:
+    """Zenoh's cause; in plain words where no endpoint answered."""
+    places = _places(text)
+    if not places:
+        return text
+    where = ", ".join(places)
+    if not any(place.startswith(WITH_NAMES) for place in places):
+        return f"nobody answers at {where}: look at the router or gateway there, and at the network"
+    return f"nobody at {where} lets this machine in: look at the router there"
+
+
 def _endpoints(value: Json, mode: str) -> list[str]:
     """One, a list, or one of these for each mode."""
     if isinstance(value, dict):
@@ -229,6 +270,7 @@ def _entries(zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str]
         "listen/exit_on_failure": True,
         MULTICAST: False,
         "scouting/gossip/enabled": True,
+        SCOUTING: SCOUTING_MS,
         "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
         "transport/unicast/accept_timeout": OPEN_TIMEOUT_MS,
         "transport/unicast/accept_pending": ACCEPT_PENDING,

@@ -40,7 +40,10 @@ TAGS_PER_TICK: Final = 256
 """Tags that are checked in a tick at most, 1 ms, to put the holder's drive commands before others'."""
 
 SIGNATURES_PER_TICK: Final = 4
-"""Signatures that are checked in a tick at most, 0.5 ms; the rest is refused as busy."""
+"""Signatures of verbs that are checked in a tick at most, 0.5 ms; the rest is refused as busy."""
+
+HOLDERS_PER_TICK: Final = 4
+"""Signatures besides, of verbs with the tag of the lease: nobody but its holder makes one."""
 
 ROLES: Final = {
     GrantRole.PROGRAM: Role.PROGRAM,
@@ -109,6 +112,7 @@ class SignedAdmission:
         self._nonces: OrderedDict[tuple[bytes, bytes], int] = OrderedDict()
         self._asking: dict[int, _Asked] = {}
         self._left = SIGNATURES_PER_TICK
+        self._holders_left = HOLDERS_PER_TICK
         self._tags_left = TAGS_PER_TICK
 
     # Grants.
@@ -120,14 +124,11 @@ class SignedAdmission:
             The grant as it is known from now on: the same object if nothing is new. Of two chains that end with
             the same grant the one that holds for longer is kept, so nobody goes back by showing an old one.
         """
-        if self._left <= 0:
-            return Objection(Reason.BUSY)
         known = self._grants.get(chain[0].id)
         if known is not None and self.trust.objection(known, self.now_s) is not None:
             known = None
         if known is not None and known.chain == tuple(chain):
             return known
-        self._left -= len(chain)
         held = self.trust.judge(chain, self.now_s)
         if isinstance(held, Objection):
             return held
@@ -153,6 +154,7 @@ class SignedAdmission:
     def begin_tick(self, now_ns: int) -> None:
         """A tick begins: a bounded number of signatures can be checked again."""
         self._left, self._tags_left = SIGNATURES_PER_TICK, TAGS_PER_TICK
+        self._holders_left = HOLDERS_PER_TICK
         while self._nonces and now_ns - next(iter(self._nonces.values())) > NONCE_KEPT_NS:
             self._nonces.popitem(last=False)
 
@@ -161,14 +163,29 @@ class SignedAdmission:
         return lease_id
 
     def may_be_holders(self, verb: str, payload: bytes, attachment: bytes) -> bool:
-        """Can it come from the lease's holder? A drive is known by its tag; a verb's signature is not checked."""
-        if self.lease is None:
+        """Does it come from the lease's holder, by its tag? A verb's signature is not checked here."""
+        if self.lease is None or self.lease.tags is None:
             return False
-        if verb != DRIVE_VERB:
-            return attachment[1:9] == self.lease.holder.id
         self._tags_left -= 1
-        tags = self.lease.tags
-        return self._tags_left >= 0 and tags is not None and tags.fits(attachment, payload)
+        if self._tags_left < 0:
+            return False
+        if verb == DRIVE_VERB:
+            return self.lease.tags.fits(attachment, payload)
+        proof, command = RequestProof.read(attachment), BY_VERB.get(verb)
+        if proof is None or command is None:
+            return False
+        key = keys.command(self._root, self._robot, self.lease.holder.grant.name, verb)
+        return self._is_tagged(proof, proof.signed(key, command.encoding, payload))
+
+    def _is_tagged(self, proof: RequestProof, text: bytes) -> bool:
+        """Return True if a verb's tag is of the lease: so its signature will be the holder's."""
+        lease = self.lease
+        return (
+            lease is not None
+            and lease.tags is not None
+            and lease.holder.id == proof.grant
+            and lease.tags.fits_verb(proof.tag, text)
+        )
 
     def admit(self, raw: RawRequest, now_ns: int) -> RawRequest:
         """The request with what is proven of its sender. A stop is served in any case; its proof says by whom."""
@@ -200,15 +217,23 @@ class SignedAdmission:
         held = self._freshness(proof, now_ns) or self._granted(raw, proof)
         if isinstance(held, Objection):
             return held
-        if self._left <= 0:
-            return Objection(Reason.BUSY)
-        self._left -= 1
         key = keys.command(self._root, self._robot, raw.operator, raw.verb)
-        if not fits(held.key, proof.signature, proof.signed(key, command.encoding, raw.payload)):
+        text = proof.signed(key, command.encoding, raw.payload)
+        if not self._may_check(proof, text):
+            return Objection(Reason.BUSY)
+        if not fits(held.key, proof.signature, text):
             return Objection(Reason.PROOF_WRONG)
         self._nonces[proof.grant, proof.nonce] = now_ns
         self._grants.move_to_end(proof.grant)
         return self._objection_to_lease(raw, held) or held
+
+    def _may_check(self, proof: RequestProof, text: bytes) -> bool:
+        """Return True if a signature more can be checked in this tick: of the holder's, or of all others'."""
+        if self._holders_left > 0 and self._is_tagged(proof, text):
+            self._holders_left -= 1
+            return True
+        self._left -= 1
+        return self._left >= 0
 
     def _objection_to_lease(self, raw: RawRequest, held: HeldGrant) -> Objection | None:
         """Why somebody with this grant may not use the lease that a request names: it is another grant's.

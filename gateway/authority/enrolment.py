@@ -7,7 +7,6 @@ signature over it.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from enum import Enum
 from typing import Annotated, Final, TypeVar
@@ -17,6 +16,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec import Meta
 
 from gateway.authority.transport import TransportRole
+from schemas.authority.fingerprint import fingerprint
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import ALGORITHM, GrantRole, KeyHex, Signed, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits
@@ -80,7 +80,7 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     Attributes:
         role: as what.
         names: of the robot, the person, or the hosts; the first one is the name in a grant.
-        csr: request for a certificate, PEM.
+        csr: request for a certificate, PEM; empty in a browser's, which connects with its desk's.
         key: for the grant, Ed25519; empty where none is wanted.
         proof: signature of that key, hexadecimal.
     """
@@ -116,7 +116,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         role, name: of the request.
         authority: the fleet's.
         fleet: its place on Zenoh.
-        certificate: for the TLS key, and of who signed it, PEM.
+        certificate: for the TLS key, and of who signed it, PEM; empty where none was asked for.
         shut_out: the same of the role ``nothing``, by which a robot tests its network; empty for all others.
         ca: the network's authority, PEM.
         chain: the grant, and those of its signers; empty where none is wanted.
@@ -159,6 +159,8 @@ def read_request(text: bytes) -> EnrolmentRequest:
     if request.role.is_granted != (request.key is not None):
         why = "is granted nothing, and has a key" if request.key else "has no key for its grant"
         raise EnrolmentError(f"{request.role.value} {why}")
+    if not request.csr and request.role is not EnrolmentRole.OPERATOR:
+        raise EnrolmentError(f"a {request.role.value} needs a certificate, and asks for none")
     pattern = ROBOT_PATTERN if request.role in _NAMED_AS_ROBOTS else OPERATOR_PATTERN
     if request.role.is_granted and (len(request.names) > 1 or re.fullmatch(pattern, request.names[0]) is None):
         raise EnrolmentError(f"a {request.role.value} has one name, of the form {pattern}")
@@ -224,17 +226,6 @@ def chain_of(text: bytes) -> list[Signed]:
     if isinstance(inner, StatementFault):
         raise EnrolmentError("the bundle holds no grant")
     return inner
-
-
-def fingerprint(data: bytes) -> str:
-    """Return a text that two people compare by voice: the first half of a SHA-256, in groups."""
-    digest = hashlib.sha256(data).hexdigest()[:32]
-    return "-".join(digest[start : start + 4] for start in range(0, len(digest), 4))
-
-
-def key_fingerprint(key: str) -> str:
-    """The fingerprint of a public key, hexadecimal."""
-    return fingerprint(bytes.fromhex(key))
 
 
 def request_fingerprint(request: EnrolmentRequest) -> str:

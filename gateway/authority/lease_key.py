@@ -45,7 +45,7 @@ def lease_key(private: X25519PrivateKey, other: bytes, boot: bytes, lease: int, 
 
 
 class DriveTags:
-    """Makes and checks the tags of the drive commands of one lease."""
+    """Makes and checks the tags of one lease: of its drive commands, and of its holder's verbs."""
 
     def __init__(self, key: bytes, lease: int, expression: str, encoding: str) -> None:
         """For the commands of one lease.
@@ -60,12 +60,23 @@ class DriveTags:
         before = DriveProof(lease).signed(expression, encoding, b"")[:-_LENGTH_BYTES]
         self.lease = lease
         self._state = hmac.new(key, before, "sha256")
+        self._empty = hmac.new(key, digestmod="sha256")
 
     def tag(self, payload: bytes) -> bytes:
         """The tag of a command, 16 bytes."""
         state = self._state.copy()
         state.update(len(payload).to_bytes(_LENGTH_BYTES, "big") + payload)
         return state.digest()[:TAG_BYTES]
+
+    def verb_tag(self, text: bytes) -> bytes:
+        """The tag of a verb, 16 bytes, over the text that its holder signs."""
+        state = self._empty.copy()
+        state.update(text)
+        return state.digest()[:TAG_BYTES]
+
+    def fits_verb(self, tag: bytes, text: bytes) -> bool:
+        """Return True if the tag was made for a verb with this signed text, under this lease's key."""
+        return hmac.compare_digest(tag, self.verb_tag(text))
 
     def attachment(self, payload: bytes) -> bytes:
         """The attachment that goes with a command."""

@@ -19,6 +19,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
+from gateway.authority.unmet import SILENT, UNSIGNED, Unmet, not_believed, not_taken
 from gateway.telemetry.received import Received
 from schemas import keys
 from schemas.authority.identity import prove_request
@@ -57,7 +58,13 @@ class _Known(msgspec.Struct):
 
 
 class KnownRobots:
-    """The robots that were met: what a viewer needs to believe a robot."""
+    """The robots that were met: what a viewer needs to believe a robot.
+
+    Attributes:
+        statement: the grant that robots are shown, with its chain; empty where there is none.
+    """
+
+    statement = b""
 
     def __init__(self, trust: Trust, root: str, now_s: Callable[[], int]) -> None:
         """No robot is met yet.
@@ -71,6 +78,18 @@ class KnownRobots:
         self._root = root
         self._now_s = now_s
         self._robots: dict[str, _Known] = {}
+        self._unmet: dict[str, Unmet] = {}
+
+    def unmet(self, robot: str) -> Unmet | None:
+        """The reason why a robot was not met at its newest answer; None if it was, or never answered."""
+        return self._unmet.get(robot)
+
+    def doubt(self, robot: str) -> Unmet:
+        """The reason for which an answer of this robot cannot be verified."""
+        unmet = self._unmet.get(robot)
+        if unmet is not None and not unmet.is_refusal:
+            return unmet
+        return UNSIGNED if self.has_met(robot) else SILENT
 
     def meet(self, robot: str, received: Received, question: bytes) -> Objection | None:
         """A robot's reply to the statement. Returns why it is no robot of this fleet, or refuses the grant.
@@ -80,14 +99,36 @@ class KnownRobots:
             received: the reply.
             question: the attachment of the query, drawn for it (``new_question``).
         """
+        now_s = self._now_s()
         try:
             said = _STATEMENT_REPLY.decode(received.payload)
         except PAYLOAD_ERRORS as error:
-            return Objection(Reason.MALFORMED, str(error)[:200])
-        chain, proof = read_chain(said.own.encode()), RobotProof.read(received.attachment)
+            objection = Objection(Reason.MALFORMED, str(error)[:200])
+            self._unmet[robot] = not_believed(objection, [], self._trust, now_s)
+            return objection
+        chain = read_chain(said.own.encode())
+        doubt = self._doubt(robot, received, question, chain, now_s)
+        if doubt is not None:
+            own = [] if isinstance(chain, StatementFault) else chain
+            self._unmet[robot] = not_believed(doubt, own, self._trust, now_s)
+            return doubt
+        if said.ok:
+            self._unmet.pop(robot, None)
+            return None
+        refusal = Objection(said.reason, said.detail)
+        shown = read_chain(self.statement)
+        grant = [] if isinstance(shown, StatementFault) else shown
+        self._unmet[robot] = not_taken(refusal, said.cure, grant, now_s)
+        return refusal
+
+    def _doubt(
+        self, robot: str, received: Received, question: bytes, chain: list[Signed] | StatementFault, now_s: int
+    ) -> Objection | None:
+        """Return why a reply is not of this robot; None if it is, and the robot is known from then on."""
+        proof = RobotProof.read(received.attachment)
         if isinstance(chain, StatementFault) or proof is None:
             return Objection(Reason.PROOF_MISSING, "the reply is not signed")
-        held = self._trust.judge(chain, self._now_s())
+        held = self._trust.judge(chain, now_s)
         if isinstance(held, Objection):
             return held
         if held.grant.role is not GrantRole.ROBOT or held.grant.name != robot:
@@ -102,7 +143,7 @@ class KnownRobots:
         known = self._robots.get(robot)
         newest = known.newest if known is not None and known.boot == proof.boot else {}
         self._robots[robot] = _Known(held.key, proof.boot, newest)
-        return None if said.ok else Objection(said.reason, said.detail)
+        return None
 
     def has_met(self, robot: str) -> bool:
         """The key of this robot is known."""
@@ -194,6 +235,7 @@ class OperatorProof(KnownRobots):
         self._grant = chain[0].id
         self._nonce = nonce
         self._tags: DriveTags | None = None
+        self._leased = ""
 
     def request(self, robot: str, verb: str, payload: bytes, challenge: bytes) -> bytes:
         """The attachment of a verb.
@@ -206,7 +248,11 @@ class OperatorProof(KnownRobots):
         """
         proof = RequestProof(self._grant, challenge, self._nonce(NONCE_BYTES))
         key = keys.command(self._root, robot, self.name, verb)
-        return prove_request(self._private, proof, key, BY_VERB[verb].encoding, payload)
+        encoding = BY_VERB[verb].encoding
+        attachment = prove_request(self._private, proof, key, encoding, payload)
+        if self._tags is None or robot != self._leased:
+            return attachment
+        return attachment + self._tags.verb_tag(proof.signed(key, encoding, payload))
 
     def begin_lease(self, robot: str, private: X25519PrivateKey, reply: LeaseReply, attachment: bytes) -> bool:
         """Agree with the robot on the key of a lease; False if its reply has no key.
@@ -223,6 +269,7 @@ class OperatorProof(KnownRobots):
         expression = keys.command(self._root, robot, self.name, DRIVE.verb)
         key = lease_key(private, reply.public_key, proof.boot, reply.lease, expression)
         self._tags = None if key is None else DriveTags(key, reply.lease, expression, DRIVE.encoding)
+        self._leased = robot
         return self._tags is not None
 
     def drive(self, payload: bytes) -> bytes:
@@ -234,12 +281,10 @@ class ViewerProof(KnownRobots):
     """Verifies what robots sign, for somebody who has no grant and commands nothing but a stop.
 
     Attributes:
-        name: empty: no grant gives one.
-        statement: empty; robots say who they are all the same.
+        name: empty: no grant gives one. Robots say who they are to an empty statement too.
     """
 
     name = ""
-    statement = b""
 
     def meet(self, robot: str, received: Received, question: bytes) -> Objection | None:
         """A robot's reply to the empty statement. Returns why it is no robot of this fleet."""

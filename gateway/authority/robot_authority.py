@@ -1,7 +1,7 @@
 """All that a robot in signed mode knows of its authority, and what follows from it in each tick. Pure.
 
 Statements come from anyone, by the query ``@auth``: what counts are their signatures. Grants are kept in memory;
-revocations, rotations and the floor of time outlive a restart.
+revocations, rotations, the floor of time and the authority's silence outlive a restart.
 """
 
 from __future__ import annotations
@@ -11,8 +11,11 @@ from typing import Final
 import msgspec
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.floor import TimeFloor
+from gateway.authority.floor import TimeFloor, Witness, Word
+from gateway.authority.name_proof import NameProof
 from gateway.authority.signer import RobotSigner
+from gateway.authority.silence import AuthoritySilence
+from gateway.authority.unmet import life_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest, Ruling
 from gateway.telemetry.sample import Sample
@@ -53,11 +56,16 @@ class Kept(msgspec.Struct, frozen=True):
 
     Attributes:
         own: the chain of the robot's own grant, if it was renewed since it was provisioned.
-        revocations: the newest list, signed; empty if there was none.
+        revocations: the newest list, signed; empty if there was none under the authority that is active now.
         rotations: all that were taken over, signed, in their order.
         epoch: no grant of a lower one counts, whatever the newest list says.
-        floor_s: the floor of time, seconds since 1970.
+        floor_s: the floor of time as the authority attested it, seconds since 1970.
+        words: the times that sites attested, if later.
+        silent_on_s: s; so long the robot was on since the last word of the authority, or since its first start.
+        silent_since_s: when that was, seconds since 1970; None before the first start.
         since: the authority that was provisioned when the first of it was learnt.
+        last_heads: the heads of the chains that the robot signed last, as far as it was saved since, hexadecimal:
+            those of the next run name them. They are no secret, and nobody is let in by them.
     """
 
     own: str = ""
@@ -65,7 +73,16 @@ class Kept(msgspec.Struct, frozen=True):
     rotations: list[str] = []
     epoch: int = 0
     floor_s: int = 0
+    words: list[Word] = []
+    silent_on_s: int = 0
+    silent_since_s: int | None = None
     since: AuthorityKeys | None = None
+    last_heads: str = ""
+
+    @property
+    def newest_s(self) -> int:
+        """The floor of time, seconds since 1970."""
+        return max([self.floor_s, *(word.at_s for word in self.words)])
 
 
 def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
@@ -99,7 +116,8 @@ def _led_to(rotations: list[str]) -> set[tuple[bytes, bytes]]:
 def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
     """The trust that a robot was provisioned with, after all that it has taken over since.
 
-    The list of revocations came before, between or after the rotations: it belongs where its signer counted.
+    The list is of the authority that is active now, or of one of the standby keys beside it. One that the same key
+    signed before it was replaced for a while ended with that: so it is applied after the last change alone.
     """
     steps: list[Signed] = []
     for text in (*kept.rotations, *filter(None, [kept.revocations])):
@@ -108,22 +126,40 @@ def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
             return Objection(Reason.MALFORMED, chain.detail)
         steps.append(chain[0])
     revocations = steps.pop() if kept.revocations else None
-    refusal: Objection | None = None
-    for rotation in (None, *steps):
-        newer = trust if rotation is None else trust.rotate(rotation)
+    former: list[Trust] = []
+    current = [trust]
+    for rotation in steps:
+        newer = current[-1].rotate(rotation)
         if isinstance(newer, Objection):
             return newer
-        trust = newer
-        if revocations is None:
-            continue
-        revoked = trust.revoke(revocations)
-        if isinstance(revoked, Objection):
-            refusal = revoked
-        else:
-            trust, revocations = revoked, None
-    if revocations is not None and refusal is not None:
-        return refusal
+        if newer.active != current[-1].active:
+            former, current = [*former, *current], []
+        current.append(newer)
+    trust = current[-1]
+    if revocations is not None:
+        revoked = _revoked(current, revocations)
+        if not isinstance(revoked, Objection):
+            trust = msgspec.structs.replace(
+                trust,
+                list_serial=revoked.list_serial,
+                revoked=revoked.revoked,
+                epoch=max(trust.epoch, revoked.epoch),
+            )
+        elif isinstance(_revoked(former, revocations), Objection):
+            # Else the note is of a version that kept a list which a rotation had ended.
+            return revoked
     return msgspec.structs.replace(trust, epoch=max(trust.epoch, kept.epoch))
+
+
+def _revoked(trusts: list[Trust], revocations: Signed) -> Trust | Objection:
+    """The first of the trusts that accepts a list, with it; a refusal if none does."""
+    refusal = Objection(Reason.PROOF_WRONG)
+    for trust in trusts:
+        revoked = trust.revoke(revocations)
+        if not isinstance(revoked, Objection):
+            return revoked
+        refusal = revoked
+    return refusal
 
 
 class AuthorityEffects(msgspec.Struct):
@@ -148,6 +184,7 @@ class RobotAuthority:
     Attributes:
         admission: judges requests, signs replies.
         signer: signs states and heads of chains.
+        name_proof: answers for the robot's name.
         self_test: why the gateway's own test has not passed; empty if it has.
         unsaved: why what was taken over could not be saved; empty if it was.
     """
@@ -158,6 +195,7 @@ class RobotAuthority:
         admission: SignedAdmission,
         signer: RobotSigner,
         floor: TimeFloor,
+        silence: AuthoritySilence,
         own: list[Signed],
         kept: Kept,
     ) -> None:
@@ -168,24 +206,26 @@ class RobotAuthority:
             admission: judges requests; its trust is replaced as statements come.
             signer: the robot's.
             floor: the time.
+            silence: of the authority.
             own: the chain of the robot's own grant.
             kept: the state that was saved last.
         """
         self.admission = admission
         self.signer = signer
         self.self_test = self.unsaved = ""
+        self.name_proof = NameProof(settings, signer, admission, lambda: self._own)
         self._offline_max_ns = round(settings.authority.max_offline_h * _NS_PER_H)
         self._requires_fresh = settings.authority.require_fresh
         self._key = keys.authority(settings.robot.root, settings.robot.name)
-        self._floor = floor
+        self._floor, self._silence = floor, silence
+        floor.forget(admission.trust)
         self._own = own
         self._own_held: HeldGrant | None = None
         self._kept = kept
         self._is_changed = False
-        self._word_ns: int | None = None
         self._bars: dict[Reason, str] = {}
         self._new: list[str] = []
-        self._sequence = 0
+        self._sequence = self._wall_s = 0
         self._heads_due_ns = self._repeat_due_ns = self._save_due_ns = 0
 
     def receive(self, raw: RawRequest, now_ns: int, boot_ns: int) -> PendingReply:
@@ -232,7 +272,8 @@ class RobotAuthority:
             wall_ns: since 1970.
         """
         admission = self.admission
-        admission.now_s = self._floor.now_s(boot_ns, wall_ns // 1_000_000_000)
+        self._wall_s = wall_ns // 1_000_000_000
+        admission.now_s = self._floor.now_s(boot_ns, self._wall_s)
         admission.begin_tick(now_ns)
         effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.objection_to_holder())
         if now_ns >= self._heads_due_ns:
@@ -244,9 +285,20 @@ class RobotAuthority:
             effects.bars = self._bars_changed(boot_ns)
         if self._is_changed or now_ns >= self._save_due_ns:
             self._is_changed, self._save_due_ns = False, now_ns + SAVE_NS
-            self._kept = msgspec.structs.replace(self._kept, floor_s=self._floor.least_s(boot_ns))
-            effects.kept = self._kept
+            effects.kept = self.to_keep(boot_ns)
         return effects
+
+    def to_keep(self, boot_ns: int) -> Kept:
+        """The state to be kept across a restart as of now, the heads that were signed last with it."""
+        floor_s, words = self._floor.kept(boot_ns)
+        self._kept = msgspec.structs.replace(
+            self._kept, floor_s=floor_s, words=words, last_heads=self.signer.last_heads.hex()
+        )
+        # Before the first tick the time is not known.
+        if now_s := self.admission.now_s:
+            on_s, since_s = self._silence.kept(boot_ns, self._floor.now_s(boot_ns, now_s))
+            self._kept = msgspec.structs.replace(self._kept, silent_on_s=on_s, silent_since_s=since_s)
+        return self._kept
 
     def heads(self, wall_ns: int) -> Sample:
         """The signed heads of the chains, over all that was published so far: each second, and at the end."""
@@ -258,8 +310,8 @@ class RobotAuthority:
         if isinstance(held, Objection):
             return held
         if held is not known:
-            # It has begun, so it is later than that: also where nobody ever states the time.
-            self._floor.lift(held.not_before, boot_ns)
+            # So also where nobody ever states the time.
+            self._floor.lift_by_grants(held.chain, boot_ns)
             self._new.append(chain_text(held.chain))
         if held.key == self.signer.public_key and held.grant.role is GrantRole.ROBOT:
             own = self._own_grant()
@@ -289,33 +341,35 @@ class RobotAuthority:
         at_s = self.admission.trust.time_of(chain, challenge, self.admission.now_s)
         if isinstance(at_s, Objection):
             return at_s
-        self._note_word(at_s, boot_ns)
+        self._silence.hear_answer(boot_ns)
+        self._floor.lift(at_s, boot_ns, Witness.of(chain[1:]) if chain[1:] else None)
+        self._is_changed = True
         return None
 
     def _replace_trust(self, signed: Signed, statement: Revocations | Rotation, boot_ns: int) -> Objection | None:
         trust = self.admission.trust
-        is_rotation = isinstance(statement, Rotation)
+        is_rotation, text = isinstance(statement, Rotation), signed.text()
+        if text in self._kept.rotations:
+            return Objection(Reason.REPLAYED, f"rotation {statement.serial} was taken over before")
         newer = trust.rotate(signed) if is_rotation else trust.revoke(signed)
         if isinstance(newer, Objection):
             return newer
         self.admission.trust = newer
-        text = signed.text()
         self._kept = msgspec.structs.replace(self._kept, epoch=newer.epoch)
         if newer.active != trust.active:
             self._floor.restart(statement.at, boot_ns)
+            # What the former authority revoked ended with it: after the next rotation its key may be active again.
+            self._kept = msgspec.structs.replace(self._kept, revocations="")
         if is_rotation:
             self._kept = msgspec.structs.replace(self._kept, rotations=[*self._kept.rotations, text])
         else:
             self._kept = msgspec.structs.replace(self._kept, revocations=text)
         self._new.append(text)
-        self._note_word(statement.at, boot_ns)
-        return None
-
-    def _note_word(self, at_s: int, boot_ns: int) -> None:
-        """Note a statement of the authority, received now, and the time in it."""
-        self._word_ns = boot_ns
-        self._floor.lift(at_s, boot_ns)
+        self._floor.forget(newer)
+        self._floor.lift(statement.at, boot_ns)
+        self._silence.hear_statement(statement.at, boot_ns, self._floor.now_s(boot_ns, self._wall_s))
         self._is_changed = True
+        return None
 
     def _bars_changed(self, boot_ns: int) -> dict[Reason, str] | None:
         bars = self._bars_now(boot_ns)
@@ -333,15 +387,21 @@ class RobotAuthority:
         bars = {Reason.SELF_TEST: faults} if (faults := self._faults()) else {}
         own = self._own_grant()
         if isinstance(own, Objection):
-            bars[own.reason] = f"the robot's own; {own.detail}"
+            bars[own.reason] = f"the robot's own {self._own_words(own)}"
         else:
-            self._floor.lift(own.not_before, boot_ns)
-        if self._word_ns is None and self._requires_fresh:
-            bars[Reason.AUTHORITY_STALE] = "none since the start (authority.require_fresh)"
-        elif boot_ns - (self._word_ns or 0) > self._offline_max_ns:
-            hours = (boot_ns - (self._word_ns or 0)) / _NS_PER_H
-            bars[Reason.AUTHORITY_STALE] = f"none for {hours:.1f} h (authority.max_offline_h)"
+            self._floor.lift_by_grants(own.chain, boot_ns)
+        silent_ns = self._silence.length_ns(boot_ns, self.admission.now_s)
+        if self._requires_fresh and not self._silence.is_heard:
+            bars[Reason.AUTHORITY_STALE] = "no answer to a challenge since the start (authority.require_fresh)"
+        elif silent_ns > self._offline_max_ns:
+            bars[Reason.AUTHORITY_STALE] = f"none for {silent_ns / _NS_PER_H:.1f} h (authority.max_offline_h)"
         return bars
+
+    def _own_words(self, objection: Objection) -> str:
+        """An objection to the robot's own grant, in words that do not change each second."""
+        if objection.reason is not Reason.GRANT_EXPIRED:
+            return f"is refused: {objection.text}"
+        return life_of(self._own, self.admission.now_s)
 
     def _statements(self, now_ns: int, wall_ns: int) -> list[Sample]:
         """The statements that are new; once a minute also those in use, for logs that begin now."""
@@ -350,7 +410,10 @@ class RobotAuthority:
             self._repeat_due_ns = now_ns + REPEAT_NS
             lease = self.admission.lease
             in_use = "" if lease is None else chain_text(lease.holder.chain)
-            texts += [text for text in (chain_text(self._own), in_use, self._kept.revocations) if text]
+            # A note of a former version may hold a list that a rotation has ended.
+            revocations = self._kept.revocations if self.admission.trust.list_serial else ""
+            repeated = (*self._kept.rotations, chain_text(self._own), in_use, revocations)
+            texts += [text for text in repeated if text]
         return [self._sample(text, wall_ns) for text in texts]
 
     def _sample(self, text: str, wall_ns: int) -> Sample:

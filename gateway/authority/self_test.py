@@ -27,6 +27,9 @@ from schemas.settings import Settings
 from schemas.subjects import BY_VERB
 from schemas.zenoh_link import Json
 
+UNDER_WAY: Final = "it is under way: 'cruiser why' says when it has passed"
+"""The verdict of the test before there is one."""
+
 OPERATOR: Final = "self-test"
 LEASE: Final = 1
 CHALLENGE: Final = bytes(8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from schemas.authority.chain import CHAINED, first_link, heads_text, next_link
+from schemas.authority.chain import CHAINED, FormerHeads, first_link, heads_text, next_link
 from schemas.authority.proof import RobotProof
 from schemas.decisions import ChainHead, ChainHeads
 
@@ -16,10 +16,20 @@ class RobotSigner:
     Attributes:
         boot: random, of this run of the gateway, 8 bytes.
         public_key: the robot's, Ed25519, 32 bytes.
+        last_heads: the name of the heads that were signed last, for the next run; empty before the first.
     """
 
-    def __init__(self, private: Ed25519PrivateKey, boot: bytes) -> None:
+    def __init__(self, private: Ed25519PrivateKey, boot: bytes, former: bytes = b"") -> None:
+        """Sign for one run.
+
+        Args:
+            private: the robot's key.
+            boot: random, 8 bytes.
+            former: ``last_heads`` of the run before, as far as they were kept.
+        """
         self.boot = boot
+        self.last_heads = b""
+        self._former = former
         self.public_key = private.public_key().public_bytes_raw()
         self._private = private
         self._unsigned = RobotProof(boot)
@@ -46,13 +56,16 @@ class RobotSigner:
         Args:
             time_ns: since 1970.
         """
-        self._sequence += 1
+        sequence, self._sequence = self._sequence, self._sequence + 1
+        text = heads_text(self.boot, time_ns, sequence, self._heads, self._former)
+        self.last_heads = FormerHeads.of(self.boot, sequence, text).text()
         return ChainHeads(
             time_ns=time_ns,
-            sequence=self._sequence - 1,
+            sequence=sequence,
             boot=self.boot,
             heads=[ChainHead(subject, count, head) for subject, (count, head) in self._heads.items()],
-            signature=self._private.sign(heads_text(self.boot, time_ns, self._heads)),
+            signature=self._private.sign(text),
+            former=self._former,
         )
 
     def _proof(self, text: bytes) -> bytes:

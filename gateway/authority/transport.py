@@ -199,6 +199,8 @@ def zenoh_configuration(
     settings = ZenohSettings()
     configuration = _nested(session_settings(settings, *(((), endpoints) if is_router else (endpoints, ()))))
     configuration |= {"mode": "router" if is_router else "client"}
+    # zenohd has its admin space on, whatever a file says; who may read and write there, it leaves to the file.
+    configuration["adminspace"] = {"enabled": False, "permissions": {"read": False, "write": False}}
     if is_router:
         configuration["timestamping"] = {"enabled": True}
     transport = configuration["transport"]

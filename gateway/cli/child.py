@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -15,7 +16,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
+from gateway.cli import parent
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.setting_table import CONFIG_VARIABLE
 
 READY_TIMEOUT_S: Final = 30.0
 END_TIMEOUT_S: Final = 20.0
@@ -29,11 +32,13 @@ CRUISER: Final = (sys.executable, "-m", "gateway")
 class Child:
     """One of our own commands in a process of its own. It says that it is ready with its first line on stderr.
 
+    It ends when this process is gone, also by SIGKILL.
+
     Args:
         name: of the command.
         words: its arguments.
         cwd: its working directory; None for ours.
-        environment: all of its environment.
+        environment: all of its environment. Where it names no settings file, none is meant.
     """
 
     def __init__(
@@ -44,17 +49,25 @@ class Child:
         environment: Mapping[str, str] = os.environ,
     ) -> None:
         self._name = name
-        self._process = subprocess.Popen(  # noqa: S603 - our own command
-            # Ctrl-C is for the demo, which ends its children in their order.
-            [*CRUISER, name, *words],
-            start_new_session=True,
-            cwd=cwd,
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        watched, self._held = os.pipe()
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - our own command
+                # Ctrl-C is for the demo, which ends its children in their order.
+                [*CRUISER, name, *words],
+                start_new_session=True,
+                cwd=cwd,
+                env={CONFIG_VARIABLE: "", **environment, parent.VARIABLE: str(watched)},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                pass_fds=[watched],
+            )
+        except OSError:
+            os.close(self._held)
+            raise
+        finally:
+            os.close(watched)
         self._said: deque[str] = deque(maxlen=LINES_KEPT)
         self._spoke = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
@@ -70,6 +83,7 @@ class Child:
             self._process.kill()
         self._process.wait()
         self._thread.join()
+        os.close(self._held)
         for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
             if stream is not None:
                 stream.close()
@@ -183,6 +197,12 @@ def fresh(directory: Path) -> Path:
         return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
     except OSError as error:
         raise CommandError(f"cannot write in {error.filename or directory}: {error.strerror}") from error
+
+
+def end_with_terminal() -> None:
+    """Let a terminal that is closed end a command as Ctrl-C does: its children would run on without it."""
+    if signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, lambda _number, _frame: signal.raise_signal(signal.SIGINT))
 
 
 def load() -> str:

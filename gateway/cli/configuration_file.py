@@ -2,14 +2,35 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Final
 
+from schemas.authority.key_directory import directory_of
 from schemas.configuration import TomlSource, merge
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.file_kinds import other_kind
 from schemas.printable import plain
-from schemas.setting_table import CONFIG_VARIABLE
+from schemas.setting_table import CONFIG_VARIABLE, SETTINGS
 from schemas.settings import Settings
+
+ZENOH_ENDING: Final = ".json5"
+
+SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")
+"""The settings of a robot's services. ``cruiser doctor`` reads them where no file is named."""
+
+_PEOPLE: Final = ("list", "watch", "drive", "stop", "why", "reset", "lease", "park", "unpark", "light", "horn")
+OWN_FILES: Final[Mapping[str, tuple[str, ...]]] = {
+    "gateway": ("robot.toml",),
+    "doctor": ("robot.toml",),
+    "record": ("recorder.toml",),
+    "desk": ("desk.toml",),
+    "metrics": ("viewer.toml",),
+    **dict.fromkeys((*_PEOPLE, "odometer"), ("operator.toml", "viewer.toml")),
+}
+"""Settings files that ``cruiser provision install`` writes for the user of a command."""
 
 
 def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[str, object]) -> Settings:
@@ -21,22 +42,63 @@ def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[s
         flags: values by dotted key, such as ``can.channel``.
 
     Raises:
-        CommandError: the file cannot be read, or a key or a value is wrong.
+        CommandError: the file, or the Zenoh file that it names, cannot be read, or a key or a value is wrong.
     """
     if path == "":
         # As with --config "$FILE" where FILE is not set: a robot must not start with settings that nobody meant.
         raise CommandError("--config names no file: its value is empty", ExitCode.USAGE)
     file = path if path is not None else environ.get(CONFIG_VARIABLE) or None
-    return merge(None if file is None else _read(file), environ, flags)
+    settings = merge(None if file is None else _read(file), environ, flags)
+    if settings.zenoh.config:
+        from gateway.provisioning.tls_files import check_kinds  # noqa: PLC0415 - not for who has no such file
+
+        check_kinds(Path(settings.zenoh.config))
+    return settings
+
+
+def unread_file(command: str, path: str | None, environ: Mapping[str, str], settings: Settings) -> str:
+    """Return the settings file that somebody probably forgot to name, where a command runs in open mode.
+
+    It is looked for in the working directory and in that of the keys. Empty if there is none, and where the lack
+    of a file (``CRUISER_CONFIG=``), the mode, or for all but a gateway the place to connect to is stated.
+
+    Args:
+        command: its name.
+        path: the value of ``--config``.
+        environ: environment variables.
+        settings: those in force.
+    """
+    stated = {CONFIG_VARIABLE, SETTINGS["authority.mode"].variable} & environ.keys()
+    is_placed = command != "gateway" and not settings.zenoh.given.isdisjoint({"connect", "config"})
+    if path is not None or stated or is_placed or settings.authority.mode != "open":
+        return ""
+    if command == "doctor" and SYSTEM_FILE.exists():
+        return ""
+    places = [Path()]
+    with suppress(RuntimeError):  # Nobody knows a home directory of this user.
+        places.append(Path(directory_of(settings.authority, environ, Path.home())))
+    files = [place / name for place in places for name in OWN_FILES.get(command, ())]
+    files += [SYSTEM_FILE] if command == "gateway" else []
+    return next((str(file) for file in files if os.path.isfile(file)), "")  # noqa: PTH113 - it never raises
 
 
 def _read(file: str) -> TomlSource:
+    shown = plain(file)
+    if file.endswith(ZENOH_ENDING):
+        raise CommandError(
+            f"{shown} is a file for Zenoh, which --zenoh-config takes; --config takes settings: "
+            f"{shown.removesuffix(ZENOH_ENDING)}.toml, as 'cruiser provision install' writes them",
+            ExitCode.USAGE,
+        )
     try:
+        if kind := other_kind(Path(file).stat().st_mode):
+            raise CommandError(f"cannot read the configuration file {shown!r}: it is {kind}", ExitCode.USAGE)
         content = Path(file).read_bytes()
     except (OSError, ValueError) as error:  # ValueError: no name of a file can hold a NUL
         detail = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        cure = _cure(file)
         raise CommandError(
-            f"cannot read the configuration file {plain(file)!r}: {detail.lower()}", ExitCode.USAGE
+            f"cannot read the configuration file {shown!r}: {detail.lower()}{cure}", ExitCode.USAGE
         ) from error
     try:
         # Editors on Windows begin a file with a byte order mark.
@@ -44,5 +106,18 @@ def _read(file: str) -> TomlSource:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise CommandError(
-            f"{plain(file)}:{line}: not UTF-8 text (byte {content[error.start]:#04x})", ExitCode.USAGE
+            f"{shown}:{line}: not UTF-8 text (byte {content[error.start]:#04x})", ExitCode.USAGE
         ) from error
+
+
+def _cure(file: str) -> str:
+    """The cure for the settings file of somebody who has keys, and whom nobody has let in yet; or nothing."""
+    try:
+        place = Path(file)
+        if place.exists() or not place.with_name(f"{place.stem}-tls.key").exists():
+            return ""
+    except ValueError:
+        return ""
+    from schemas.authority.identity import INSTALLED  # noqa: PLC0415 - only for a failure
+
+    return f"; {INSTALLED}"

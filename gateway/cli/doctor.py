@@ -14,36 +14,40 @@ from typing import Final
 import msgspec
 
 from gateway.can.bus_claim import count_claims
-from gateway.cli.configuration_file import load_settings
+from gateway.can.open_bus import describe
+from gateway.cli.configuration_file import SYSTEM_FILE, load_settings
 from gateway.client.payloads import read_sample
 from gateway.doctor.checks import Diagnosis, diagnose, summary
 from gateway.doctor.facts import Facts, ZenohReport
 from gateway.host.bus_look import listen, look_at_interface
 from gateway.host.computer_look import (
+    booted_s,
     earliest_s,
     is_synchronised,
     look_at_credentials,
     look_at_disk,
+    look_at_stop_note,
     look_at_units,
     run_program,
+    was_shut_down,
 )
 from gateway.provisioning.key_files import directory_of
+from gateway.provisioning.tls_files import role_of
 from gateway.telemetry.received import Received, TokenChange
 from gateway.zenoh.client import FleetListener, PendingQuery, place
 from schemas.arguments import add_zenoh_arguments, seconds
+from schemas.authority.identity import KEY_FILE
 from schemas.decisions import SafetyState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayHealth, GatewayInfo, Message, RobotState
+from schemas.printable import plain
 from schemas.recording import RecorderHealth
-from schemas.setting_table import CONFIG_VARIABLE
+from schemas.setting_table import CONFIG_VARIABLE, SETTINGS
 from schemas.settings import Settings, ZenohSettings
 
 EXAMPLE: Final = """\
   cruiser doctor
   cruiser doctor --config /etc/cruiser/cruiser.toml --json | jq -r '.findings[].cure'"""
-
-SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")
-"""Read where neither --config nor CRUISER_CONFIG names a file, and it is there."""
 
 HEARS_S: Final = 1.3
 """Health comes once a second: who has said nothing for so long says nothing."""
@@ -57,11 +61,15 @@ INSTALLED: Final = (
     "gateway/robot.json5",
     "recorder/recorder.json5",
     "router/router.json5",
+    "desk/desk.json5",
     "metrics/viewer.json5",
 )
 """Zenoh files of the services, below /etc/cruiser."""
 
 ROBOT_FILE: Final = "robot.json5"
+
+OTHER_ROLES: Final = frozenset({"operator", "viewer", "desk", "recorder"})
+"""Roles of machines that are no robot's computer."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,8 +101,36 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if arguments.config is None and not os.environ.get(CONFIG_VARIABLE) and SYSTEM_FILE.exists():
         flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
         settings = load_settings(str(SYSTEM_FILE), os.environ, flags)
+    if getattr(arguments, "zenoh.config") is None and SETTINGS["zenoh.config"].variable not in os.environ:
+        _check_role(settings)
     facts = look(settings, arguments.timeout, stopped)
+    facts = msgspec.structs.replace(facts, bus_of_file=_bus_of_file(arguments, settings))
     return int(report(facts, diagnose(facts), as_json=arguments.json))
+
+
+def _check_role(settings: Settings) -> None:
+    """Check that the settings are not those of somebody who looks and drives: the findings would be a robot's.
+
+    Raises:
+        CommandError: they are.
+    """
+    role = role_of(Path(settings.zenoh.config)) if settings.zenoh.config else ""
+    if role in OTHER_ROLES and not (directory_of(settings.authority) / KEY_FILE.format(who="robot")).exists():
+        raise CommandError(
+            f"these are the settings of a machine of the role {role} ({plain(settings.zenoh.config)}), and doctor "
+            "looks at the computer of a robot: run it there, 'cruiser doctor --config robot.toml'; from here "
+            "'cruiser list' and 'cruiser why ROBOT' say how robots are",
+            ExitCode.USAGE,
+        )
+
+
+def _bus_of_file(arguments: argparse.Namespace, settings: Settings) -> str:
+    """Return the bus of the settings file, in words, where flags name another; else an empty text."""
+    if getattr(arguments, "can.interface") is None and getattr(arguments, "can.channel") is None:
+        return ""
+    named = arguments.config or os.environ.get(CONFIG_VARIABLE) or (SYSTEM_FILE if SYSTEM_FILE.exists() else "")
+    of_file = load_settings(str(named), os.environ, {}).can if named else settings.can
+    return "" if describe(of_file) == describe(settings.can) else f"{describe(of_file)}, by {named}"
 
 
 def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> Facts:
@@ -118,6 +154,9 @@ def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> F
         look_at_disk(Path(settings.recorder.directory)),
         look_at_units(),
         look_at_credentials(settings, _zenoh_files(settings), now_s),
+        booted_s(),
+        was_shut_down(),
+        look_at_stop_note(settings),
     )
 
 
@@ -189,6 +228,7 @@ def _ask(
         safety if isinstance(safety, SafetyState) else None,
         state if isinstance(state, RobotState) else None,
         ahead_s,
+        _clock_moved_s(health, runs) if isinstance(health, GatewayHealth) else 0.0,
         [recorders[name] for name in sorted(recorders)],
     )
 
@@ -202,6 +242,14 @@ def _runs(replies: Iterable[Received]) -> set[int]:
     """When the gateways that replied were started: each run once."""
     found = (_message(reply) for reply in replies)
     return {info.started_ns for info in found if isinstance(info, GatewayInfo)}
+
+
+def _clock_moved_s(health: GatewayHealth, runs: set[int]) -> float:
+    """So far the robot's clock was set since its gateway started; zero where that is not known of just one."""
+    if len(runs) != 1:
+        return 0.0
+    (started_ns,) = runs
+    return (health.time_ns - started_ns) / 1e9 - health.uptime_s
 
 
 def settings_to_ask(settings: Settings) -> ZenohSettings:

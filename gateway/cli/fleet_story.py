@@ -27,7 +27,7 @@ from gateway.cli.fleet_machines import (
 from gateway.client.payloads import encode_request
 from gateway.client.reasons_text import is_idle
 from gateway.client.robot import Robot
-from gateway.zenoh.client import open_towards_robots
+from gateway.zenoh.client import client_endpoints, close_session, open_session, open_towards_robots
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent, SafetyState
@@ -35,6 +35,7 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive, Take
 from schemas.settings import RESET_MIN_NS, Settings
+from schemas.zenoh_link import MODE
 
 WAIT_S: Final = 20.0
 """The longest wait for a fact; on a quiet machine each takes less than a second."""
@@ -176,11 +177,25 @@ class FleetStory:
         tried = {
             "without TLS": ("list", "--connect", f"tcp/{place}"),
             "without a certificate": ("list", "--connect", self._machines.endpoint, "--zenoh-config", file),
-            "with another authority's certificate": ("list", *self._as(INTRUDER, "operator")),
         }
         answers = self._machines.run_all((*words, "--timeout", TIGHT_S) for words in tried.values())
         for how, answer in zip(tried, answers, strict=True):
             self._judge_refused(f"an intruder {how}", answer, ExitCode.UNREACHABLE)
+        # Our commands look at such files and send nothing; an intruder's own program does not.
+        self._judge_refused(
+            "an intruder with another authority's certificate",
+            self._knock_with_foreign_files(),
+            ExitCode.UNREACHABLE,
+        )
+
+    def _knock_with_foreign_files(self) -> Done:
+        """Open a session with the intruder's certificate, by Zenoh alone."""
+        settings = self._machines.settings(INTRUDER, "operator").zenoh
+        try:
+            close_session(open_session(settings, client_endpoints(settings), [], changes={MODE: "client"}))
+        except CommandError as error:
+            return Done(int(error.code), str(error))
+        return Done(int(ExitCode.OK), "the router lets it in")
 
     def _command_without_a_grant(self) -> None:
         self._tell("\nothers command who may not")
@@ -292,7 +307,7 @@ class FleetStory:
         )
         once_more = ("drive", robot.name, "--speed", "0.3", "--seconds", "1", "--timeout", "2")
         again = self._machines.run(*once_more, *self._as(OPERATOR, "operator"))
-        self._judge_refused("the operator drives again", again, ExitCode.UNREACHABLE, "revoked")
+        self._judge_refused("the operator drives again", again, ExitCode.REFUSED, "revoked")
         self.judge(
             "speed",
             f"{WANTED_MPS:g} m/s asked for, {OPERATOR_LIMIT_MPS:g} granted, {self._fastest_mps:.2f} measured",

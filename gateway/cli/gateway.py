@@ -11,32 +11,40 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
+from gateway.authority.statement_sieve import StatementSieve
 from gateway.can.bus_claim import BusClaim
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import describe, open_bus
 from gateway.can.reconnecting_bus import ReconnectingBus
 from gateway.chassis.cruiser.layout import load
+from gateway.cli.shut_out import wait, why_away
+from gateway.command.carried import Carried
 from gateway.core import Core
 from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import Stopper
 from gateway.host.former_guard import FormerGuard
 from gateway.host.guard_process import GuardLink, start_guard
 from gateway.host.guard_run import stop_alone
+from gateway.host.latch_note import LatchNote
 from gateway.host.log_queue import logging_aside
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.renewal import Renewal
-from gateway.host.self_test import Reached, SelfTest
+from gateway.host.self_test import Reached, RoutedSession, SelfTest, SessionHolder
 from gateway.host.service_manager import ServiceManager
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
 from gateway.loop import LoopPorts, Manager, NoManager, warn_of_bars
 from gateway.loop import run as run_loop
-from gateway.provisioning.tls_files import check_tls_files
+from gateway.provisioning.tls_files import check_tls_files, why_shut_out
+from gateway.zenoh.client import said_of
 from gateway.zenoh.inbox import CommandInbox, open_inbox
-from gateway.zenoh.node import ZenohNode, ZenohPlace, open_node
+from gateway.zenoh.late_node import Joined, LateInbox, LateNode
+from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.configuration import to_toml
@@ -47,12 +55,16 @@ from schemas.messages import GatewayInfo, Variant
 from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
+from schemas.zenoh_link import SessionError
 
 log = logging.getLogger(__name__)
 
 EXAMPLE = """\
   cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
+
+AGAIN_S: Final = 5.0
+"""Pause after a start with renewed files that failed."""
 
 RUN_BITS = 53
 """Every language's numbers hold as many."""
@@ -93,30 +105,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the gateway until it is stopped. Where its keys were renewed, it starts again meanwhile."""
+    """Run the gateway until it is stopped. Where its keys were renewed, it starts again meanwhile.
+
+    A restart never clears a latch: the gateway begins with what was latched before.
+    """
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
-    while _run_once(settings, ends):
+    carried = _run_once(settings, ends)
+    while carried is not None:
         log.info("starting again with the renewed files")
+        carried = _run_again(settings, ends, carried)
     return int(ExitCode.OK)
 
 
-def _run_once(settings: Settings, ends: Callable[[], bool]) -> bool:
-    """Run the gateway until it is stopped, or its files were renewed. Returns whether it is to start again."""
+def _run_again(settings: Settings, ends: Callable[[], bool], former: Carried) -> Carried | None:
+    """Run the gateway anew. One that ran does not end because somebody is in its way: it tries on."""
+    while True:
+        try:
+            return _run_once(settings, ends, former)
+        except CommandError as error:
+            if ends():
+                raise
+            log.warning("the gateway cannot start again yet: %s; trying on", error)
+            wait(AGAIN_S, ends)
+
+
+def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | None = None) -> Carried | None:
+    """Run the gateway until it is stopped, or its files were renewed.
+
+    Args:
+        settings: all of them.
+        ends: turns true when the gateway is stopped.
+        former: carried over from the run before this one.
+
+    Returns:
+        The state to be carried over to another run; None if there is none.
+    """
     # Before anything is read: what is replaced meanwhile is new.
     renewal = Renewal(settings)
     core = Core(settings, version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
     with ExitStack() as closing:
+        latch_note = _recall_latched(core, settings, former)
+        closing.callback(latch_note.close)
         # First, since it takes a second, and ended last.
         guard = start_guard(settings)
         closing.callback(guard.close)
         signed = _signed_mode(settings, core, closing)
-        node, place = open_node(settings, None if signed is None else signed.authority.signer)
+        node, inbox, place = _join(settings, signed)
         closing.callback(node.close)
-        is_proven = None if signed is None else signed.authority.admission.may_be_holders
-        inbox = None if core.command is None else open_inbox(settings, place, is_proven)
         if inbox is not None:
             closing.callback(inbox.close)
-            node.disregard(inbox.node)
         _warn_of_bars(core, settings, place)
         info = _info(settings, core, place)
         # The bus comes last: frames that wait while the rest starts would come in one burst, too late.
@@ -137,7 +174,7 @@ def _run_once(settings: Settings, ends: Callable[[], bool]) -> bool:
         closing.callback(former_guard.close)
         if inbox is not None and guard.why_not:
             log.warning("%s", _unguarded(settings, guard.why_not))
-        if place.connect and not node.peers():
+        if place.connect and not place.is_client and not node.peers():
             log.warning("no Zenoh node answers at %s yet; trying on", plain(", ".join(place.connect)))
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
@@ -145,15 +182,84 @@ def _run_once(settings: Settings, ends: Callable[[], bool]) -> bool:
         closing.callback(_begin_self_test(settings, signed, place, node, inbox))
         renewal.begin(place.connect)
         closing.callback(renewal.close)
-        ports = LoopPorts(bus, node, inbox, guard, note, former_guard, has_realtime, signed, renewal.notes)
-        ports.manager = _manager(closing)
+        ports = LoopPorts(
+            bus,
+            node,
+            inbox,
+            guard,
+            note,
+            former_guard,
+            has_realtime,
+            signed,
+            lambda: (*renewal.notes(), *node.notes()),
+            _manager(closing),
+            latch_note,
+        )
         try:
             with logging_aside():
                 run_loop(ports, core, info, _ending(ends, renewal, core))
         except Exception:
             _stop_unguarded(core, bus, guard, settings)
             raise
-    return renewal.is_taken and not ends()
+    return core.carried if renewal.is_taken and not ends() else None
+
+
+def _join(
+    settings: Settings, signed: SignedMode | None
+) -> tuple[ZenohNode | LateNode, CommandInbox | LateInbox | None, ZenohPlace]:
+    """Open the gateway's sessions. A client whose router is away, or lets it in no more, joins later.
+
+    Raises:
+        CommandError: a setting is wrong, or somebody else has the robot's name; or, where others connect to this
+            gateway, a certificate or a key is wrong.
+    """
+    try:
+        (node, inbox), place = _open_sessions(settings, signed)
+    except SessionError as error:
+        cause = why_away(error)
+        if not cause or not _is_client(settings):
+            raise
+        late = None if settings.gateway.listen_only else LateInbox()
+        signer = None if signed is None else signed.authority.signer
+        join = partial(_join_late, settings, signed)
+        return LateNode(join, late, signer, cause), late, client_place(settings)
+    if inbox is not None:
+        node.disregard(inbox.node)
+    return node, inbox, place
+
+
+def _join_late(settings: Settings, signed: SignedMode | None) -> Joined:
+    try:
+        return _open_sessions(settings, signed)[0]
+    except SessionError as error:
+        raise CommandError(why_away(error) or str(error), error.code) from error
+
+
+def _is_client(settings: Settings) -> bool:
+    return said_of(settings.zenoh).mode == "client"
+
+
+def _open_sessions(settings: Settings, signed: SignedMode | None) -> tuple[Joined, ZenohPlace]:
+    config = settings.zenoh.config
+    if config and _is_client(settings) and (fault := why_shut_out(Path(config), time.time())):
+        raise SessionError("cannot open Zenoh", fault, config)
+    if signed is None:
+        node, place = open_node(settings)
+    else:
+        node, place = open_node(settings, signed.authority.signer, signed.authority.name_proof)
+    try:
+        inbox = None if settings.gateway.listen_only else _open_inbox(settings, place, signed)
+    except CommandError:
+        node.close()
+        raise
+    return (node, inbox), place
+
+
+def _open_inbox(settings: Settings, place: ZenohPlace, signed: SignedMode | None) -> CommandInbox:
+    if signed is None:
+        return open_inbox(settings, place)
+    admission = signed.authority.admission
+    return open_inbox(settings, place, admission.may_be_holders, StatementSieve(admission))
 
 
 def _manager(closing: ExitStack) -> Manager:
@@ -166,7 +272,11 @@ def _manager(closing: ExitStack) -> Manager:
 
 
 def _begin_self_test(
-    settings: Settings, signed: SignedMode | None, place: ZenohPlace, node: ZenohNode, inbox: CommandInbox | None
+    settings: Settings,
+    signed: SignedMode | None,
+    place: ZenohPlace,
+    node: RoutedSession,
+    inbox: SessionHolder | None,
 ) -> Callable[[], None]:
     """Begin the test without which nobody engages the robot. Returns what ends it.
 
@@ -204,7 +314,8 @@ def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMo
     try:
         signed = SignedMode(settings, core)
         closing.callback(signed.close)
-        if settings.zenoh.config:
+        # A client is not on the network before its files are in order.
+        if settings.zenoh.config and not _is_client(settings):
             check_tls_files(Path(settings.zenoh.config), "robot", time.time())
     except CommandError as error:
         core.bar({Reason.SELF_TEST: str(error)}, time.monotonic_ns())
@@ -235,12 +346,23 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
         StopNote.of(settings).add(f"gateway: {text}")
 
 
+def _recall_latched(core: Core, settings: Settings, former: Carried | None) -> LatchNote:
+    """Latch what was latched before this start. Returns the note that holds it."""
+    note = LatchNote.of(settings)
+    latched = {one.value: text for one, text in note.read().items()}
+    if former is None and latched:
+        former = Carried(latched)
+    if former is not None:
+        core.take_over(former, time.monotonic_ns())
+    return note
+
+
 def _recall_guard_stop(core: Core, settings: Settings) -> StopNote:
     """Latch a stop by the guard from before this start. Returns the note that holds it."""
     note = StopNote.of(settings)
     why_not = note.why_not()
     if core.command is not None and why_not:
-        log.warning("a stop by the guard will not stay latched across a restart: %s", why_not)
+        log.warning("what is latched, a stop by the guard too, will not stay so across a restart: %s", why_not)
     words = note.read()
     if words:
         core.latch_guard_stop(words, time.monotonic_ns())

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import Final
 
 from gateway.authority.enrolment import BY_SITES, EnrolmentRequest, EnrolmentRole
 from gateway.provisioning.issuer import Wanted
-from schemas.arguments import seconds
 from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole
+from schemas.authority.trust import in_utc
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.subjects import BY_VERB, RECORDER_BY_VERB, STOP_VERB
 
@@ -102,6 +101,20 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
     )
 
 
+def unlimited_warning(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> str:
+    """Return a warning that all is granted because the key was never let in here; empty if it is not so.
+
+    The list of who was let in is the authority's own: a new authority knows none of the former's limits.
+    """
+    is_limited = arguments.robots or arguments.verbs or arguments.speed_limit is not None
+    if last is not None or is_limited or request.role not in {EnrolmentRole.OPERATOR, EnrolmentRole.SITE}:
+        return ""
+    return (
+        "nothing is known of this key here: all robots, all verbs, no speed limit; --robots and --speed-limit "
+        "narrow it"
+    )
+
+
 def grant_line(grant: Grant) -> str:
     """A grant, for people."""
     limit = "" if grant.speed_limit_mps is None else f", at most {grant.speed_limit_mps:g} m/s"
@@ -109,11 +122,6 @@ def grant_line(grant: Grant) -> str:
     verbs = "all" if set(grant.verbs) == set(ALL_VERBS) else ", ".join(grant.verbs)
     may = f"{grant.role.value} on {', '.join(grant.robots)}" + (f", verbs {verbs}" if verbs else "")
     return f"{may}{limit}{override}, until {in_utc(grant.not_after)}"
-
-
-def in_utc(time_s: int) -> str:
-    """Seconds since 1970 as a person reads them."""
-    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def matching(pattern: str, what: str) -> Callable[[str], str]:
@@ -136,17 +144,28 @@ def _verbs(text: str) -> list[str]:
 
 
 def _speed(text: str) -> float:
-    value = seconds(text)
-    if value > _SPEED_MAX_MPS:
-        raise argparse.ArgumentTypeError(f"{text!r} is no speed in m/s")
-    return value
+    return _number(text, _SPEED_MAX_MPS, f"no speed in m/s, above 0 and up to {_SPEED_MAX_MPS}")
 
 
 def _times(unit_s: int) -> Callable[[str], float]:
     def life(text: str) -> float:
-        value = seconds(text) * unit_s
-        if not 1 <= value <= _LIFE_MAX_S:
-            raise argparse.ArgumentTypeError(f"{text!r} is longer than anything is granted")
-        return value
+        unit = "hours" if unit_s == HOUR_S else "days"
+        most = _LIFE_MAX_S // unit_s
+        return max(1, _number(text, most, f"no number of {unit}, above 0 and up to {most}") * unit_s)
 
     return life
+
+
+def _number(text: str, most: float, otherwise: str) -> float:
+    """A number above 0 and not above ``most``.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none; the text is what ``otherwise`` calls it.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= most:
+        raise argparse.ArgumentTypeError(f"{text!a} is {otherwise}")
+    return value

@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -18,11 +19,15 @@ from gateway.zenoh.client import RobotListener, place
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE = """\
   cruiser list
   cruiser list --json --connect tcp/10.0.0.5:7447 | jq -r .robot"""
+
+BLIND_ROLES: Final = frozenset({"robot", "router"})
+"""Roles whose certificates see no telemetry of robots."""
 
 POLL_S: Final = 0.02
 """The period in which arrivals are taken from Zenoh."""
@@ -51,6 +56,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with RobotListener.open(settings) as listener:
         search = _Search(listener, settings.robot.root)
         reports = search.run(time.monotonic() + arguments.timeout, stopped)
+    if not reports and settings.zenoh.config:
+        check_role(settings.zenoh.config)
     if not search.linked:
         text = f"no Zenoh node answered within {arguments.timeout:g} s at {where}"
         raise CommandError(text, ExitCode.UNREACHABLE)
@@ -59,7 +66,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         raise CommandError(text, ExitCode.UNREACHABLE)
     for report in reports:
         text = msgspec.json.encode(report).decode() if arguments.json else view.health_line(report)
-        sys.stdout.write(f"{text}\n")
+        notes = [] if arguments.json else _notes(report)
+        sys.stdout.write("\n  see to: ".join([text, *map(plain, notes)]) + "\n")
     sys.stdout.flush()
     if not reports:
         sys.stderr.write(f"no robot is connected at {where}\n")
@@ -68,6 +76,29 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stderr.write(f"there may be more: not everybody answered within {arguments.timeout:g} s at {where}\n")
         return int(ExitCode.PARTIAL)
     return int(ExitCode.OK)
+
+
+def check_role(config: str) -> None:
+    """Check that the certificate of a Zenoh file is not of a role that sees no robot.
+
+    Raises:
+        CommandError: it is.
+    """
+    from gateway.provisioning.tls_files import role_of  # noqa: PLC0415 - only where nobody is seen
+
+    if (role := role_of(Path(config))) in BLIND_ROLES:
+        raise CommandError(
+            f"these are the settings of a {role} ({plain(config)}), whose certificate sees no robot: list with "
+            "those of an operator or a viewer, 'cruiser list --config operator.toml'",
+            ExitCode.USAGE,
+        )
+
+
+def _notes(report: RobotStatus) -> list[str]:
+    """The things that somebody has to see to, as the robot publishes them."""
+    latched = [] if report.safety is None else [reason.value for reason in report.safety.latched]
+    notes = [f"latched: {', '.join(latched)}"] if latched else []
+    return notes if report.health is None else [*notes, *report.health.notes]
 
 
 class _Search:

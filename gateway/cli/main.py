@@ -15,27 +15,37 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import shlex
 import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from gateway.cli.parent import end_with_parent
+
+if TYPE_CHECKING:
+    from schemas.exit_codes import CommandError
 
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "demo": ("gateway.cli.demo", "chassis, gateway and recorder together, then a summary"),
     "demo-fleet": ("gateway.cli.demo_fleet", "a first fleet in signed mode: let in, driven, attacked, locked out"),
+    "demo-desk": ("gateway.cli.demo_desk", "a virtual fleet, a recorder and the desk, and the browser on it"),
     "sim": ("gateway.cli.sim", "a virtual chassis on a CAN bus"),
     "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
     "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),
     "halt": ("gateway.cli.halt", "bring a robot to rest that no gateway commands any more"),
     "record": ("recorder.cli.record", "write MCAP logs"),
+    "upload": ("recorder.cli.upload", "finished logs to an object store, incidents first"),
     "watch": ("gateway.cli.watch", "a live view of a robot"),
+    "view": ("recorder.cli.view", "robots live in Foxglove and Lichtblick"),
     "list": ("gateway.cli.list_robots", "the robots that are connected, and their health"),
     "setup": ("gateway.cli.setup", "make a robot of a computer: settings, keys, services"),
     "doctor": ("gateway.cli.doctor", "what is wrong with a robot, and what cures it"),
     "metrics": ("gateway.cli.metrics", "a fleet's health for Prometheus"),
+    "desk": ("gateway.cli.desk", "see, drive and stop a fleet from a browser"),
     "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),
     "stop": ("gateway.cli.stop", "the remote stop of a robot, or of all"),
     "why": ("gateway.cli.why", "why the robot does not move"),
@@ -66,6 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - it lives as long as the process
         sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     words = list(sys.argv[1:] if argv is None else argv)
+    end_with_parent()
     try:
         code = _answer(words)
         sys.stdout.flush()
@@ -125,8 +136,9 @@ def _run(name: str, words: list[str]) -> int:
     # Imported late for the same reason as the commands: they cost more than the help itself.
     from pkgutil import resolve_name  # noqa: PLC0415
 
-    from gateway.cli.configuration_file import load_settings  # noqa: PLC0415
-    from schemas.exit_codes import CommandError  # noqa: PLC0415
+    from gateway.cli.configuration_file import load_settings, unread_file  # noqa: PLC0415
+    from schemas.exit_codes import CommandError, ExitCode  # noqa: PLC0415
+    from schemas.printable import plain  # noqa: PLC0415
 
     command = resolve_name(place)
     parser = argparse.ArgumentParser(
@@ -152,12 +164,41 @@ def _run(name: str, words: list[str]) -> int:
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     try:
         settings = load_settings(arguments.config, os.environ, flags)
-        return int(command.run(arguments, settings, _stop_on_signals()))
+        if file := unread_file(name, arguments.config, os.environ, settings):
+            sys.stderr.write(
+                f"cruiser {name}: warning: open mode, since no settings file is named; {plain(file)} was found, "
+                f"and not read; with it: {plain(shlex.join(['cruiser', name, *words, '--config', file]))}, or "
+                "CRUISER_CONFIG\n"
+            )
+        stopped = _stop_on_signals()
+        while True:
+            try:
+                return int(command.run(arguments, settings, stopped))
+            except CommandError as error:
+                from gateway.cli.shut_out import has_waited, is_service  # noqa: PLC0415 - the same
+
+                if not is_service(name, arguments) or not has_waited(error, settings.zenoh, stopped):
+                    raise
+                if stopped():
+                    return int(ExitCode.OK)
     except CommandError as error:
-        sys.stderr.write(f"cruiser {name}: {error}\n")
-        return int(error.code)
+        return _fail(name, error)
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
+
+
+def _fail(name: str, error: CommandError) -> int:
+    """Say why the command ended: where no session opened, by the keys and certificates of its Zenoh file."""
+    from schemas.exit_codes import ExitCode  # noqa: PLC0415 - only for a failure
+    from schemas.zenoh_link import SessionError  # noqa: PLC0415 - only for a failure
+
+    text, code = str(error), error.code
+    if isinstance(error, SessionError):
+        from gateway.cli.shut_out import fault_of_files, why_away  # noqa: PLC0415 - only for a failure
+
+        text, code = why_away(error) or text, ExitCode.USAGE if fault_of_files(error) else code
+    sys.stderr.write(f"cruiser {name}: {text}\n")
+    return int(code)
 
 
 def _not_yet(_number: int, _frame: FrameType | None) -> None:

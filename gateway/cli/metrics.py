@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
-import logging
 import sys
 import time
 from collections.abc import Callable
@@ -12,13 +10,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-from gateway.provisioning.tls_files import certificate_ends_s, check_tls_files
+from gateway.cli.shut_out import check_session_files
+from gateway.provisioning.tls_files import certificate_ends_s
 from gateway.zenoh.client import FleetListener, place
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.listen_address import address
 from schemas.settings import Settings
-
-log = logging.getLogger(__name__)
 
 EXAMPLE: Final = """\
   cruiser metrics --connect tcp/10.0.0.5:7447
@@ -32,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     parser.add_argument(
         "--listen",
-        type=_address,
+        type=address,
         default=LISTEN,
         metavar="ADDRESS:PORT",
         help=f"where Prometheus asks ({LISTEN[0]}:{LISTEN[1]}: this machine alone); port 0 is a free one",
@@ -55,31 +53,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             raise
         raise CommandError("this needs prometheus_client: pip install 'cruiser-gateway[metrics]'") from None
     if settings.zenoh.config:
-        file = Path(settings.zenoh.config)
-        warning = check_tls_files(file, file.stem, time.time())
-        if warning:
-            log.warning("%s", warning)
+        check_session_files(Path(settings.zenoh.config))
     metrics = FleetMetrics(settings.robot.root, version("cruiser-gateway"), certificate_ends_s(settings.zenoh))
     with MetricsServer(metrics, *arguments.listen) as server, FleetListener.open(settings) as listener:
         sys.stderr.write(f"metrics: {server.where}, robots at {place(settings.zenoh)}\n")
         sys.stderr.flush()
         server.follow(listener, ending_after(stopped, arguments.seconds, time.monotonic))
     return int(ExitCode.OK)
-
-
-def _address(text: str) -> tuple[str, int]:
-    """An address on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not an IP address and a port.
-    """
-    host, _, port = text.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    try:
-        ipaddress.ip_address(host)
-        number = int(port)
-    except ValueError:
-        number = -1
-    if not 0 <= number < 1 << 16:
-        raise argparse.ArgumentTypeError(f"{text!a} is not an address and a port, such as 0.0.0.0:9747")
-    return host, number

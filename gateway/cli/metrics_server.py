@@ -18,6 +18,7 @@ from prometheus_client.registry import Collector
 from gateway.metrics.fleet_metrics import FleetMetrics
 from gateway.zenoh.client import FleetListener
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.listen_address import shown_address
 
 log = logging.getLogger(__name__)
 
@@ -55,15 +56,14 @@ class MetricsServer(Collector):
         class Server(ThreadingWSGIServer):
             address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
-        shown = f"[{host}]" if ":" in host else host
         if not ipaddress.ip_address(host).is_loopback:
-            log.warning("whoever reaches %s:%d reads how the robots are", shown, port)
+            log.warning("whoever reaches %s reads how the robots are", shown_address(host, port))
         try:
             self._server = make_server(host, port, make_wsgi_app(registry), Server, _Handler)
         except OSError as error:
-            text = f"cannot listen on {shown}:{port}: {error.strerror or error}"
+            text = f"cannot listen on {shown_address(host, port)}: {error.strerror or error}"
             raise CommandError(text, ExitCode.UNREACHABLE) from error
-        self.where = f"http://{shown}:{self._server.server_port}/metrics"
+        self.where = f"http://{shown_address(host, self._server.server_port)}/metrics"
         self._thread = threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True)
 
     def follow(self, listener: FleetListener, ends: Callable[[], bool]) -> None:

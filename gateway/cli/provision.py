@@ -16,27 +16,34 @@ import msgspec
 from gateway.authority.enrolment import (
     EnrolmentRole,
     FleetPlace,
-    key_fingerprint,
     read_bundle,
     read_request,
     request_fingerprint,
 )
-from gateway.cli.grant_arguments import add_grant_arguments, grant_line, in_utc, matching, wanted_grant
+from gateway.cli.grant_arguments import add_grant_arguments, grant_line, matching, unlimited_warning, wanted_grant
 from gateway.cli.statements import run_show, run_time
+from gateway.provisioning.certificates import CertificateError
 from gateway.provisioning.issuer import (
     ISSUED_FILE,
-    STANDBY_FILE,
     Issuer,
     make_authority,
     make_standby,
     rotate,
 )
 from gateway.provisioning.key_files import directory_of
-from gateway.provisioning.key_store import KeyStore, Passphrase, naming, read_input, write_private
+from gateway.provisioning.key_store import (
+    STANDBY_FILE,
+    KeyStore,
+    Passphrase,
+    naming,
+    read_input,
+    write_public,
+)
 from gateway.provisioning.machine_keys import ask_again, install, make_keys, names_here
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
+from schemas.authority.fingerprint import key_fingerprint
 from schemas.authority.statement import Signed
-from schemas.authority.trust import AuthorityKeys
+from schemas.authority.trust import AuthorityKeys, in_utc
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -242,7 +249,7 @@ class _Output:
             raise CommandError(f"{shown} cannot be written: no such directory, or not yours", ExitCode.USAGE)
 
     def write(self, text: str) -> None:
-        write_private(self.path, text, replace=self._replace)
+        write_public(self.path, text, replace=self._replace)
 
 
 def _request(arguments: argparse.Namespace, store: KeyStore) -> None:
@@ -268,14 +275,20 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
             f"{plain(str(file))} has the fingerprint {fingerprint}: it is another request", ExitCode.USAGE
         )
     issuer = Issuer.open(store)
-    wanted = wanted_grant(arguments, request, issuer.last_grant(request))
+    last = issuer.last_grant(request)
+    wanted = wanted_grant(arguments, request, last)
     output = _Output(arguments, file.with_suffix(".bundle"))
-    with naming(file):
+    try:
         bundle, grant = issuer.sign(request, wanted, _now_s())
+    except CertificateError as error:
+        # All else that may be wrong is the issuer's own, and named there.
+        raise CommandError(f"{plain(str(file))}: {error}", error.code) from error
     output.write(bundle.decode())
     _say(f"{output.path}: {request.role.value} {', '.join(request.names)}, fingerprint {fingerprint}")
     if grant is not None:
         _say(f"  {grant_line(grant)}")
+    if warning := unlimited_warning(arguments, request, last):
+        sys.stderr.write(f"{warning}\n")
 
 
 def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings) -> None:

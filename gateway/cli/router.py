@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from gateway.cli.shut_out import check_session_files
 from gateway.provisioning.key_files import directory_of
-from gateway.provisioning.tls_files import check_tls_files
 from gateway.zenoh.client import close_session
 from gateway.zenoh.router import open_router
 from schemas.arguments import ending_after, seconds
@@ -23,8 +22,6 @@ EXAMPLE: Final = """\
   cruiser router
   cruiser router --zenoh-config router.json5 --listen tls/0.0.0.0:7447
   zenohd -c ~/.config/cruiser/router.json5         the same, with Zenoh's own router"""
-
-log = logging.getLogger(__name__)
 
 FILE: Final = "router.json5"
 
@@ -60,9 +57,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     file = Path(settings.zenoh.config) if settings.zenoh.config else directory_of(settings.authority) / FILE
     if not file.is_file():
         raise CommandError(f"{plain(str(file))} is not there; 'cruiser provision router' makes it", ExitCode.USAGE)
-    warning = check_tls_files(file, "router", time.time())
-    if warning:
-        log.warning("%s", warning)
+    check_session_files(file)
     session, endpoints = open_router(file, list(settings.zenoh.listen))
     try:
         sys.stderr.write(f"router: listens on {plain(', '.join(endpoints))}\n")

@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.authority.enrolment import Bundle, EnrolmentError, EnrolmentRole, key_fingerprint, read_bundle
+from gateway.authority.enrolment import Bundle, EnrolmentError, EnrolmentRole, read_bundle
 from gateway.can.bus_claim import count_claims
 from gateway.cli import doctor
 from gateway.cli.configuration_file import load_settings
@@ -28,6 +28,7 @@ from gateway.provisioning.certificates import CertificateError, expires_s, read_
 from gateway.provisioning.key_store import KeyStore, read_input
 from gateway.provisioning.machine_keys import install
 from schemas.arguments import robot_name
+from schemas.authority.fingerprint import key_fingerprint
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import STANDSTILL_MPS, Settings
@@ -66,8 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bundle",
         action="append",
         metavar="FILE",
-        help="what 'cruiser provision sign' made for the robot, its recorder or its router; may be repeated "
-        f"({BUNDLES} here and in {installation.KEYS})",
+        help="what 'cruiser provision sign' made for the robot, its recorder, its router, a desk or a viewer; may "
+        f"be repeated ({BUNDLES} here and in {installation.KEYS})",
     )
     parser.add_argument("--replace", action="store_true", help="write over certificates that are installed")
     parser.add_argument(

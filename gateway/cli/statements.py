@@ -17,7 +17,9 @@ from gateway.authority.operator_proof import OperatorProof, new_question
 from gateway.provisioning.issuer import Issuer
 from gateway.provisioning.key_store import KeyStore, read_input
 from gateway.provisioning.machine_keys import ZENOH_FILE
+from gateway.provisioning.tls_files import check_kinds
 from gateway.telemetry.received import Received
+from gateway.zenoh.client import place
 from gateway.zenoh.statements import StatementPort
 from schemas.authority.identity import AUTHORITY_FILE
 from schemas.authority.statement import Revocations, Rotation, Signed, chain_text
@@ -29,7 +31,7 @@ from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 
-SENDERS: Final = ("desk", "operator")
+SENDERS: Final = ("desk", "operator", "viewer")
 """The roles whose certificate is used, in order of preference, if the settings name none."""
 
 Stopped = Callable[[], bool]
@@ -57,7 +59,7 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
     def show(port: StatementPort, robot: str) -> _Answer:
         return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
 
-    return _round(arguments, _reaching(settings, store), stopped, show)
+    return _round(arguments, settings, store, stopped, show)
 
 
 def run_time(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
@@ -75,15 +77,17 @@ def run_time(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
         chain = issuer.state_time(challenge, int(time.time()))
         return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
 
-    return _round(arguments, _reaching(settings, store), stopped, tell)
+    return _round(arguments, settings, store, stopped, tell)
 
 
 def _round(
     arguments: argparse.Namespace,
     settings: Settings,
+    store: KeyStore,
     stopped: Stopped,
     act: Callable[[StatementPort, str], _Answer],
 ) -> ExitCode:
+    settings = _reaching(settings, store)
     with StatementPort.open(settings) as port:
         while True:
             robots = arguments.robot or port.robots(arguments.timeout)
@@ -91,7 +95,12 @@ def _round(
             for robot, answer in answers.items():
                 sys.stdout.write(f"{robot}: {plain(answer.text)}\n")
             if not robots:
-                sys.stderr.write("no robot is connected\n")
+                sys.stderr.write(f"no robot is connected at {place(settings.zenoh)}\n")
+            if not settings.zenoh.config and all(one.code is ExitCode.UNREACHABLE for one in answers.values()):
+                sys.stderr.write(
+                    f"no Zenoh file was used: {plain(str(store.directory))} has none of a desk, an operator or a "
+                    "viewer; --config names the settings of one, such as viewer.toml\n"
+                )
             sys.stdout.flush()
             if arguments.every is None or stopped():
                 return _code([answer.code for answer in answers.values()])
@@ -168,5 +177,6 @@ def _reaching(settings: Settings, store: KeyStore) -> Settings:
     found = [name for who in SENDERS if store.has(name := ZENOH_FILE.format(who=who))]
     if not found:
         return settings
+    check_kinds(store.path(found[0]))
     zenoh = msgspec.structs.replace(settings.zenoh, config=str(store.path(found[0])))
     return msgspec.structs.replace(settings, zenoh=zenoh)

@@ -12,6 +12,8 @@ import msgspec
 
 from gateway.cli.operator_arguments import add_robot_arguments, connect
 from gateway.client.reasons_text import event_line, is_idle, link_line, reason_line, state_line, text_of
+from gateway.client.refusal import Refused, Unreachable
+from gateway.client.robot import Robot
 from schemas.exit_codes import ExitCode
 from schemas.printable import plain
 from schemas.reasons import Reason
@@ -41,15 +43,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Say what blocks the robot. Exit code 1 if something does, 0 if it only waits for somebody who drives it.
 
+    A robot that is reached and not met, in signed mode, is asked all the same: its own keys may be what is wrong.
+    What it says then is not verified, and the exit code is 1.
+
     Raises:
         CommandError: nothing is received from the robot.
     """
-    with connect(arguments, settings, stopped) as robot:
-        time.sleep(EVENTS_S)
-        deadline_s = time.monotonic() + HEALTH_S - EVENTS_S
-        while (sighting := robot.state()).health is None and time.monotonic() < deadline_s:
-            time.sleep(POLL_S)
-        events = robot.events()[-EVENTS_SHOWN:]
+    try:
+        with connect(arguments, settings, stopped) as robot:
+            return _report(robot, arguments, None)
+    except Refused as refusal:
+        unsigned = msgspec.structs.replace(settings.authority, mode="open")
+        try:
+            with connect(arguments, msgspec.structs.replace(settings, authority=unsigned), stopped) as robot:
+                return _report(robot, arguments, refusal)
+        except Unreachable:
+            raise refusal from None
+
+
+def _report(robot: Robot, arguments: argparse.Namespace, unmet: Refused | None) -> int:
+    """Say what blocks a robot; of one that was not met also why, and that nothing of it is verified."""
+    time.sleep(EVENTS_S)
+    deadline_s = time.monotonic() + HEALTH_S - EVENTS_S
+    while (sighting := robot.state()).health is None and time.monotonic() < deadline_s:
+        time.sleep(POLL_S)
+    events = robot.events()[-EVENTS_SHOWN:]
     state, health = sighting.state, sighting.health
     slowed_by = [Reason.NO_REALTIME] if health is not None and not health.realtime else []
     notes = health.notes if health is not None else []
@@ -66,8 +84,15 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             "notes": notes,
             "events": events,
         }
+        if unmet is not None:
+            record["unverified"] = {"reason": unmet.reason, "detail": unmet.detail, "cure": unmet.cure}
         sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
     else:
+        if unmet is not None:
+            # The cure of some is this command.
+            cure = "" if "cruiser why" in unmet.cure else f" -> {plain(unmet.cure)}"
+            why = f"{plain(unmet.detail)} ({unmet.reason.value}){cure}"
+            sys.stdout.write(f"{robot.name}: UNVERIFIED, all of this: {why}\n")
         sys.stdout.write(f"{robot.name}: {state_line(state)}\n")
         sys.stdout.write(f"  link: {link_line(state) or 'no commands are obeyed, so their age is not known'}\n")
         sys.stdout.writelines(
@@ -85,7 +110,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             sys.stdout.write("lately:\n")
             now_ns = state.time_ns + round(sighting.age_s * 1e9)
             sys.stdout.writelines(f"  {event_line(event, now_ns)}\n" for event in events)
-    return int(ExitCode.OK if is_idle(state.blocked_by) else ExitCode.FAILURE)
+    return int(ExitCode.OK if is_idle(state.blocked_by) and unmet is None else ExitCode.FAILURE)
 
 
 def _in_words(reasons: Collection[Reason], robot: str) -> list[dict[str, object]]:

@@ -15,6 +15,7 @@ from schemas import keys
 from schemas.codec import PayloadFault
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, RobotState
+from schemas.printable import plain
 
 STATE_STALE_NS: Final = 1_000_000_000
 """A state, due every 50 ms, is no longer shown after 1 s."""
@@ -50,6 +51,25 @@ class RobotStatus(msgspec.Struct, frozen=True):
     linked: bool
     safety: SafetyState | None = None
     newer: str = ""
+
+
+def alarm(report: RobotStatus) -> str:
+    """Return why nothing of the robot's state can be shown; empty if it can."""
+    if report.state is not None:
+        return ""
+    reasons = []
+    if not report.linked:
+        reasons.append("this end is not connected to Zenoh")
+    elif not report.connected:
+        reasons.append("its gateway is not connected")
+    elif report.health is None:
+        reasons.append("its gateway is connected, but sends no health")
+    else:
+        reasons.append("its gateway is connected and sends health")
+    if report.unreadable:
+        reasons.append(f"unreadable: {plain(report.unreadable)}")
+    what = "no state yet" if report.state_age_s is None else f"STALE: no state for {report.state_age_s:.1f} s"
+    return f"{what}; {', '.join(reasons)}"
 
 
 class _Known:

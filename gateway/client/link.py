@@ -11,6 +11,7 @@ from typing import Final
 
 import msgspec
 
+from gateway.authority.unmet import UNSIGNED, Unmet
 from gateway.client.drive_stream import PERIOD_S, SILENT_NS, DriveStream
 from gateway.client.link_proof import LinkProof
 from gateway.client.payloads import (
@@ -33,7 +34,7 @@ from schemas.exit_codes import CommandError
 from schemas.messages import GatewayHealth, RobotState
 from schemas.printable import plain
 from schemas.reasons import Reason
-from schemas.requests import Release, Renew, Request
+from schemas.requests import Acquire, Release, Renew, Request, Take
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +46,14 @@ EVENTS_KEPT: Final = 2000
 SEEN_KEPT: Final = 1024
 """So many samples wait for ``look``."""
 
+AGAIN_S: Final = 0.02
+"""Pause before a request for a lease is sent again to a robot that too many ask: its door has no time for all."""
+
 _S: Final = 1_000_000_000
+
+
+class Unanswered(Unreachable):
+    """Nobody answered a request."""
 
 
 class Sighting(msgspec.Struct, frozen=True):
@@ -153,12 +161,26 @@ class RobotLink:
             return self.heard.wait_for(lambda: self._state is not None and condition(self._state), timeout_s)
 
     def ask(self, request: Request, timeout_s: float) -> Reply:
-        """Ask, and wait for the reply.
+        """Ask, and wait for the reply. For a lease a robot that is asked too much is asked again.
 
         Raises:
             Refused: it is a refusal.
             Unreachable: there is none, it cannot be read, or there are several that contradict each other.
         """
+        deadline_s = time.monotonic() + timeout_s
+        if self._proof is not None and isinstance(request, Acquire | Take):
+            while (left_s := deadline_s - time.monotonic()) > AGAIN_S and self.is_heard:
+                try:
+                    return self._ask_known(request, left_s)
+                except Refused as refusal:
+                    if refusal.reason is not Reason.BUSY:
+                        raise
+                except Unanswered:
+                    log.debug("%s left a request for its lease unanswered", self.robot)
+                time.sleep(AGAIN_S)
+        return self._ask_known(request, max(AGAIN_S, deadline_s - time.monotonic()))
+
+    def _ask_known(self, request: Request, timeout_s: float) -> Reply:
         try:
             return self._ask(request, timeout_s)
         except Refused as refusal:
@@ -168,10 +190,15 @@ class RobotLink:
             self.meet()
             return self._ask(request, timeout_s)
 
-    def meet(self) -> str:
-        """Show the robot the operator's grant. Returns why it does not take it; empty if it does."""
-        refusal = None if self._proof is None else self._proof.meet(self.commands)
-        return "" if refusal is None else refusal.text
+    def meet(self) -> Unmet | None:
+        """Show the robot the operator's grant. Returns why it is not met, or does not take it; None if it does."""
+        if self._proof is None or self._proof.meet(self.commands) is None:
+            return None
+        return self._proof.unmet
+
+    def doubt(self, robot: str) -> Unmet:
+        """The reason for which an answer of this robot cannot be verified."""
+        return UNSIGNED if self._proof is None else self._proof.doubt(robot)
 
     def _ask(self, request: Request, timeout_s: float) -> Reply:
         command, proof = BY_REQUEST[type(request)], self._proof
@@ -179,7 +206,7 @@ class RobotLink:
             request = proof.with_key(request)
         received = self.commands.ask(command.verb, encode_request(request), timeout_s)
         if not received:
-            raise Unreachable(f"{self.robot} did not answer {command.verb}")
+            raise Unanswered(f"{self.robot} did not answer {command.verb}")
         replies = [read_reply(command, one) for one in received]
         reply = replies[0]
         if contradict(replies):

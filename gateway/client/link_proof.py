@@ -18,6 +18,7 @@ from gateway.authority.operator_proof import (
     new_question,
 )
 from gateway.authority.transport import TLS_KEY_FILE
+from gateway.authority.unmet import SILENT, Unmet
 from gateway.provisioning.key_files import directory_of, read_identity, read_trust
 from gateway.provisioning.tls_files import check_tls_files
 from gateway.telemetry.received import Received
@@ -90,7 +91,7 @@ def operator_proof(settings: Settings) -> OperatorProof | ViewerProof | None:
     directory = directory_of(settings.authority)
     is_operators = (directory / KEY_FILE.format(who="operator")).exists()
     if not is_operators and any((directory / TLS_KEY_FILE.format(who=who)).exists() for who in WITHOUT_GRANT):
-        return ViewerProof(read_trust(directory), settings.robot.root, _now_s)
+        return ViewerProof(read_trust(directory, _whose(directory)), settings.robot.root, _now_s)
     identity = read_identity(directory, "operator")
     if settings.zenoh.config:
         warning = check_tls_files(Path(settings.zenoh.config), "operator", time.time())
@@ -124,6 +125,15 @@ class LinkProof:
             if refusal is None:
                 return None
         return refusal
+
+    @property
+    def unmet(self) -> Unmet:
+        """The reason why the robot was not met."""
+        return self._proof.unmet(self._robot) or SILENT
+
+    def doubt(self, robot: str) -> Unmet:
+        """The reason for which an answer of this robot cannot be verified."""
+        return self._proof.doubt(robot)
 
     def meet_again(self, commands: CommandPort) -> None:
         """If samples of another run of the robot arrive, ask which run is the present one, without waiting."""
@@ -166,26 +176,42 @@ class StopProof:
 
     Attributes:
         name: of the operator, by the grant; empty without one.
+        may_stop_all: the certificate lets its holder stop all robots at once; a viewer's stops one by its name.
     """
 
-    def __init__(self, robots: KnownRobots, root: str, signer: OperatorProof | None = None) -> None:
+    def __init__(
+        self,
+        robots: KnownRobots | Unmet,
+        root: str,
+        signer: OperatorProof | None = None,
+        *,
+        may_stop_all: bool = True,
+    ) -> None:
         """With no robot met.
 
         Args:
-            robots: the trusted robots; the signer itself, if there is one.
+            robots: the trusted robots; the signer itself, if there is one. Or why no robot can be verified.
             root: first chunks of every key.
             signer: the operator's key and grant.
+            may_stop_all: the certificate lets its holder stop all robots at once.
         """
         self.name = "" if signer is None else signer.name
-        self._robots = robots
+        self.may_stop_all = may_stop_all
+        self._fault = robots if isinstance(robots, Unmet) else None
+        self._robots = None if isinstance(robots, Unmet) else robots
         self._signer = signer
         self._root = root
-        self._meeting = _Meeting(robots, root)
+        self._meeting = None if self._robots is None else _Meeting(self._robots, root)
         self._signed_ns: dict[str, int] = {}
 
     def meet(self, commands: CommandPort) -> None:
         """Ask the robots who they are, again and again, and show them the grant, if there is one."""
-        self._meeting.step(commands, b"" if self._signer is None else self._signer.statement, is_wanted=True)
+        if self._meeting is not None:
+            self._meeting.step(commands, b"" if self._signer is None else self._signer.statement, is_wanted=True)
+
+    def doubt(self, robot: str) -> Unmet:
+        """The reason for which an answer of this robot cannot be verified."""
+        return self._fault or (SILENT if self._robots is None else self._robots.doubt(robot))
 
     def sign(self, commands: CommandPort, robot: str, challenge: bytes) -> None:
         """Send a robot a signed stop, now and then: it published this challenge."""
@@ -202,29 +228,43 @@ class StopProof:
 
     def is_reply(self, received: Received, request: bytes) -> bool:
         """Return True if it is a reply of the robot whose key it is under."""
-        return self._robots.is_reply(robot_of(received, self._root), received, request)
+        robots = self._robots
+        return robots is not None and robots.is_reply(robot_of(received, self._root), received, request)
 
     def believes(self, received: Received) -> bool:
         """Return True if the sample may be believed."""
-        return self._robots.believes(robot_of(received, self._root), received)
+        robots = self._robots
+        return robots is not None and robots.believes(robot_of(received, self._root), received)
 
 
 def stop_proof(settings: Settings) -> StopProof | None:
     """Return the keys that sign a stop and verify its replies in signed mode; None in open mode.
 
-    A stop is sent whatever the files hold. Without the authority's keys its replies are believed as in open mode;
-    without an operator's key or grant it is not signed.
+    A stop is sent whatever the files hold. Without the authority's keys its replies are not verified; without an
+    operator's key or grant it is not signed.
     """
     if settings.authority.mode != "signed":
         return None
     directory, root = directory_of(settings.authority), settings.robot.root
+    may_stop_all = (directory / KEY_FILE.format(who="operator")).exists() or not (
+        directory / TLS_KEY_FILE.format(who="viewer")
+    ).exists()
     try:
-        trust = read_trust(directory)
+        trust = read_trust(directory, _whose(directory))
     except CommandError as error:
-        log.warning("what robots answer to the stop is not proven: %s", error)
-        return None
+        # The error names the cure.
+        return StopProof(Unmet(Reason.PROOF_MISSING, str(error), ""), root, may_stop_all=may_stop_all)
     signer = _stop_signer(directory, root)
-    return StopProof(signer or KnownRobots(trust, root, _now_s), root, signer)
+    robots = signer or KnownRobots(trust, root, _now_s)
+    return StopProof(robots, root, signer, may_stop_all=may_stop_all)
+
+
+def _whose(directory: Path) -> str:
+    """Return the role of who was provisioned in a directory, for the cures; an operator comes first."""
+    return next(
+        (who for who in ("operator", *WITHOUT_GRANT) if (directory / TLS_KEY_FILE.format(who=who)).exists()),
+        "operator",
+    )
 
 
 def _stop_signer(directory: Path, root: str) -> OperatorProof | None:

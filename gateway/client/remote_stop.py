@@ -2,7 +2,8 @@
 
 It needs no lease, no answer and no state of the robot; it goes out as a put and as a query. Anyone can answer the
 query in the robot's place: so a stop is believed when all replies agree, and the robot is seen to stand, latched.
-In signed mode only what the robots signed counts of all this, and a signed stop follows the one without a proof.
+In signed mode only what the robots signed counts as known, and a signed stop follows the one without a proof. What
+was answered and seen, and cannot be verified, is reported as such.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Final
 
 import msgspec
 
+from gateway.authority.unmet import UNSIGNED, Unmet
 from gateway.client.evidence import Evidence
 from gateway.client.link_proof import StopProof, stop_proof
 from gateway.client.payloads import CONTRADICTION, contradict, read_reply, read_sample
@@ -26,6 +28,7 @@ from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.codec import PayloadFault
 from schemas.decisions import Reply, SafetyState
+from schemas.exit_codes import CommandError
 from schemas.messages import RobotState
 from schemas.operator_name import login_operator
 from schemas.reasons import Reason
@@ -46,6 +49,34 @@ ASK_S: Final = 0.25
 POLL_S: Final = 0.005
 
 
+class NotSentError(CommandError):
+    """No session opened, so nothing was sent, and no robot is stopped.
+
+    Attributes:
+        cause: the reason.
+    """
+
+    def __init__(self, cause: CommandError) -> None:
+        super().__init__(f"no stop was sent: {cause}", cause.code)
+        self.cause = cause
+
+
+class Unverified(msgspec.Struct, frozen=True):
+    """The word of a robot, or of somebody in its place: in signed mode, and not verified.
+
+    Attributes:
+        stops: all answers are that it stops, and all that was received of it shows that it stands, latched.
+        says: the answers, and the states, in words.
+        why: the reason for which they cannot be verified.
+        cure: the way to make it succeed; empty if ``why`` has it.
+    """
+
+    stops: bool
+    says: str
+    why: str
+    cure: str
+
+
 class StopReport(msgspec.Struct, frozen=True):
     """The outcome of a remote stop.
 
@@ -56,6 +87,9 @@ class StopReport(msgspec.Struct, frozen=True):
         silent: robots that are connected and did not answer.
         linked: this end was connected to a Zenoh node.
         counted: it is known which robots are connected. Where it is not, there may be more than those named here.
+        unverified: robots of which there is no verified answer, and another that cannot be verified.
+        seen: the states of those that are silent, in words.
+        reached_all: false where a stop of all at once was sent with a certificate that stops one robot alone.
     """
 
     stopped: list[str]
@@ -64,13 +98,26 @@ class StopReport(msgspec.Struct, frozen=True):
     silent: list[str]
     linked: bool
     counted: bool = True
+    unverified: dict[str, Unverified] = {}
+    seen: dict[str, str] = {}
+    reached_all: bool = True
 
 
 Seen = tuple[int, str, SafetyState | RobotState | PayloadFault]
 """When a sample was read, monotonic, in ns; the robot's name; its message, or why that cannot be read."""
 
-Look = Callable[[], Iterable[Seen | Missed]]
+
+class Unproven(msgspec.Struct, frozen=True):
+    """A sample that cannot be verified."""
+
+    seen: Seen
+
+
+Look = Callable[[], Iterable[Seen | Missed | Unproven]]
 """All that robots have published since the last call, and where some of it may be missing."""
+
+Doubt = Callable[[str], Unmet]
+"""The reason for which an answer of a robot cannot be verified."""
 
 
 def stop_from_here(
@@ -86,40 +133,49 @@ def stop_from_here(
         stopped: gives up when it turns true.
 
     Raises:
-        CommandError: a name or an endpoint is not of its form.
+        NotSentError: no session opens, or a name or an endpoint is not of its form.
+        CommandError: the session ended after the stop was sent.
     """
-    root, proof = settings.robot.root, stop_proof(settings)
-    name = operator or (proof.name if proof is not None else "") or login_operator()
+    root = settings.robot.root
     with ExitStack() as stack:
-        port = stack.enter_context(CommandPort.open(settings, robot, name))
+        try:
+            proof = stop_proof(settings)
+            name = operator or (proof.name if proof is not None else "") or login_operator()
+            port = stack.enter_context(CommandPort.open(settings, robot, name))
+        except CommandError as error:
+            raise NotSentError(error) from error
         port.prover = proof
         listeners: list[RobotListener] = []
 
-        def look() -> Iterator[Seen | Missed]:
+        def look() -> Iterator[Seen | Missed | Unproven]:
             if not listeners:  # Only now: the stop has been sent.
                 name = "" if robot == keys.ALL else robot
                 listeners.append(stack.enter_context(RobotListener.open(settings, name)))
             if proof is not None:
                 proof.meet(port)
             for one in _read(listeners[0].drain(), proof):
-                if proof is not None and not isinstance(one, Missed) and isinstance(one[2], SafetyState):
+                if proof is not None and isinstance(one, tuple) and isinstance(one[2], SafetyState):
                     proof.sign(port, one[1], one[2].challenge)
                 yield one
 
-        return stop(port, root, robot, timeout_s, look, stopped)
+        if proof is None:
+            return stop(port, root, robot, timeout_s, look, stopped)
+        report = stop(port, root, robot, timeout_s, look, stopped, proof.doubt)
+        return msgspec.structs.replace(report, reached_all=robot != keys.ALL or proof.may_stop_all)
 
 
-def _read(heard: Iterable[Arrival], proof: StopProof | None) -> Iterator[Seen | Missed]:
+def _read(heard: Iterable[Arrival], proof: StopProof | None) -> Iterator[Seen | Missed | Unproven]:
     for one in heard:
         now_ns = time.monotonic_ns()
         if isinstance(one, Missed):
             yield one
-        is_believed = isinstance(one, Received) and (proof is None or proof.believes(one))
-        sample = read_sample(one) if isinstance(one, Received) and is_believed else None
+        sample = read_sample(one) if isinstance(one, Received) else None
         if sample is None or sample.parts.subject.type not in {SafetyState, RobotState}:
             continue
         if isinstance(sample.message, SafetyState | RobotState | PayloadFault):
-            yield now_ns, sample.parts.robot, sample.message
+            seen = now_ns, sample.parts.robot, sample.message
+            is_believed = proof is None or (isinstance(one, Received) and proof.believes(one))
+            yield seen if is_believed else Unproven(seen)
 
 
 def stop(
@@ -129,6 +185,7 @@ def stop(
     timeout_s: float,
     look: Look,
     stopped: Callable[[], bool] = lambda: False,
+    doubt: Doubt = lambda _: UNSIGNED,
 ) -> StopReport:
     """Stop a robot, or all with ``keys.ALL``; returns once all stand or cannot be stopped, or after the timeout.
 
@@ -139,11 +196,12 @@ def stop(
         timeout_s: how long to wait.
         look: at what the robots publish.
         stopped: gives up when it turns true.
+        doubt: why an answer that the port does not accept cannot be verified.
 
     Raises:
         CommandError: the session is closed.
     """
-    stopping = _Stopping(port, root, robot, look)
+    stopping = _Stopping(port, root, robot, look, doubt)
     started_s = time.monotonic()
     while not stopped():
         now_s = time.monotonic()
@@ -195,19 +253,80 @@ class _Sight:
         stands = self._speed_mps < STANDSTILL_MPS
         return "it is seen to stand too briefly" if stands else f"it is seen to move at {self._speed_mps:.2f} m/s"
 
+    @property
+    def words(self) -> str:
+        """The newest of what was received, for a robot that answers nothing."""
+        latched = "a remote stop is latched" if self._says else "no remote stop is latched"
+        if self._speed_mps is None:
+            return f"its states say: {latched}, and no speed"
+        stands = self._speed_mps < STANDSTILL_MPS
+        motion = "it stands" if stands else f"it moves at {self._speed_mps:.2f} m/s"
+        return f"its states say: {latched}, and {motion}"
+
+
+class _Testimony:
+    """All that was answered and seen, either verified or not."""
+
+    def __init__(self) -> None:
+        self.answers: dict[str, Reply | str] = {}
+        self._sights: defaultdict[str, _Sight] = defaultdict(_Sight)
+        self._replies: defaultdict[tuple[str, int], list[Reply | PayloadFault]] = defaultdict(list)
+        self._contradicted: set[str] = set()
+
+    def hear(self, robot: str, received: Received, question: int) -> None:
+        """A robot, or somebody in its place, replied to the question of this number."""
+        reply = read_reply(STOP, received)
+        replies = self._replies[robot, question]
+        replies.append(reply)
+        if contradict(replies):
+            self._contradicted.add(robot)
+        if isinstance(reply, Reply) or robot not in self.answers:
+            self.answers[robot] = reply if isinstance(reply, Reply) else reply.detail
+
+    def see(self, seen: Seen) -> None:
+        """A robot published this."""
+        now_ns, name, message = seen
+        self._sights[name].see(message, now_ns)
+
+    def miss(self) -> None:
+        """Samples may be missing."""
+        self._sights.clear()
+
+    def is_settled(self, name: str) -> bool:
+        """Nothing more is to be learned: it stands, cannot be stopped, or is answered for by two."""
+        return name in self._contradicted or not _agrees(self.answers[name]) or not self._sights[name].doubt
+
+    def refusal(self, name: str) -> str:
+        """The reply of a robot that cannot stop, in words; empty if it can."""
+        answer = self.answers[name]
+        if name in self._contradicted or _agrees(answer):
+            return ""
+        return answer if isinstance(answer, str) else f"{answer.reason.value}: {answer.detail}"
+
+    def doubt(self, name: str) -> str:
+        """The reason for which a robot that agreed is not known to have stopped; empty if it is."""
+        if name in self._contradicted:
+            return CONTRADICTION
+        doubt = self._sights[name].doubt
+        return f"it replied that it stops, but {doubt}" if doubt else ""
+
+    def shows(self, name: str) -> str:
+        """The states of a robot, in words; empty if none was received."""
+        return self._sights[name].words if name in self._sights else ""
+
 
 class _Stopping:
     """A remote stop that is under way."""
 
-    def __init__(self, port: CommandPort, root: str, robot: str, look: Look) -> None:
+    def __init__(
+        self, port: CommandPort, root: str, robot: str, look: Look, doubt: Doubt = lambda _: UNSIGNED
+    ) -> None:
         self._port = port
         self._look = look
-        self._sights: defaultdict[str, _Sight] = defaultdict(_Sight)
-        self._replies: defaultdict[tuple[str, int], list[Reply | PayloadFault]] = defaultdict(list)
-        self._contradicted: set[str] = set()
+        self._doubt = doubt
+        self._proven, self._unproven = _Testimony(), _Testimony()
         self._robot = robot
         self._robot_of = re.compile(rf"{re.escape(root)}/({keys.ROBOT_PATTERN})/.*")
-        self._answers: dict[str, Reply | str] = {}
         self._expected = set() if robot == keys.ALL else {robot}
         self._questions: list[tuple[int, PendingQuery]] = []
         self._asked = 0
@@ -219,15 +338,13 @@ class _Stopping:
     @property
     def all_answered(self) -> bool:
         """It is known who is there, all of them have answered, and somebody has."""
-        return bool(self._answers) and self._is_counted and self._expected <= self._answers.keys()
+        answers = self._proven.answers
+        return bool(answers) and self._is_counted and self._expected <= answers.keys()
 
     @property
     def all_settled(self) -> bool:
-        """Nothing more is to be learned: each of them stands, cannot be stopped, or is answered for by two."""
-        return self.all_answered and all(
-            name in self._contradicted or not _agrees(answer) or not self._sights[name].doubt
-            for name, answer in self._answers.items()
-        )
+        """Nothing more is to be learned of anybody."""
+        return self.all_answered and all(map(self._proven.is_settled, self._proven.answers))
 
     def step(self, now_s: float) -> None:
         """Say it, and hear who answers."""
@@ -244,45 +361,62 @@ class _Stopping:
             self._is_counted = self._roll.is_complete(now_s)
         for number, question in self._questions:
             for received in question.poll():
-                self._hear(received, number)
+                self._proven.hear(self._robot_in(received), received, number)
+            while question.rejected:
+                received = question.rejected.popleft()
+                self._unproven.hear(self._robot_in(received), received, number)
         for seen in self._look():
-            if isinstance(seen, Missed):
-                self._sights.clear()
-            else:
-                now_ns, name, message = seen
-                self._sights[name].see(message, now_ns)
+            match seen:
+                case Missed():
+                    self._proven.miss()
+                    self._unproven.miss()
+                case Unproven(one):
+                    self._unproven.see(one)
+                case _:
+                    self._proven.see(seen)
 
     def report(self) -> StopReport:
         """Return who answered, and who did not."""
         stopped: list[str] = []
         refused: dict[str, str] = {}
         unconfirmed: dict[str, str] = {}
-        for name, answer in sorted(self._answers.items()):
-            doubt = self._sights[name].doubt
-            if name in self._contradicted:
-                unconfirmed[name] = CONTRADICTION
-            elif not _agrees(answer):
-                refused[name] = answer if isinstance(answer, str) else f"{answer.reason.value}: {answer.detail}"
-            elif doubt:
-                unconfirmed[name] = f"it replied that it stops, but {doubt}"
+        for name in sorted(self._proven.answers):
+            if refusal := self._proven.refusal(name):
+                refused[name] = refusal
+            elif doubt := self._proven.doubt(name):
+                unconfirmed[name] = doubt
             else:
                 stopped.append(name)
-        silent = sorted(self._expected - self._answers.keys())
-        return StopReport(stopped, refused, unconfirmed, silent, self._linked, self._is_counted)
+        unverified = {
+            name: self._word_of(name)
+            for name in sorted(self._unproven.answers.keys() - self._proven.answers.keys())
+        }
+        silent = sorted(self._expected - self._proven.answers.keys() - unverified.keys())
+        seen = {name: words for name in silent if (words := self._seen(name))}
+        return StopReport(
+            stopped, refused, unconfirmed, silent, self._linked, self._is_counted, unverified=unverified, seen=seen
+        )
+
+    def _word_of(self, name: str) -> Unverified:
+        unproven, unmet = self._unproven, self._doubt(name)
+        refusal, doubt = unproven.refusal(name), unproven.doubt(name)
+        says = f"it replied that it is not stopped: {refusal}" if refusal else doubt
+        stands = "it replied that it stops, and its states show that it stands, latched"
+        return Unverified(not says, says or stands, unmet.text, unmet.cure)
+
+    def _seen(self, name: str) -> str:
+        words = self._proven.shows(name)
+        if words:
+            return words
+        words = self._unproven.shows(name)
+        return f"{words}, which cannot be verified: {self._doubt(name).text}" if words else ""
 
     def _ask(self) -> PendingQuery:
         return self._port.begin(STOP.verb, b"", 1.0)
 
-    def _hear(self, received: Received, question: int) -> None:
+    def _robot_in(self, received: Received) -> str:
         match = self._robot_of.fullmatch(received.key)
-        robot = match[1] if match is not None else self._robot
-        reply = read_reply(STOP, received)
-        replies = self._replies[robot, question]
-        replies.append(reply)
-        if contradict(replies):
-            self._contradicted.add(robot)
-        if isinstance(reply, Reply) or robot not in self._answers:
-            self._answers[robot] = reply if isinstance(reply, Reply) else reply.detail
+        return match[1] if match is not None else self._robot
 
 
 def _agrees(answer: Reply | str) -> bool:

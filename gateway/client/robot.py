@@ -98,7 +98,9 @@ class Robot:
 
         Raises:
             Unreachable: no state arrives, or it does not accept commands.
-            CommandError: a name or an endpoint is not of its form.
+            Refused: in signed mode it does not take the operator's grant, or is not believed: its own grant is
+                over, of another authority, or missing.
+            CommandError: a name or an endpoint is not of its form, or a file is missing or wrong.
         """
         settings = settings or Settings()
         proof = operator_proof(settings)
@@ -113,14 +115,19 @@ class Robot:
             commands, listener, name, None if proof is None else LinkProof(proof, name, settings.robot.root)
         )
         deadline_s = time.monotonic() + timeout_s
-        stranger = "" if proof is None else "it was not met"
-        while stranger or not (link.is_heard and commands.reaches()):
+        is_met, unmet = proof is None, None
+        while not (is_met and link.is_heard and commands.reaches()):
             if stopped() or time.monotonic() >= deadline_s:
-                problem = _problem(link, stranger)
+                problem = _problem(link)
+                is_reached = commands.connected() and commands.reaches()
                 link.close()
+                if unmet is not None and is_reached:
+                    what = f"{name} is reached at {place(settings.zenoh)}, but not met"
+                    raise Refused(what, unmet.reason, unmet.text, unmet.cure, robot=name)
                 raise Unreachable(f"{problem} within {timeout_s:g} s at {place(settings.zenoh)}")
-            if stranger and commands.reaches():
-                stranger = link.meet()
+            if not is_met and commands.reaches():
+                unmet = link.meet()
+                is_met = unmet is None
             time.sleep(0.01)
         return cls(link, operator, settings.robot.root)
 
@@ -156,11 +163,17 @@ class Robot:
 
         Raises:
             Unreachable: nobody answered. It was sent all the same, again and again.
-            Refused: the stop is latched but cannot be carried out, or the robot is not seen to stop; the text says
-                what it does.
+            Refused: the stop is latched but cannot be carried out, or the robot is not seen to stop, or what it
+                answers cannot be verified; the text says what it does.
         """
         self._link.look()  # What was seen before the stop proves nothing.
-        report = remote_stop.stop(self._link.commands, self._root, self.name, timeout_s, self._link.look)
+        report = remote_stop.stop(
+            self._link.commands, self._root, self.name, timeout_s, self._link.look, doubt=self._link.doubt
+        )
+        for word in report.unverified.values():
+            why = f"{word.says}, which cannot be verified: {word.why}"
+            what = f"{self.name} is not known to stop"
+            raise Refused(what, Reason.NOT_CONFIRMED, why, word.cure, robot=self.name)
         if report.unconfirmed:
             why = "; ".join(report.unconfirmed.values())
             raise Refused(f"{self.name} is not seen to stop", Reason.NOT_CONFIRMED, why, robot=self.name)
@@ -372,11 +385,9 @@ def stop_all(
     return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator, timeout_s)
 
 
-def _problem(link: RobotLink, stranger: str) -> str:
+def _problem(link: RobotLink) -> str:
     if not link.commands.connected():
         return "no Zenoh node answered"
-    if stranger and link.commands.reaches():
-        return f"robot {link.robot!r} is reached, but not met: {stranger};"
     if link.unreadable:
         return f"{link.robot} cannot be read ({link.unreadable}), and nothing else of it was heard"
     if not link.is_heard and link.hears_chassis:

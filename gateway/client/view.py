@@ -11,7 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from gateway.client.fleet import RobotStatus
+from gateway.client.fleet import RobotStatus, alarm
 from gateway.client.reasons_text import is_idle, last_stop, link_line
 from schemas.decisions import COMMANDING
 from schemas.messages import GatewayHealth, RobotState
@@ -32,25 +32,6 @@ class Fact(msgspec.Struct, frozen=True):
     label: str
     text: str
     style: str = PLAIN
-
-
-def alarm(report: RobotStatus) -> str:
-    """Return why nothing of the robot's state can be shown; empty if it can."""
-    if report.state is not None:
-        return ""
-    reasons = []
-    if not report.linked:
-        reasons.append("this end is not connected to Zenoh")
-    elif not report.connected:
-        reasons.append("its gateway is not connected")
-    elif report.health is None:
-        reasons.append("its gateway is connected, but sends no health")
-    else:
-        reasons.append("its gateway is connected and sends health")
-    if report.unreadable:
-        reasons.append(f"unreadable: {plain(report.unreadable)}")
-    what = "no state yet" if report.state_age_s is None else f"STALE: no state for {report.state_age_s:.1f} s"
-    return f"{what}; {', '.join(reasons)}"
 
 
 def state_facts(state: RobotState) -> list[Fact]:

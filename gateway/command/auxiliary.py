@@ -95,6 +95,15 @@ class Auxiliary:
         """Leave the lamps as they are: somebody else commands the chassis. Dark ones need no clearing frame."""
         self._are_lamps_set = self._lamps != _DARK
 
+    @property
+    def left(self) -> tuple[Signals, bool]:
+        """The lamps and the horn as they were set last; of lamps that are out no signals."""
+        return self._lamps if self._lamps != _DARK else {}, self._horn
+
+    def restore(self, lamps: Signals, *, horn: bool) -> None:
+        """The chassis was left with these: the next stop, or engagement, puts them out."""
+        self._lamps, self._are_lamps_set, self._horn = lamps or _DARK, bool(lamps), horn
+
     def frames(self, now_ns: int) -> list[AuxiliaryFrame]:
         """The frames of this tick."""
         due: list[AuxiliaryFrame] = []

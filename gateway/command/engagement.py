@@ -153,6 +153,16 @@ class Engagement:
             text = f"latched until a reset: {_in_words(reason, detail)}"
             self.outbox.add_event(Severity.ERROR, EventKind.LATCH, reason, text, operator)
 
+    def prove(self, reason: Reason, claimed: str, proven: str, operator: str) -> None:
+        """Say who latched this cause, if that is proven only now. The event has no reason, for none is new."""
+        if self.latches.details.get(reason) != claimed:
+            return
+        self.latches.details[reason] = proven
+        if (self.stop_reason, self.stop_detail) == (reason, claimed):
+            self.stop_detail = proven
+        text = f"proven: {_in_words(reason, proven)}"
+        self.outbox.add_event(Severity.INFO, EventKind.LATCH, Reason.NONE, text, operator)
+
     def refuse_output(self, detail: str, now_ns: int) -> Actuation:
         """Stop the robot: the gate rejected this tick's output, which is a fault of our own.
 

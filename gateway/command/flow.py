@@ -49,6 +49,7 @@ class CommandFlow:
         is_mute: the gate refuses even the stop sequence, or our way to the bus is lost: the guard has to act.
         maker, gate, reporter: make the frames, admit them, and make the messages.
         busy_ns: when somebody last asked something, or something was told, monotonic.
+        asked_ns: when somebody last asked something, or the chassis was commanded, monotonic.
     """
 
     def __init__(self, settings: Settings, run: int) -> None:
@@ -57,7 +58,7 @@ class CommandFlow:
         self.maker = FrameMaker()
         self.gate = Gate()
         self.reporter = Reporter(self.arbiter)
-        self.busy_ns = 0
+        self.busy_ns = self.asked_ns = 0
         self._tellings = 0
         self._outcome: TickOutcome | None = None
         self._offered: list[Frame] = []
@@ -74,7 +75,9 @@ class CommandFlow:
         """Ten milliseconds have passed; see ``Arbiter.tick``. The challenge is for a state that is due."""
         outcome = self._outcome = self.arbiter.tick(chassis, requests, now_ns, late_ns)
         self._offered = self._frames(outcome, now_ns)
-        if outcome.judged or outcome.events or outcome.actuation is not None:
+        if outcome.judged or outcome.actuation is not None:
+            self.asked_ns = self.busy_ns = now_ns
+        elif outcome.events:
             self.busy_ns = now_ns
         messages: list[Message] = [self.reporter.event(event, wall_ns) for event in outcome.events]
         state = self.reporter.state(now_ns, wall_ns, challenge)

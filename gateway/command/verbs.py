@@ -33,6 +33,9 @@ _DRIVE_REFUSALS: Final = {
     ArbiterState.STOPPING: Reason.STOPPING,
 }
 
+_UNPROVEN: Final = " (unproven)"
+"""Behind the name that a stop gave itself, where nothing proves it."""
+
 
 class Verbs:
     """Rules on each request, and acts on the states that its verb concerns."""
@@ -97,10 +100,13 @@ class Verbs:
     def _stop(self, raw: RawRequest, now_ns: int) -> Ruling:
         """Latch a stop in any case. Where it cannot be carried out, the reply says so, and what the robot does."""
         is_proven = raw.credentials is not None and raw.credentials.reason is Reason.NONE
-        who = (raw.operator or "an unnamed operator") + (
-            " (unproven)" if self._is_signed and not is_proven else ""
+        who = f"by {raw.operator or 'an unnamed operator'}"
+        is_unproven = self._is_signed and not is_proven
+        self._engagement.begin_stop(
+            Reason.REMOTE_STOP, now_ns, who + _UNPROVEN if is_unproven else who, raw.operator
         )
-        self._engagement.begin_stop(Reason.REMOTE_STOP, now_ns, f"by {who}", raw.operator)
+        if self._is_signed and is_proven:
+            self._engagement.prove(Reason.REMOTE_STOP, who + _UNPROVEN, who, raw.operator)
         chassis = self._monitor.chassis
         speed_mps = chassis.fastest_mps
         moves = (

@@ -223,6 +223,12 @@ def _interface_down(facts: Facts) -> Iterable[Detail]:
     return _found(interface.is_present and not interface.is_up, facts.settings.can.channel, virtual)
 
 
+def _other_bus(facts: Facts) -> Iterable[Detail]:
+    can = facts.settings.can
+    text = f"{can.interface} {can.channel}, and not {facts.bus_of_file}; a gateway that runs has its own"
+    return _found(bool(facts.bus_of_file), text)
+
+
 def _bus_unreachable(facts: Facts) -> Iterable[Detail]:
     return _found(bool(detail := _bus_detail(facts)), detail)
 
@@ -353,8 +359,24 @@ def _service_failed(facts: Facts) -> Iterable[Detail]:
 def _restarts(facts: Facts) -> Iterable[Detail]:
     for unit in facts.units:
         if unit.restarts:
-            text = f"{unit.name}, {unit.restarts} times, last because of {unit.result}"
-            yield Detail(text, f"journalctl -u {unit.name}")
+            often = "once" if unit.restarts == 1 else f"{unit.restarts} times, last"
+            why = "" if unit.result == "success" else f" because of {unit.result}{RESULTS.get(unit.result, '')}"
+            at = "" if unit.ended_s is None else f" at {_utc(unit.ended_s)}"
+            yield Detail(f"{unit.name}, {often}{why}{at}", f"journalctl -u {unit.name}")
+
+
+RESULTS: Final = {
+    "watchdog": " (it hung)",
+    "signal": " (it was killed)",
+    "oom-kill": " (memory ran out)",
+    "core-dump": " (it crashed)",
+    "exit-code": " (it gave up)",
+}
+"""systemd's words for the end of a service, for people."""
+
+
+def _not_shut_down(facts: Facts) -> Iterable[Detail]:
+    return _found(facts.was_shut_down is False, f"before {_utc(facts.booted_s)}")
 
 
 def _realtime(facts: Facts) -> Iterable[Detail]:
@@ -389,9 +411,9 @@ def _reasons(reasons: Iterable[Reason], facts: Facts) -> Iterator[Detail]:
     for reason in said:
         text = of_a_robot(reason, said)
         is_last = facts.zenoh.safety is not None and facts.zenoh.safety.stop_reason is reason
-        yield Detail(
-            f"{text.means}{f' ({stop_detail})' if is_last and stop_detail else ''}", text.cure, reason.value
-        )
+        detail = facts.stop_note if reason is Reason.GUARD else ""
+        detail = detail or (stop_detail if is_last else "")
+        yield Detail(f"{text.means}{f' ({detail})' if detail else ''}", text.cure, reason.value)
 
 
 def _latched(facts: Facts) -> Iterable[Detail]:
@@ -421,6 +443,11 @@ def _unsynchronised(facts: Facts) -> Iterable[Detail]:
 def _clock_differs(facts: Facts) -> Iterable[Detail]:
     ahead_s = facts.zenoh.ahead_s
     return _found(abs(ahead_s) > CLOCK_MAX_S, f"the robot's is {abs(ahead_s):.1f} s {_way(ahead_s)}")
+
+
+def _clock_set_back(facts: Facts) -> Iterable[Detail]:
+    back_s = -facts.zenoh.clock_moved_s
+    return _found(back_s > CLOCK_MAX_S, f"by {back_s:.0f} s")
 
 
 def _way(ahead_s: float) -> str:
@@ -519,6 +546,14 @@ _UP: Final = (
 _CABLE: Final = "look at the cable, at its termination (60 ohms between the wires) and at what else sends"
 
 CHECKS: Final = (
+    Check(
+        "other_bus",
+        "flags and settings file",
+        "the bus of the flags was looked at",
+        "leave out --interface and --channel to look at that of the settings file",
+        _other_bus,
+        is_note=True,
+    ),
     Check(
         "interface_missing",
         "the CAN interface",
@@ -647,6 +682,14 @@ CHECKS: Final = (
         _unasked,
     ),
     Check(
+        "not_shut_down",
+        "the journal of the run before",
+        "the computer lost its power, or was reset, without being shut down",
+        "look at the battery and the supply; the recorder mends the log that it was writing",
+        _not_shut_down,
+        is_note=True,
+    ),
+    Check(
         "service_not_active",
         "systemd",
         "a service does not run",
@@ -684,6 +727,14 @@ CHECKS: Final = (
         "the clock is behind",
         "set it: 'timedatectl set-time', or a time server; look at its battery",
         _clock_behind,
+    ),
+    Check(
+        "clock_set_back",
+        "gateway/health and gateway/info",
+        "the robot's clock was set back since its gateway started",
+        "let a time server keep it: logs have the times in between twice",
+        _clock_set_back,
+        is_note=True,
     ),
     Check(
         "clock_unsynchronised",

@@ -58,6 +58,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
         gateways: gateways that answer to the robot's name.
         health, safety, state: the newest of the robot; None if there was none.
         ahead_s: the robot's clock against this machine's.
+        clock_moved_s: so far somebody has set the robot's clock since its gateway started; below zero: back.
         recorders: the newest of each recorder.
     """
 
@@ -70,6 +71,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
     safety: SafetyState | None = None
     state: RobotState | None = None
     ahead_s: float = 0.0
+    clock_moved_s: float = 0.0
     recorders: list[RecorderHealth] = []
 
 
@@ -79,9 +81,10 @@ class ServiceUnit(msgspec.Struct, frozen=True):
     Attributes:
         name: such as ``cruiser-gateway.service``.
         state: such as active, failed, inactive.
-        result: why it ended last; success if it did not fail.
+        result: why it ended last, in systemd's word; success if it did not fail, or if that is forgotten.
         restarts: how often systemd has started it again since it was started by hand or at boot.
         locked_bytes: memory that its process has locked; None if it has no process.
+        ended_s: when it failed last, seconds since 1970; None if that is not known.
     """
 
     name: str
@@ -89,6 +92,7 @@ class ServiceUnit(msgspec.Struct, frozen=True):
     result: str = "success"
     restarts: int = 0
     locked_bytes: int | None = None
+    ended_s: float | None = None
 
 
 class LogDisk(msgspec.Struct, frozen=True):
@@ -136,6 +140,11 @@ class Facts(msgspec.Struct, frozen=True):
         earliest_s: a time that is past for certain: when this was installed, or the newest that the authority
             said.
         is_synchronised: the kernel's clock is kept by a time server; None if the kernel does not say.
+        booted_s: when this computer was started, seconds since 1970.
+        was_shut_down: before that it was shut down in order; None if its journal does not say.
+        stop_note: of a stop by the guard, or by the early stop, that is latched: when and why, in one line; empty
+            if there is none, or if it is not for this user to read.
+        bus_of_file: the bus of the settings file, where flags name another, which was looked at; else empty.
         interface: the CAN interface; None where the bus is none of the kernel's.
         claims: gateways of this machine that command the bus.
         bus: what was received of it; None if it was not listened to, because a gateway reports it.
@@ -157,6 +166,10 @@ class Facts(msgspec.Struct, frozen=True):
     disk: LogDisk | None = None
     units: list[ServiceUnit] = []
     credentials: list[Credential] = []
+    booted_s: float = 0.0
+    was_shut_down: bool | None = None
+    stop_note: str = ""
+    bus_of_file: str = ""
 
     @property
     def health(self) -> GatewayHealth | None:

@@ -10,6 +10,7 @@ import msgspec
 from schemas.toml_text import write_key, write_value
 
 CONFIGURATION: Final = "/etc/cruiser/cruiser.toml"
+DESK: Final = "/etc/cruiser/desk.toml"
 METRICS: Final = "/etc/cruiser/metrics.toml"
 KEYS: Final = "/etc/cruiser"
 STATE: Final = "/var/lib/cruiser/gateway"
@@ -29,6 +30,7 @@ SERVICES: Final = {
     "gateway": "robot",
     "recorder": "recorder",
     "router": "router",
+    "desk": "desk",
     "metrics": "viewer",
 }
 """Our services, each with the role of its certificate; its keys are in a directory of its name."""
@@ -112,7 +114,9 @@ class Answers(msgspec.Struct, frozen=True):
     def services(self) -> list[str]:
         """Those that are to run here. In signed mode one without a certificate reaches nobody."""
         wanted = ["gateway", "recorder"] if not self.is_signed else ["gateway"]
-        return [name for name in ("router", "gateway", "recorder", "metrics") if name in {*wanted, *self.keys}]
+        return [
+            name for name in ("router", "gateway", "recorder", "desk", "metrics") if name in {*wanted, *self.keys}
+        ]
 
 
 def configuration(answers: Answers, before: Mapping[str, Mapping[str, object]]) -> str:
@@ -152,8 +156,16 @@ def system_files(answers: Answers) -> dict[str, str]:
     """Files besides the settings, by their paths: the bus, and which Zenoh file each service reads."""
     files = {f"{UNITS}/cruiser-gateway.service.d/bus.conf": _bus(answers)}
     if "metrics" in answers.keys:
+        root = f"[robot]\nroot = {write_value(answers.root)}\n" if answers.root else ""
         files[METRICS] = (
-            f"# Settings of cruiser-metrics.\n[zenoh]\nconfig = {write_value(_zenoh_file('metrics'))}\n"
+            f"# Settings of cruiser-metrics.\n{root}[zenoh]\nconfig = {write_value(_zenoh_file('metrics'))}\n"
+        )
+    if "desk" in answers.keys:
+        # Beside its settings file: its address for browsers stays as it is.
+        variables = [f"CRUISER_ZENOH_CONFIG={_zenoh_file('desk')}"]
+        variables += [f"CRUISER_ROBOT_ROOT={answers.root}"] if answers.root else []
+        files[f"{UNITS}/cruiser-desk.service.d/zenoh.conf"] = (
+            f"# The fleet, by its certificate.\n[Service]\nEnvironment={' '.join(variables)}\n"
         )
     if answers.is_signed and "recorder" in answers.keys:
         files[f"{UNITS}/cruiser-recorder.service.d/zenoh.conf"] = (
@@ -232,6 +244,7 @@ def by_hand(answers: Answers) -> list[str]:
         "router": f"cruiser router --directory {KEYS}/router",
         "gateway": f"cruiser gateway --config {CONFIGURATION} --wait-for-bus",
         "recorder": f"cruiser record --config {CONFIGURATION}",
+        "desk": f"CRUISER_ZENOH_CONFIG={_zenoh_file('desk')} cruiser desk --config {DESK}",
         "metrics": f"cruiser metrics --config {METRICS}",
     }
     for name in answers.services:

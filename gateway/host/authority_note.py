@@ -13,10 +13,17 @@ from typing import Final, Self
 import msgspec
 
 from gateway.authority.robot_authority import Kept
-from gateway.host.state_directory import state_directory
+from gateway.host.state_directory import state_directory, write_whole
+from schemas.exit_codes import CommandError
+from schemas.file_kinds import check_regular
 from schemas.settings import Settings
 
 log = logging.getLogger(__name__)
+
+CURE: Final = (
+    "remove it, start the gateway again, and show the robot the newest list of revocations "
+    "('cruiser provision show'), and each rotation since the robot was provisioned"
+)
 
 WRITE_TIMEOUT_S: Final = 2.0
 """The longest wait of a gateway that ends for a disk that stalls."""
@@ -47,11 +54,14 @@ class AuthorityNote:
         if self.path is None:
             return "nothing can be kept: gateway.state_dir is empty, and what is revoked must outlive a restart"
         try:
+            check_regular(self.path, self.path.stat().st_mode)
             return msgspec.json.decode(self.path.read_bytes(), type=Kept)
         except FileNotFoundError:
             return Kept()
+        except CommandError as error:
+            return str(error)
         except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
-            return f"{self.path} is damaged, and so is what was revoked: {error}; 'cruiser provision robot' anew"
+            return f"{self.path} is damaged, and so is what was revoked: {error}; {CURE}"
 
     def save(self, kept: Kept) -> None:
         """Have this written, without waiting."""
@@ -75,14 +85,7 @@ class AuthorityNote:
     def _write(self, kept: Kept) -> None:
         if self.path is None:
             return
-        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        unfinished = self.path.with_suffix(".unfinished")
-        descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(msgspec.json.encode(kept))
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(self.path)
+        write_whole(self.path, msgspec.json.encode(kept))
 
 
 def note_path(settings: Settings, environment: Mapping[str, str]) -> Path | None:

@@ -103,6 +103,7 @@ def listen(
     settings: Settings,
     stopped: Callable[[], bool] = lambda: False,
     opener: Callable[[Settings], Bus] = lambda settings: open_bus(settings.can),
+    monotonic_ns: Callable[[], int] = time.monotonic_ns,
 ) -> BusReport:
     """Listen for a second, through the gateway's own telemetry, which supervises and decodes.
 
@@ -114,18 +115,20 @@ def listen(
     except BusLost as error:
         return BusReport(str(error))
     try:
-        return _listen(bus, settings, stopped)
+        return _listen(bus, settings, stopped, monotonic_ns)
     except BusLost as error:
         return BusReport(str(error))
     finally:
         bus.close()
 
 
-def _listen(bus: Bus, settings: Settings, stopped: Callable[[], bool]) -> BusReport:
+def _listen(
+    bus: Bus, settings: Settings, stopped: Callable[[], bool], monotonic_ns: Callable[[], int]
+) -> BusReport:
     layout = load(Variant.COARSE)
     motion = {layout.messages[name].can_id for name in MOTION_FRAMES}
     deaf = msgspec.structs.replace(settings.gateway, listen_only=True)
-    start_ns = tick_ns = time.monotonic_ns()
+    start_ns = tick_ns = monotonic_ns()
     core = Core(msgspec.structs.replace(settings, gateway=deaf), version("cruiser-gateway"), start_ns)
     core.update_links(Links(bus_up=True), start_ns)
     health: GatewayHealth | None = None
@@ -133,11 +136,11 @@ def _listen(bus: Bus, settings: Settings, stopped: Callable[[], bool]) -> BusRep
     is_commanded = False
     while health is None and not stopped():
         tick_ns += TICK_NS
-        while (now_ns := time.monotonic_ns()) < tick_ns:
+        while (now_ns := monotonic_ns()) < tick_ns:
             frame = bus.receive((tick_ns - now_ns) / 1e9)
             if frame is not None:
                 is_commanded = is_commanded or (frame.can_id in motion and check(frame) is None)
-                core.receive_frame(frame, time.monotonic_ns())
+                core.receive_frame(frame, monotonic_ns())
         for sample in core.tick(now_ns, time.time_ns(), 0, b"").samples:
             match _message(sample):
                 case GatewayHealth() as health:

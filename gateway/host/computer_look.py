@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +17,7 @@ from gateway.authority.robot_authority import Kept
 from gateway.doctor.facts import Credential, LogDisk, ServiceUnit
 from gateway.host.authority_note import AuthorityNote
 from gateway.host.bus_look import Runner
+from gateway.host.stop_note import StopNote
 from gateway.provisioning.key_files import directory_of, read_identity
 from gateway.provisioning.tls_files import certificate_ends_s, check_tls_files
 from schemas.authority.trust import Objection
@@ -27,7 +30,9 @@ UNITS: Final = (
     "cruiser-gateway.service",
     "cruiser-recorder.service",
     "cruiser-router.service",
+    "cruiser-desk.service",
     "cruiser-metrics.service",
+    "cruiser-upload.service",
 )
 
 PROGRAM_TIMEOUT_S: Final = 30.0
@@ -38,6 +43,13 @@ SYNCHRONISED_US: Final = 16_000_000
 GRANT_ENDS_SOON_S: Final = 7 * 86_400
 
 LOGS: Final = ("*.mcap", "*.mcap.part")
+
+FAILED: Final = "d9b373ed55a64feb8242e02dbe79a49c"
+SHUTTING_DOWN: Final = ("98268866d1d54a499c4e98921d93bc40", "d93fb3c9c24d451a97cea615ce59c00b")
+"""Of systemd's messages (``journalctl --catalog``): a unit has failed; the system goes down, the journal ends."""
+
+RECOVERED: Final = "EXT4-fs .*: recovery complete"
+"""Said by the kernel when it mounts a file system that was in use to the last."""
 
 _TIMEX_BYTES: Final = 256
 _MAXERROR_AT: Final = 24
@@ -75,7 +87,7 @@ def earliest_s(settings: Settings) -> float:
     with owning(note.path):
         kept = note.read()
     note.close()
-    return max(installed_s, kept.floor_s if isinstance(kept, Kept) else 0.0)
+    return max(installed_s, kept.newest_s if isinstance(kept, Kept) else 0.0)
 
 
 def look_at_disk(directory: Path) -> LogDisk:
@@ -103,17 +115,43 @@ def look_at_units(run: Runner = run_program) -> list[ServiceUnit]:
         said = dict(line.split("=", 1) for line in lines if "=" in line)
         is_ours = said.get("LoadState") == "loaded"
         if is_ours and (said.get("UnitFileState", "").startswith("enabled") or said["ActiveState"] != "inactive"):
+            restarts = int(said.get("NRestarts", "0") or 0)
+            result, ended_s = said.get("Result", "success"), None
+            if restarts:
+                # systemd forgets at the start why it was.
+                result, ended_s = _last_failure(name, run) or (result, None)
             locked = _locked_bytes(said.get("MainPID", "0"))
-            units.append(
-                ServiceUnit(
-                    name,
-                    said.get("ActiveState", ""),
-                    said.get("Result", "success"),
-                    int(said.get("NRestarts", "0") or 0),
-                    locked,
-                )
-            )
+            units.append(ServiceUnit(name, said.get("ActiveState", ""), result, restarts, locked, ended_s))
     return units
+
+
+def _last_failure(unit: str, run: Runner) -> tuple[str, float] | None:
+    """Return why a unit failed last since the boot, and when; None if the journal does not say."""
+    matches = [f"MESSAGE_ID={FAILED}", f"UNIT={unit}"]
+    found = run(["journalctl", "--quiet", "--boot", "--lines=1", "--output=json", *matches])
+    try:
+        entry = json.loads(found or "")
+        return str(entry["UNIT_RESULT"]), int(entry["__REALTIME_TIMESTAMP"]) / 1e6
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def booted_s() -> float:
+    """Return when this computer was started, by its clock of now, seconds since 1970."""
+    return time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def was_shut_down(run: Runner = run_program) -> bool | None:
+    """Report whether this computer was shut down before it was started; None if its journal does not say."""
+    # A journal lacks its last moments, and the whole run where that was short: file systems know it, too.
+    if run(["journalctl", "--quiet", "--boot", "--dmesg", "--lines=1", f"--grep={RECOVERED}"]):
+        return False
+    before = ["journalctl", "--quiet", "--boot=-1", "--lines=1", "--output=json", "_PID=1"]
+    if not run(before):
+        # There is none, it is not kept, or not for everybody to read.
+        return None
+    found = run([*before[:-1], *(f"MESSAGE_ID={one}" for one in SHUTTING_DOWN)])
+    return None if found is None else bool(found)
 
 
 def _locked_bytes(process: str) -> int | None:
@@ -124,6 +162,12 @@ def _locked_bytes(process: str) -> int | None:
         return None
     found = next((line.split()[1] for line in lines if line.startswith("VmLck:")), None)
     return None if found is None else int(found) * 1024
+
+
+def look_at_stop_note(settings: Settings) -> str:
+    """Look at the note of a stop by the guard: its text in one line; empty if this user may read none."""
+    note = StopNote.of(settings)
+    return note.read() if note.path is not None and os.access(note.path, os.R_OK) else ""
 
 
 def look_at_credentials(settings: Settings, files: Sequence[Path], now_s: float) -> list[Credential]:

@@ -1,7 +1,8 @@
 """Renewed keys and certificates: seen on the disk, tried, and taken over while the robot stands.
 
 Zenoh reads certificates once, when a session opens, and a gateway its keys when it starts. So a gateway whose
-files were replaced starts again by itself: never in a drive, while anybody holds the lease, or with a latch.
+files were replaced starts again by itself: never in a drive, or while anybody holds the lease. What is latched
+stays so: see ``gateway.command.carried``.
 """
 
 from __future__ import annotations
@@ -39,11 +40,12 @@ AGAIN_S: Final = 10.0
 CLOSE_TIMEOUT_S: Final = 3.0
 
 WAITS: Final = (
-    "the keys or certificates were renewed; the gateway starts again with them once the robot stands, nobody "
-    "holds its lease and nothing is latched"
+    "the keys or certificates were renewed; the gateway starts again with them once the robot stands, and nobody "
+    "holds its lease or asks anything for 5 s"
 )
 
-Stamp = tuple[tuple[int, int, int] | None, ...]
+FileStamp = tuple[int, int, int, int, int]
+Stamp = tuple[FileStamp | None, ...]
 
 
 class Renewal:
@@ -150,10 +152,10 @@ class Renewal:
         return now
 
 
-def _stamp(file: Path) -> tuple[int, int, int] | None:
-    """Return times and number that change when a file is replaced; None if it is missing."""
+def _stamp(file: Path) -> FileStamp | None:
+    """Return numbers that change when a file is replaced, or given to others; None if it is missing."""
     try:
         found = file.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_ino, found.st_size
+    return found.st_mtime_ns, found.st_ino, found.st_size, found.st_mode, found.st_uid

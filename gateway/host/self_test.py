@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
-from gateway.authority.self_test import access_fault, admission_fault
+from gateway.authority.self_test import UNDER_WAY, access_fault, admission_fault
 from gateway.authority.transport import SHUT_OUT_FILE, TLS_KEY_FILE, TransportRole
 from gateway.provisioning.key_files import directory_of
 from gateway.provisioning.tls_files import check_shut_out
@@ -28,8 +28,6 @@ from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_link import is_loopback, own_endpoint
 
 log = logging.getLogger(__name__)
-
-UNDER_WAY: Final = "it is under way: 'cruiser why' says when it has passed"
 
 LOOK_S: Final = 0.5
 """Period at which a new router is looked for, and at which one that is away is tried again."""
@@ -51,7 +49,7 @@ class SessionHolder(Protocol):
 
     @property
     def session(self) -> Any:  # noqa: ANN401 - Zenoh's
-        """The session."""
+        """The session; None as long as the robot is off the network."""
         ...
 
 
@@ -120,7 +118,7 @@ class SelfTest:
         if fault or not self._place.is_secured:
             self._give(fault)
             return
-        self._give(UNDER_WAY)
+        self._give(files_fault(self._settings) or UNDER_WAY)
         self._thread.start()
 
     def close(self) -> None:
@@ -136,7 +134,7 @@ class SelfTest:
         if not self._place.is_secured:
             # Only this machine reaches it, as in open mode; and whoever commands it signs.
             return ""
-        return endpoint_fault(self._place) or files_fault(self._settings)
+        return endpoint_fault(self._place)
 
     def _run(self) -> None:
         away = plain(", ".join((*self._place.connect, *self._place.listen)))
@@ -159,7 +157,14 @@ class SelfTest:
             self._ends.wait(LOOK_S)
 
     def _network_fault(self) -> str | None:
-        """Return an act that is not denied at some endpoint; empty if all are, None if no endpoint answers."""
+        """Return an act that is not denied at some endpoint; empty if all are, None if no endpoint is reached.
+
+        First of all what is wrong with the files, which may be mended since, or be right once the clock is set.
+        """
+        if fault := files_fault(self._settings):
+            return fault
+        if self._node.session is None:
+            return None
         try:
             return self._try_endpoints()
         except CommandError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from typing import Final
@@ -10,16 +11,25 @@ from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
 from gateway.authority.robot_authority import Kept, RobotAuthority, resume
 from gateway.authority.signer import RobotSigner
+from gateway.authority.silence import AuthoritySilence
 from gateway.core import Core
-from gateway.host.authority_note import AuthorityNote
+from gateway.host.authority_note import CURE, AuthorityNote
 from gateway.provisioning.key_files import directory_of, read_identity
 from gateway.provisioning.tls_files import certificate_ends_s
+from schemas.authority.chain import FormerHeads
 from schemas.authority.statement import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
 BOOT_BYTES: Final = 8
+
+AHEAD_S: Final = 3600
+"""A note of a later time than this after the clock's is said."""
+
+_DAY_S: Final = 86_400
+
+log = logging.getLogger(__name__)
 
 
 class SignedMode:
@@ -43,19 +53,28 @@ class SignedMode:
         kept = self._note.read()
         if isinstance(kept, str):
             raise CommandError(kept, ExitCode.USAGE)
+        former = _bytes_of(kept.last_heads)
         resumed = resume(identity.trust, kept)
         if isinstance(resumed, Objection):
-            raise CommandError(
-                f"{self._note.path}: {resumed.text}; 'cruiser provision robot' anew", ExitCode.USAGE
-            )
+            raise CommandError(f"{self._note.path}: {resumed.text}; {CURE}", ExitCode.USAGE)
         trust, kept = resumed
-        signer = RobotSigner(identity.private, os.urandom(BOOT_BYTES))
+        ahead_s = kept.newest_s - int(time.time())
+        if ahead_s > AHEAD_S:
+            log.warning(
+                "%s: the newest time in it is %.1f days after this computer's clock, and grants are judged by it. "
+                "Set the clock if that is behind; if the time in the file is wrong, %s",
+                self._note.path,
+                ahead_s / _DAY_S,
+                CURE,
+            )
+        signer = RobotSigner(identity.private, os.urandom(BOOT_BYTES), former)
         boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
         self.authority = RobotAuthority(
             settings,
             SignedAdmission(settings, trust, signer, core.challenge_age_ns),
             signer,
-            TimeFloor(kept.floor_s, boot_ns),
+            TimeFloor(kept.floor_s, boot_ns, kept.words),
+            AuthoritySilence(boot_ns, kept.silent_on_s, kept.silent_since_s),
             _own(identity.chain, kept, trust, settings),
             kept,
         )
@@ -71,6 +90,15 @@ class SignedMode:
     def close(self) -> None:
         """Wait for what is being saved."""
         self._note.close()
+
+
+def _bytes_of(last_heads: str) -> bytes:
+    """The name of the former run's last heads; none if the note holds something else in its place."""
+    try:
+        said = bytes.fromhex(last_heads)
+    except ValueError:
+        return b""
+    return said if FormerHeads.read(said) is not None else b""
 
 
 def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings) -> list[Signed]:

@@ -17,7 +17,7 @@ from queue import SimpleQueue
 from typing import Final, Self
 
 from gateway.host.realtime import request_realtime
-from gateway.host.state_directory import state_directory
+from gateway.host.state_directory import state_directory, sync_directory
 from schemas.printable import plain
 from schemas.settings import Settings
 
@@ -73,6 +73,8 @@ class StopNote:
             return ""
         except OSError as error:
             return f"the note {self.path} cannot be read: {error.strerror}"
+        if not content:
+            return f"the note {self.path} is empty: the disk was full"
         lines = content.decode(errors="backslashreplace").splitlines()
         if not content.endswith(b"\n") or not all(map(_is_whole, lines)):
             return f"the note {self.path} is damaged: {plain(' / '.join(lines))}"
@@ -111,7 +113,7 @@ class StopNote:
             finally:
                 # On a full disk the note is empty, and latches all the same.
                 unfinished.replace(self.path)
-            _sync(self.path.parent)
+            sync_directory(self.path.parent)
         else:
             is_full = os.fstat(descriptor).st_size + len(content) > NOTE_MAX_BYTES
             _write(descriptor, b"" if is_full else content)
@@ -125,7 +127,7 @@ class StopNote:
         if self.path is not None:
             with suppress(FileNotFoundError):
                 self.path.unlink()
-                _sync(self.path.parent)
+                sync_directory(self.path.parent)
 
 
 class NoteWriter:
@@ -205,14 +207,6 @@ def _is_whole(line: str) -> bool:
 def _write(descriptor: int, content: bytes) -> None:
     try:
         os.write(descriptor, content)
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _sync(directory: Path) -> None:
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)

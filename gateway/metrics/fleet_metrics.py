@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import product
 from typing import Final
 
 from prometheus_client import Metric
@@ -19,6 +20,7 @@ from schemas.decisions import SafetyState
 from schemas.messages import SEQUENCE_MAX, FrameHealth, GatewayHealth, Message, RobotState
 from schemas.recording import RecorderHealth
 from schemas.subjects import BY_TYPE
+from schemas.versions import other_version
 
 STALE_NS: Final[dict[type[Message], int]] = {
     GatewayHealth: HEALTH_STALE_NS,
@@ -41,6 +43,10 @@ FORGOTTEN_NS: Final = 7 * 86_400 * 1_000_000_000
 GAP_MAX: Final = 100_000
 """A step of the sequence by more is a sender that began anew, not a loss."""
 
+DAMAGED: Final = "damaged"
+UNREADABLE: Final = ("newer", "older", DAMAGED)
+"""Why a sample cannot be read: its schema is of a newer or an older version than here, or it is damaged."""
+
 _MEASURES: Final = {kind: measures(kind, prefix) for kind, prefix in PREFIXES.items()}
 
 
@@ -52,7 +58,8 @@ class _Source:
         heard_ns: when anything of it came last.
         health_wall_s: when its health came last, seconds since 1970; 0 before the first.
         newest: of each class of messages, the newest, with the time before which it did not arrive.
-        received, lost, unreadable: samples by subject; those that are lost by the gaps in their sequence.
+        received, lost: samples by subject; those that are lost by the gaps in their sequence.
+        unreadable: samples by subject, and why they cannot be read.
     """
 
     def __init__(self) -> None:
@@ -62,7 +69,7 @@ class _Source:
         self.newest: dict[type[Message], tuple[Message, int]] = {}
         self.received: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
-        self.unreadable: Counter[str] = Counter()
+        self.unreadable: Counter[tuple[str, str]] = Counter()
         self._next: dict[str, int] = {}
 
     def receive(self, subject: str, message: Message, since_ns: int) -> None:
@@ -186,7 +193,8 @@ class FleetMetrics:
         if source is None:
             return
         if isinstance(message, PayloadFault):
-            source.unreadable[parts.subject.name] += 1
+            reason = other_version(received.encoding, parts.subject.encoding) or DAMAGED
+            source.unreadable[parts.subject.name, reason] += 1
             return
         source.receive(parts.subject.name, message, since_ns)
         if isinstance(message, sources.kinds[0]):
@@ -234,18 +242,24 @@ def _presence(sources: _Sources, now_ns: int) -> Iterator[Metric]:
         for what, about in (
             ("received", "Samples that reached the exporter."),
             ("lost", "Samples that did not reach the exporter, by the gaps in their sequence."),
-            ("unreadable", "Samples that the exporter could not read."),
         )
     ]
+    unreadable = CounterMetricFamily(
+        f"{prefix}_samples_unreadable",
+        "Samples that the exporter could not read: of a newer or an older version of their schema, or damaged.",
+        labels=[*label, "subject", "reason"],
+    )
     for name, source in sources.all():
         up.add_metric([name], source.fresh(sources.kinds[0], now_ns) is not None)
         if source.health_wall_s:
             last.add_metric([name], source.health_wall_s)
-        for family, counts in zip(by_subject, (source.received, source.lost, source.unreadable), strict=True):
-            for kind in sources.kinds:
-                subject = BY_TYPE[kind].name
+        subjects = [BY_TYPE[kind].name for kind in sources.kinds]
+        for family, counts in zip(by_subject, (source.received, source.lost), strict=True):
+            for subject in subjects:
                 family.add_metric([name, subject], counts[subject])
-    yield from (up, last, *by_subject)
+        for subject, reason in product(subjects, UNREADABLE):
+            unreadable.add_metric([name, subject, reason], source.unreadable[subject, reason])
+    yield from (up, last, *by_subject, unreadable)
 
 
 def _info(

@@ -142,6 +142,33 @@ def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool
     return _raw(certificate.public_key()) == _raw(key.public_key())
 
 
+def is_issued(chain: Sequence[x509.Certificate], roots: Sequence[x509.Certificate]) -> bool:
+    """Return True if each certificate is signed by the next one, and the last by a root (RFC 5280, 6.1).
+
+    Args:
+        chain: of a node, its own first.
+        roots: of the network's authorities.
+    """
+    above = [one for one in chain[1:] if one not in roots]
+    return all(
+        any(_is_signer(signer, one) for signer in signers)
+        for one, signers in zip((chain[0], *above), (*([one] for one in above), roots), strict=True)
+    )
+
+
+def _is_signer(above: x509.Certificate, below: x509.Certificate) -> bool:
+    try:
+        below.verify_directly_issued_by(above)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
+def begins_s(certificate: x509.Certificate) -> int:
+    """The beginning of a certificate, seconds since 1970."""
+    return int(certificate.not_valid_before_utc.timestamp())
+
+
 def expires_s(certificate: x509.Certificate) -> int:
     """The end of a certificate, seconds since 1970."""
     return int(certificate.not_valid_after_utc.timestamp())
@@ -154,6 +181,12 @@ def names_of(certificate: x509.Certificate) -> list[str]:
     except x509.ExtensionNotFound:
         return []
     return _names(found)
+
+
+def common_name_of(certificate: x509.Certificate) -> str:
+    """The common name of a certificate: the role of its holder. Empty if it has none."""
+    commons = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(commons[0].value) if commons else ""
 
 
 def _request(text: str) -> x509.CertificateSigningRequest:

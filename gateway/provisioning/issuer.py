@@ -26,9 +26,9 @@ from gateway.provisioning.certificates import (
     new_key,
     read_request,
 )
-from gateway.provisioning.key_store import KeyStore
+from gateway.provisioning.key_store import STANDBY_FILE, KeyStore
 from gateway.provisioning.machine_keys import FLEET_FILE, SITE_CA_FILE, SITE_CA_KEY
-from schemas.authority.identity import AUTHORITY_FILE
+from schemas.authority.identity import AUTHORITY_FILE, INSTALLED, installed, remade
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import (
     TEXT_MAX_BYTES,
@@ -44,11 +44,11 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import AuthorityKeys, Objection
+from schemas.authority.trust import AuthorityKeys, Objection, in_utc
 from schemas.exit_codes import CommandError, ExitCode
 
 AUTHORITY_KEY, CA_KEY, SITE_KEY, SITE_GRANT = "authority.key", "ca.key", "site.key", "site.grant"
-STANDBY_KEY, STANDBY_FILE = "standby.key", "standby.pub"
+STANDBY_KEY: Final = "standby.key"
 SERIALS_FILE, ISSUED_FILE, REVOCATIONS_FILE = "serials.json", "issued.jsonl", "revocations.statement"
 
 BACKDATED_S: Final = 300
@@ -63,7 +63,7 @@ _ROLES: Final = {
     EnrolmentRole.RECORDER: GrantRole.RECORDER,
 }
 _AUTHORITY_CURE: Final = "'cruiser provision authority' makes it"
-_SITE_CURE: Final = "'cruiser provision site' makes it"
+_SITE_CURE: Final = remade("site")
 
 
 class Serials(msgspec.Struct, frozen=True):
@@ -137,7 +137,7 @@ class Issuer:
                 f"neither an authority's key nor a site's is in {store.directory}: --directory says where it is",
                 ExitCode.USAGE,
             )
-        chain = store.chain(SITE_GRANT, "'cruiser provision install' writes it")
+        chain = store.chain(SITE_GRANT, INSTALLED)
         return cls(store, store.ed25519(SITE_KEY, _SITE_CURE), chain)
 
     @property
@@ -146,34 +146,42 @@ class Issuer:
         return bool(self.chain)
 
     @property
+    def _cure(self) -> str:
+        """The cure for what the authority made."""
+        return installed("site") if self.is_site else _AUTHORITY_CURE
+
+    @property
     def authority(self) -> AuthorityKeys:
         """The fleet's authority."""
-        return self.store.read_as(AUTHORITY_FILE, AuthorityKeys, _AUTHORITY_CURE)
+        return self.store.read_as(AUTHORITY_FILE, AuthorityKeys, self._cure)
 
     def sign(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> tuple[bytes, Grant | None]:
         """Let somebody in. Returns the bundle and the grant that is in it.
 
         Raises:
-            CommandError: the request contradicts itself, or asks a site for what it may not give.
+            CommandError: the request contradicts itself, is of a key that was revoked, or asks a site for what it
+                may not give.
         """
         name, role = request.names[0], request.role
-        applicant = read_request(request.csr)
-        if applicant.role != role.value or sorted(applicant.names) != sorted(request.names):
-            raise CommandError("the request and its certificate's request name different people", ExitCode.USAGE)
+        if request.csr:
+            applicant = read_request(request.csr)
+            if applicant.role != role.value or sorted(applicant.names) != sorted(request.names):
+                raise CertificateError("the request and its certificate's request name different people")
         if self.is_site and role not in BY_SITES:
             raise CommandError(f"the authority alone lets a {role.value} in", ExitCode.USAGE)
         if self.is_site and wanted.lasts_s > SITE_MAX_S:
             raise CommandError(f"a site lets nobody in for more than {SITE_MAX_S // 3600} h", ExitCode.USAGE)
+        self._refuse_revoked(request)
         chain = self._grant(request, wanted, now_s) if role.is_granted else []
-        fleet = self.store.read_as(FLEET_FILE, FleetPlace, _AUTHORITY_CURE)
+        fleet = self.store.read_as(FLEET_FILE, FleetPlace, self._cure)
         bundle = Bundle(
             role=role,
             name=name,
             authority=self.authority,
             fleet=fleet,
-            certificate=self._certify(request, now_s, wanted),
+            certificate=self._certify(request, now_s, wanted) if request.csr else "",
             shut_out=self._shut_out(request, now_s),
-            ca=self.store.read(CA_FILE, _AUTHORITY_CURE).decode(),
+            ca=self.store.read(CA_FILE, self._cure).decode(),
             chain=chain_text(chain),
             signer=chain_text(self.chain),
         )
@@ -189,6 +197,17 @@ class Issuer:
         )
         self.store.append(ISSUED_FILE, msgspec.json.encode(entry).decode())
         return bundle_text(bundle, self._private), grant if isinstance(grant, Grant) else None
+
+    def _refuse_revoked(self, request: EnrolmentRequest) -> None:
+        """No robot takes a new grant of a key that was revoked either."""
+        revoked = self._revoked()
+        if request.key in revoked.keys:
+            who = request.role.value
+            raise CommandError(
+                f"the key of {who} {request.names[0]} was revoked: {self.store.path(REVOCATIONS_FILE)}, list "
+                f"{revoked.serial} of {in_utc(revoked.at)}; {remade(who)}",
+                ExitCode.USAGE,
+            )
 
     def last_grant(self, request: EnrolmentRequest) -> Grant | None:
         """Return the last grant to the same key in the same role and name; None if there is none."""
@@ -297,7 +316,7 @@ class Issuer:
 
     def _network(self) -> tuple[EllipticCurvePrivateKey, str, Path]:
         """The key that signs certificates, its own certificates, and where these are."""
-        names = (SITE_CA_KEY, SITE_CA_FILE, _SITE_CURE) if self.is_site else (CA_KEY, CA_FILE, _AUTHORITY_CURE)
+        names = (SITE_CA_KEY, SITE_CA_FILE, self._cure) if self.is_site else (CA_KEY, CA_FILE, _AUTHORITY_CURE)
         key_name, certificate_name, cure = names
         return (
             self.store.p256(key_name, cure),

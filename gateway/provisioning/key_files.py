@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 from gateway.provisioning.key_store import find
-from schemas.authority import identity
+from schemas.authority import identity, key_directory
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, Identity
 from schemas.authority.trust import Trust
 from schemas.settings import AuthoritySettings
@@ -18,7 +18,7 @@ from schemas.settings import AuthoritySettings
 
 def directory_of(settings: AuthoritySettings) -> Path:
     """The directory that the settings name; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
-    return Path(identity.directory_of(settings, os.environ, Path.home()))
+    return Path(key_directory.directory_of(settings, os.environ, Path.home()))
 
 
 def read_identity(directory: Path, who: str) -> Identity:
@@ -31,17 +31,17 @@ def read_identity(directory: Path, who: str) -> Identity:
     Raises:
         CommandError: a file is missing, unreadable, readable for others, or not what it should be.
     """
-    key, grant, authority = (
-        find(directory / name.format(who=who), identity.again(who))
-        for name in (KEY_FILE, GRANT_FILE, AUTHORITY_FILE)
+    key = find(directory / KEY_FILE.format(who=who), identity.made(who))
+    grant, authority = (
+        find(directory / name.format(who=who), identity.installed(who)) for name in (GRANT_FILE, AUTHORITY_FILE)
     )
     return identity.identity_of(key, grant, authority, who)
 
 
 def read_trust(directory: Path, who: str = "viewer") -> Trust:
-    """Read the keys of the fleet's authority.
+    """Read the keys of the fleet's authority, as somebody in this role has them.
 
     Raises:
         CommandError: the file is missing, unreadable or damaged.
     """
-    return identity.trust_of(find(directory / AUTHORITY_FILE, identity.again(who)), who)
+    return identity.trust_of(find(directory / AUTHORITY_FILE, identity.installed(who)), who)

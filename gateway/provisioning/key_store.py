@@ -1,4 +1,4 @@
-"""The directory of keys, certificates and grants: files that are their owner's alone, and are not overwritten.
+"""The directory of keys, certificates and grants: what is secret is its owner's alone, and nothing is overwritten.
 
 Everything that is wrong is one line that names the file and the cure.
 """
@@ -27,15 +27,22 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from schemas.authority.identity import FoundFile, check_owner, not_found
+from gateway.authority.transport import CA_FILE
+from schemas.authority.identity import AUTHORITY_FILE, FoundFile, check_owner, not_found
 from schemas.authority.statement import Signed, StatementFault, read_chain
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.file_kinds import check_regular
 from schemas.printable import plain
 
 PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey
 _T = TypeVar("_T")
 
 FILE_MAX_BYTES: Final = 4_000_000
+
+STANDBY_FILE: Final = "standby.pub"
+
+PUBLIC: Final = frozenset({STANDBY_FILE, AUTHORITY_FILE, CA_FILE})
+"""Files that are copied to others, who have to read them: public keys of standby, authority and network."""
 
 
 class Passphrase:
@@ -137,7 +144,8 @@ class KeyStore:
             raise CommandError(f"{plain(str(self.directory))} cannot be made: {error.strerror}") from error
         self._check_directory()
         for name, text in files.items():
-            write_private(self.path(name), text, replace=replace)
+            write = write_public if name in PUBLIC else write_private
+            write(self.path(name), text, replace=replace)
 
     def append(self, name: str, line: str) -> None:
         """Add a line to a file.
@@ -238,18 +246,19 @@ class KeyStore:
     def _check_directory(self) -> None:
         found, shown = self.directory.stat(), plain(str(self.directory))
         if found.st_uid not in {0, os.geteuid()}:
-            raise CommandError(f"{shown} belongs to another user: chown it to yours", ExitCode.USAGE)
+            raise CommandError(f"{shown} belongs to another user; chown it to yours", ExitCode.USAGE)
         if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            raise CommandError(f"{shown} can be written by others: chmod 700 {shown}", ExitCode.USAGE)
+            raise CommandError(f"{shown} can be written by others; chmod 700 {shown}", ExitCode.USAGE)
 
 
 def find(path: Path, cure: str = "") -> FoundFile:
     """A file, which is not large, with what it takes to judge whose it is.
 
     Raises:
-        CommandError: it is missing, too large, or cannot be read.
+        CommandError: it is missing, too large, no regular file, or cannot be read.
     """
     try:
+        check_regular(path, path.stat().st_mode)
         with path.open("rb") as file:
             status = os.fstat(file.fileno())
             content = file.read(FILE_MAX_BYTES + 1)
@@ -297,15 +306,28 @@ def replace_whole(path: Path, text: str, mode: int) -> None:
 
 
 def write_private(path: Path, text: str, *, replace: bool) -> None:
-    """Write a file of mode 0600: whole, or not at all; through no link.
+    """Write a file that is its owner's alone: whole, or not at all; through no link.
+
+    Raises:
+        CommandError: see ``write_public``.
+    """
+    _write(path, text, 0o600, replace=replace)
+
+
+def write_public(path: Path, text: str, *, replace: bool) -> None:
+    """Write a file that is given to others, for everybody to read: whole, or not at all; through no link.
 
     Raises:
         CommandError: it is there already and not to be replaced, or cannot be written.
     """
+    _write(path, text, 0o644, replace=replace)
+
+
+def _write(path: Path, text: str, mode: int, *, replace: bool) -> None:
     shown = plain(str(path))
     try:
         if not replace and os.path.lexists(path):
             raise CommandError(f"{shown} is there already; --replace writes over", ExitCode.USAGE)
-        replace_whole(path, text, 0o600)
+        replace_whole(path, text, mode)
     except OSError as error:
         raise CommandError(f"{shown} cannot be written: {error.strerror}") from error

@@ -35,10 +35,11 @@ from gateway.provisioning.certificates import (
 )
 from gateway.provisioning.certificates import new_request as certificate_request
 from gateway.provisioning.key_store import KeyStore, naming
-from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE
+from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, INSTALLED, KEY_FILE, remade
 from schemas.authority.statement import Grant, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
 
 FLEET_FILE: Final = "fleet.json"
 ZENOH_FILE, SETTINGS_FILE = "{who}.json5", "{who}.toml"
@@ -73,20 +74,34 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
 
 
 def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
-    """The names under which somebody was let in here.
+    """The names under which somebody was let in here: of the grant, or else of the certificate.
 
     Raises:
         CommandError: the grant or the certificate is missing or wrong.
     """
     if role.is_granted:
-        name = GRANT_FILE.format(who=role.value)
-        statement = store.chain(name, _INSTALLED)[0].statement
-        if not isinstance(statement, Grant):
-            raise CommandError(f"{store.path(name)} is no grant; {_made_by(role)}", ExitCode.USAGE)
-        return [statement.name]
+        try:
+            return [_granted_name(store, role)]
+        except CommandError:
+            # A grant that is lost or damaged is what a renewal cures. A site's certificate has no names.
+            if not store.has(_certificate_name(role)) or not (names := _certified_names(store, role)):
+                raise
+            return names
+    return _certified_names(store, role)
+
+
+def _granted_name(store: KeyStore, role: EnrolmentRole) -> str:
+    name = GRANT_FILE.format(who=role.value)
+    statement = store.chain(name, INSTALLED)[0].statement
+    if not isinstance(statement, Grant):
+        raise CommandError(f"{plain(str(store.path(name)))} is no grant; {remade(role.value)}", ExitCode.USAGE)
+    return statement.name
+
+
+def _certified_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
     name = _certificate_name(role)
-    text = store.read(name, _INSTALLED).decode(errors="replace")
-    with naming(store.path(name), _made_by(role)):
+    text = store.read(name, INSTALLED).decode(errors="replace")
+    with naming(plain(str(store.path(name))), remade(role.value)):
         return names_of(read_certificates(text)[0])
 
 
@@ -96,7 +111,7 @@ def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> Enrolme
     Raises:
         CommandError: a key is missing or wrong.
     """
-    cure = _made_by(role)
+    cure = remade(role.value)
     tls = store.p256(tls_key_name(role), cure)
     private = store.ed25519(KEY_FILE.format(who=role.value), cure) if role.is_granted else None
     return new_request(role, names, certificate_request(tls, role.value, names), private)
@@ -136,7 +151,7 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
         CA_FILE: bundle.ca,
         FLEET_FILE: _json(bundle.fleet),
     }
-    changed = [name for name in SHARED if store.has(name) and store.read(name, "").decode() != shared[name]]
+    changed = [name for name in SHARED if store.has(name) and store.read(name, "") != shared[name].encode()]
     is_new = AUTHORITY_FILE in changed
     if changed and not replace:
         what = "another authority's" if is_new else "different"
@@ -153,9 +168,6 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
     return Installed([*own, *shared], until_s, is_new)
 
 
-_INSTALLED: Final = "'cruiser provision install' writes it"
-
-
 def tls_key_name(role: EnrolmentRole) -> str:
     """The file of the key of its certificate."""
     return SITE_CA_KEY if role is EnrolmentRole.SITE else TLS_KEY_FILE.format(who=role.value)
@@ -165,26 +177,41 @@ def _certificate_name(role: EnrolmentRole) -> str:
     return SITE_CA_FILE if role is EnrolmentRole.SITE else CERTIFICATE_FILE.format(who=role.value)
 
 
-def _made_by(role: EnrolmentRole) -> str:
-    return f"'cruiser provision {role.value}' makes it"
-
-
 def _check_certificate(store: KeyStore, bundle: Bundle) -> int:
     with naming("the bundle's certificate"):
         certificate = read_certificates(bundle.certificate)[0]
         read_certificates(bundle.ca)
     name = tls_key_name(bundle.role)
-    if not fits(certificate, store.p256(name, _made_by(bundle.role))):
-        raise CommandError(f"the bundle is not for {store.path(name)}: it answers another request", ExitCode.USAGE)
+    if not store.has(name):
+        raise CommandError(
+            f"the bundle is for {_holder(bundle)}, whose keys are not in {plain(str(store.directory))}: "
+            "install it where the request was made; --directory says where the keys are",
+            ExitCode.USAGE,
+        )
+    if not fits(certificate, store.p256(name, remade(bundle.role.value))):
+        raise _other_request(store, name, bundle)
     return expires_s(certificate)
 
 
 def _check_grant(store: KeyStore, bundle: Bundle) -> None:
     name = KEY_FILE.format(who=bundle.role.value)
-    public = store.ed25519(name, _made_by(bundle.role)).public_key().public_bytes_raw().hex()
+    public = store.ed25519(name, remade(bundle.role.value)).public_key().public_bytes_raw().hex()
     chain = read_chain(bundle.chain.encode())
     if isinstance(chain, StatementFault) or getattr(chain[0].statement, "key", "") != public:
-        raise CommandError(f"the bundle is not for {store.path(name)}: it answers another request", ExitCode.USAGE)
+        raise _other_request(store, name, bundle)
+
+
+def _other_request(store: KeyStore, name: str, bundle: Bundle) -> CommandError:
+    return CommandError(
+        f"the bundle is for {_holder(bundle)}, and answers another request than that of "
+        f"{plain(str(store.path(name)))}: install it where that one was made, or ask with these keys "
+        f"('cruiser provision renew {bundle.role.value}')",
+        ExitCode.USAGE,
+    )
+
+
+def _holder(bundle: Bundle) -> str:
+    return f"{bundle.role.value} {plain(bundle.name)}"
 
 
 def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:

@@ -11,13 +11,15 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import msgspec
 import zenoh
+from zenoh import ext
 
 from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from schemas import keys
+from schemas.decisions import SafetyEvent
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.printable import plain
@@ -28,6 +30,7 @@ from schemas.zenoh_link import (
     LEASE,
     PROTOCOLS,
     Json,
+    SessionError,
     ZenohChoice,
     allows,
     finds_router,
@@ -52,6 +55,12 @@ SAMPLES_WAITING: Final = 16_384
 Those of 400 robots in two seconds: a process on a busy machine is held up, and shall not lose any.
 """
 
+EVENTS_OF_BEFORE: Final = 50
+"""The number of earlier events of a robot that a new listener receives."""
+
+EVENTS_PER_LOOK: Final = 256
+"""Events of all robots that are taken at a time, some milliseconds to read; the others wait for the next look."""
+
 REPLIES_WAITING: Final = 16_384
 """Replies to one question that may wait to be polled; beyond it the oldest go. A fleet's stop has one a robot."""
 
@@ -64,6 +73,10 @@ ROBOT_RECEIVES_BYTES: Final = 1 << 20
 What a robot receives are requests of up to 1 KiB, questions, and what nodes tell each other of the network.
 """
 
+ROBOT_CONNECTS_MS: Final = {"router": -1, "peer": -1, "client": 2000}
+"""A robot's client tries so long to connect when it opens, by mode. Without it: 10 s where no answer comes."""
+
+_CONNECT_TIMEOUT: Final = "connect/timeout_ms"
 _MAX_MESSAGE: Final = "transport/link/rx/max_message_size"
 _WAIT_BEFORE_CLOSE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
@@ -79,8 +92,9 @@ def open_session(
 
     A peer's session opens although nobody answers, and goes on trying in the background. Where none are given
     here, it connects to the endpoints of the Zenoh configuration file. It listens on those given here and on no
-    others. ``block_max_us`` cuts off whoever takes nothing for this time while somebody waits to send to it;
-    Zenoh's own is 5 s. ``changes`` are entries of Zenoh's configuration by path, over all else.
+    others. ``block_max_us`` is a robot's: it cuts off whoever takes nothing for this time while somebody waits to
+    send to it (Zenoh's own is 5 s), and a client's session gives its router up after a bounded time. ``changes``
+    are entries of Zenoh's configuration by path, over all else.
 
     Raises:
         CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
@@ -92,10 +106,12 @@ def open_session(
         config.insert_json5(_WAIT_BEFORE_CLOSE, str(block_max_us))
         if _of_file(config, _MAX_MESSAGE) is None:
             config.insert_json5(_MAX_MESSAGE, str(ROBOT_RECEIVES_BYTES))
+        if _of_file(base_configuration(settings), _CONNECT_TIMEOUT) is None:
+            config.insert_json5(_CONNECT_TIMEOUT, json.dumps(ROBOT_CONNECTS_MS))
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise CommandError(f"cannot open Zenoh: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        raise SessionError("cannot open Zenoh", str(error), settings.config) from error
 
 
 def open_towards_robots(settings: ZenohSettings) -> zenoh.Session:
@@ -239,6 +255,7 @@ class PendingQuery:
 
     Attributes:
         handler: to be given to the query.
+        rejected: replies that are not of whom they should be; to be taken out by whoever wants them.
         is_over: no further reply will come.
         timed_out: it ended before everybody who was asked had answered.
     """
@@ -250,6 +267,7 @@ class PendingQuery:
             accepts: is a reply of whom it should be? One that is not counts as none.
         """
         self._accepts = accepts
+        self.rejected: deque[Received] = deque(maxlen=REPLIES_WAITING)
         self.is_over = False
         self.timed_out = False
         self._arrived: deque[zenoh.Reply] = deque(maxlen=REPLIES_WAITING)
@@ -269,8 +287,8 @@ class PendingQuery:
             sample = reply.ok
             if sample is not None:
                 received = received_of(sample)
-                if self._accepts is None or self._accepts(received):
-                    found.append(received)
+                is_accepted = self._accepts is None or self._accepts(received)
+                (found if is_accepted else self.rejected).append(received)
             elif reply.err is not None and reply.err.payload.to_bytes() == _TIMEOUT:
                 self.timed_out = True
         self.is_over = is_over
@@ -365,7 +383,7 @@ class RobotListener(SessionOwner):
         super().__init__(session)
         chunk = name or "*"
         # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
-        self._samples = tuple(
+        self._samples: tuple[Any, ...] = tuple(
             session.declare_subscriber(
                 f"{robot.root}/{chunk}/{BY_NAME[subject].name}", zenoh.handlers.RingChannel(SAMPLES_WAITING)
             )
@@ -421,3 +439,24 @@ class FleetListener(RobotListener):
         key = keys.of_recorder(robot.root, keys.ALL, BY_TYPE[RecorderHealth].name)
         health = session.declare_subscriber(key, zenoh.handlers.RingChannel(SAMPLES_WAITING))
         self._samples = (*self._samples, health)
+
+
+class DeskListener(FleetListener):
+    """Receives the events of all robots too, and those of before."""
+
+    def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
+        """Subscribe on a session, which the listener then owns; see ``RobotListener``."""
+        super().__init__(session, robot, name)
+        events = ext.declare_advanced_subscriber(
+            session,
+            f"{robot.root}/{name or '*'}/{BY_TYPE[SafetyEvent].name}",
+            zenoh.handlers.RingChannel(SAMPLES_WAITING),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=EVENTS_OF_BEFORE),
+            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+        )
+        self._events = events
+
+    def drain(self) -> Iterator[Arrival]:
+        """Yield the arrivals since the last call, a bounded number; of events a small one, since all are read."""
+        yield from super().drain()
+        yield from receive(self._events.try_recv, EVENTS_PER_LOOK)

@@ -3,7 +3,7 @@
 No Python of ours runs on Zenoh's threads: requests wait in ring channels that the loop drains. Where too many
 come, those of the lease's holder go first and the oldest of the others are dropped and counted. The holder's are
 those that carry the number of its lease: its name alone can be anybody's. Remote stops have rings of their own, so
-that no flood keeps one out.
+that no flood keeps one out; and since a key with a wildcard for its verb gets into them too, it counts as a stop.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
+from gateway.authority.statement_sieve import StatementSieve
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.zenoh.client import close_session, open_session
@@ -42,11 +43,8 @@ VERBS_WAITING: Final = 256
 DRIVES_WAITING: Final = 1024
 """Requests that may wait between two ticks; beyond it the oldest go, uncounted."""
 
-STATEMENTS_WAITING: Final = 16
-"""Statements of an authority that may wait; beyond it the oldest go."""
-
-STATEMENTS_PER_TICK: Final = 1
-"""Each may have several signatures, of 0.1 ms each."""
+STATEMENTS_WAITING: Final = 128
+"""Statements of an authority that may wait between two ticks, 1 ms to look at; beyond it the oldest go."""
 
 ATTACHMENT_MAX_BYTES: Final = 128
 """No proof is longer."""
@@ -76,7 +74,13 @@ class CommandInbox:
         drops: requests that were dropped unread since the start, because too many came.
     """
 
-    def __init__(self, session: zenoh.Session, settings: Settings, is_proven: Proof | None = None) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        settings: Settings,
+        is_proven: Proof | None = None,
+        sieve: StatementSieve[zenoh.Query] | None = None,
+    ) -> None:
         """Subscribe on a session, which the inbox then owns.
 
         Args:
@@ -84,6 +88,7 @@ class CommandInbox:
             settings: where the robot's name and root are.
             is_proven: does a request come from the lease's holder, by verb, payload and attachment? None where
                 nothing is signed.
+            sieve: chooses the statements that are verified in a tick; None where there is no authority.
         """
         self.drops = 0
         self._is_proven = is_proven
@@ -94,12 +99,14 @@ class CommandInbox:
         self._replier = Replier("command-replies")
         ring = zenoh.handlers.RingChannel
         stop, drive, verbs = (self._key(keys.ALL, verb) for verb in (STOP_VERB, DRIVE_VERB, keys.ALL))
+        self._any_stop = zenoh.KeyExpr(stop)
         self._stop_puts = session.declare_subscriber(stop, ring(STOPS_WAITING))
         self._stop_queries = session.declare_queryable(stop, ring(STOPS_WAITING), complete=True)
         self._verbs = session.declare_queryable(verbs, ring(VERBS_WAITING), complete=True)
         self._drives = session.declare_subscriber(drive, ring(DRIVES_WAITING))
+        self._sieve = sieve
         self._statements: Any = None
-        if is_proven is not None:
+        if sieve is not None:
             authority = keys.authority(self._root, self._robot)
             self._statements = session.declare_queryable(authority, ring(STATEMENTS_WAITING), complete=True)
 
@@ -121,8 +128,10 @@ class CommandInbox:
             lease: its number. What comes under the holder's name without it is another's.
             after: the sequence of the last drive that was accepted; what is not above it is a repetition.
         """
-        requests = [self._put(sample) for sample in _take(self._stop_puts.try_recv, STOPS_PER_TICK)]
-        requests += [self._query(query) for query in _take(self._stop_queries.try_recv, STOPS_PER_TICK)]
+        # All that is in these rings is a stop, whatever its key says: else what is none could displace one.
+        stops, asked = (_take(ring.try_recv, STOPS_PER_TICK) for ring in (self._stop_puts, self._stop_queries))
+        requests = [self._put(sample, STOP_VERB) for sample in stops]
+        requests += [self._query(query, STOP_VERB) for query in asked]
         # With the chunk before it: a holder may be called like a robot, or like the root.
         holders = f"/{COMMAND_CHUNK}/{holder}/" if holder else ""
 
@@ -135,17 +144,19 @@ class CommandInbox:
             )
 
         verbs = self._newest(_take(self._verbs.try_recv, VERBS_WAITING), VERBS_PER_TICK, is_holders)
-        # A wildcard query for a stop reaches this ring too; the stops' own has it already.
-        requests += [self._query(query) for query in verbs if not str(query.key_expr).endswith(f"/{STOP_VERB}")]
+        # A query for a stop, or for any verb, reaches this ring too; the stops' own has it already.
+        requests += [self._query(query) for query in verbs if not query.key_expr.intersects(self._any_stop)]
         drives = self._newest(_take(self._drives.try_recv, DRIVES_WAITING), DRIVES_PER_TICK, is_holders)
         requests += [self._put(sample) for sample in drives]
         return requests
 
     def statements(self) -> list[RawRequest]:
-        """The statements of an authority that wait, a bounded number."""
-        if self._statements is None:
+        """The statements of an authority that wait, a bounded number. Those that are not chosen get no answer."""
+        if self._sieve is None:
             return []
-        return [self._query(query) for query in _take(self._statements.try_recv, STATEMENTS_PER_TICK)]
+        arrived = _take(self._statements.try_recv, STATEMENTS_WAITING)
+        texts = ((_payload_of(query, TEXT_MAX_BYTES), query) for query in arrived)
+        return [self._query(query) for query in self._sieve.choose(texts)]
 
     def reply(self, reply: PendingReply) -> None:
         """Answer who waits for it."""
@@ -155,8 +166,9 @@ class CommandInbox:
         asked = str(query.key_expr)
         operator, verb = keys.parse_command(asked)
         command = BY_VERB.get(reply.verb)
-        # The query's own key may hold a wildcard for the robot.
-        key = self._key(operator, verb) if operator and verb == reply.verb and "*" not in verb else asked
+        # The query's own key may hold a wildcard for the robot; that of a stop for the verb too.
+        is_named = reply.verb in {verb, STOP_VERB}
+        key = self._key(operator, reply.verb) if operator and is_named and "*" not in reply.verb else asked
         if not reply.verb:
             key = keys.authority(self._root, self._robot)
         encoding = command.reply_encoding if command else PLAIN_REPLY if reply.verb else STATEMENT_REPLY_ENCODING
@@ -185,15 +197,15 @@ class CommandInbox:
         self.drops += len(arrived) - len(own) - len(others)
         return [*own, *others]
 
-    def _put(self, sample: zenoh.Sample) -> RawRequest:
-        operator, verb = keys.parse_command(str(sample.key_expr))
-        return _raw(0, verb, operator, sample)
+    def _put(self, sample: zenoh.Sample, verb: str = "") -> RawRequest:
+        operator, named = keys.parse_command(str(sample.key_expr))
+        return _raw(0, verb or named, operator, sample)
 
-    def _query(self, query: zenoh.Query) -> RawRequest:
+    def _query(self, query: zenoh.Query, verb: str = "") -> RawRequest:
         self._last_handle += 1
         self._queries[self._last_handle] = query
-        operator, verb = keys.parse_command(str(query.key_expr))
-        return _raw(self._last_handle, verb, operator, query)
+        operator, named = keys.parse_command(str(query.key_expr))
+        return _raw(self._last_handle, verb or named, operator, query)
 
 
 def _raw(handle: int, verb: str, operator: str, arrived: zenoh.Sample | zenoh.Query) -> RawRequest:
@@ -220,11 +232,16 @@ def version_fault(verb: str, encoding: zenoh.Encoding | None) -> str:
 
 def _bytes_of(arrived: zenoh.Sample | zenoh.Query, most: int = REQUEST_MAX_BYTES) -> tuple[bytes, bytes]:
     """Payload and attachment. What is larger than any can be is not even copied."""
-    payload, attachment = arrived.payload, arrived.attachment
+    attachment = arrived.attachment
     return (
-        b"" if payload is None or len(payload) > most else payload.to_bytes(),
+        _payload_of(arrived, most),
         b"" if attachment is None or len(attachment) > ATTACHMENT_MAX_BYTES else attachment.to_bytes(),
     )
+
+
+def _payload_of(arrived: zenoh.Sample | zenoh.Query, most: int) -> bytes:
+    payload = arrived.payload
+    return b"" if payload is None or len(payload) > most else payload.to_bytes()
 
 
 def _fits(payload: zenoh.ZBytes | None, lease: int, after: int) -> bool:
@@ -248,7 +265,12 @@ def _take(try_recv: Callable[[], Any], most: int) -> list[Any]:
     return taken
 
 
-def open_inbox(settings: Settings, place: ZenohPlace, is_proven: Proof | None = None) -> CommandInbox:
+def open_inbox(
+    settings: Settings,
+    place: ZenohPlace,
+    is_proven: Proof | None = None,
+    sieve: StatementSieve[zenoh.Query] | None = None,
+) -> CommandInbox:
     """Open the session for commands, beside that for telemetry.
 
     It connects where that one does, and to that one where it listens: who connects there reaches this session too.
@@ -270,7 +292,7 @@ def open_inbox(settings: Settings, place: ZenohPlace, is_proven: Proof | None = 
             "nor stop it; is there a certificate to connect with?",
             ", ".join(own),
         )
-    return CommandInbox(session, settings, is_proven)
+    return CommandInbox(session, settings, is_proven, sieve)
 
 
 def _finds(session: zenoh.Session, node: str) -> bool:

@@ -5,10 +5,11 @@ No Python of ours runs on Zenoh's threads: queries wait in a ring channel that t
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from queue import Empty, Full, Queue
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ import msgspec
 import zenoh
 from zenoh import ext
 
+from gateway.authority.name_proof import QUESTION_BYTES, NameProof, new_name_question
 from gateway.authority.signer import RobotSigner
 from gateway.telemetry.kept_samples import KeptSamples
 from gateway.telemetry.sample import Sample
@@ -29,7 +31,8 @@ from gateway.zenoh.client import (
     with_free_ports,
 )
 from schemas import keys
-from schemas.authority.proof import SIGNED
+from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED
+from schemas.authority.statement import TEXT_MAX_BYTES
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
@@ -74,6 +77,11 @@ INFO_TIMEOUT_S: Final = 1.0
 
 INFO_QUESTIONS: Final = 3
 """So often it is asked before it counts as none: others may ask it so much that a question is dropped."""
+
+ANSWERS_MAX: Final = 64
+"""Answers that are read to one question."""
+
+NAME_PROOF_MAX_BYTES: Final = ROBOT_PROOF_BYTES + TEXT_MAX_BYTES
 
 NEIGHBOUR_TIMEOUT_S: Final = 3.0
 """A Zenoh node that holds our port is connected within this time, or it is none."""
@@ -154,16 +162,24 @@ class ZenohNode:
         warning: a fact about its start that a person should know; empty if there is none.
     """
 
-    def __init__(self, session: zenoh.Session, settings: Settings, signer: RobotSigner | None = None) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        settings: Settings,
+        signer: RobotSigner | None = None,
+        name_proof: NameProof | None = None,
+    ) -> None:
         """Declare everything on a session, which the node then owns.
 
         Args:
             session: an open session.
             settings: for the robot's name and root.
             signer: signs the arbiter's state; None where nothing is signed.
+            name_proof: answers for the robot's name; None where nothing is signed.
         """
         robot = settings.robot
         self._signer = signer
+        self._name_proof = name_proof
         self.failures = 0
         self.warning = ""
         self._session = session
@@ -206,10 +222,29 @@ class ZenohNode:
         except zenoh.ZError as error:
             self._fail(error)
 
+    def resume(self, kept: Mapping[str, KeptSamples], recent: Iterable[Sample]) -> None:
+        """Begin with what was published before there was a session.
+
+        Args:
+            kept: the kept samples, by subject; they are this node's from now on.
+            recent: those that a late joiner can still get; none that is signed.
+        """
+        for name, samples in kept.items():
+            self._kept[name].samples = samples
+        for sample in recent:
+            try:
+                self._puts[sample.subject](sample.payload)
+            except zenoh.ZError as error:
+                self._fail(error)
+
     @property
     def session(self) -> zenoh.Session:
         """The session, for the gateway's test of itself."""
         return self._session
+
+    def notes(self) -> tuple[str, ...]:
+        """Nothing: it is on the network."""
+        return ()
 
     def routers(self) -> frozenset[str]:
         """The routers that it is connected to. One that was started again is another."""
@@ -238,7 +273,9 @@ class ZenohNode:
             query = self._queries.try_recv()
             if query is None:
                 break
-            self.replier.send(query, self._info_key, [reply()], self._info_encoding)
+            payload = reply()
+            proof = self._proof_of_name(query, payload)
+            self.replier.send(query, self._info_key, [payload], self._info_encoding, proof)
         for kept in self._kept.values():
             query = kept.queries.try_recv()
             if query is not None:
@@ -254,6 +291,13 @@ class ZenohNode:
         except zenoh.ZError as error:
             log.debug("leaving Zenoh: %s", error)
         close_session(self._session)
+
+    def _proof_of_name(self, query: zenoh.Query, payload: bytes) -> bytes:
+        """The attachment for who asks whether this name is taken; empty for all others."""
+        question = query.attachment
+        if self._name_proof is None or question is None or len(question) != QUESTION_BYTES:
+            return b""
+        return self._name_proof.attachment(payload, question.to_bytes())
 
     def _publish_signed(self, signer: RobotSigner, sample: Sample) -> None:
         """States with their proof; all else as it is, and what is chained as a link of its chain."""
@@ -301,8 +345,15 @@ class ZenohPlace(msgspec.Struct, frozen=True):
         return plain(", ".join(parts))
 
 
-def open_node(settings: Settings, signer: RobotSigner | None = None) -> tuple[ZenohNode, ZenohPlace]:
+def open_node(
+    settings: Settings, signer: RobotSigner | None = None, name_proof: NameProof | None = None
+) -> tuple[ZenohNode, ZenohPlace]:
     """Open the gateway's node. Returns it and where it is.
+
+    Args:
+        settings: the robot's name, and where it is reached.
+        signer: signs the arbiter's state; None where nothing is signed.
+        name_proof: answers for the robot's name, and judges who else does; None where nothing is signed.
 
     Raises:
         CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used; or a gateway of the
@@ -311,13 +362,18 @@ def open_node(settings: Settings, signer: RobotSigner | None = None) -> tuple[Ze
     session, place = _open_session(settings)
     try:
         _wait_for_link(session, place)
-        warning = _check_name_is_free(session, settings)
+        warning = _check_name_is_free(session, settings, name_proof)
     except CommandError:
         close_session(session)
         raise
-    node = ZenohNode(session, settings, signer)
+    node = ZenohNode(session, settings, signer, name_proof)
     node.warning = warning
     return node, place
+
+
+def client_place(settings: Settings) -> ZenohPlace:
+    """Return where a gateway will be that is a client, before it has a session."""
+    return ZenohPlace("", said_of(settings.zenoh).connect or [DEFAULT_ENDPOINT], is_client=True)
 
 
 def _wait_for_link(session: zenoh.Session, place: ZenohPlace) -> None:
@@ -327,12 +383,12 @@ def _wait_for_link(session: zenoh.Session, place: ZenohPlace) -> None:
         time.sleep(0.02)
 
 
-def _check_name_is_free(session: zenoh.Session, settings: Settings) -> str:
+def _check_name_is_free(session: zenoh.Session, settings: Settings, name_proof: NameProof | None) -> str:
     """Two gateways of one name would publish two robots as one that is in two places.
 
     The token of a gateway that has just died goes within the lease, so it is looked for more than once. A token
-    alone keeps no robot from starting, for anybody can declare one: a gateway has to answer too. Returns a warning
-    if there is a token that nobody stands behind.
+    alone keeps no robot from starting, for anybody can declare one: a gateway has to answer too, and in signed
+    mode prove that the name was granted to it. Returns a warning if no such gateway stands behind a token.
     """
     robot = settings.robot
     key = keys.liveliness(robot.root, robot.name)
@@ -341,27 +397,58 @@ def _check_name_is_free(session: zenoh.Session, settings: Settings) -> str:
         if time.monotonic() <= deadline_s:
             time.sleep(0.1)
             continue
-        info = keys.build(robot.root, robot.name, BY_NAME["gateway/info"])
+        is_answered = False
         for _ in range(INFO_QUESTIONS):
-            if any(reply.ok is not None for reply in session.get(info, timeout=INFO_TIMEOUT_S)):
+            question = new_name_question()
+            answers = _ask_for_info(session, settings, question)
+            is_answered = is_answered or bool(answers)
+            if any(_is_namesake(answer, question, settings, name_proof) for answer in answers):
                 raise CommandError(
                     f"a gateway of the name {robot.name} is connected already; choose another with --robot",
                     ExitCode.REFUSED,
                 )
+        who = (
+            "and what answers there does not prove that it was granted this name: somebody who wants"
+            if is_answered
+            else "and no gateway answers there: a gateway that hangs, or somebody who wants"
+        )
         return (
-            f"somebody else has declared the liveliness token of {robot.name}, and no gateway answers there: a "
-            "gateway that hangs, or somebody who wants to keep this robot off the network"
+            f"somebody else has declared the liveliness token of {robot.name}, {who} to keep this robot off the "
+            "network"
         )
     return ""
+
+
+def _ask_for_info(session: zenoh.Session, settings: Settings, question: bytes) -> list[zenoh.Sample]:
+    """Return the answers of all who answer for the robot's name, so that nobody's displaces another's."""
+    replies = session.get(
+        keys.build(settings.robot.root, settings.robot.name, BY_NAME["gateway/info"]),
+        attachment=question,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=INFO_TIMEOUT_S,
+    )
+    answers = (reply.ok for reply in itertools.islice(replies, ANSWERS_MAX))
+    return [answer for answer in answers if answer is not None]
+
+
+def _is_namesake(answer: zenoh.Sample, question: bytes, settings: Settings, name_proof: NameProof | None) -> bool:
+    """Return True if the answer counts as that of a gateway of this name. In open mode anybody's does."""
+    if settings.authority.mode != "signed":
+        return True
+    attachment = answer.attachment
+    if name_proof is None or attachment is None or len(attachment) > NAME_PROOF_MAX_BYTES:
+        return False
+    return name_proof.is_namesake(answer.payload.to_bytes(), attachment.to_bytes(), question, int(time.time()))
 
 
 def _open_session(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
     given = settings.zenoh
     mode, connect, listen, _ = said_of(given)
     if mode == "client":
-        connect = connect or [DEFAULT_ENDPOINT]
-        session = open_session(given, connect, [], BLOCK_MAX_US)
-        return session, ZenohPlace(str(session.zid()), connect, is_client=True)
+        place = client_place(settings)
+        session = open_session(given, place.connect, [], BLOCK_MAX_US)
+        return session, msgspec.structs.replace(place, node=str(session.zid()))
     if not connect and not listen:
         return _open_default(settings)
     commands = _command_listen(settings, listen)

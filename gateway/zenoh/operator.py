@@ -15,6 +15,7 @@ from zenoh import ext
 
 from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import (
+    EVENTS_OF_BEFORE,
     PendingQuery,
     SessionOwner,
     call_roll,
@@ -34,9 +35,6 @@ STATES_WAITING: Final = 64
 """Safety states, 20 Hz and on change, that may wait; beyond it the oldest go."""
 
 EVENTS_WAITING: Final = 4096
-
-EVENTS_OF_BEFORE: Final = 50
-"""The number of earlier events that a new listener receives."""
 
 
 class Prover(Protocol):
@@ -119,10 +117,10 @@ class CommandPort(SessionOwner):
         """
         prover = self.prover
         if prover is None:
-            return self._get(self._keys[verb], PendingQuery(), payload, BY_VERB[verb].encoding, b"", timeout_s)
+            return self.query(self._keys[verb], PendingQuery(), payload, BY_VERB[verb].encoding, b"", timeout_s)
         attachment = prover.attach(verb, payload)
         question = PendingQuery(lambda received: prover.is_reply(received, attachment))
-        return self._get(self._keys[verb], question, payload, BY_VERB[verb].encoding, attachment, timeout_s)
+        return self.query(self._keys[verb], question, payload, BY_VERB[verb].encoding, attachment, timeout_s)
 
     def show(self, statement: bytes, question: bytes, timeout_s: float) -> list[Received]:
         """Show a statement of the authority. Returns the replies that came, not verified."""
@@ -136,11 +134,16 @@ class CommandPort(SessionOwner):
             question: the attachment, drawn for this query: the replies' signatures cover it.
             timeout_s: the longest wait for replies.
         """
-        return self._get(self._authority, PendingQuery(), statement, "text/plain", question, timeout_s)
+        return self.query(self._authority, PendingQuery(), statement, "text/plain", question, timeout_s)
 
-    def _get(
+    def query(
         self, key: str, question: PendingQuery, payload: bytes, encoding: str, attachment: bytes, timeout_s: float
     ) -> PendingQuery:
+        """Ask under a key of one's own; the replies are the question's.
+
+        Raises:
+            CommandError: the session is closed.
+        """
         try:
             self._session.get(
                 key,

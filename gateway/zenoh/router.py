@@ -10,7 +10,7 @@ import zenoh
 
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.zenoh_link import LISTEN, MODE, MULTICAST, reason
+from schemas.zenoh_link import LISTEN, MODE, MULTICAST, is_loopback, reason
 
 ROUTER: Final = "router"
 
@@ -40,8 +40,34 @@ def open_router(file: Path, listen: list[str]) -> tuple[zenoh.Session, list[str]
     endpoints = json.loads(config.get_json(LISTEN))
     if not isinstance(endpoints, list) or not endpoints:
         raise CommandError(f"{plain(str(file))} does not say where to listen: --listen says it", ExitCode.USAGE)
+    return _open(config), list(map(str, endpoints))
+
+
+def open_local_router(endpoint: str) -> zenoh.Session:
+    """Open a router for this machine alone: without keys, for virtual robots.
+
+    Raises:
+        CommandError: the endpoint can be reached from other machines, is taken, or is none.
+    """
+    if not is_loopback(endpoint):
+        # Behind a router a gateway does not see who commands it, and from where.
+        raise CommandError(
+            f"{plain(endpoint)} can be reached from other machines: virtual robots have no keys; "
+            "give one of 127.0.0.1",
+            ExitCode.USAGE,
+        )
+    config = zenoh.Config()
     try:
-        return zenoh.open(config), list(map(str, endpoints))
+        for path, value in ((MODE, ROUTER), (LISTEN, [endpoint]), (MULTICAST, False)):
+            config.insert_json5(path, json.dumps(value))
+    except zenoh.ZError as error:
+        raise CommandError(f"cannot listen on {plain(endpoint)}: {reason(str(error))}", ExitCode.USAGE) from error
+    return _open(config)
+
+
+def _open(config: zenoh.Config) -> zenoh.Session:
+    try:
+        return zenoh.open(config)
     except zenoh.ZError as error:
         raise CommandError(f"cannot open Zenoh: {reason(str(error))}", ExitCode.UNREACHABLE) from error
 

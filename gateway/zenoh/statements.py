@@ -19,6 +19,9 @@ from schemas.zenoh_link import reason
 
 STATES_WAITING: Final = 64
 
+AGAIN_S: Final = 0.02
+"""A robot that many ask leaves some queries unanswered, and these end at once. They are sent again after this."""
+
 
 class _Asked(msgspec.Struct, frozen=True):
     """The challenge in a state, which a statement of the time answers."""
@@ -58,17 +61,25 @@ class StatementPort(SessionOwner):
         return sorted(robot for robot in found if robot is not None)
 
     def show(self, robot: str, text: bytes, question: bytes, timeout_s: float) -> Received | None:
-        """Show a robot a statement. Returns its answer; None if none comes.
+        """Show a robot a statement, again and again until it answers. Returns its answer; None if none comes.
 
         Args:
             robot: its name.
             text: the statement.
-            question: the attachment, drawn for this query: the answer's signature covers it.
+            question: the attachment, drawn for this question: the answer's signature covers it.
             timeout_s: the longest wait for it.
 
         Raises:
             CommandError: the session is closed.
         """
+        deadline_s = time.monotonic() + timeout_s
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            if replies := self._ask(robot, text, question, left_s).wait(left_s):
+                return replies[0]
+            time.sleep(AGAIN_S)
+        return None
+
+    def _ask(self, robot: str, text: bytes, question: bytes, timeout_s: float) -> PendingQuery:
         pending = PendingQuery()
         try:
             self._session.get(
@@ -83,7 +94,7 @@ class StatementPort(SessionOwner):
             )
         except zenoh.ZError as error:
             raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-        return next(iter(pending.wait(timeout_s)), None)
+        return pending
 
     def challenge(self, robot: str, timeout_s: float, stopped: Callable[[], bool]) -> bytes | None:
         """The newest challenge of a robot; None if it publishes no state."""

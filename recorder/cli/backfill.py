@@ -16,14 +16,15 @@ from recorder.backfill.backfilling import fill_holes
 from recorder.backfill.excerpt import LoggedBytes
 from recorder.backfill.filling import Filled, Filling
 from recorder.backfill.holes import HoleFinder, HoleKind
+from recorder.cli.own_name import own_name
 from recorder.cli.remote import order_proof
+from recorder.cli.role import FETCHING, check_role
 from recorder.cli.show import show
 from recorder.disk.backfill_file import BackfillFiles
 from recorder.disk.log_directory import safe_name
 from recorder.disk.own_logs import OwnLogs
 from recorder.reading.times import in_words
 from recorder.zenoh.recorder_client import RecorderClient
-from recorder.zenoh.remote_control import host_name
 from recorder.zenoh.session import key_matches
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
@@ -142,6 +143,7 @@ def _ask(
     filling: Filling,
 ) -> tuple[list[str], list[Path], list[str]]:
     """Ask the other recorders, and write what is missing. Return who answered, the files, their other words."""
+    check_role(settings.zenoh, FETCHING, "routers let recorders, operators and desks alone ask recorders")
     operator, proof = arguments.operator or login_operator(), order_proof(arguments, settings)
     library = f"cruiser-gateway {version('cruiser-gateway')}"
     with (
@@ -168,7 +170,7 @@ def _ask(
 
 def _others(names: Sequence[str], settings: Settings) -> list[str]:
     """The recorders without one's own, whose logs have the same holes; unless it is the only one."""
-    own = settings.recorder.name or host_name()
+    own = own_name(settings)
     return [name for name in names if name != own] or list(names)
 
 

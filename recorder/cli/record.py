@@ -21,6 +21,8 @@ from typing import Final
 import msgspec
 
 from recorder.cli import backfill, remote
+from recorder.cli.own_name import own_name
+from recorder.cli.role import check_recording
 from recorder.disk.keeper import DiskKeeper
 from recorder.disk.key_files import read_trust
 from recorder.disk.leftovers import LeftoverThread
@@ -28,7 +30,7 @@ from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
 from recorder.disk.order_note import read_note, save_note
 from recorder.loop import Recorded, RecorderLoop
-from recorder.record.admission import OrderAdmission
+from recorder.record.admission import ALL_ROBOTS, OrderAdmission
 from recorder.record.health import HealthReport
 from recorder.record.inbox import SampleInbox
 from recorder.record.orders import OperatorRequest
@@ -88,7 +90,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="key expressions to record (all keys under the root)",
     )
     parser.add_argument("-o", "--out", dest="recorder.directory", metavar="DIR", help="where the logs go (.)")
-    parser.add_argument("--name", dest="recorder.name", metavar="NAME", help="the recorder's name (the host's)")
+    parser.add_argument(
+        "--name", dest="recorder.name", metavar="NAME", help="the recorder's name (its grant's, else the host's)"
+    )
     add_zenoh_arguments(parser)
     parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -128,8 +132,11 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     # First of all: a service may say it as soon as the process is there.
     rolls = hangups()
+    named = msgspec.structs.replace(settings.recorder, name=own_name(settings))
+    settings = msgspec.structs.replace(settings, recorder=named)
     recorder, root = settings.recorder, settings.robot.root
     expressions = recorder.keys or [f"{root}/**"]
+    check_recording(settings.zenoh, expressions)
     release = version("cruiser-gateway")
     library = f"cruiser-gateway {release}"
     path = Path(recorder.directory)
@@ -140,7 +147,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         ring_samples = recorder.queue_bytes // RING_SAMPLE_BYTES
         source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, ring_samples)))
         control = stack.enter_context(
-            closing(RemoteControl(settings, _door(settings, path), partial(save_note, path)))
+            closing(RemoteControl(settings, _door(settings, path, expressions), partial(save_note, path)))
         )
         writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
         known = known_robots(settings, expressions)
@@ -176,7 +183,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     return code
 
 
-def _door(settings: Settings, logs: Path) -> Callable[[str], OrderAdmission] | None:
+def _door(settings: Settings, logs: Path, expressions: Sequence[str]) -> Callable[[str], OrderAdmission] | None:
     """Return the maker of the judge of orders in signed mode; None in open mode.
 
     Raises:
@@ -185,7 +192,8 @@ def _door(settings: Settings, logs: Path) -> Callable[[str], OrderAdmission] | N
     if settings.authority.mode != "signed":
         return None
     trust, note = read_trust(settings.authority, "recorder"), read_note(logs)
-    return lambda name: OrderAdmission(trust, settings.robot.root, name, note, os.urandom)
+    robots = {robot or ALL_ROBOTS for robot in _robots_in(settings.robot.root, expressions)}
+    return lambda name: OrderAdmission(trust, settings.robot.root, name, note, os.urandom, robots)
 
 
 def _answer_backfill(server: BackfillServer, asked: OperatorRequest) -> None:
@@ -215,6 +223,7 @@ def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], rel
             alarms=frozenset(map(EventKind, recorder.incident_events)),
             before_ns=round(recorder.incident_before_s * 1e9),
             after_ns=round(recorder.incident_after_s * 1e9),
+            trust=read_trust(settings.authority, "recorder") if settings.authority.mode == "signed" else None,
         ),
         ring_bytes=min(recorder.incident_ring_bytes, recorder.budget_bytes // BUDGET_RINGS or sys.maxsize),
         sample_max_bytes=recorder.sample_max_bytes,

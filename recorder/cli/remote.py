@@ -13,6 +13,7 @@ from typing import Final
 
 import msgspec
 
+from recorder.cli.role import ORDERING, check_role
 from recorder.disk.key_files import read_identity
 from recorder.record.admission import OrderProof
 from recorder.zenoh.recorder_client import RecorderClient
@@ -71,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Ask, and print the replies. ``status`` asks all recorders, the others one."""
     action: str = arguments.action
+    check_role(settings.zenoh, ORDERING, "routers let operators and desks alone ask recorders")
     proof = None if action == "status" else order_proof(arguments, settings)
     operator = arguments.operator or login_operator()
     with closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped, proof)) as client:

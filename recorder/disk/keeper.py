@@ -15,6 +15,7 @@ from typing import Final
 import msgspec
 
 from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX
+from recorder.disk.upload_note import NONE_SAFE, SafeLogReader, SafeLogs
 from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry, judge
 from schemas.printable import plain
@@ -49,12 +50,13 @@ class DiskUse(msgspec.Struct, frozen=True):
     incidents: int = 0
 
 
-def read_entries(directory: Path, own: Collection[str] = ()) -> list[LogEntry]:
+def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NONE_SAFE) -> list[LogEntry]:
     """The recorder's files in a directory.
 
     Args:
         directory: of the logs.
         own: names of those that are being written here.
+        safe: those that are safe elsewhere, as long as they have not changed since.
 
     Raises:
         OSError: it cannot be read.
@@ -66,19 +68,20 @@ def read_entries(directory: Path, own: Collection[str] = ()) -> list[LogEntry]:
             if match is None:
                 continue
             try:
-                size = one.stat(follow_symlinks=False).st_size
+                status = one.stat(follow_symlinks=False)
             except FileNotFoundError:
                 continue
             entries.append(
                 LogEntry(
                     name=one.name,
-                    bytes=size,
+                    bytes=status.st_size,
                     started=match["start"],
                     number=int(match["number"] or 1),
                     robot=match["robot"],
                     is_incident=match["kind"] == INCIDENT_SUFFIX,
                     is_open=match["suffix"] == PART_SUFFIX,
                     is_own=one.name in own,
+                    is_safe=safe.get(one.name) == (status.st_size, status.st_mtime_ns),
                 )
             )
     return entries
@@ -99,6 +102,7 @@ class DiskKeeper:
         self._directory = directory
         self._limits = limits
         self._own = own
+        self._uploaded = SafeLogReader(directory)
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._room = DiskRoom(has_room=True, has_incident_room=True)
         self._stuck: dict[str, float] = {}
@@ -132,7 +136,7 @@ class DiskKeeper:
 
     def _look(self) -> None:
         self._look_for_own()
-        entries = read_entries(self._directory, self._own())
+        entries = read_entries(self._directory, self._own(), self._uploaded.read())
         disk = os.statvfs(self._directory)
         free = disk.f_bavail * disk.f_frsize
         floor = min(self._limits.floor_bytes, int(FLOOR_MAX_SHARE * disk.f_blocks * disk.f_frsize))

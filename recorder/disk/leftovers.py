@@ -8,6 +8,7 @@ record: the beginning of one last write, or zeros. Anything else behind the good
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import shutil
@@ -23,7 +24,7 @@ import msgspec
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
 from recorder.disk.part_file import sync_directory
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
-from recorder.record.notices import Notice, Recovered
+from recorder.record.notices import DiskBack, DiskRoom, Notice, Recovered
 from schemas.printable import plain
 
 log = logging.getLogger(__name__)
@@ -139,17 +140,23 @@ def _finish(stream: BinaryIO, found: FileSurvey) -> None:
 
 
 def _keep_rest(path: Path, stream: BinaryIO, end: int) -> Path:
+    _check_room(path.parent, os.fstat(stream.fileno()).st_size - end)
     rest = free_path(path.parent, _stem(path), REST_SUFFIX, but_for=path)
     stream.seek(end)
     with rest.open("xb") as kept:
-        shutil.copyfileobj(stream, kept)
-        kept.flush()
-        os.fsync(kept.fileno())
+        try:
+            shutil.copyfileobj(stream, kept)
+            kept.flush()
+            os.fsync(kept.fileno())
+        except OSError:
+            rest.unlink()
+            raise
     sync_directory(path.parent)
     return rest
 
 
 def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: FileSurvey) -> Recovery:
+    _check_room(path.parent, size + len(found.ending))
     copy = path.with_name(_stem(path) + COPY_SUFFIX)
     try:
         with copy.open("wb") as sink:
@@ -175,6 +182,16 @@ def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: FileSurv
         faults=found.faults,
         fault_count=found.fault_count,
     )
+
+
+def _check_room(directory: Path, size: int) -> None:
+    """Check that a file fits beside the others: one that fills the disk in vain would cost logs that are whole.
+
+    Raises:
+        OSError: it does not.
+    """
+    if shutil.disk_usage(directory).free < size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _rename(path: Path, suffix: str, beside: Path | None = None) -> Path:
@@ -220,7 +237,8 @@ def _tell(recovery: Recovery) -> None:
 class LeftoverThread:
     """Recovers what a directory holds while the next recording is already going on: it must not wait for that.
 
-    A recovery that is broken off at any instant is begun anew by the next start.
+    A recovery that is broken off at any instant is begun anew by the next start. One that found no room is tried
+    again when there is some.
     """
 
     def __init__(self, directory: Path, library: str) -> None:
@@ -228,18 +246,34 @@ class LeftoverThread:
         self._notices: deque[Notice] = deque()
         self._directory = directory
         self._library = library
+        self._has_failed = False
+        """The last look has left a part as it was."""
+        self._is_wanted = False
+        """A look is to begin as soon as the present one ends."""
         # What is there now: a part that is begun later is none of them.
         self._thread = self._begin(sorted(directory.glob(f"*{PART_SUFFIX}")))
 
+    def receive_notice(self, notice: Notice) -> None:
+        """Look again when the disk takes the logs again, or has room for what could not be recovered."""
+        has_room = isinstance(notice, DiskRoom) and notice.has_room
+        if isinstance(notice, DiskBack) or (has_room and self._has_failed):
+            self.look_again()
+
     def look_again(self) -> None:
-        """Recover the files that this recorder itself left while the disk was full; once at a time.
+        """Recover what is left now, this recorder's own included; once at a time.
 
         What is being written is locked. The directory is read on the thread: who calls must not wait for it.
         """
-        if not self._thread.is_alive():
+        self._is_wanted = True
+        self._begin_wanted()
+
+    def _begin_wanted(self) -> None:
+        if self._is_wanted and not self._thread.is_alive():
+            self._is_wanted = False
             self._thread = self._begin(self._directory.glob(f"*{PART_SUFFIX}"))
 
     def _begin(self, parts: Iterable[Path]) -> threading.Thread:
+        self._has_failed = False
         thread = threading.Thread(target=self._run, args=[parts], name="leftovers", daemon=True)
         thread.start()
         return thread
@@ -247,11 +281,14 @@ class LeftoverThread:
     def _run(self, parts: Iterable[Path]) -> None:
         for recovery in recover_leftovers(parts, self._library):
             self.recoveries.append(recovery)
-            if recovery.outcome not in {RecoveryOutcome.FAILED, RecoveryOutcome.NOTHING}:
+            if recovery.outcome is RecoveryOutcome.FAILED:
+                self._has_failed = True
+            elif recovery.outcome is not RecoveryOutcome.NOTHING:
                 self._notices.append(Recovered(plain(Path(recovery.result).name), recovery.messages))
 
     def notices(self) -> Iterator[Notice]:
-        """Return the notices since the last call."""
+        """Return the notices since the last call; begin a look that had to wait."""
+        self._begin_wanted()
         while self._notices:
             yield self._notices.popleft()
 

@@ -11,6 +11,7 @@ import msgspec
 
 from recorder.record.admission import OrderNote
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.file_kinds import check_regular
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +26,7 @@ def read_note(directory: Path) -> OrderNote:
     """
     path = directory / NAME
     try:
+        check_regular(path, path.stat().st_mode)
         return msgspec.json.decode(path.read_bytes(), type=OrderNote)
     except FileNotFoundError:
         return OrderNote()

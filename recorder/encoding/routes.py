@@ -23,7 +23,7 @@ from schemas.can_word import (
     REMOTE,
 )
 from schemas.codec import PayloadFault, Understood, decode, understand
-from schemas.decisions import SafetyEvent
+from schemas.decisions import SafetyEvent, SignedStatement
 from schemas.messages import CanFrame, CanFrames, GatewayHealth, GatewayInfo, Message, RawSample
 from schemas.subjects import ALL_SUBJECTS, Pattern, Subject
 from schemas.versions import count_fields, encoding_fault
@@ -134,7 +134,7 @@ class Route:
         return self.subject is not None and count_fields(sample.payload) > self.field_count
 
 
-_WATCHED: Final = frozenset({CanFrames, GatewayInfo, GatewayHealth, SafetyEvent})
+_WATCHED: Final = frozenset({CanFrames, GatewayInfo, GatewayHealth, SafetyEvent, SignedStatement})
 
 
 def _fault_of(batch: CanFrames) -> str:

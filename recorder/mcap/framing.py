@@ -67,6 +67,10 @@ CHUNK_NAME_AT: Final = RECORD_HEADER.size + 28
 RECORD_MAX: Final = 1 << 30
 """A record that says it is longer than this is damaged: it is not worth a gigabyte of memory to see."""
 
+UNPACKED_MAX: Final = 1 << 27
+"""A packed chunk that promises more is not unpacked: no recorder makes such, and a few kilobytes might hold a
+gigabyte of tiny messages, each of which costs whoever reads it several times its length."""
+
 BROKEN: Final = (
     McapError,
     zstandard.ZstdError,

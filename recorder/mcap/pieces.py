@@ -6,6 +6,7 @@ chunks; a block is read message by message, by its index, or as columns (``colum
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 import zlib
 from array import array
@@ -16,6 +17,7 @@ from typing import BinaryIO, Final, TypeVar
 
 import msgspec
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap import records
 from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
@@ -28,6 +30,7 @@ from recorder.mcap.framing import (
     MESSAGE_OPCODE,
     RECORD_HEADER,
     RECORD_MAX,
+    UNPACKED_MAX,
     DamagedError,
     parse,
     parsing,
@@ -273,12 +276,23 @@ def content_of(chunk: records.Chunk) -> bytes:
     """
     if chunk.compression not in _COMPRESSIONS:
         raise DamagedError(f"its compression {chunk.compression!r} is not known here")
-    if chunk.uncompressed_size > RECORD_MAX:
+    if chunk.uncompressed_size > (UNPACKED_MAX if chunk.compression else RECORD_MAX):
         raise DamagedError(f"a chunk of {chunk.uncompressed_size} bytes is too large")
     if has_wrong_size(chunk):
         raise DamagedError("a chunk's sizes differ")
+    if chunk.compression == "lz4":
+        chunk = _unpacked_lz4(chunk)
     content, length = get_chunk_data_stream(chunk, validate_crc=True)
     return bytes(content.read(length))
+
+
+def _unpacked_lz4(chunk: records.Chunk) -> records.Chunk:
+    """The chunk without compression. The mcap package would unpack lz4 to all of the memory."""
+    unpacking = LZ4FrameDecompressor()
+    data = unpacking.decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+    if not unpacking.eof or len(data) != chunk.uncompressed_size:
+        raise DamagedError("a chunk's sizes differ")
+    return dataclasses.replace(chunk, compression="", data=data)
 
 
 def has_wrong_size(chunk: records.Chunk) -> bool:
@@ -292,7 +306,7 @@ def _content(body: bytes) -> bytes:
     if len(body) > _ZSTD_HEAD.size:
         _, _, size, crc, name_length, name, length = _ZSTD_HEAD.unpack_from(body)
         data = memoryview(body)[_ZSTD_HEAD.size :]
-        is_plain = (name_length, name, length) == (4, b"zstd", len(data)) and crc and size <= RECORD_MAX
+        is_plain = (name_length, name, length) == (4, b"zstd", len(data)) and crc and size <= UNPACKED_MAX
         if is_plain and zstandard.frame_content_size(data) == size:
             with suppress(zstandard.ZstdError):
                 content = zstandard.decompress(data)

@@ -214,7 +214,7 @@ class Scanner:
         chunk: records.Chunk = parse(Opcode.CHUNK, raw[RECORD_HEADER.size :])
         if self.has_checks and not chunk.uncompressed_crc:
             return Fault(offset, "a chunk's checksum is missing")
-        if chunk.uncompressed_size > RECORD_MAX or has_wrong_size(chunk):
+        if has_wrong_size(chunk):
             return Fault(offset, "a chunk's sizes differ")
         content = content_of(chunk)
         index, declared = index_content(content)

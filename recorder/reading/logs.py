@@ -6,10 +6,11 @@ import fcntl
 import os
 import stat
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from types import MappingProxyType
+from typing import BinaryIO, Protocol
 
 import msgspec
 from mcap import records
@@ -25,7 +26,25 @@ from schemas.exit_codes import CommandError
 from schemas.printable import plain
 
 
-def find_logs(paths: Sequence[Path], faults: Faults, *, with_covered: bool = False) -> list[LogFile]:
+class KnownLog(Protocol):
+    """A log that need not be opened."""
+
+    @property
+    def log(self) -> LogFile:
+        """The same as ``look_at`` gives."""
+
+    @property
+    def is_covered(self) -> bool | None:
+        """It is an incident, and its directory's other logs hold every message of it; None if not known."""
+
+
+def find_logs(
+    paths: Sequence[Path],
+    faults: Faults,
+    *,
+    with_covered: bool = False,
+    known: Mapping[Path, KnownLog] = MappingProxyType({}),
+) -> list[LogFile]:
     """The logs at these paths, by their beginning.
 
     Args:
@@ -33,6 +52,7 @@ def find_logs(paths: Sequence[Path], faults: Faults, *, with_covered: bool = Fal
             incident is left out if its other logs hold every message of it, and can be read.
         faults: takes what is wrong with single files of several.
         with_covered: leave no incident out.
+        known: logs of these directories that need not be opened.
 
     Raises:
         CommandError: there is nothing to read.
@@ -43,6 +63,9 @@ def find_logs(paths: Sequence[Path], faults: Faults, *, with_covered: bool = Fal
         for name in [path] if not path.is_dir() else sorted(_logs_of(path)):
             if name in found:
                 continue
+            if name in known:
+                found[name] = known[name].log
+                continue
             try:
                 found[name] = look_at(name)
             except CommandError as error:
@@ -50,10 +73,19 @@ def find_logs(paths: Sequence[Path], faults: Faults, *, with_covered: bool = Fal
                 faults.add(str(error))
         if path.is_dir() and not with_covered:
             named = {log.path: log for log in found.values() if log.path in paths}
-            found = named | {log.path: log for log in without_covered(list(found.values()))}
+            found = named | {log.path: log for log in _uncovered(list(found.values()), known)}
     if not found:
         raise failure or CommandError(f"there is no log in {', '.join(plain(str(path)) for path in paths)}")
     return sorted(_with_namesakes(list(found.values())), key=lambda log: (log.start_ns, log.path))
+
+
+def _uncovered(logs: list[LogFile], known: Mapping[Path, KnownLog]) -> list[LogFile]:
+    """The logs without the incidents that others hold; what has to be compared is opened."""
+    covered = {log.path: known[log.path].is_covered if log.path in known else None for log in logs}
+    # What a directory's logs hold, more of them hold too.
+    left = [log for log in logs if not covered[log.path]]
+    is_settled = None not in covered.values() and len({log.path.parent for log in logs}) == 1
+    return left if is_settled else without_covered(left)
 
 
 def _with_namesakes(logs: list[LogFile]) -> list[LogFile]:

@@ -44,14 +44,14 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
         time_ns = start_ns - start_ns % day_ns + since_midnight_ns + _fraction_ns(part)
         is_tomorrow = time_ns < start_ns and time_ns + day_ns <= end_ns
         return time_ns + day_ns if is_tomorrow else time_ns
-    moment_ns = _date_ns(text)
+    moment_ns = date_of(text)
     if moment_ns is None:
         raise CommandError(f"{text!r} is no time: give {FORMS}", ExitCode.USAGE)
     return moment_ns
 
 
-def _date_ns(text: str) -> int | None:
-    """Of both date and time; None if it is none."""
+def date_of(text: str) -> int | None:
+    """A date, or both date and time, in nanoseconds since 1970; None if it is none. UTC unless it names a zone."""
     match = _DATE.fullmatch(text)
     if match is None:
         return None

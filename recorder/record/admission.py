@@ -8,7 +8,7 @@ can keep one for later. ``status`` needs no proof.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final
 
 import msgspec
@@ -26,7 +26,7 @@ from schemas.authority.statement import (
     read_chain,
 )
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import TEXTS, Reason, Text
 from schemas.recording import Backfill, Mark
 from schemas.requests import Request
 from schemas.subjects import RECORDER_BY_VERB
@@ -39,6 +39,9 @@ CHALLENGE_MAX_NS: Final = 5_000_000_000
 
 GRANTS_KEPT: Final = 256
 """Grants that are known at a time; beyond it the one that was not used for longest goes."""
+
+ALL_ROBOTS: Final = "*"
+"""The pattern of whoever may be there: only a grant for all covers it."""
 
 OPEN_TO_ALL: Final = frozenset({"status"})
 """Verbs that need no proof."""
@@ -53,9 +56,11 @@ class OrderNote(msgspec.Struct, frozen=True):
     Attributes:
         statements: accepted rotations and lists of revocations, signed, in order; of successive lists the newest,
             and those of a higher epoch, which never falls.
+        floor_s: the newest time in anything that was verified, seconds since 1970.
     """
 
     statements: list[str] = []
+    floor_s: int = 0
 
 
 class SignedOrder(msgspec.Struct, frozen=True):
@@ -82,7 +87,13 @@ class OrderAdmission:
     """
 
     def __init__(
-        self, trust: Trust, root: str, recorder: str, note: OrderNote, draw: Callable[[int], bytes]
+        self,
+        trust: Trust,
+        root: str,
+        recorder: str,
+        note: OrderNote,
+        draw: Callable[[int], bytes],
+        robots: Collection[str] = (ALL_ROBOTS,),
     ) -> None:
         """No grant is known yet.
 
@@ -92,12 +103,15 @@ class OrderAdmission:
             recorder: its name.
             note: the one that was kept last.
             draw: random bytes, so many.
+            robots: the robots that it records, by name or ``*`` for all that there are. An order about the whole
+                recorder is one about each of them.
         """
         self.note = OrderNote()
         self._trust = trust
-        self._floor_s = 0
+        self._robots = robots
         for text in note.statements:
             self.show(text.encode(), 0)
+        self._lift(note.floor_s)
         self._root, self._recorder, self._draw = root, recorder, draw
         self._challenges: OrderedDict[bytes, int] = OrderedDict()
         self._grants: OrderedDict[bytes, HeldGrant] = OrderedDict()
@@ -125,9 +139,11 @@ class OrderAdmission:
             return Objection(Reason.MALFORMED, chain.detail)
         statement = chain[0].statement
         if isinstance(statement, Grant):
-            held = self._trust.judge(chain, max(now_s, self._floor_s))
+            held = self._trust.judge(chain, max(now_s, self.note.floor_s))
             if isinstance(held, Objection):
                 return held
+            # It has begun, so it is later than that: a clock that is set back revives nothing.
+            self._lift(held.not_before)
             self._grants[held.id] = held
             if len(self._grants) > GRANTS_KEPT:
                 self._grants.popitem(last=False)
@@ -138,10 +154,18 @@ class OrderAdmission:
         newer = self._trust.rotate(chain[0]) if is_rotation else self._trust.revoke(chain[0])
         if isinstance(newer, Objection):
             return newer
-        self._trust, self._floor_s = newer, max(self._floor_s, statement.at)
+        # A thief of the former authority's key may have signed any time.
+        is_other = newer.active != self._trust.active
+        floor_s = statement.at if is_other else max(self.note.floor_s, statement.at)
+        self._trust = newer
         kept = [text for text in self.note.statements if is_rotation or not _is_superseded(text, statement)]
-        self.note = OrderNote([*kept, chain[0].text()])
+        self.note = OrderNote([*kept, chain[0].text()], floor_s)
         return None
+
+    def _lift(self, at_s: int) -> None:
+        """Note that it is so late at least: something that was verified says so."""
+        if at_s > self.note.floor_s:
+            self.note = msgspec.structs.replace(self.note, floor_s=at_s)
 
     def judge(self, order: SignedOrder, now_ns: int, now_s: int) -> Objection | None:
         """Judge an order. Returns why it is rejected; None if it is accepted.
@@ -182,7 +206,7 @@ class OrderAdmission:
         return Objection(Reason.REPLAYED) if (proof.grant, proof.nonce) in self._nonces else None
 
     def _not_granted(self, held: HeldGrant, order: SignedOrder, now_s: int) -> Objection | None:
-        objection = self._trust.objection(held, max(now_s, self._floor_s))
+        objection = self._trust.objection(held, max(now_s, self.note.floor_s))
         if objection is not None:
             return objection
         grant = held.grant
@@ -193,6 +217,12 @@ class OrderAdmission:
         robot = _robot_of(order.request, self._root)
         if robot and not grant.covers(robot):
             return Objection(Reason.NOT_GRANTED, f"it is not for {robot}")
+        others = [] if robot else [one for one in sorted(self._robots) if not grant.covers(one)]
+        if others:
+            named = "all robots" if ALL_ROBOTS in others else ", ".join(others)
+            what = f"{order.verb} is for all that this recorder records, and the grant is not for {named}"
+            advice = "; name a robot that it is for" if order.verb == "mark" else ""
+            return Objection(Reason.NOT_GRANTED, f"{what}{advice}")
         return None
 
 
@@ -214,9 +244,27 @@ def _robot_of(request: Request, root: str) -> str:
     return ""
 
 
+def text_of(reason: Reason) -> Text:
+    """A reason in words, as a recorder says it."""
+    return _OF_A_RECORDER.get(reason, TEXTS[reason])
+
+
+_OF_A_RECORDER: Final = {
+    Reason.PROOF_MISSING: Text("the order is not signed", "send it with an operator's key: see docs/authority.md"),
+    Reason.PROOF_WRONG: Text(
+        "the signature does not fit the order",
+        "send it with the key of the grant, to this recorder, as it was signed: see docs/authority.md",
+    ),
+    Reason.GRANT_UNKNOWN: Text(
+        "the recorder does not know the grant, or its authority",
+        "show it the grant with its chain (query @auth)",
+    ),
+}
+
+
 def refusal_text(refusal: Objection) -> str:
     """A refusal in words, with the reason's name and the cure."""
-    text = TEXTS[refusal.reason]
+    text = text_of(refusal.reason)
     said = "; ".join(filter(None, (text.means, refusal.detail)))
     return f"{said} ({refusal.reason.value}). Cure: {text.cure}"
 

@@ -30,6 +30,9 @@ RANGES_MAX: Final = 32
 
 QUERIES_PER_TICK: Final = 8
 
+HELD: Final = 16_384
+"""Samples of one key that are known again, by their place in the run: as many as a gateway keeps, in 2 MB."""
+
 KEPT_SUBJECTS: Final = tuple(subject for subject in SUBJECTS if subject.qos.kept_bytes)
 
 
@@ -60,6 +63,8 @@ class _Key:
         self.key = key
         # Where the past is cut off, the rest of a journal is worth nothing: it cannot be run again.
         self.whole_only = subject.type is Journal
+        # Hashes of what the log has, by place: who repeats a robot's sample makes it look as if it had begun anew.
+        self._held: dict[int, int] = {}
         self.asked_ns: int | None = None
         self.begin(now_ns)
 
@@ -79,6 +84,13 @@ class _Key:
             self.ranges.append(_Range(self.expected, sequence, counted=True))
             del self.ranges[:-RANGES_MAX]
         self.expected = sequence + 1
+
+    def hold(self, sequence: int, payload: bytes) -> bool:
+        """Note that the log has a sample from now on. False if it had it before."""
+        place, digest = sequence % HELD, hash(payload)
+        is_new = self._held.get(place) != digest
+        self._held[place] = digest
+        return is_new
 
     def query(self, now_ns: int) -> Query | None:
         """The query that is due."""
@@ -110,7 +122,7 @@ class Backlog:
             if key not in self._keys:
                 self._keys[key] = _Key(key, subject, now_ns)
 
-    def receive(self, key: str, sequence: int, now_ns: int, *, is_restart: bool) -> None:
+    def receive(self, key: str, sequence: int, payload: bytes, now_ns: int, *, is_restart: bool) -> None:
         """Note a sample that came by itself. ``is_restart``: its sequence steps back."""
         one = self._keys.get(key)
         if one is None:
@@ -118,8 +130,9 @@ class Backlog:
         if is_restart:
             self._begin_again(one, key, now_ns)
         one.receive(sequence)
+        one.hold(sequence, payload)
 
-    def receive_reply(self, key: str, sequence: int) -> tuple[bool, bool]:
+    def receive_reply(self, key: str, sequence: int, payload: bytes) -> tuple[bool, bool]:
         """Note a sample that came as a reply. Whether it was missing, and whether it was counted as missed."""
         one = self._keys.get(key)
         wanted = one.ranges[0] if one is not None and one.ranges else None
@@ -136,7 +149,7 @@ class Backlog:
         wanted.start = sequence + 1
         wanted.tries = 0
         one.expected = max(one.expected, wanted.start)
-        return True, wanted.counted
+        return one.hold(sequence, payload), wanted.counted
 
     def queries(self, now_ns: int) -> list[Query]:
         """The queries that are due."""

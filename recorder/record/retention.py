@@ -2,9 +2,10 @@
 
 Each robot has a fair share: the oldest log of the robot that takes most goes first. Anybody on the network can
 make up robots, so where robots are known by name, all others have one share together, and the last hours of a
-known one go only when nothing else is left. Incidents never go: they may fill INCIDENT_SHARE of the budget, and
-the reserve below the floor is theirs. When all that may go would not be enough, nothing goes, and recording
-stops until somebody makes room: what others fill a disk with must not cost the logs that there are.
+known one go only when nothing else is left. In all of this, what is safe elsewhere goes before what is not.
+Incidents go only when they are safe elsewhere, and then as logs do: the others may fill INCIDENT_SHARE of the
+budget, and the reserve below the floor is theirs. When all that may go would not be enough, nothing goes, and
+recording stops until somebody makes room: what others fill a disk with must not cost the logs that there are.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ class LogEntry(msgspec.Struct, frozen=True):
         is_open: it is being written, or a recorder left it and it is not recovered yet.
         is_own: this recorder is writing it, and can end it.
         is_stuck: it could not be deleted: it takes its room, and others go in its place.
+        is_safe: an upload has verified that a store holds it.
     """
 
     name: str
@@ -54,6 +56,7 @@ class LogEntry(msgspec.Struct, frozen=True):
     is_open: bool = False
     is_own: bool = False
     is_stuck: bool = False
+    is_safe: bool = False
 
 
 class DiskLimits(msgspec.Struct, frozen=True):
@@ -103,9 +106,11 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, i
     """
     used = sum(entry.bytes for entry in entries)
     wanted = _wanted(used, free_bytes, limits, is_full=is_full)
-    # What is said of robots that nobody knows is no reason to keep it for ever.
+    # What is said of robots that nobody knows is no reason to keep it for ever, and what is safe need not stay.
     entries = [
-        msgspec.structs.replace(entry, is_incident=False) if _is_of_stranger(entry, limits) else entry
+        msgspec.structs.replace(entry, is_incident=False)
+        if _is_of_stranger(entry, limits) or (entry.is_incident and entry.is_safe and not entry.is_open)
+        else entry
         for entry in entries
     ]
     incident_bytes = sum(entry.bytes for entry in entries if entry.is_incident)
@@ -162,7 +167,14 @@ def _is_of_stranger(entry: LogEntry, limits: DiskLimits) -> bool:
 
 
 def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:
-    """Return the deletable logs in turn: the oldest of the largest share. ``takes`` has the bytes left of each."""
+    """Return the deletable logs in turn, what is safe elsewhere first. ``takes`` has the bytes of each share."""
+    logs = list(entries)
+    for is_safe in (True, False):
+        yield from _oldest_of_largest((one for one in logs if one.is_safe is is_safe), takes, limits)
+
+
+def _oldest_of_largest(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:
+    """Return them in turn: the oldest of the largest share. ``takes`` has the bytes left of each."""
     shares: dict[str, deque[LogEntry]] = defaultdict(deque)
     for entry in sorted(entries, key=_age):
         shares[limits.share_of(entry.robot)].append(entry)

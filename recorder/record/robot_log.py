@@ -46,8 +46,10 @@ from recorder.record.notices import (
     other_version,
 )
 from recorder.record.robots import Robots
+from recorder.record.statements import Statements
 from schemas import keys
-from schemas.decisions import EventKind, SafetyEvent, Severity
+from schemas.authority.trust import Trust
+from schemas.decisions import EventKind, SafetyEvent, Severity, SignedStatement
 from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
 from schemas.printable import short
 from schemas.recorder_settings import OWNED_KEY_LIMIT
@@ -100,6 +102,7 @@ class LogPlan(msgspec.Struct, frozen=True):
         alarms: kinds of safety events that are incidents.
         before_ns: an incident holds so much of what came before it.
         after_ns: an incident lasts so long after the last alarm.
+        trust: the fleet's authority, if the recorder knows it.
     """
 
     name: str
@@ -112,6 +115,7 @@ class LogPlan(msgspec.Struct, frozen=True):
     alarms: frozenset[EventKind] = frozenset()
     before_ns: int = 0
     after_ns: int = 0
+    trust: Trust | None = None
 
 
 class LogContext:
@@ -153,6 +157,7 @@ class RobotLog:
         self.channels = Channels(self._declare)
         self.incidents = Incidents(plan.name, plan.before_ns, plan.after_ns)
         self.robots = Robots(plan.name, plan.version)
+        self.statements = Statements(plan.name, plan.trust)
         self._backlog = Backlog()
         self._account = FileAccount()
         self._fast_keys: list[str] = []
@@ -242,17 +247,17 @@ class RobotLog:
     def _follow(self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int) -> bool:
         """Count a message, and act on what it says. False if the log has it already."""
         if sample.is_reply and route.is_kept:
-            was_missing, was_counted = self._backlog.receive_reply(sample.key, message.sequence)
-            if not was_missing:
-                return False
+            was_missing, was_counted = self._backlog.receive_reply(sample.key, message.sequence, sample.payload)
             if was_counted:
                 route.counters.find()
+            if not was_missing:
+                return False
         elif route.counts_sequence:
             is_restart = not route.counters.count_sequence(message.sequence)
             if is_restart:
                 self.robots.see_restart(route.robot, now_ns)
             if route.is_kept:
-                self._backlog.receive(sample.key, message.sequence, now_ns, is_restart=is_restart)
+                self._backlog.receive(sample.key, message.sequence, sample.payload, now_ns, is_restart=is_restart)
         if route.is_watched:
             self._watch(sample, message, route, now_ns, log_ns)
         if route.is_state:
@@ -319,6 +324,10 @@ class RobotLog:
                 self._apply_all(self.robots.receive_info(route.robot, message, log_ns))
         elif isinstance(message, GatewayHealth):
             self._count_bus(sample.key, message)
+        elif isinstance(message, SignedStatement):
+            self.statements.receive(
+                sample.key.removesuffix(f"/{BY_TYPE[SignedStatement].name}"), message.text, message.time_ns
+            )
         elif isinstance(message, SafetyEvent):
             self._add_line(sample.key, message, now_ns, log_ns, ChannelQuota.TABLE)
             if message.kind is EventKind.GATEWAY:
@@ -353,6 +362,7 @@ class RobotLog:
 
     def tick(self, now_ns: int, file_bytes: int = 0) -> None:
         """Do what is due: queries, handing the chunk over to the disk, ending a file of this size, an incident."""
+        self.statements.tick()
         self._context.actions += self.robots.queries(now_ns)
         self._context.actions += self._backlog.queries(now_ns)
         if self._at_risk_since_ns is None and len(self._chunk):
@@ -452,7 +462,7 @@ class RobotLog:
         self._files += 1
         self._opened_ns = self._received_ns = now_ns
         self._apply(OpenLog(self.name, self.name, log_ns))
-        self._apply_all(self.robots.describe())
+        self._describe()
         if self._files > 1:
             continued = {"file": str(self._files), "because": self._ended_by}
             self._apply(WriteMetadata(self.name, CONTINUED_NAME, continued))
@@ -462,6 +472,11 @@ class RobotLog:
             self.add_own(topic, event, now_ns)
         for topic, gap in self._pending_gaps.take():
             self.add_own(topic, gap, now_ns)
+
+    def _describe(self) -> None:
+        """Write what each file of the log holds of its robots."""
+        self._apply_all(self.robots.describe())
+        self._apply_all(self.statements.describe())
 
     def _sync(self) -> None:
         if self.is_open:
@@ -499,7 +514,7 @@ class RobotLog:
     def begin_incident(self, because: str, now_ns: int, wall_ns: int) -> None:
         """Keep what came before, and what comes."""
         # Where no file has been begun yet, the robots have not been described.
-        self._apply_all(self.robots.describe())
+        self._describe()
         actions = self.incidents.begin(now_ns, wall_ns, because, self.file if self.is_open else "")
         if actions:
             self._is_incident_announced = False

@@ -14,6 +14,15 @@ from schemas.subjects import BY_TYPE
 METADATA_NAME: Final = "cruiser"
 """The metadata record with the robots of a log; the last one of this name in a file is valid."""
 
+DEVICE_NAME: Final = "foxglove"
+"""The metadata record by which Foxglove files a log under its robot; the last one of this name in a file is valid.
+
+Of its keys (https://docs.foxglove.dev/docs/primary-sites/self-hosting/manage-data, "Adding metadata to imports")
+``deviceName`` alone is written: a device of that name is made where there is none. ``deviceId`` and ``projectId``
+are numbers of somebody's account. ``key`` must never stand on two files that differ, and whoever cuts a log copies
+it; recordings of a device are told apart by their content anyway.
+"""
+
 ASK_AGAIN_NS: Final = 2_000_000_000
 """First pause before a gateway that has not answered, or does not know its variant, is asked again; it doubles."""
 
@@ -54,6 +63,7 @@ class Robots:
         self._version = recorder_version
         self._robots: dict[str, _Robot] = {}
         self._written: dict[str, str] = {}
+        self._device: dict[str, str] = {}
 
     def __len__(self) -> int:
         return len(self._robots)
@@ -130,7 +140,7 @@ class Robots:
         return actions + self.describe()
 
     def describe(self) -> list[LogAction]:
-        """Write the metadata record, unless the log already ends with the same."""
+        """Write the metadata records, unless the log already ends with the same."""
         entries = {"recorder_version": self._version, "robots": ",".join(sorted(self._robots))}
         for name, robot in sorted(self._robots.items()):
             info = robot.info
@@ -141,7 +151,13 @@ class Robots:
                 entries[f"{name}.configuration_sha256"] = info.configuration_sha256
                 for package, version in sorted(info.versions.items()):
                     entries[f"{name}.versions.{package}"] = version
-        if entries == self._written:
-            return []
-        self._written = entries
-        return [WriteMetadata(self._log, METADATA_NAME, dict(entries), lasts=True)]
+        actions: list[LogAction] = []
+        if entries != self._written:
+            self._written = entries
+            actions.append(WriteMetadata(self._log, METADATA_NAME, dict(entries), lasts=True))
+        # A log of several robots is no device's: an empty record takes back what an earlier one said.
+        device = {"deviceName": next(iter(self._robots))} if len(self._robots) == 1 else {}
+        if device != self._device:
+            self._device = device
+            actions.append(WriteMetadata(self._log, DEVICE_NAME, dict(device), lasts=True))
+        return actions

@@ -20,6 +20,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Progress, Selection, read_rows
 from recorder.reading.survey import survey
+from recorder.reading.times import in_words
 from recorder.review.check import check_stream
 from recorder.review.cut import cut
 from recorder.review.info import read_info
@@ -71,6 +72,7 @@ class EvidenceManifest(msgspec.Struct, frozen=True):
         missing: the known gaps of the archive, for people; empty if there is none.
         commands: command lines that ask the archive's own questions again, after it was unpacked.
         files: all other files of the archive.
+        complete_to_ns: the log time to which the logs went that were still being recorded; None if none was.
     """
 
     format: str
@@ -82,6 +84,12 @@ class EvidenceManifest(msgspec.Struct, frozen=True):
     missing: list[str]
     commands: list[str]
     files: dict[str, EvidenceFile]
+    complete_to_ns: int | None = None
+
+    @property
+    def is_early(self) -> bool:
+        """The archive was made before all of its time was recorded."""
+        return self.complete_to_ns is not None and self.complete_to_ns < self.to_ns
 
 
 class EvidenceCheck(msgspec.Struct, frozen=True):
@@ -135,7 +143,7 @@ def gather(
         statements = shown_statements(logs, faults)
         _save(directory / STATEMENTS, statements)
         parts = find_logs(sorted(directory.glob("*.mcap")), faults)
-        proofs = list(verify_logs(parts, faults, None, statements))
+        proofs = list(verify_logs(parts, faults, (), statements))
         _save(directory / PROOF, proofs)
         with (directory / INCIDENT).open("rb") as stream:
             checked = check_stream(stream, (directory / INCIDENT).stat().st_size, INCIDENT)
@@ -148,6 +156,14 @@ def gather(
             else:
                 (directory / f"settings-{robot.replace('/', '.')}.toml").write_text(text, encoding="utf-8")
         missing += [f"{one.topic}: {one.what} ({one.count})".removeprefix(": ") for one in checked.findings]
+        # A recorder may hold the last half second of each in its hand.
+        growing = [log.end_ns for log in logs if log.is_being_written]
+        complete_to_ns = min(growing, default=None)
+        if complete_to_ns is not None and complete_to_ns < period[1]:
+            missing.append(
+                f"what came after {in_words(complete_to_ns)}: the logs were still being recorded; made again "
+                f"after {in_words(period[1])}, or once the recorder was ended, it has all"
+            )
         missing += [_in_words(report.robot, one) for report in proofs for one in report.findings]
         manifest = EvidenceManifest(
             format=FORMAT,
@@ -159,6 +175,7 @@ def gather(
             missing=[*missing, *faults.told],
             commands=commands,
             files={file.name: _described(file) for file in sorted(directory.iterdir())},
+            complete_to_ns=complete_to_ns,
         )
         _write(path, directory, manifest, private)
     return manifest
@@ -174,13 +191,13 @@ def _cut_rerun(
 ) -> list[str]:
     """Cut what it takes to run the incident again, from where it can begin. Returns what is missing for that."""
     try:
-        rests = installed("rests")
+        places = installed("places")
     except CommandError as error:
         return [f"to run it again: {error}"]
     missing, begins = [], []
     for robot in survey(logs, faults).robots:
         wanted = Selection(lambda topic, of=robot: topic.robot == of and topic.subject == JOURNAL)  # type: ignore[misc]
-        begin_ns = beginning(read_rows(logs, wanted, faults, progress), rests, period[0], at_ns, faults)
+        begin_ns = beginning(read_rows(logs, wanted, faults, progress), places, period[0], at_ns, faults)
         if begin_ns is None:
             missing.append(f"{robot}: no place before the incident from which it can be run again")
         else:

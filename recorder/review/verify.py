@@ -19,13 +19,21 @@ from recorder.reading.rows import Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, Topic
 from recorder.review.verifying.authority import GrantInfo, LogAuthority, ShownStatement
-from recorder.review.verifying.chains import ChainLink, ProvenCount, RobotChains, RunChains
+from recorder.review.verifying.chains import (
+    TAIL_NS,
+    ChainLink,
+    ProvenCount,
+    RobotChains,
+    RunChains,
+    SubjectChain,
+)
 from recorder.review.verifying.commands import CommandRecord, Holder, RefusedProof, SignedVerb
+from recorder.review.verifying.file_statements import file_statements
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from recorder.review.verifying.links import LinkEncoder, link_encoder
-from schemas import keys
+from schemas import codec, keys
 from schemas.authority.chain import CHAINED, heads_text
-from schemas.authority.trust import Objection, Trust, fits
+from schemas.authority.trust import Trust, fits
 from schemas.decisions import ChainHeads, Decision, Journal, SafetyEvent, SignedStatement, is_same_run
 from schemas.messages import Message
 
@@ -41,12 +49,14 @@ class RunProof(msgspec.Struct, frozen=True):
 
     Attributes:
         boot: the run's random number, hexadecimal.
+        former: that of the run before, as the robot kept it, hexadecimal; empty if it knew of none.
         first_ns, last_ns: the times of the first and the last chain head, by the robot's clock.
         heads: chain heads in the logs.
         subjects: the samples of each chained subject.
     """
 
     boot: str
+    former: str
     first_ns: int
     last_ns: int
     heads: int
@@ -57,8 +67,10 @@ class RobotProofReport(msgspec.Struct, frozen=True):
     """The result of the verification of a robot's logs.
 
     Attributes:
-        authority: the key of the fleet's authority, hexadecimal; empty if the logs name none.
-        is_vouched: the authority was given by who asks; else nobody vouches for it.
+        authorities: the active keys of the fleet's authority, hexadecimal: more than one across a rotation;
+            none if the logs name none.
+        is_vouched: the authority was given by who asks; else nobody vouches for it, as where the logs are under
+            another one than was given.
         robot_key: the robot's, hexadecimal; empty if the logs do not hold its grant.
         runs: those of which chain heads are there.
         unsigned_runs: runs without any, in open mode: nothing proves them.
@@ -66,12 +78,13 @@ class RobotProofReport(msgspec.Struct, frozen=True):
         holders: the lease's holders.
         verbs: signed verbs that the robot accepted the proof of; ``verbs_untold`` more.
         refused: requests that it refused for their proof.
-        unproven_stops: stops that nobody signed. A stop is served in any case.
+        unproven_stops: stops that nobody signed, not even right after. A stop is served in any case.
         findings: faults, and facts that cannot be decided.
+        unread: parts of the logs that cannot be read. Whose they are is not known.
     """
 
     robot: str
-    authority: str
+    authorities: list[str]
     is_vouched: bool
     robot_key: str
     runs: list[RunProof]
@@ -83,22 +96,33 @@ class RobotProofReport(msgspec.Struct, frozen=True):
     refused: list[RefusedProof]
     unproven_stops: list[RefusedProof]
     findings: list[ProofFinding]
+    unread: int = 0
 
     @property
     def is_broken(self) -> bool:
         """Something is missing, changed, wrongly signed, or was not granted."""
-        return any(one.fault is not ProofFault.UNPROVEN for one in self.findings)
+        return any(one.fault.is_tampering for one in self.findings)
+
+    @property
+    def is_of_other_authority(self) -> bool:
+        """All of it goes back to an authority that was not given."""
+        return any(one.fault is ProofFault.OTHER_AUTHORITY for one in self.findings)
+
+    @property
+    def holds(self) -> bool:
+        """All that could be read holds."""
+        return bool(self.runs) and not self.unsigned_runs and not self.findings
 
     @property
     def is_proven(self) -> bool:
-        """All that is there holds."""
-        return bool(self.runs) and not self.unsigned_runs and not self.findings
+        """All that is there could be read, and holds."""
+        return self.holds and not self.unread
 
 
 def verify_logs(
     logs: Sequence[LogFile],
     faults: Faults,
-    trust: Trust | None = None,
+    trusts: Sequence[Trust] = (),
     statements: Sequence[ShownStatement] = (),
     progress: Progress = lambda _: None,
 ) -> Iterator[RobotProofReport]:
@@ -107,13 +131,13 @@ def verify_logs(
     Args:
         logs: in the order of their beginnings.
         faults: collects what cannot be read.
-        trust: the fleet's authority; without it the one that the logs name is believed.
+        trusts: the fleet's authority, and those before it; without any the one that the logs name is believed.
         statements: grants and revocations that are not in the logs.
         progress: receives the count of bytes that were read, for each robot anew.
     """
     for robot in survey(logs, faults).robots:
         own = [one for one in statements if one.robot == robot]
-        yield _Verification(robot, logs, faults, trust, own).run(progress)
+        yield _Verification(robot, logs, faults, trusts, own).run(progress)
 
 
 def shown_statements(
@@ -126,6 +150,8 @@ def shown_statements(
         if isinstance(message, SignedStatement):
             robot = row.topic.robot
             found.setdefault((robot, message.text), ShownStatement(robot, message.time_ns, message.text))
+    for one in file_statements(logs, faults):
+        found.setdefault((one.robot, one.text), one)
     return list(found.values())
 
 
@@ -135,16 +161,17 @@ class _Verification:
         robot: str,
         logs: Sequence[LogFile],
         faults: Faults,
-        trust: Trust | None,
+        trusts: Sequence[Trust],
         statements: Sequence[ShownStatement],
     ) -> None:
         self._robot, self._logs, self._faults = robot, logs, faults
-        self._trust, self._statements = trust, list(statements)
+        self._trusts, self._statements = trusts, list(statements)
+        self._statements += [one for one in file_statements(logs, faults) if one.robot == robot]
         self._findings: list[ProofFinding] = []
         self._encoders: dict[Topic, LinkEncoder | None] = {}
         self._ticks: list[int] = []
-        self._unsigned: dict[tuple[str, Hashable], int] = {}
-        self._signed_without_heads: dict[Hashable, int] = {}
+        self._unsigned: dict[tuple[str, Hashable], tuple[int, int]] = {}
+        self._signed_runs: set[Hashable] = set()
         self._root = ""
         self._robot_key = b""
 
@@ -152,16 +179,28 @@ class _Verification:
         """Read the logs twice: statements and heads, and then what they prove."""
         heads = self._read_proofs()
         name = self._robot.rpartition("/")[2]
-        authority = LogAuthority(name, self._trust, self._statements)
-        chains = RobotChains(self._signed(heads, authority))
+        authority = LogAuthority(name, self._trusts, self._statements)
         record = CommandRecord(self._root, name, authority)
-        self._read_links(chains, record, progress)
+
+        is_signed = bool(authority.robot_keys)
+
+        def take(link: ChainLink, is_proven: bool) -> None:  # noqa: FBT001 - see Take
+            message = link.message
+            if isinstance(message, Decision):
+                record.take_decision(message, link.run, is_proven=is_proven and is_signed)
+            elif isinstance(message, Journal) and record.take_journal(message, is_proven=is_proven and is_signed):
+                self._signed_runs.add(link.run)
+
+        chains = RobotChains(self._distinct(self._signed(heads, authority)), take)
+        self._read_links(chains, progress)
+        self._findings += chains.close()
         for run in chains.runs:
-            self._findings += run.close()
+            for subject, chain in run.subjects.items():
+                self._take_strangers(subject, chain)
         self._judge_unsigned()
         return RobotProofReport(
             robot=self._robot,
-            authority=authority.root.hex(),
+            authorities=[key.hex() for key in authority.roots],
             is_vouched=authority.is_vouched,
             robot_key=self._robot_key.hex(),
             runs=list(map(_as_proof, chains.runs)),
@@ -173,6 +212,7 @@ class _Verification:
             refused=record.refused,
             unproven_stops=record.unproven_stops,
             findings=_merged([*authority.findings, *self._findings, *record.findings]),
+            unread=self._faults.count,
         )
 
     def _rows(self, subjects: Sequence[str], progress: Progress) -> Iterator[tuple[Row, Message]]:
@@ -186,39 +226,46 @@ class _Verification:
             yield row, message
 
     def _read_proofs(self) -> list[ChainHeads]:
-        heads: dict[tuple[bytes, int], ChainHeads] = {}
+        heads: dict[bytes, ChainHeads] = {}
         for _, message in self._rows((HEADS, STATEMENT), lambda _: None):
             if isinstance(message, SignedStatement):
                 self._statements.append(ShownStatement(self._robot, message.time_ns, message.text))
             elif isinstance(message, ChainHeads):
-                known = heads.setdefault((message.boot, message.sequence), message)
-                if known != message:
-                    self._find(ProofFault.CHANGED, "chain heads that contradict each other", message.time_ns)
+                heads.setdefault(codec.encode(message), message)
         return list(heads.values())
 
-    def _signed(self, heads: Sequence[ChainHeads], authority: LogAuthority) -> Iterator[ChainHeads]:
+    def _distinct(self, heads: Sequence[ChainHeads]) -> list[ChainHeads]:
+        """Return one of each number of a run. Those that the robot did not sign are in nobody's way any more."""
+        distinct: dict[tuple[bytes, int], ChainHeads] = {}
+        for one in heads:
+            if distinct.setdefault((one.boot, one.sequence), one) != one:
+                self._find(ProofFault.CHANGED, "chain heads that contradict each other", one.time_ns)
+        return list(distinct.values())
+
+    def _signed(self, heads: Sequence[ChainHeads], authority: LogAuthority) -> list[ChainHeads]:
         """The heads whose signature is the robot's."""
         robot_keys = authority.robot_keys
         if heads and not robot_keys:
             what = "the logs do not hold the robot's grant: whose chain heads these are cannot be told"
-            self._find(ProofFault.UNPROVEN, what, heads[0].time_ns)
-            yield from heads
-            return
+            self._find(ProofFault.UNPROVEN, what, min(one.time_ns for one in heads))
+            return list(heads)
+        signed = []
+        times: dict[bytes, list[int]] = {}
         for one in heads:
             said = {entry.subject: (entry.count, entry.head) for entry in one.heads}
-            text = heads_text(one.boot, one.time_ns, said)
+            text = heads_text(one.boot, one.time_ns, one.sequence, said, one.former)
             signer = next((key for key in robot_keys if fits(key, one.signature, text)), None)
             if signer is None:
                 self._find(ProofFault.WRONGLY_SIGNED, "chain heads that the robot did not sign", one.time_ns)
                 continue
-            held = authority.judge(robot_keys[signer], one.time_ns)
-            if isinstance(held, Objection):
-                what = f"the robot's own grant does not hold: {held.text}"
-                self._find(ProofFault.NOT_GRANTED, what, one.time_ns)
+            times.setdefault(signer, []).append(one.time_ns)
             self._robot_key = signer
-            yield one
+            signed.append(one)
+        for key, at in times.items():
+            self._findings += authority.judge_robot(key, at)
+        return signed
 
-    def _read_links(self, chains: RobotChains, record: CommandRecord, progress: Progress) -> None:
+    def _read_links(self, chains: RobotChains, progress: Progress) -> None:
         for row, message in self._rows(CHAINED, progress):
             if row.topic not in self._encoders:
                 self._encoders[row.topic] = link_encoder(row.topic)
@@ -228,16 +275,18 @@ class _Verification:
                 self._find(ProofFault.UNPROVEN, what, message.time_ns)
                 continue
             run_id = self._run_of(message)
-            link = ChainLink(message.sequence, message.time_ns, run_id, encode(message))
-            run, is_new = chains.add(row.topic.subject, link)
-            if run is None:
-                self._unsigned.setdefault((row.topic.subject, run_id), message.time_ns)
-            if not is_new:
-                continue
-            if isinstance(message, Decision):
-                record.take_decision(message)
-            elif isinstance(message, Journal) and record.take_journal(message) and run is None:
-                self._signed_without_heads.setdefault(run_id, message.time_ns)
+            link = ChainLink(message.sequence, message.time_ns, run_id, encode(message), message)
+            if not chains.add(row.topic.subject, link):
+                self._take_unsigned(row.topic.subject, run_id, message.time_ns, message.time_ns)
+
+    def _take_strangers(self, subject: str, chain: SubjectChain) -> None:
+        """Count the samples that stood among those of a run, and are of another that has no heads."""
+        for run_id, (first_ns, last_ns) in chain.strangers.items():
+            self._take_unsigned(subject, run_id, first_ns, last_ns)
+
+    def _take_unsigned(self, subject: str, run_id: Hashable, first_ns: int, last_ns: int) -> None:
+        known = self._unsigned.get((subject, run_id), (first_ns, last_ns))
+        self._unsigned[subject, run_id] = min(known[0], first_ns), max(known[1], last_ns)
 
     def _run_of(self, message: Message) -> Hashable:
         """Return an identifier of a message's run: the journal's number, or one tick for all ticks of a run."""
@@ -251,15 +300,20 @@ class _Verification:
         return tick
 
     def _judge_unsigned(self) -> None:
-        for time_ns in self._signed_without_heads.values():
-            what = "chain heads of a whole run, whose requests are those of signed mode"
-            self._find(ProofFault.MISSING, what, time_ns)
-        for (subject, run_id), time_ns in self._unsigned.items():
-            if subject == "journal" and run_id not in self._signed_without_heads:
+        for (subject, run_id), (time_ns, until_ns) in self._unsigned.items():
+            if subject != "journal":
+                continue
+            if run_id not in self._signed_runs:
                 what = "a run without chain heads, as in open mode: nothing proves it"
                 self._find(ProofFault.UNPROVEN, what, time_ns)
+            elif until_ns - time_ns > TAIL_NS:
+                what = "chain heads of a whole run, whose requests are those of signed mode"
+                self._find(ProofFault.MISSING, what, time_ns)
+            else:
+                what = "a run, or a part of one, that is too short to hold a chain head"
+                self._find(ProofFault.UNPROVEN, what, time_ns)
         if not any(subject == "journal" for subject, _ in self._unsigned):
-            for (subject, _), time_ns in self._unsigned.items():
+            for (subject, _), (time_ns, _) in self._unsigned.items():
                 what = f"{subject}: samples of a run that has no chain heads and no journal"
                 self._find(ProofFault.UNPROVEN, what, time_ns)
 
@@ -283,6 +337,7 @@ def _messages(rows: Iterator[Row], faults: Faults) -> Iterator[tuple[Row, Messag
 def _as_proof(run: RunChains) -> RunProof:
     return RunProof(
         boot=run.boot.hex(),
+        former="" if run.former is None else run.former.boot.hex(),
         first_ns=run.first_ns,
         last_ns=run.last_ns,
         heads=run.heads,
@@ -296,6 +351,9 @@ def _merged(findings: Sequence[ProofFinding]) -> list[ProofFinding]:
     for one in findings:
         known = merged.get((one.fault, one.what))
         count = one.count + (0 if known is None else known.count)
-        times = [other.time_ns for other in (known, one) if other is not None and other.time_ns is not None]
-        merged[one.fault, one.what] = ProofFinding(one.fault, one.what, min(times, default=None), count)
+        both = [other for other in (known, one) if other is not None]
+        times = [at for other in both for at in (other.time_ns, other.until_ns) if at is not None]
+        first, last = min(times, default=None), max(times, default=None)
+        until = None if first == last else last
+        merged[one.fault, one.what] = ProofFinding(one.fault, one.what, first, count, until)
     return sorted(merged.values(), key=lambda one: one.time_ns or 0)

@@ -20,7 +20,7 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
-from recorder.record.admission import OrderAdmission, OrderNote, SignedOrder, refusal_text
+from recorder.record.admission import OrderAdmission, OrderNote, SignedOrder, refusal_text, text_of
 from recorder.record.orders import OperatorRequest
 from recorder.zenoh.session import listen_beside, open_session
 from schemas import codec, keys
@@ -30,7 +30,7 @@ from schemas.codec import PayloadFault
 from schemas.decisions import StatementReply
 from schemas.messages import Message
 from schemas.printable import plain
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import Reason
 from schemas.recording import BackfillPiece, RecorderReply
 from schemas.requests import Request
 from schemas.settings import Settings
@@ -249,7 +249,7 @@ def _reply_of(refusal: Objection | None) -> StatementReply:
     """The reply to a statement. In open mode there is nothing to refuse."""
     if refusal is None:
         return StatementReply(ok=True, reason=Reason.NONE, detail="", cure="")
-    detail, cure = refusal_text(refusal), TEXTS[refusal.reason].cure
+    detail, cure = refusal_text(refusal), text_of(refusal.reason).cure
     return StatementReply(ok=False, reason=refusal.reason, detail=detail, cure=cure)
 
 

@@ -17,6 +17,7 @@ from schemas.zenoh_link import (
     ANY_LOCAL_PORT,
     PROTOCOLS,
     Json,
+    SessionError,
     ZenohChoice,
     allows,
     finds_router,
@@ -29,6 +30,8 @@ from schemas.zenoh_link import (
 )
 
 BATCH_SIZE: Final = "transport/link/tx/batch_size"
+
+CERTIFICATE: Final = "transport/link/tls/connect_certificate"
 
 BATCH_BYTES: Final = 16_384
 """The links' batches, both ways. A sample that waits keeps all of the batch in memory that it came in: with
@@ -48,21 +51,21 @@ def open_session(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.S
     Raises:
         CommandError: the settings are wrong, or it cannot be opened.
     """
-    session = _open(_configuration(settings, listen), listen)
+    session = _open(_configuration(settings, listen), listen, settings.config)
     mode, _, _, is_given = said_of(settings)
     if listen or mode != "peer" or is_given or not finds_router(session.info, time.sleep):
         return session
     session.close()
     client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
-    return _open(_configuration(client), ())
+    return _open(_configuration(client), (), settings.config)
 
 
-def _open(config: zenoh.Config, listen: Sequence[str]) -> zenoh.Session:
+def _open(config: zenoh.Config, listen: Sequence[str], config_file: str) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         on = f", listening on {', '.join(listen)}" if listen else ""
-        raise CommandError(f"cannot join Zenoh{on}: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        raise SessionError(f"cannot join Zenoh{on}", str(error), config_file) from error
 
 
 def key_matches(expression: str, topic: str) -> bool:
@@ -110,6 +113,15 @@ def listen_beside(settings: ZenohSettings) -> list[str]:
         return next_ports(said_of(settings).listen) or local_port(settings)
     except ValueError as error:
         raise CommandError(f"wrong Zenoh settings: to listen on: {error}", ExitCode.USAGE) from error
+
+
+def certificate_file(settings: ZenohSettings) -> str:
+    """The file of the certificate that a session connects with; empty if there is none.
+
+    Raises:
+        CommandError: the settings are wrong.
+    """
+    return str(_File(settings).says(CERTIFICATE) or "")
 
 
 class _File:

@@ -6,7 +6,6 @@ Each error is one line that names the file and the cure. The caller reads the fi
 from __future__ import annotations
 
 import stat
-from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Final
 
@@ -20,9 +19,6 @@ from schemas.authority.statement import Signed, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys, Trust
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.settings import AuthoritySettings
-
-AUTO: Final = "auto"
 
 KEY_FILE, GRANT_FILE, AUTHORITY_FILE = "{who}.key", "{who}.grant", "authority.json"
 
@@ -60,14 +56,6 @@ class Identity(msgspec.Struct, frozen=True):
     trust: Trust
 
 
-def directory_of(settings: AuthoritySettings, environment: Mapping[str, str], home: PurePath) -> PurePath:
-    """The directory that the settings name; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
-    if settings.directory != AUTO:
-        return PurePath(settings.directory)
-    configured = environment.get("XDG_CONFIG_HOME", "")
-    return (PurePath(configured) if configured else home / ".config") / "cruiser"
-
-
 def identity_of(key: FoundFile, grant: FoundFile, authority: FoundFile, who: str) -> Identity:
     """Read the key and the grant of somebody, and check that they belong together.
 
@@ -78,19 +66,26 @@ def identity_of(key: FoundFile, grant: FoundFile, authority: FoundFile, who: str
         who: ``robot``, ``operator``, ``recorder``: the files' name.
 
     Raises:
-        CommandError: one is readable for others, or not what it should be.
+        CommandError: one is readable for others, not what it should be, or of another authority than the others.
     """
-    private = private_key(key, again(who))
+    private, shown = private_key(key, remade(who)), plain(str(grant.path))
     chain = read_chain(grant.content)
     if isinstance(chain, StatementFault):
-        raise CommandError(f"{grant.path} is no grant: {chain.detail}; {again(who)}", ExitCode.USAGE)
+        raise CommandError(f"{shown} is no grant: {chain.detail}; {renewed(who)}", ExitCode.USAGE)
     public = private.public_key().public_bytes_raw().hex()
     if getattr(chain[0].statement, "key", "") != public:
         raise CommandError(
-            f"{grant.path} is not the grant of {key.path}: one of them is somebody else's; {again(who)}",
+            f"{shown} is not the grant of {plain(str(key.path))}: one of them is somebody else's; {renewed(who)}",
             ExitCode.USAGE,
         )
-    return Identity(private, chain, trust_of(authority, who))
+    trust = trust_of(authority, who)
+    if chain[-1].signer != trust.active:
+        raise CommandError(
+            f"{plain(str(authority.path))} is not of the authority that signed {shown}: one of them is of another "
+            f"fleet, or of before a rotation; {renewed(who)}",
+            ExitCode.USAGE,
+        )
+    return Identity(private, chain, trust)
 
 
 def trust_of(authority: FoundFile, who: str) -> Trust:
@@ -102,7 +97,8 @@ def trust_of(authority: FoundFile, who: str) -> Trust:
     try:
         return msgspec.json.decode(authority.content, type=AuthorityKeys).trust
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise CommandError(f"{authority.path} is damaged: {error}; {again(who)}", ExitCode.USAGE) from error
+        shown = plain(str(authority.path))
+        raise CommandError(f"{shown} is damaged: {error}; {renewed(who)}", ExitCode.USAGE) from error
 
 
 def private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
@@ -115,9 +111,12 @@ def private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
     try:
         key = load_pem_private_key(file.content, None)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-        raise CommandError(f"{file.path} is no private key: {error}; {cure}", ExitCode.USAGE) from error
+        # OpenSSL's own words are about its decoders, and end with a link to its questions and answers.
+        raise CommandError(
+            f"{plain(str(file.path))} is no private key, or damaged; {cure}", ExitCode.USAGE
+        ) from error
     if not isinstance(key, Ed25519PrivateKey):
-        raise CommandError(f"{file.path} is no Ed25519 key; {cure}", ExitCode.USAGE)
+        raise CommandError(f"{plain(str(file.path))} is no Ed25519 key; {cure}", ExitCode.USAGE)
     return key
 
 
@@ -129,9 +128,9 @@ def check_owner(file: FoundFile) -> None:
     """
     shown = plain(str(file.path))
     if file.mode & OTHERS:
-        raise CommandError(f"{shown} can be read by others: chmod 600 {shown}", ExitCode.USAGE)
+        raise CommandError(f"{shown} can be read by others; chmod 600 {shown}", ExitCode.USAGE)
     if not file.is_own:
-        raise CommandError(f"{shown} belongs to another user: chown it to yours", ExitCode.USAGE)
+        raise CommandError(f"{shown} belongs to another user; chown it to yours", ExitCode.USAGE)
 
 
 def not_found(path: PurePath, error: OSError, cure: str = "") -> CommandError:
@@ -142,9 +141,27 @@ def not_found(path: PurePath, error: OSError, cure: str = "") -> CommandError:
     return CommandError(f"{shown} cannot be read: {error.strerror}", ExitCode.USAGE)
 
 
-def again(who: str) -> str:
-    """The cure for files that are missing or wrong."""
-    return f"'cruiser provision {who}' makes it"
+INSTALLED: Final = "'cruiser provision install' writes it, out of the bundle with which the authority answers"
+
+
+def made(who: str) -> str:
+    """The cure for a key that is missing."""
+    return f"'cruiser provision {who} NAME' makes it, and a request to the authority"
+
+
+def remade(who: str) -> str:
+    """The cure for a key that is damaged."""
+    return f"'cruiser provision {who} NAME --replace' makes another, and a request to the authority"
+
+
+def renewed(who: str) -> str:
+    """The cure for a certificate, a grant or an authority that is damaged, over, or somebody else's."""
+    return f"'cruiser provision renew {who}' asks for another"
+
+
+def installed(who: str) -> str:
+    """The cure for what is missing of what the authority answers."""
+    return f"{INSTALLED} ({who}-NAME.bundle; --replace writes over what is left); {renewed(who)}"
 
 
 def prove_request(

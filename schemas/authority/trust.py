@@ -6,6 +6,7 @@ the one above it, and where nothing of the chain is over, revoked or of an old e
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from functools import lru_cache
 from math import inf
 from typing import Final
@@ -22,6 +23,10 @@ KEYS_KEPT: Final = 512
 
 BY_AUTHORITY_ALONE: Final = frozenset({GrantRole.ROBOT, GrantRole.RECORDER})
 """No site grants these: who can make a robot can pass for one."""
+
+
+_LAST_S: Final = 253_402_300_799
+"""The end of the year 9999, seconds since 1970: a statement may name any time, and no calendar goes further."""
 
 
 class Objection(msgspec.Struct, frozen=True):
@@ -94,6 +99,14 @@ class Trust(msgspec.Struct, frozen=True):
         held = _held(chain, self.active)
         return self.objection(held, now_s) or held
 
+    def has_signed(self, chain: list[Signed]) -> bool:
+        """Return True if a statement is this authority's, or of whom it let in; it may be over."""
+        match chain[0].statement:
+            case Revocations() | Rotation():
+                return chain[0].signer in {self.active, self.standby} and is_signed(chain[0])
+            case _:
+                return self._structure(chain) is None
+
     def objection(self, held: HeldGrant, now_s: int) -> Objection | None:
         """Return why a grant that was verified once does not hold now; None if it does."""
         if held.root != self.active:
@@ -103,9 +116,13 @@ class Trust(msgspec.Struct, frozen=True):
         if not self.revoked.isdisjoint(held.revocable):
             return Objection(Reason.GRANT_REVOKED, f"by list {self.list_serial}")
         if now_s > held.not_after:
-            return Objection(Reason.GRANT_EXPIRED, f"{now_s - held.not_after} s ago")
+            return Objection(
+                Reason.GRANT_EXPIRED, f"it ended {in_utc(held.not_after)}, and here it is {in_utc(now_s)}"
+            )
         if now_s < held.not_before:
-            return Objection(Reason.GRANT_EXPIRED, f"it begins in {held.not_before - now_s} s")
+            return Objection(
+                Reason.GRANT_EXPIRED, f"it begins {in_utc(held.not_before)}, and here it is {in_utc(now_s)}"
+            )
         return None
 
     def revoke(self, signed: Signed) -> Trust | Objection:
@@ -131,17 +148,21 @@ class Trust(msgspec.Struct, frozen=True):
         new = signed.statement
         if not isinstance(new, Rotation):
             return Objection(Reason.MALFORMED, "it is no rotation")
+        keys = bytes.fromhex(new.active), bytes.fromhex(new.standby)
+        if signed.signer != self.standby and keys == (self.active, self.standby):
+            # By whomever: there is nothing to take over.
+            return Objection(Reason.REPLAYED, "the authority that it leads to is in force")
         if signed.signer != self.standby or not is_signed(signed):
             return Objection(Reason.PROOF_WRONG, "it is not signed by the standby key")
         if new.serial <= self.rotation:
             return Objection(Reason.REPLAYED, f"rotation {new.serial} after {self.rotation}")
-        is_former = self.active != bytes.fromhex(new.active)
+        is_former = self.active != keys[0]
         return msgspec.structs.replace(
             self,
             list_serial=0 if is_former else self.list_serial,
             revoked=frozenset() if is_former else self.revoked,
-            active=bytes.fromhex(new.active),
-            standby=bytes.fromhex(new.standby),
+            active=keys[0],
+            standby=keys[1],
             rotation=new.serial,
             epoch=new.epoch if is_former else max(self.epoch, new.epoch),
         )
@@ -182,7 +203,9 @@ class Trust(msgspec.Struct, frozen=True):
             if not isinstance(grant, Grant):
                 return Objection(Reason.MALFORMED, "a chain is of grants alone")
             if above is None and one.signer != self.active:
-                return Objection(Reason.GRANT_UNKNOWN, "its chain does not end at this robot's authority")
+                return Objection(
+                    Reason.GRANT_UNKNOWN, "its chain does not end at the authority that is known here"
+                )
             if above is not None and bytes.fromhex(above.key) != one.signer:
                 return Objection(Reason.PROOF_WRONG, "the next grant of the chain is not its signer's")
             if not is_signed(one):
@@ -222,6 +245,14 @@ def fits(key: bytes, signature: bytes, text: bytes) -> bool:
 @lru_cache(KEYS_KEPT)
 def _public_key(key: bytes) -> Ed25519PublicKey:
     return Ed25519PublicKey.from_public_bytes(key)
+
+
+def in_utc(time_s: int) -> str:
+    """Seconds since 1970 as a person reads them, to the minute.
+
+    An age would be another text in every second, and logged as often; this is one in every minute.
+    """
+    return datetime.fromtimestamp(min(max(time_s, 0), _LAST_S), UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def _held(chain: list[Signed], root: bytes) -> HeldGrant:

@@ -12,11 +12,13 @@ from typing import Final
 
 import msgspec
 
+from recorder.cli.missing_extra import missing_extra
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
+from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
@@ -41,6 +43,7 @@ class Asked(msgspec.Struct):
         start_ns, end_ns: the first and the last log time of all.
         from_ns: the first log time that is asked about...
         to_ns: ...and the first one that is not any more.
+        known: those of the logs that a catalog tells of.
     """
 
     logs: list[LogFile]
@@ -49,6 +52,7 @@ class Asked(msgspec.Struct):
     end_ns: int
     from_ns: int
     to_ns: int
+    known: dict[Path, CatalogedLog] = {}
 
     @property
     def selection(self) -> Selection:
@@ -80,7 +84,8 @@ def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
         CommandError: there is nothing to read, a time is of no known form, or the logs hold nothing of the time.
     """
     faults = Faults()
-    logs = find_logs(arguments.logs, faults, with_covered=with_covered)
+    known = cataloged(arguments.logs)
+    logs = find_logs(arguments.logs, faults, with_covered=with_covered, known=known)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
     begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)
@@ -91,7 +96,19 @@ def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
     if end_ns and (from_ns > end_ns or to_ns <= start_ns):
         period = f"{in_words(start_ns)} to {in_words(end_ns)}"
         raise CommandError(f"the logs hold nothing of that time: they go from {period}", ExitCode.USAGE)
-    return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns)
+    return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns, known)
+
+
+def cataloged(paths: Sequence[Path]) -> dict[Path, CatalogedLog]:
+    """The logs that need not be opened, as the catalogs of these directories say."""
+    directories = [path for path in paths if (path / CATALOG_NAME).exists()]
+    if not directories:
+        return {}
+    try:
+        from recorder.review.catalog.directory import known_logs  # noqa: PLC0415 - it needs an extra
+    except ModuleNotFoundError:
+        return {}
+    return {path: log for directory in directories for path, log in known_logs(directory).items()}
 
 
 @contextmanager
@@ -166,7 +183,7 @@ def needing_extra() -> Generator[None, None, None]:
         name = (error.name or "").partition(".")[0]
         if name not in _EXTRA:
             raise
-        raise CommandError(f"this needs {name}: pip install 'cruiser-gateway[review]'") from None
+        raise missing_extra(name, "review") from None
 
 
 def end_with(faults: Faults) -> int:

@@ -16,6 +16,7 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser review info logs\n  cruiser review QUESTION --help"
 
 QUESTIONS: Final[dict[str, tuple[str, str]]] = {
+    "find": ("recorder.cli.review.find", "moments, drives and logs of directories, by words, from a catalog"),
     "info": ("recorder.cli.review.info", "what logs hold, as their ends and their recorder tell"),
     "check": ("recorder.cli.review.check", "whether logs are what they say, and what they lack"),
     "events": ("recorder.cli.review.events", "what happened, in order: stops, faults, refusals, and why"),
@@ -23,6 +24,10 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "verify": ("recorder.cli.review.verify", "who commanded, with which grant; is anything missing or changed"),
     "evidence": ("recorder.cli.review.evidence", "what logs hold around an incident, in one signed archive"),
     "rerun": ("recorder.cli.review.rerun", "the recorded run through today's arbiter, or with other settings"),
+    "regress": (
+        "recorder.cli.review.regress",
+        "every minute of logs through today's arbiter, or other settings",
+    ),
     "report": ("recorder.cli.review.report", "a drive as one HTML page, for people"),
     "layouts": ("recorder.cli.review.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
     "replay": ("recorder.cli.review.replay", "publish a log again on Zenoh, or put its frames on a CAN bus"),

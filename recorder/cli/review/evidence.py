@@ -30,7 +30,8 @@ DESCRIPTION: Final = (
     "Writes one archive with the part of logs around an incident, the grants and revocations of all of them, "
     "chain heads, settings, software versions, what is missing, and the command that runs it again. A manifest "
     "has the SHA-256 of each file, and is signed with --key. 'cruiser review verify' reads it. Nothing is "
-    "overwritten. Exit code 3 if something could not be read; the rest is in the archive."
+    "overwritten. Logs that are still being recorded are taken as far as they go. Exit code 3 if something could "
+    "not be read, or was not recorded yet; the rest is in the archive."
 )
 
 
@@ -64,7 +65,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     is_signed = private is not None
     text = msgspec.json.encode(manifest).decode() if arguments.json else describe(manifest, is_signed=is_signed)
     sys.stdout.write(f"{text}\n")
-    return end_with(asked.faults)
+    code = end_with(asked.faults)
+    return int(ExitCode.PARTIAL) if manifest.is_early else code
 
 
 def describe(manifest: EvidenceManifest, *, is_signed: bool) -> str:

@@ -16,10 +16,12 @@ from recorder.reading.times import in_words
 from recorder.review.evidence import EvidenceCheck, read_evidence
 from recorder.review.verify import RobotProofReport, RunProof, verify_logs
 from recorder.review.verifying.authority import GrantInfo, ShownStatement
-from recorder.review.verifying.commands import RefusedProof
-from recorder.review.verifying.findings import ProofFault
+from recorder.review.verifying.commands import RefusedProof, SignedVerb
+from recorder.review.verifying.findings import ProofFault, ProofFinding
+from schemas.authority.fingerprint import key_fingerprint
 from schemas.authority.trust import AuthorityKeys, Trust
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.file_kinds import check_regular
 from schemas.printable import plain
 from schemas.settings import Settings
 
@@ -31,12 +33,16 @@ DESCRIPTION: Final = (
     "Holds logs of robots in signed mode against their signatures: whether anything between two chain heads is "
     "missing or changed, who commanded when and with which grant, whether each signed verb and each grant holds "
     "up to the fleet's authority. Exit code 0 if all holds; 1 if anything is missing, changed, wrongly signed or "
-    "was not granted; 3 if something cannot be read, or nothing can prove it, as in open mode."
+    "was not granted; 3 if something cannot be read, or nothing can prove it: in open mode, or under another "
+    "authority than was given, as of before a rotation."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each robot"
 
 ARCHIVE: Final = ".zip"
 """Ends the name of an archive of evidence."""
+
+NOTHING_PROVES: Final = "; nothing proves it"
+"""Marks what stands in no segment between two chain heads."""
 
 VERBS_SHOWN: Final = 200
 """Signed verbs that are listed one by one; ``--json`` has all."""
@@ -48,25 +54,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--authority",
         type=Path,
+        action="append",
+        default=[],
         metavar="FILE",
-        help="the fleet's authority.json; without it nobody vouches for the authority that a log names",
+        help="the fleet's authority.json; without it nobody vouches for the authority that a log names. For logs "
+        "across a rotation give that of before, or both",
     )
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Verify."""
-    trust = None if arguments.authority is None else read_authority(arguments.authority)
+    trusts = [read_authority(path) for path in arguments.authority]
     archives = [path for path in arguments.logs if path.suffix == ARCHIVE]
     logs = [path for path in arguments.logs if path.suffix != ARCHIVE]
-    codes = [_verify_archive(path, trust, arguments, stopped) for path in archives]
+    codes = [_verify_archive(path, trusts, arguments, stopped) for path in archives]
     if logs:
         arguments.logs = logs
-        codes.append(_verify(arguments, trust, (), stopped))
+        codes.append(_verify(arguments, trusts, (), stopped))
     return int(max(codes, key=_GRAVITY.index))
 
 
 def _verify_archive(
-    path: Path, trust: Trust | None, arguments: argparse.Namespace, stopped: Callable[[], bool]
+    path: Path, trusts: Sequence[Trust], arguments: argparse.Namespace, stopped: Callable[[], bool]
 ) -> ExitCode:
     with TemporaryDirectory(prefix="cruiser-evidence-") as name:
         found = read_evidence(path, Path(name))
@@ -74,20 +83,20 @@ def _verify_archive(
         sys.stdout.write(f"{msgspec.json.encode(found).decode() if arguments.json else said}\n")
         logs = sorted(Path(name).glob("*.mcap"))
         unpacked = argparse.Namespace(**{**vars(arguments), "logs": logs})
-        code = _verify(unpacked, trust, found.statements, stopped) if logs else ExitCode.FAILURE
+        code = _verify(unpacked, trusts, found.statements, stopped) if logs else ExitCode.FAILURE
         return ExitCode.FAILURE if found.findings else code
 
 
 def _verify(
     arguments: argparse.Namespace,
-    trust: Trust | None,
+    trusts: Sequence[Trust],
     statements: Sequence[ShownStatement],
     stopped: Callable[[], bool],
 ) -> ExitCode:
     asked = find(arguments, with_covered=True)
     codes = []
     with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
-        for report in verify_logs(asked.logs, asked.faults, trust, statements, progress):
+        for report in verify_logs(asked.logs, asked.faults, trusts, statements, progress):
             codes.append(code_of(report))
             text = msgspec.json.encode(report).decode() if arguments.json else describe(report)
             sys.stdout.write(f"{text}\n")
@@ -130,12 +139,13 @@ def read_authority(path: Path) -> Trust:
     """
     shown = plain(str(path))
     try:
+        check_regular(path, path.stat().st_mode)
         keys = msgspec.json.decode(path.read_bytes(), type=AuthorityKeys)
     except OSError as error:
         raise CommandError(f"cannot read {shown}: {error.strerror or error}", ExitCode.USAGE) from error
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise CommandError(
-            f"{shown} is no authority.json: {plain(str(error))}; 'cruiser provision authority' makes it",
+            f"{shown} is no authority.json: {plain(str(error))}; 'cruiser provision install' writes one",
             ExitCode.USAGE,
         ) from error
     return keys.trust
@@ -148,14 +158,11 @@ def describe(report: RobotProofReport) -> str:
 
 
 def _lines(report: RobotProofReport) -> Iterator[str]:
-    if report.is_broken:
-        verdict = "NOT AS IT WAS SIGNED"
-    else:
-        verdict = "all holds" if report.is_proven else "not all of it can be proven"
-    yield f"{report.robot}: {verdict}"
-    if report.authority:
-        vouched = "as given" if report.is_vouched else "by the log alone: nobody vouches for it (--authority)"
-        yield f"  authority {report.authority}, {vouched}"
+    yield f"{report.robot}: {_whole(report)}"
+    vouched = "as given" if report.is_vouched else "by the log alone: nobody vouches for it (--authority)"
+    if report.is_of_other_authority:
+        vouched = "NOT AS GIVEN: what follows is by the log alone, and nobody vouches for it"
+    yield from (f"  authority {key_fingerprint(key)}, {vouched}" for key in report.authorities)
     if report.robot_key:
         yield f"  robot's key {report.robot_key}"
     for run in report.runs:
@@ -167,11 +174,12 @@ def _lines(report: RobotProofReport) -> Iterator[str]:
         yield (
             f"  {holder.operator} held lease {holder.lease} from {in_words(holder.from_ns)} to "
             f"{in_words(holder.to_ns)}, {holder.drives} drive commands; grant: {under}"
+            f"{'' if holder.is_proven else NOTHING_PROVES}"
         )
     yield from table(
         ("signed verb", "operator", "time", "grant", ""),
         [
-            (one.verb, one.operator, in_words(one.time_ns), one.grant, "holds" if one.holds else one.detail)
+            (one.verb, one.operator, in_words(one.time_ns), one.grant, _verdict(one))
             for one in report.verbs[:VERBS_SHOWN]
         ],
         words=5,
@@ -183,12 +191,40 @@ def _lines(report: RobotProofReport) -> Iterator[str]:
     yield from (f"  unproven stop: {_refused(one)}" for one in report.unproven_stops)
     for finding in report.findings:
         word = "cannot be told" if finding.fault is ProofFault.UNPROVEN else finding.fault.value.replace("_", " ")
-        at = "" if finding.time_ns is None else f", first at {in_words(finding.time_ns)}"
-        yield f"  {word}: {finding.what} ({finding.count}{at})"
+        often = "" if finding.time_ns is None and finding.count == 1 else f" ({finding.count}{_when(finding)})"
+        yield f"  {word}: {finding.what}{often}"
+
+
+def _whole(report: RobotProofReport) -> str:
+    """The verdict on all of a robot's logs: the worst that is below it."""
+    if report.is_broken:
+        return "NOT AS IT WAS SIGNED"
+    if report.is_of_other_authority:
+        return "UNDER ANOTHER AUTHORITY than was given: nobody vouches for it"
+    if report.holds:
+        return "what could be read holds, but NOT ALL COULD BE READ" if report.unread else "all holds"
+    return "not all of it can be proven"
+
+
+def _verdict(verb: SignedVerb) -> str:
+    if not verb.holds:
+        return verb.detail
+    before = verb.unsigned_before
+    text = f"holds, and proves {before} right before it" if before else "holds"
+    return text if verb.is_proven else f"{text}{NOTHING_PROVES}"
+
+
+def _when(finding: ProofFinding) -> str:
+    if finding.time_ns is None:
+        return ""
+    if finding.until_ns is None:
+        return f", at {in_words(finding.time_ns)}"
+    return f", from {in_words(finding.time_ns)} to {in_words(finding.until_ns)}"
 
 
 def _run_lines(run: RunProof) -> Iterator[str]:
-    yield f"  run {run.boot}: {run.heads} chain heads, {in_words(run.first_ns)} to {in_words(run.last_ns)}"
+    after = f", after run {run.former}" if run.former else ", not linked to a run before it"
+    yield f"  run {run.boot}: {run.heads} chain heads, {in_words(run.first_ns)} to {in_words(run.last_ns)}{after}"
     for subject, count in run.subjects.items():
         text = f"    {subject}: {count.proven} samples proven"
         if count.from_ns is not None:
@@ -199,7 +235,7 @@ def _run_lines(run: RunProof) -> Iterator[str]:
             (count.before, "before that"),
             (count.absent, "not in the log before that"),
             (count.after, "after the last head"),
-            (count.repeated, "there twice"),
+            (count.repeated, "recorded more than once"),
         )
         yield text + "".join(f", {number} {what}" for number, what in others if number)
 
@@ -213,4 +249,5 @@ def _grant(one: GrantInfo) -> str:
 
 def _refused(one: RefusedProof) -> str:
     until = "" if one.first_ns == one.last_ns else f" to {in_words(one.last_ns)}"
-    return f"{one.count} x {one.verb} of {one.operator}: {one.reason}, {in_words(one.first_ns)}{until}"
+    marked = "" if one.is_proven else NOTHING_PROVES
+    return f"{one.count} x {one.verb} of {one.operator}: {one.reason}, {in_words(one.first_ns)}{until}{marked}"

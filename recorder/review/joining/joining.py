@@ -20,7 +20,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
-from recorder.record.robots import METADATA_NAME
+from recorder.record.robots import DEVICE_NAME, METADATA_NAME
 from recorder.review.joining.ordered import in_order
 from recorder.review.joining.source import JoinSource, Row
 from schemas.exit_codes import CommandError
@@ -260,6 +260,9 @@ def _copy_metadata(file: McapFile, sources: Sequence[JoinSource], about: tuple[s
                 several.append(of_source[name])
     if len(last[METADATA_NAME]) > 1:
         file.add_metadata(METADATA_NAME, _one_account(last[METADATA_NAME]))
+    if len(_robots_in(last[METADATA_NAME])) > 1 and DEVICE_NAME in (name for name, _ in seen):
+        # What was one robot's log is part of several robots' now.
+        file.add_metadata(DEVICE_NAME, {})
     if len(last[COMPLETENESS_NAME]) > 1:
         file.add_metadata(COMPLETENESS_NAME, _one_completeness(last[COMPLETENESS_NAME]))
     file.add_metadata(*about)
@@ -267,8 +270,13 @@ def _copy_metadata(file: McapFile, sources: Sequence[JoinSource], about: tuple[s
 
 def _one_account(several: Sequence[dict[str, str]]) -> dict[str, str]:
     """Merge the recording metadata of several logs: all robots; where two logs differ, the later one counts."""
-    robots = {name for one in several for name in one.get("robots", "").split(",") if name}
-    return {key: value for one in several for key, value in one.items()} | {"robots": ",".join(sorted(robots))}
+    robots = ",".join(sorted(_robots_in(several)))
+    return {key: value for one in several for key, value in one.items()} | {"robots": robots}
+
+
+def _robots_in(several: Sequence[dict[str, str]]) -> set[str]:
+    """The robots that these recording metadata name."""
+    return {name for one in several for name in one.get("robots", "").split(",") if name}
 
 
 def _one_completeness(several: Sequence[dict[str, str]]) -> dict[str, str]:

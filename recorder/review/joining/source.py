@@ -60,6 +60,7 @@ class JoinSource:
     def __init__(self, log: LogFile, choose: Choose, faults: Faults) -> None:
         self._path = log.path
         self._size = log.bytes
+        self._is_being_written = log.is_being_written
         self._choose = choose
         self._faults = faults
         self._schemas: dict[int, records.Schema] = {}
@@ -160,6 +161,8 @@ class JoinSource:
                     self.metadata.append(piece)
                 case records.Attachment():
                     self.attachments.append(piece)
+                case Fault() if piece.cuts and self._is_being_written:
+                    pass
                 case _:
                     self._take(piece)
 

@@ -6,7 +6,8 @@ proven by a key that only the robot and the holder of the lease have: it is attr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Hashable, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -34,6 +35,12 @@ COMMANDING_ROLES: Final = frozenset({GrantRole.PROGRAM, GrantRole.OPERATOR, Gran
 SAME_NS: Final = 50_000_000
 """A request and its decision are of one tick, or of two that follow each other."""
 
+PROOF_OF_STOP_NS: Final = 5_000_000_000
+"""The proof of a stop follows within this time: whoever stops waits no longer."""
+
+STOPS_WAITING: Final = 256
+"""Unsigned stops of an operator that wait for their proof; of a flood the oldest are nobody's."""
+
 VERBS_MAX: Final = 20_000
 """Signed verbs that are kept one by one; a flood is counted."""
 
@@ -49,6 +56,9 @@ class SignedVerb(msgspec.Struct, frozen=True):
         grant: the identifier of the grant; empty if there was no proof.
         holds: signature and grant hold.
         detail: why not.
+        unsigned_before: stops of the same operator that came without a proof, and for which this one is it: a stop
+            waits for no proof, which follows as soon as the robot has said what to sign.
+        is_proven: chain heads prove that the robot accepted it then; else anybody may have put it into the log.
     """
 
     time_ns: int
@@ -57,6 +67,8 @@ class SignedVerb(msgspec.Struct, frozen=True):
     grant: str
     holds: bool
     detail: str = ""
+    unsigned_before: int = 0
+    is_proven: bool = True
 
 
 class RefusedProof(msgspec.Struct):
@@ -66,6 +78,7 @@ class RefusedProof(msgspec.Struct):
         operator: by the key expression, so as they said themselves.
         reason: the robot's.
         first_ns, last_ns: by the robot's clock, nanoseconds since 1970.
+        is_proven: chain heads prove it; else anybody may have made it up.
     """
 
     operator: str
@@ -74,6 +87,7 @@ class RefusedProof(msgspec.Struct):
     count: int
     first_ns: int
     last_ns: int
+    is_proven: bool = True
 
 
 class Holder(msgspec.Struct):
@@ -84,6 +98,8 @@ class Holder(msgspec.Struct):
         grant: identifier of the grant under which it was given; empty if the log does not show it.
         from_ns, to_ns: the first and the last request under it that was accepted, by the robot's clock.
         drives: drive commands that were accepted.
+        is_proven: the decisions stand between chain heads; else anybody may have made them up. Somebody who held
+            the lease when the logs began is there twice, once for what nothing proves.
     """
 
     lease: int
@@ -92,6 +108,7 @@ class Holder(msgspec.Struct):
     from_ns: int
     to_ns: int
     drives: int
+    is_proven: bool = True
 
 
 class CommandRecord:
@@ -116,8 +133,9 @@ class CommandRecord:
         self.verbs: list[SignedVerb] = []
         self.verbs_untold = 0
         self.findings: list[ProofFinding] = []
-        self._refused: dict[tuple[str, str, str], RefusedProof] = {}
-        self._holders: dict[int, Holder] = {}
+        self._refused: dict[tuple[str, str, str, bool], RefusedProof] = {}
+        self._stops: dict[tuple[str, bool], deque[int]] = {}
+        self._holders: dict[tuple[Hashable, int, bool], Holder] = {}
 
     @property
     def refused(self) -> list[RefusedProof]:
@@ -126,7 +144,11 @@ class CommandRecord:
 
     @property
     def unproven_stops(self) -> list[RefusedProof]:
-        """Stops that nobody signed."""
+        """Stops that nobody signed, not even right after."""
+        for (operator, is_proven), stops in self._stops.items():
+            while stops:
+                at_ns = stops.popleft()
+                self._refuse(operator, STOP_VERB, Reason.PROOF_MISSING.value, at_ns, is_proven=is_proven)
         return [one for one in self._refused.values() if one.verb == STOP_VERB]
 
     def holders(self) -> list[Holder]:
@@ -137,28 +159,29 @@ class CommandRecord:
                 for verb in self.verbs
                 if verb.verb in LEASING
                 and verb.operator == holder.operator
+                and verb.is_proven >= holder.is_proven
                 and abs(verb.time_ns - holder.from_ns) <= SAME_NS
             ]
             holder.grant = asked[-1].grant if asked else ""
         return sorted(self._holders.values(), key=lambda one: one.from_ns)
 
-    def take_decision(self, decision: Decision) -> None:
-        """A decision says who had what accepted."""
+    def take_decision(self, decision: Decision, run: Hashable, *, is_proven: bool) -> None:
+        """A decision, of this run, says who had what accepted; chain heads prove it, or nothing does."""
         if decision.verdict is not Verdict.ACCEPTED or not decision.lease:
             return
-        holder = self._holders.get(decision.lease)
+        holder = self._holders.get((run, decision.lease, is_proven))
         if holder is None:
             if decision.request not in LEASING | {DRIVE_VERB, "renew", "engage"}:
                 return
             at_ns = decision.time_ns
-            holder = Holder(decision.lease, decision.operator, "", at_ns, at_ns, 0)
-            self._holders[decision.lease] = holder
+            holder = Holder(decision.lease, decision.operator, "", at_ns, at_ns, 0, is_proven)
+            self._holders[run, decision.lease, is_proven] = holder
         holder.from_ns = min(holder.from_ns, decision.time_ns)
         holder.to_ns = max(holder.to_ns, decision.time_ns)
         holder.drives += decision.request == DRIVE_VERB
 
-    def take_journal(self, journal: Journal) -> bool:
-        """A message of the journal. Returns whether it holds requests of signed mode."""
+    def take_journal(self, journal: Journal, *, is_proven: bool) -> bool:
+        """A message of the journal, with heads that prove it or not. True if it holds requests of signed mode."""
         if SIGNED_INPUT not in journal.inputs:
             return False
         try:
@@ -174,28 +197,30 @@ class CommandRecord:
                 is_signed = True
                 waiting.append(one)
             elif one[:1] == (Kind.TICK,) and len(one) > _WALL:
-                self._take_requests(waiting, one[_WALL])
+                self._take_requests(waiting, one[_WALL], is_proven=is_proven)
                 waiting = []
         # Their tick is in the next message.
-        self._take_requests(waiting, journal.time_ns)
+        self._take_requests(waiting, journal.time_ns, is_proven=is_proven)
         return is_signed
 
-    def _take_requests(self, requests: Sequence[tuple[Any, ...]], at_ns: int) -> None:
+    def _take_requests(self, requests: Sequence[tuple[Any, ...]], at_ns: int, *, is_proven: bool) -> None:
         for one in requests:
             try:
-                self._take_request(one, at_ns)
+                self._take_request(one, at_ns, is_proven=is_proven)
             except (TypeError, ValueError, IndexError, AttributeError):
                 what = "a request in the journal is of no form that a gateway writes"
                 self.findings.append(ProofFinding(ProofFault.CHANGED, what, at_ns))
 
-    def _take_request(self, one: tuple[Any, ...], at_ns: int) -> None:
+    def _take_request(self, one: tuple[Any, ...], at_ns: int, *, is_proven: bool) -> None:
         _, _, _, verb, operator, payload, _, _, attachment, credentials = one
         reason = Reason(credentials[0])
-        if reason is not Reason.NONE:
-            key = operator, verb, reason.value
-            refused = self._refused.setdefault(key, RefusedProof(*key, 0, at_ns, at_ns))
-            refused.count += 1
-            refused.first_ns, refused.last_ns = min(refused.first_ns, at_ns), max(refused.last_ns, at_ns)
+        if verb == STOP_VERB and reason is Reason.PROOF_MISSING:
+            stops = self._stops.setdefault((operator, is_proven), deque())
+            stops.append(at_ns)
+            if len(stops) > STOPS_WAITING:
+                self._refuse(operator, verb, reason.value, stops.popleft(), is_proven=is_proven)
+        elif reason is not Reason.NONE:
+            self._refuse(operator, verb, reason.value, at_ns, is_proven=is_proven)
         elif verb != DRIVE_VERB:
             proof = RequestProof.read(attachment)
             found = self._judge(verb, operator, payload, proof, credentials, at_ns)
@@ -206,7 +231,21 @@ class CommandRecord:
                 return
             grant = "" if proof is None else proof.grant.hex()
             detail = found.what if isinstance(found, ProofFinding) else ""
-            self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail))
+            before = self._proven_by_it((operator, is_proven), at_ns) if verb == STOP_VERB and not detail else 0
+            self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail, before, is_proven))
+
+    def _refuse(self, operator: str, verb: str, reason: str, at_ns: int, *, is_proven: bool) -> None:
+        new = RefusedProof(operator, verb, reason, 0, at_ns, at_ns, is_proven)
+        refused = self._refused.setdefault((operator, verb, reason, is_proven), new)
+        refused.count += 1
+        refused.first_ns, refused.last_ns = min(refused.first_ns, at_ns), max(refused.last_ns, at_ns)
+
+    def _proven_by_it(self, place: tuple[str, bool], at_ns: int) -> int:
+        """Return the number of unsigned stops right before a signed one of the same operator, and forget them."""
+        stops = self._stops.pop(place, ())
+        proven = [one for one in stops if at_ns - PROOF_OF_STOP_NS <= one <= at_ns]
+        self._stops[place] = deque(one for one in stops if one not in proven)
+        return len(proven)
 
     def _judge(
         self,
@@ -221,12 +260,11 @@ class CommandRecord:
         command, what = BY_VERB.get(verb), f"{verb} of {operator}"
         if proof is None or command is None:
             return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what} was accepted without a signature", at_ns)
-        chain = self._authority.grant(proof.grant)
-        if chain is None:
+        held = self._authority.judge(proof.grant, at_ns)
+        if held is None:
             return ProofFinding(ProofFault.UNPROVEN, f"{what}: its grant is not in the log", at_ns)
-        held = self._authority.judge(chain, at_ns)
         if isinstance(held, Objection):
-            return ProofFinding(ProofFault.NOT_GRANTED, f"{what} was accepted: {held.text}", at_ns)
+            return self._authority.finding(f"{what} was accepted", held, at_ns)
         text = proof.signed(keys.command(self._root, self._robot, operator, verb), command.encoding, payload)
         if not fits(held.key, proof.signature, text):
             return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what}: its signature does not fit", at_ns)

@@ -1,0 +1,121 @@
+"""A service whose session does not open: it says so once, and waits for its router, or for other certificates.
+
+systemd would start it again each second, and each start would take seconds of the processor. Who starts a command
+by hand reads the cause where it ends, and an engine that runs it as a container has its own way to try again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+from gateway.host.service_manager import ServiceManager
+from gateway.provisioning.tls_files import check_tls_files, why_shut_out
+from gateway.provisioning.tls_probe import why_not_let_in
+from gateway.zenoh.client import client_endpoints, close_session, open_session
+from schemas.exit_codes import CommandError
+from schemas.settings import ZenohSettings
+from schemas.zenoh_link import MODE, SessionError
+
+log = logging.getLogger(__name__)
+
+SERVICES: Final = frozenset({"gateway", "router", "record", "desk", "metrics"})
+"""Commands that run for as long as their machine does."""
+
+LOOK_S: Final = 1.0
+"""Period at which certificates are looked at, and the router is tried: well below the watchdog's time."""
+
+POLL_S: Final = 0.1
+
+
+def is_service(name: str, arguments: argparse.Namespace) -> bool:
+    """Return True if the command runs until it is stopped. ``record`` with an action asks one that does."""
+    return name in SERVICES and getattr(arguments, "action", None) is None
+
+
+def check_session_files(file: Path) -> None:
+    """Check the certificates and keys of a Zenoh file before a session opens; warn of one that ends soon.
+
+    Args:
+        file: named for whom it is, as it was provisioned.
+
+    Raises:
+        SessionError: with these no session gets in anywhere.
+    """
+    now_s = time.time()
+    if fault := why_shut_out(file, now_s):
+        raise SessionError("cannot open Zenoh", fault, str(file))
+    if warning := check_tls_files(file, file.stem, now_s):
+        log.warning("%s", warning)
+
+
+def fault_of_files(error: SessionError) -> str:
+    """Return what is wrong with the certificates and keys of a session that did not open; empty if nothing is."""
+    return why_shut_out(Path(error.config), time.time()) if error.config else ""
+
+
+def why_away(error: SessionError) -> str:
+    """Return why a session did not open, where another attempt may; empty where none would.
+
+    What is wrong with its files; or what its router says to a handshake, or that none answers.
+    """
+    if fault := fault_of_files(error):
+        return fault
+    if not error.is_unanswered:
+        return ""
+    return (why_not_let_in(Path(error.config), str(error)) if error.config else "") or str(error)
+
+
+def has_waited(error: CommandError, zenoh: ZenohSettings, ends: Callable[[], bool]) -> bool:
+    """Wait until a session opens that did not, or until the end.
+
+    Args:
+        error: why it did not.
+        zenoh: the settings of the session.
+        ends: turns true when the service is stopped.
+
+    Returns:
+        True if one would open now, or it has ended; false at once if no other attempt would, or if no service
+        manager started this.
+    """
+    manager = ServiceManager.of(os.environ)
+    if manager is None or not isinstance(error, SessionError):
+        return False
+    failed: SessionError | None = error
+    has_said = False
+    with closing(manager):
+        while failed is not None and (cause := why_away(failed)) and not ends():
+            if not has_said:
+                log.error("%s; off the network until then", cause)
+            has_said = True
+            # "standby": nothing is driven, and the package may be replaced.
+            manager.alive(f"standby, off the network: {cause}")
+            wait(LOOK_S, ends)
+            failed = _again(failed, zenoh)
+        if has_said:
+            manager.alive("")
+    return has_said
+
+
+def _again(error: SessionError, zenoh: ZenohSettings) -> SessionError | None:
+    """Try once more what nobody answered to. The service has only just begun: it has nothing to do meanwhile."""
+    if fault_of_files(error) or not error.is_unanswered:
+        return error
+    try:
+        close_session(open_session(zenoh, client_endpoints(zenoh), [], changes={MODE: "client"}))
+    except SessionError as failed:
+        return failed
+    return None
+
+
+def wait(time_s: float, ends: Callable[[], bool]) -> None:
+    """Wait so long, or until the end."""
+    deadline_s = time.monotonic() + time_s
+    while time.monotonic() < deadline_s and not ends():
+        time.sleep(POLL_S)
