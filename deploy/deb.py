@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -28,8 +27,8 @@ MAINTAINER: Final = "Cruiser Gateway <root@localhost>"
 PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 
-EXTRA: Final = "metrics"
-"""Of what pyproject.toml offers besides: its service is in the package."""
+EXTRAS: Final = "desk,metrics,upload"
+"""Of what pyproject.toml offers besides: services that are in the package. constraints-run.txt pins them."""
 
 
 class Release(NamedTuple):
@@ -62,14 +61,17 @@ TAGS: Final = (
     "manylinux1",
 )
 
-DEPENDS: Final = ("libc6", "libgcc-s1", "procps", "systemd (>= 252)", "udev")
-"""Besides Python: kill(1) for a reload, users, directories and rules."""
+DEPENDS: Final = ("iproute2", "libc6", "libgcc-s1", "procps", "systemd (>= 252)", "udev")
+"""Besides Python: ip(8) for setup and doctor, kill(1) for a reload, users, directories and rules."""
+
+RECOMMENDS: Final = ("can-utils", "chrony | time-daemon")
 
 PLACES: Final = {
     "*.service": "usr/lib/systemd/system/{name}",
     "sysusers.conf": "usr/lib/sysusers.d/cruiser.conf",
     "tmpfiles.conf": "usr/lib/tmpfiles.d/cruiser.conf",
     "60-cruiser.rules": "usr/lib/udev/rules.d/{name}",
+    "zenohd.conf": f"usr/share/doc/{PACKAGE}/examples/{{name}}",
     "bench/*": f"usr/share/doc/{PACKAGE}/examples/{{name}}",
 }
 """Where files of deploy/ go. Those under deploy/etc go where they stand, and are the administrator's."""
@@ -134,7 +136,7 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
     target += [word for tag in TAGS for word in ("--platform", f"{tag}_{machine}")]
     # First everything that is pinned, checked by its hash; then of that what the product needs.
     pinned: list[str | Path] = ["--no-deps", "--require-hashes", "--requirement", ROOT / "constraints-run.txt"]
-    pip("download", *target, *pinned, "--requirement", pinned_extras(), "--dest", wheels)
+    pip("download", *target, *pinned, "--dest", wheels)
     opt = stage / "opt/cruiser"
     packages = opt / f"lib/python{python}/site-packages"
     found: list[str | Path] = [
@@ -147,7 +149,7 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
         "--target",
         packages,
     ]
-    pip("install", *target, *found, f"{PROJECT['name']}[{EXTRA}]")
+    pip("install", *target, *found, f"{PROJECT['name']}[{EXTRAS}]")
     # Programs of the dependencies, which name this machine's Python; the product calls none of them.
     shutil.rmtree(packages / "bin", ignore_errors=True)
     (opt / "bin").mkdir()
@@ -164,16 +166,6 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
         words = [interpreter, "-m", "compileall", "-q", "-s", str(stage), "-p", "/"]
         subprocess.run([*words, "--invalidation-mode", "unchecked-hash", str(packages)], check=True)
         (opt / "lib/compiled").touch()
-
-
-def pinned_extras() -> Path:
-    """What the extra wants besides, as constraints.txt pins it."""
-    text = (ROOT / "constraints.txt").read_text("utf-8")
-    names = [re.split(r"[<>=]", wanted)[0] for wanted in PROJECT["optional-dependencies"][EXTRA]]
-    file = BUILD / "extras.txt"
-    rows = [re.search(rf"^{name}==.*\n(?:    --.*\n)+", text, re.MULTILINE) for name in names]
-    file.write_text("".join(row[0] for row in rows if row), "utf-8")
-    return file
 
 
 def placed() -> Iterator[tuple[Path, str]]:
@@ -197,7 +189,7 @@ def write_control(stage: Path, version: str, python: str, architecture: str) -> 
         "Maintainer": MAINTAINER,
         "Installed-Size": str(sum(path.stat().st_size for path in files) // 1024),
         "Depends": ", ".join((f"python3 (>= {python})", f"python3 (<< {major}.{int(minor) + 1})", *DEPENDS)),
-        "Recommends": "can-utils, chrony, iproute2",
+        "Recommends": ", ".join(RECOMMENDS),
         "Section": "misc",
         "Priority": "optional",
         "Description": f"{PROJECT['description'].rstrip('.')}\n With its own Python environment, and services.",

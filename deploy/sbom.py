@@ -1,24 +1,30 @@
 """``make sbom``: the software bill of materials of an installation, as CycloneDX 1.6 in build/sbom.json.
 
 An empty environment gets what constraints-run.txt pins, as a robot does. Versions and licences are read from what
-is installed there; hashes are those of the files that pip downloaded and verified.
+is installed there; hashes are those of the files that pip downloaded and verified. The scripts of others that the
+page of the desk brings along are added, from the text that stands beside them.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
 import tomllib
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
-
 ROOT = Path(__file__).parents[1]
 BUILD = ROOT / "build"
+
+VENDORED = ROOT / "gateway" / "desk" / "page" / "vendor"
+NOTICES = "LICENSES.txt"
+
+SCRIPT_LICENCES = {"uPlot": "MIT", "@msgpack/msgpack": "ISC"}
+"""Of the packages in VENDORED, whose texts are in NOTICES."""
 
 LICENCES = {"protobuf": "BSD-3-Clause"}
 """Of packages whose metadata names none: as the file LICENSE inside of them says."""
@@ -26,6 +32,10 @@ LICENCES = {"protobuf": "BSD-3-Clause"}
 
 def main() -> None:
     """Write the bill, or end with what is missing in it."""
+    # Of the tools' environment alone; the tests of the rest do without.
+    from cyclonedx.schema import SchemaVersion  # noqa: PLC0415
+    from cyclonedx.validation.json import JsonStrictValidator  # noqa: PLC0415
+
     environment = BUILD / "sbom-environment"
     shutil.rmtree(environment, ignore_errors=True)
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
@@ -41,6 +51,7 @@ def main() -> None:
 
     said = json.loads(bill.read_text("utf-8"))
     complete(said, json.loads(report.read_text("utf-8")))
+    said["components"] += vendored(VENDORED)
     text = json.dumps(said, indent=2)
     faults = missing(said) or JsonStrictValidator(SchemaVersion.V1_6).validate_str(text)
     if faults:
@@ -61,10 +72,43 @@ def complete(bill: dict[str, Any], report: dict[str, Any]) -> None:
             component["licenses"] = [{"license": {"id": LICENCES[component["name"]]}}]
 
 
+def vendored(directory: Path) -> list[dict[str, Any]]:
+    """The components in a directory of scripts of others, as its notices name them: name, version, files.
+
+    Raises:
+        ValueError: a file stands there without a notice, or a notice without its file.
+    """
+    notices = (directory / NOTICES).read_text("utf-8")
+    components = []
+    named: list[str] = []
+    for name, version, files in re.findall(r"^(\S+) (\d[\w.]*) \(([^)]+)\)$", notices, re.MULTILINE):
+        names = files.split(", ")
+        named += names
+        purl = f"pkg:npm/{name.replace('@', '%40')}@{version}"
+        components.append(
+            {
+                "type": "library",
+                "bom-ref": purl,
+                "name": name,
+                "version": version,
+                "purl": purl,
+                "licenses": [{"license": {"id": SCRIPT_LICENCES[name]}}],
+                # One hash for each algorithm and component: that of the script, which is the first file.
+                "hashes": [{"alg": "SHA-256", "content": sha256((directory / names[0]).read_bytes()).hexdigest()}],
+                "properties": [{"name": "file", "value": f"gateway/desk/page/vendor/{one}"} for one in names],
+            }
+        )
+    there = {one.name for one in directory.iterdir()} - {NOTICES}
+    if there != set(named):
+        raise ValueError(f"{directory}: files and {NOTICES} differ: {', '.join(sorted(there ^ set(named)))}")
+    return components
+
+
 def missing(bill: dict[str, Any]) -> str:
     """What a bill lacks that it is for; empty if nothing."""
     wanted = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
     names = {component["name"].lower() for component in bill["components"]}
+    wanted += [f"{component['name']}>" for component in vendored(VENDORED)]
     lacks = [f"no {name}" for name in (one.partition(">")[0] for one in wanted) if name.lower() not in names]
     lacks += [
         f"{component['name']} has no {what}"

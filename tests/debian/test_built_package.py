@@ -47,6 +47,15 @@ def test_a_package_has_what_its_units_run(package: Path, listed: Callable[[Path]
         assert name in files
     target = files["/opt/cruiser/lib/early_stop.py"][2].partition(" -> ")[2]
     assert f"/opt/cruiser/lib/{target}" in files
+    for module in (
+        "gateway/cli/desk_server.py",
+        "starlette",
+        "uvicorn",
+        "websockets",
+        "plotly",
+        "prometheus_client",
+    ):
+        assert [name for name in files if f"/site-packages/{module}" in name], module
     assert not [name for name in files if "/site-packages/bin/" in name or "hatchling" in name]
     words = ["dpkg-deb", "--info", str(package), "conffiles"]
     said = subprocess.run(words, capture_output=True, text=True, check=True)
@@ -60,5 +69,6 @@ def test_a_package_is_for_one_python(package: Path) -> None:
     said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     python = {"deb12": 11, "deb13": 13, "ubuntu24.04": 12}[package.name.split("~")[1].rsplit("_", 1)[0]]
     assert f"python3 (>= 3.{python}), python3 (<< 3.{python + 1})" in said
+    assert "iproute2" in said
     assert "procps" in said
     assert f"Architecture: {package.stem.rsplit('_', 1)[1]}\n" in said

@@ -141,7 +141,8 @@ class Box:
             status=$(systemctl show --property=StatusText --value cruiser-gateway)
             case $status in "{status}"*) echo "$status"; exit 0 ;; esac
             sleep 1
-        done; echo "$status"; systemctl status cruiser-gateway; exit 1"""
+        done; echo "$status"; systemctl status cruiser-gateway
+        journalctl -b -u cruiser-gateway | tail -40; df; exit 1"""
         return self.run(command, timeout_s=deadline_s * 3).strip()
 
     def journal(self, words: str) -> list[dict[str, str]]:

@@ -11,6 +11,7 @@ import pytest
 from tests.robot.box import Box
 from tests.robot.image import copy_image, make_base_image
 from tests.robot.outside import Outside
+from tests.robot.scene import install
 from tests.support.processes.gateway import chassis
 
 
@@ -49,8 +50,7 @@ def installed_image(bare_image: Path) -> Iterator[Path]:
         with Box(image, directory, wire.card, os.environ["ROBOT_PROCESSOR"]) as box:
             box.boot()
             box.wait_up()
-            shutil.copy(os.environ["ROBOT_PACKAGE"], box.share / "cruiser.deb")
-            box.run("dpkg -i /run/box/cruiser.deb", timeout_s=240)
+            install(box)
             box.run("systemctl enable --now cruiser-gateway cruiser-recorder", timeout_s=240)
             box.wait_status()
             box.power_off()
@@ -62,8 +62,19 @@ def installed_image(bare_image: Path) -> Iterator[Path]:
 @pytest.fixture
 def box(installed_image: Path, place: Path, outside: Outside) -> Iterator[Box]:
     """The robot's computer, off, with a disk of its own; its console is shown where a test fails."""
+    yield from computer(installed_image, place, outside)
+
+
+@pytest.fixture
+def fresh_box(bare_image: Path, place: Path, outside: Outside) -> Iterator[Box]:
+    """The same, without the package."""
+    yield from computer(bare_image, place, outside)
+
+
+def computer(source: Path, place: Path, outside: Outside) -> Iterator[Box]:
+    """The robot's computer, with a copy of that disk."""
     image = place / "box.img"
-    copy_image(installed_image, image)
+    copy_image(source, image)
     with Box(image, place, outside.card, os.environ["ROBOT_PROCESSOR"]) as computer:
         yield computer
         print(computer.console.read_text(errors="replace")[-2000:])  # noqa: T201

@@ -1,4 +1,4 @@
-"""The box's disk: Debian 12 with systemd, the package's dependencies, and the tests' own files of ``guest``."""
+"""The box's disk: a release with systemd, the package's dependencies, and the tests' own files of ``guest``."""
 
 import hashlib
 import os
@@ -11,14 +11,19 @@ ROOT: Final = Path(__file__).parents[2]
 BUILD: Final = ROOT / "build" / "robot"
 HERE: Final = Path(__file__).parent
 
-RELEASE: Final = "bookworm"
+RELEASE: Final = os.environ.get("ROBOT_RELEASE", "bookworm")
+DEBIANS: Final = ("bookworm", "trixie")
+UBUNTU_KEYS: Final = "/usr/share/keyrings/ubuntu-archive-keyring.gpg"
+UBUNTU_SCRIPT: Final = "/usr/share/debootstrap/scripts/gutsy"
+"""Which all its releases have; that of Debian 12 knows no newer names."""
+
 PACKAGES: Final = "systemd,systemd-sysv,dbus,iproute2,kmod,udev,procps,python3,libgcc-s1"
 """Of the base system, and what the package depends on: it is installed without a network."""
 
 SIZE: Final = "1500M"
 KERNEL_MODULES: Final = Path("/usr/lib/uml/modules")
 MODULES: Final = ("net/can", "drivers/net/can", "net/packet")
-PROGRAMS: Final = ("bridge.py", "operator_inside.py")
+PROGRAMS: Final = ("bridge.py", "fleet_inside.py", "operator_inside.py")
 PLACE: Final = "usr/local/lib/box"
 WANTED: Final = {
     "box.service": "multi-user",
@@ -55,7 +60,13 @@ def base_root() -> Path:
     new = BUILD / "root.new"
     shutil.rmtree(new, ignore_errors=True)
     BUILD.mkdir(parents=True, exist_ok=True)
-    call("debootstrap", "--variant=minbase", f"--include={PACKAGES}", RELEASE, new, mirror())
+    debootstrap = ("debootstrap", "--variant=minbase", f"--include={PACKAGES}")
+    if RELEASE in DEBIANS:
+        call(*debootstrap, RELEASE, new, mirror())
+    else:
+        # From Ubuntu's own archive, which its script names.
+        keys = os.environ.get("ROBOT_KEYRING", UBUNTU_KEYS)
+        call(*debootstrap, f"--keyring={keys}", RELEASE, new, "", UBUNTU_SCRIPT)
     # The mirror is this machine's affair.
     (new / "etc/apt/sources.list").write_text("", "ascii")
     for leftover in ("var/lib/apt/lists", "var/cache/apt/archives", "var/log", "debootstrap"):
@@ -74,12 +85,17 @@ def base_root() -> Path:
 
 
 def mirror() -> str:
-    """The address of Debian 12 in apt's own configuration."""
+    """The address of Debian in apt's own configuration; the same has each release.
+
+    Raises:
+        LookupError: there is none.
+    """
     lines = call("apt-get", "indextargets", "--format", "$(REPO_URI) $(RELEASE) $(COMPONENT)").splitlines()
-    found = [words[0] for line in lines if (words := line.split())[1:] == [RELEASE, "main"]]
-    if not found:
-        raise LookupError(f"apt knows no mirror of {RELEASE}")
-    return found[0]
+    releases = {words[1]: words[0] for line in lines if (words := line.split())[2:] == ["main"]}
+    for release in (RELEASE, *DEBIANS):
+        if release in releases:
+            return releases[release]
+    raise LookupError("apt knows no mirror of Debian")
 
 
 def make_base_image(image: Path, clock: Path, ns_per_tick: str) -> None:

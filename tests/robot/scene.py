@@ -1,11 +1,14 @@
 """What the tests do with a robot in a box, and what they judge each time."""
 
+import json
 import os
+import shutil
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from recorder.disk.log_directory import INCIDENT_SUFFIX, SUFFIX
+from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
 from tests.robot.box import Box
 from tests.robot.outside import Life, Outside
 from tests.support.reading import Read
@@ -17,9 +20,26 @@ STEADY_S: Final = 4.0
 DRIVES_S: Final = 150.0
 STAYS_S: Final = 10.0
 RECOVERED_S: Final = 60
+RESTARTED_S: Final = 60
+LOGS: Final = "/var/lib/cruiser/logs"
+
+PROCESSES: Final = {"gateway": "cruiser gateway", "guard": "guard_main", "recorder": "cruiser record"}
+"""By a part of their command lines."""
+
+TOLD_S: Final = 2.0
+"""At most from an interface that is up to zero speed told. Measured: docs/testing.md."""
+
+POWER_CUT: Final = {"latched": "early stop: the chassis was found", "not_shut_down": "lost its power"}
+"""What ``cruiser doctor`` finds after a power cut in mid-drive."""
 
 LOST_S: Final = 1.5
 """Most of the log that a power cut may cost: recorder.flush_s, 0.5 s, and what one busy processor adds."""
+
+
+def install(box: Box) -> None:
+    """Install the package."""
+    shutil.copy(os.environ["ROBOT_PACKAGE"], box.share / "cruiser.deb")
+    box.run("dpkg -i /run/box/cruiser.deb", timeout_s=240)
 
 
 def start(box: Box) -> None:
@@ -37,9 +57,12 @@ def drive(box: Box, outside: Outside) -> None:
 
 def begin_drive(box: Box, outside: Outside) -> None:
     """Have the operator drive; return while the robot moves steadily."""
+    seen = box.share / "steady"
+    seen.unlink(missing_ok=True)
     box.run("systemctl start box-operator")
     try:
         outside.wait_steady(STEADY_MPS, STEADY_S, DRIVES_S)
+        seen.touch()
     except TimeoutError:
         raise AssertionError(box.run("journalctl -b -u box-operator -u cruiser-gateway | tail -60")) from None
 
@@ -58,19 +81,71 @@ def check_latched(box: Box) -> None:
     assert "cruiser reset" in said, said
 
 
-def check_log(box: Box, last: Life, lost_s: float = LOST_S) -> None:
+def check_doctor(box: Box, when: str, expected: Mapping[str, str], *, or_else: str = "") -> None:
+    """``cruiser doctor`` says what happened, a line each with its cure, and finds nothing else to do.
+
+    Args:
+        box: up.
+        when: for the file of results.
+        expected: words of a finding's line, by its check.
+        or_else: a check that may be there or not.
+    """
+    found = json.loads(box.run("cruiser doctor --json", check=False))["findings"]
+    for one in found:
+        say(
+            f"doctor, {when}",
+            f"{'note: ' if one['is_note'] else ''}{one['check']}: {one['text']} -> {one['cure']}",
+        )
+    assert all(one["cure"] and "\n" not in one["text"] + one["cure"] for one in found)
+    for check, words in expected.items():
+        assert any(one["check"] == check and words in one["text"] for one in found), (check, words, found)
+    assert {one["check"] for one in found if not one["is_note"]} <= {*expected, or_else}, found
+
+
+def kill_service(box: Box, service: str) -> None:
+    """Kill its process; return when systemd has begun it again."""
+    box.run(f"systemctl kill --signal=KILL --kill-whom=main {service}")
+    box.run(
+        f"for i in $(seq {RESTARTED_S}); do "
+        f"[ $(systemctl show --property=NRestarts --value {service}) = 0 ] || exit 0; sleep 1; done; "
+        f"systemctl status {service}; exit 1"
+    )
+
+
+def ask_fleet(box: Box, when: str, *, logs: bool = False) -> None:
+    """Desk and exporter show the robot; with ``logs`` the desk has a log of it, and its report."""
+    begun_s = time.monotonic()
+    answers = box.run(
+        f"/opt/cruiser/bin/python /usr/local/lib/box/fleet_inside.py {'LOGS' if logs else ''} "
+        "|| { journalctl -b -u cruiser-desk -u cruiser-metrics | tail -30; exit 1; }"
+    )
+    say(f"desk and exporter, {when}", f"{answers.strip()}, after {time.monotonic() - begun_s:.0f} s")
+
+
+def wait_log(box: Box) -> str:
+    """Wait until the recorder has more than begun a log. Returns the path that it will have when it is whole."""
+    find = f"find {LOGS} -name '*{PART_SUFFIX}' ! -name '*{INCIDENT_SUFFIX}{PART_SUFFIX}' -size +100k"
+    part = box.run(
+        f"for i in $(seq {RECOVERED_S}); do {find} | grep . && exit 0; sleep 1; done; ls -l {LOGS}; exit 1"
+    ).strip()
+    return part.removesuffix(PART_SUFFIX) + SUFFIX
+
+
+def check_log(box: Box, last: Life, lost_s: float = LOST_S, *, log: str = "") -> None:
     """The log of before is whole, and lacks no more than its last moments.
 
     Args:
         box: up again.
         last: the guest's last sign of life before the power went, or a sign of a moment that shall be covered.
         lost_s: at most this much of the log may be missing before it.
+        log: its path; without it the recorder has to say that it has made one whole.
     """
+    is_whole = f"[ -e {log} ]" if log else "journalctl -b -u cruiser-recorder | grep -q 'is whole now'"
     box.run(
-        f"for i in $(seq {RECOVERED_S}); do "
-        "journalctl -b -u cruiser-recorder | grep -q 'is whole now' && exit 0; sleep 1; done; exit 1"
+        f"for i in $(seq {RECOVERED_S}); do {is_whole} && exit 0; sleep 1; done; "
+        f"journalctl -b -u cruiser-recorder | tail -30; ls -l {LOGS}; df {LOGS}; cruiser record status; exit 1"
     )
-    logs = box.fetch("/var/lib/cruiser/logs")
+    logs = box.fetch(LOGS)
     whole = [path for path in logs.rglob(f"*{SUFFIX}") if not path.name.endswith(INCIDENT_SUFFIX + SUFFIX)]
     times_ns = [message[2] for path in whole for message in Read(path).messages]
     missing_s = (last.wall_ns - max(time_ns for time_ns in times_ns if time_ns <= last.wall_ns)) / 1e9
@@ -79,6 +154,14 @@ def check_log(box: Box, last: Life, lost_s: float = LOST_S) -> None:
         f"{len(whole)} whole, {len(times_ns)} messages; missing before the last sign of life: {missing_s:.2f} s",
     )
     assert missing_s < lost_s
+
+
+def say_memory(box: Box) -> None:
+    """What the processes take, by the kernel's count, in which pages that they share count for each."""
+    lines = box.run("ps -eo rss=,args= | grep python").splitlines()
+    for name, words in PROCESSES.items():
+        kilobytes = next(int(line.split()[0]) for line in lines if words in line)
+        say("memory", f"{name}: {kilobytes / 1024:.0f} MiB resident")
 
 
 def say(what: str, text: str) -> None:

@@ -11,6 +11,15 @@ from tests.robot.outside import Outside
 
 STANDS_S: Final = 30.0
 RESTARTED_S: Final = 90.0
+KILLED: Final = {
+    "latched": "the gateway is gone",
+    "service_restarted": "cruiser-gateway.service, once because of signal (it was killed)",
+}
+FULL: Final = {"disk_full": "/var/lib/cruiser/logs: 0 MB free", "recorder_stopped": "is full"}
+HUNG: Final = {
+    "latched": "last heartbeat",
+    "service_restarted": "cruiser-gateway.service, once because of watchdog (it hung)",
+}
 
 
 def wait_restarted(box: Box) -> None:
@@ -41,6 +50,7 @@ def test_a_gateway_that_dies_or_hangs(box: Box, outside: Outside, signal: str) -
     if signal == "STOP":
         assert "watchdog" in box.run("journalctl -b -u cruiser-gateway")
     scene.check_latched(box)
+    scene.check_doctor(box, f"SIG{signal}", HUNG if signal == "STOP" else KILLED)
     scene.check_stays(outside, stood_s + 1)
     last = outside.lives[-1]
     box.cut_power()
@@ -48,11 +58,13 @@ def test_a_gateway_that_dies_or_hangs(box: Box, outside: Outside, signal: str) -
     box.wait_up()
     box.wait_status()
     scene.check_log(box, last)
+    scene.check_doctor(box, f"SIG{signal}, power cut", {**scene.POWER_CUT, "latched": "the guard has stopped"})
 
 
 def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> None:
     """Nobody can tell the chassis anything meanwhile; with the interface comes the early stop."""
     scene.drive(box, outside)
+    last = outside.lives[-1]
     box.run("ip link delete can0")
     gone_s = time.monotonic()
     time.sleep(3)
@@ -73,6 +85,65 @@ def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> No
     scene.check_latched(box)
     scene.check_stays(outside, stood_s + 1)
     assert "commanded it: stopping the robot" in box.run("journalctl -b -u 'cruiser-*'")
+    scene.check_doctor(box, "interface back", {"latched": scene.POWER_CUT["latched"]})
+    box.run("ip link delete can0")
+    gone = {"interface_missing": "can0", "gateway_missing": "cruiser-1", "service_not_active": "cruiser-gateway"}
+    scene.check_doctor(box, "interface gone", gone)
+    box.cut_power()
+    box.boot()
+    box.wait_up()
+    box.wait_status()
+    scene.check_log(box, last)
+    scene.check_doctor(box, "interface gone, power cut", scene.POWER_CUT)
+    scene.check_stays(outside, stood_s + 1, 1)
+
+
+def test_a_full_disk(box: Box, outside: Outside) -> None:
+    """Gateway and early stop come although it is full; the log is whole up to then."""
+    scene.start(box)
+    log = scene.wait_log(box)
+    full = outside.lives[-1]
+    box.run("fallocate -l $(($(stat -f -c '%f * %S' /) - 65536)) /var/full; cat /dev/zero >>/var/full; true")
+    scene.begin_drive(box, outside)
+    begun_s = time.monotonic()
+    box.run("systemctl kill --signal=KILL --kill-whom=main cruiser-gateway")
+    outside.wait_stands(STANDS_S)
+    stood_s = time.monotonic()
+    wait_restarted(box)
+    scene.say(
+        "disk full",
+        f"gateway killed: the chassis stood {stood_s - begun_s:.1f} s later; "
+        f"a new one is guarded after {time.monotonic() - begun_s:.0f} s",
+    )
+    scene.check_latched(box)
+    scene.check_doctor(box, "disk full", {**KILLED, **FULL, "latched": "the disk was full"})
+    scene.check_stays(outside, stood_s + 1)
+
+    # The power goes in mid-drive, and the disk is full still.
+    box.run("systemctl stop box-operator")
+    scene.begin_drive(box, outside)
+    box.cut_power()
+    begun_s = box.boot()
+    outside.wait_stands(90)
+    stood_s = time.monotonic()
+    zero_s, bus = outside.first_zero_s(begun_s), outside.first_life(begun_s, bus_is_up=True)
+    assert zero_s is not None
+    assert bus is not None
+    assert zero_s - bus.at_s < scene.TOLD_S
+    box.wait_up()
+    box.wait_status()
+    scene.say("disk full", f"power cut: zero told {zero_s - bus.at_s:.2f} s after the interface was up")
+    scene.check_latched(box)
+    scene.check_doctor(box, "disk full, power cut", {**scene.POWER_CUT, **FULL, "latched": "the disk was full"})
+    scene.check_stays(outside, stood_s + 1, 1)
+
+    # A part for which there was no room at the recorder's start is made whole when there is.
+    tries = box.run("journalctl -b -u cruiser-recorder | grep 'cannot recover'; ls -l " + scene.LOGS, check=False)
+    scene.say("disk full, power cut", " | ".join(tries.splitlines()))
+    box.run("rm /var/full")
+    scene.check_log(box, full, log=log)
+    scene.check_doctor(box, "disk full, then room", {**scene.POWER_CUT, "latched": "the disk was full"})
+    scene.check_stays(outside, stood_s + 1, 1)
 
 
 def test_a_clock_that_is_set_back(box: Box, outside: Outside) -> None:
@@ -89,6 +160,8 @@ def test_a_clock_that_is_set_back(box: Box, outside: Outside) -> None:
     stood_s = time.monotonic()
     last = outside.lives[-1]
     box.wait_status()
+    # The package may have been built within that hour.
+    scene.check_doctor(box, "clock set back", {"clock_set_back": "by 36"}, or_else="clock_behind")
     scene.check_stays(outside, stood_s + 1)
     box.cut_power()
     box.boot()

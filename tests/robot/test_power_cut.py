@@ -9,9 +9,6 @@ from tests.robot.outside import Outside
 DARK_S = 3.0
 """The power stays off."""
 
-TOLD_S = 2.0
-"""At most from an interface that is up to zero speed told. Measured: docs/testing.md."""
-
 
 def test_a_power_cut_in_mid_drive(box: Box, outside: Outside) -> None:
     """The early stop ends the drive at the next boot, nothing moves by itself, and the log lacks its end alone."""
@@ -34,7 +31,7 @@ def test_a_power_cut_in_mid_drive(box: Box, outside: Outside) -> None:
         f"without power the chassis drove on for {stood_s - cut_s:.1f} s (dark for {begun_s - cut_s:.1f} s), "
         f"{outside.distance_m(cut_s):.1f} m",
     )
-    assert zero_s - bus.at_s < TOLD_S
+    assert zero_s - bus.at_s < scene.TOLD_S
     box.wait_up()
     (found,) = [
         entry for entry in box.journal("-b -u 'cruiser-early-stop@*'") if "found in auto" in entry["MESSAGE"]
@@ -45,3 +42,4 @@ def test_a_power_cut_in_mid_drive(box: Box, outside: Outside) -> None:
     scene.check_latched(box)
     scene.check_stays(outside, stood_s + 1)
     scene.check_log(box, last)
+    scene.check_doctor(box, "power cut", scene.POWER_CUT)

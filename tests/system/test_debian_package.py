@@ -93,7 +93,7 @@ def test_while_it_stands_the_services_are_stopped(machine: Machine, state: dict[
     """Those that run, the gateway first; also where the look itself fails: a broken package can be replaced."""
     machine.set(**state)  # type: ignore[arg-type] # each by its name
     assert machine.run("prerm", "upgrade", "1.0").returncode == 0
-    running = ["cruiser-gateway.service", "cruiser-recorder.service", "cruiser-metrics.service"]
+    running = [f"cruiser-{name}.service" for name in ("gateway", "recorder", "desk", "metrics", "upload")]
     assert machine.stopped == running
     assert (machine.root / "run/cruiser-restart").read_text("ascii").split() == running
     assert "--look can0\n" in machine.calls.read_text("ascii")
@@ -106,7 +106,8 @@ def test_what_ran_is_started_again(machine: Machine) -> None:
     machine.run("prerm", "upgrade", "1.0")
     assert machine.run("postinst", "configure", "0.9").returncode == 0
     started = [call for call in machine.calls.read_text("ascii").splitlines() if "systemctl start" in call]
-    assert started == ["systemctl start cruiser-gateway.service cruiser-metrics.service cruiser-recorder.service"]
+    running = [f"cruiser-{name}.service" for name in ("desk", "gateway", "metrics", "recorder", "upload")]
+    assert started == [f"systemctl start {' '.join(running)}"]
     assert not (machine.root / "run/cruiser-restart").exists()
     machine.run("prerm", "remove")
     assert not (machine.root / "run/cruiser-restart").exists()

@@ -65,12 +65,39 @@ def test_no_unit_is_exposed(root: Path) -> None:
 
 
 @pytest.mark.parametrize("unit", sorted(DEPLOY.glob("*.service")), ids=lambda path: path.name)
+def test_no_unit_wants_room_on_the_disk_to_start(unit: Path) -> None:
+    """For PrivateDevices= systemd 252 makes a directory in /tmp: on a full disk no gateway, and no early stop."""
+    lines = unit.read_text(encoding="utf-8").splitlines()
+    assert "DevicePolicy=closed" in lines
+    assert not [line for line in lines if line.startswith("PrivateDevices")]
+
+
+@pytest.mark.parametrize("unit", sorted(DEPLOY.glob("*.service")), ids=lambda path: path.name)
 def test_no_unit_turns_group_scheduling_on(unit: Path) -> None:
     """And each has a user of its own, but for the early stop, whose note is the gateway's."""
     lines = unit.read_text(encoding="utf-8").splitlines()
     assert not [line for line in lines if line.startswith(BY_GROUP)]
     name = unit.name.partition(".")[0].replace("cruiser-early-stop@", "cruiser-gateway")
     assert f"User={name}" in lines
+
+
+def test_zenohs_own_router_runs_by_the_same_unit(root: Path) -> None:
+    """With the drop-in instead of our command, from the same file; systemd looks for the program."""
+    unit = "etc/systemd/system/cruiser-router.service.d/zenohd.conf"
+    zenohd = root / "usr/local/bin/zenohd"
+    for path in (root / unit, zenohd):
+        path.parent.mkdir(parents=True)
+    shutil.copy(DEPLOY / "zenohd.conf", root / unit)
+    try:
+        assert "zenohd is not executable" in analyze(root, "verify", "--man=no").stderr
+        zenohd.touch(mode=0o755)
+        done = analyze(root, "verify", "--man=no")
+        assert (done.returncode, done.stderr) == (0, "")
+    finally:
+        (root / unit).unlink()
+    lines = (DEPLOY / "zenohd.conf").read_text(encoding="utf-8").splitlines()
+    first, second = (line.removeprefix("ExecStart=") for line in lines if line.startswith("ExecStart="))
+    assert (first, second.split()[1:]) == ("", ["-c", "/etc/cruiser/router/router.json5"])
 
 
 def test_the_gateway_comes_and_goes_with_its_interface(root: Path) -> None:
@@ -95,6 +122,19 @@ def test_each_service_has_a_user_and_a_directory_for_its_keys(tmp_path: Path) ->
             pytest.skip("only root gives files away")
         assert done.returncode == 0, done.stderr
     users = {line.split(":")[0] for line in (tmp_path / "etc/passwd").read_text(encoding="utf-8").splitlines()}
-    for service in ("gateway", "recorder", "router", "metrics"):
+    for service in ("gateway", "recorder", "router", "desk", "metrics"):
         assert f"cruiser-{service}" in users
         assert (tmp_path / "etc/cruiser" / service).stat().st_mode & 0o777 == 0o700
+    # The upload reads logs, and may write beside them nothing but its note.
+    note = tmp_path / "var/lib/cruiser/logs/.uploaded.jsonl"
+    groups = [line.split(":") for line in (tmp_path / "etc/group").read_text(encoding="utf-8").splitlines()]
+    assert [line[2] for line in groups if line[0] == "cruiser-upload"] == [str(note.stat().st_gid)]
+    assert (note.stat().st_mode & 0o777, note.parent.stat().st_mode & 0o777) == (0o660, 0o755)
+    assert note.stat().st_uid == note.parent.stat().st_uid
+
+
+@pytest.mark.parametrize("name", ["gateway", "router", "recorder", "desk", "metrics"])
+def test_each_service_may_report_its_status(name: str) -> None:
+    """Only to these does systemd give its socket; where a certificate has ended, they wait and say so."""
+    lines = (DEPLOY / f"cruiser-{name}.service").read_text(encoding="utf-8").splitlines()
+    assert {"NotifyAccess=main", "Type=notify"} & set(lines)

@@ -2,6 +2,7 @@
 
 import argparse
 import configparser
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import pytest
 from gateway.cli.configuration_file import load_settings
 from gateway.cli.main import COMMANDS
 from gateway.host import early_stop
-from schemas.settings import GUARD_LATE_NS, HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, Settings
+from recorder.disk.upload_note import NAME
+from schemas.configuration import TomlSource, merge
+from schemas.settings import GUARD_LATE_NS, HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, DeskSettings, Settings
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 
@@ -107,19 +110,57 @@ def test_the_early_stop_begins_with_the_boot_and_with_each_can_interface() -> No
     assert 'ENV{SYSTEMD_WANTS}+="cruiser-early-stop@%k.service"' in rule
 
 
-def test_the_exporters_command_exists() -> None:
-    """With settings of its own: what serves a fleet is no robot's."""
-    service = section("cruiser-metrics.service")
+@pytest.mark.parametrize("name", ["desk", "metrics"])
+def test_the_commands_for_a_fleet_exist(name: str) -> None:
+    """With settings of their own: what serves a fleet is no robot's. They come back whatever ended them."""
+    service = section(f"cruiser-{name}.service")
     program, command, *words = service["ExecStart"].split()
-    assert (program, command, words) == (
-        "/opt/cruiser/bin/cruiser",
-        "metrics",
-        ["--config", "/etc/cruiser/metrics.toml"],
-    )
+    assert (program, command) == ("/opt/cruiser/bin/cruiser", name)
+    assert words == ["--config", f"/etc/cruiser/{name}.toml"]
     assert command in COMMANDS
+    assert service["Restart"] == "always"
+    assert (DEPLOY / f"etc/cruiser/{name}.toml").exists()
+
+
+def test_the_desk_that_comes_along_is_for_this_machine_alone() -> None:
+    """Where nobody has given it a certificate; and what its comments offer is right, too."""
+    file = DEPLOY / "etc/cruiser/desk.toml"
+    desk = load_settings(str(file), {}, {}).desk
+    assert (desk.listen, desk.certificate, desk.key, desk.names) == ("127.0.0.1:8080", "", "", [])
+    offered = re.sub(r'^# (?=\w+ = [\["])', "", file.read_text("utf-8"), flags=re.MULTILINE)
+    offered = offered.replace('listen = "127.0.0.1:8080"\n', "")
+    settings = merge(TomlSource("desk.toml", offered), {}, {})
+    keys = "/etc/cruiser/desk/https.pem", "/etc/cruiser/desk/https.key"
+    assert settings.desk == DeskSettings(
+        "0.0.0.0:8443",
+        *keys,
+        ["desk.example"],
+        logs=f"/var/lib/{section('cruiser-recorder.service')['StateDirectory']}",
+    )
+    assert settings.zenoh.config == "/etc/cruiser/desk/desk.json5"
+
+
+def test_the_desk_may_read_the_logs_of_the_recorder() -> None:
+    """Whose files are its group's to read, and its keys nobody's but its own."""
+    desk, recorder = section("cruiser-desk.service"), section("cruiser-recorder.service")
+    assert (desk["SupplementaryGroups"], recorder["UMask"]) == (recorder["Group"], "0027")
+    assert "d /etc/cruiser/recorder   0700 " in (DEPLOY / "tmpfiles.conf").read_text("utf-8")
 
 
 @pytest.mark.parametrize("file", sorted(DEPLOY.glob("etc/cruiser/*.toml")), ids=lambda file: file.name)
 def test_the_settings_that_come_along_are_right(file: Path) -> None:
     """The product reads each."""
     load_settings(str(file), {}, {})
+
+
+def test_the_upload_comes_after_everybody_else() -> None:
+    """And reads the recorder's own directory, in which it may change one file."""
+    unit = section("cruiser-upload.service")
+    _, command, *words = unit["ExecStart"].split()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--config")
+    import_module(COMMANDS[command][0]).add_arguments(parser)
+    directory = vars(parser.parse_args(words))["recorder.directory"]
+    assert directory == f"/var/lib/{section('cruiser-recorder.service')['StateDirectory']}"
+    assert unit["ReadWritePaths"] == f"-{directory}/{NAME}"
+    assert (unit["Nice"], unit["CPUSchedulingPolicy"], unit["IOSchedulingClass"]) == ("19", "idle", "idle")
