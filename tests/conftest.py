@@ -1,27 +1,47 @@
 """What holds for every test."""
 
+import gc
+import itertools
 import os
 import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
 from tests.support.logs import small_log
 
-# How long an example takes says how busy the machine is. `make nightly` looks twelve times as far.
-settings.register_profile("daily", deadline=None, max_examples=25)
+# How long an example takes says how busy the machine is. `make nightly` looks fifteen times as far.
+settings.register_profile("daily", deadline=None, max_examples=20)
 settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("daily")
+
+# The product does not let Python look for garbage at each 700 objects either; it took a tenth of the tests' time.
+gc.set_threshold(100_000, 50, 50)
 
 # Started in the background of a shell, this process ignores Ctrl-C, and so would all that a test starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(optionalhook=True)  # pytest-xdist is not everywhere.
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:  # noqa: ANN401 - of pytest-xdist
+    """With ``--dist loadfile`` spread the tests of the system one by one."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from tests.support.spreading import Spreading  # noqa: PLC0415 - it needs pytest-xdist
+
+    return Spreading(config, log)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """By day leave out what is marked ``night``: see ``tests/support/nights.py``."""
+    """Begin with what is marked ``long``; by day leave out what is marked ``night``.
+
+    Rows of matrices are marked by ``tests/support/nights.py``.
+    """
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
     # Where pytest runs without the plugin of Hypothesis, as in the user-mode kernel, there is no such option.
     if config.getoption("--hypothesis-profile", None) == "nightly":
         return
@@ -31,11 +51,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if not item.get_closest_marker("night")]
 
 
+@pytest.fixture(scope="session")
+def _states(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Directories that nobody has used. For a new `tmp_path` pytest would look at those of all tests before."""
+    home = tmp_path_factory.mktemp("states")
+    return (home / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def _state_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _state_of_its_own(_states: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """A stop by the guard in one test is latched in no other, nor for whoever runs them."""
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(next(_states)))
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ WORLD = {
     "gateway.host",
     "gateway.zenoh",
     "recorder.replay",
+    "recorder.view",
     "recorder.zenoh",
 }
 """Rooms that touch the world: clocks, threads, the bus, Zenoh. Whoever adds one says so here."""

@@ -21,12 +21,14 @@ import msgspec
 from tests.bench import (
     authority,
     command_latency,
+    desk,
     flood,
     guard_latency,
     links,
     path_cost,
     recorder_rate,
     review_export,
+    review_find,
     review_rate,
     signed_latency,
 )
@@ -49,7 +51,9 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         turns, turn_drives: of open and signed mode, and the drive commands of each.
         drives, stops, ticks, floods: of commands.
         link_s, goal_s: simulated, of each bad link, and of the one with a goal.
+        presses, desk_kills, crowd_s: of a pointer and of the browser on the desk; of its crowd.
         review_mb, review_minutes, export_messages: sizes of the logs.
+        cataloged_logs: number of the logs that are searched.
     """
 
     seconds: float = 20.0
@@ -64,12 +68,16 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     floods: int = 5
     link_s: float = 30.0
     goal_s: float = 300.0
+    presses: int = desk.PRESSES
+    desk_kills: int = desk.KILLS
+    crowd_s: float = desk.CROWD_S
     recorder_rounds: int = 2
     held_s: float = 5.0
     review_mb: int = 100
     review_minutes: float = 1.0
     export_messages: int = review_export.MESSAGES
     export_rounds: int = 3
+    cataloged_logs: int = review_find.LOGS
 
 
 SHORT: Final = Extent(
@@ -85,11 +93,15 @@ SHORT: Final = Extent(
     floods=1,
     link_s=10.0,
     goal_s=60.0,
+    presses=5,
+    desk_kills=1,
+    crowd_s=1.0,
     recorder_rounds=1,
     review_mb=10,
     review_minutes=0.5,
     export_messages=20_000,
     export_rounds=1,
+    cataloged_logs=500,
 )
 """Enough to see that each bench runs; its figures say nothing."""
 
@@ -140,11 +152,13 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
         ("floods", lambda: flood_rows(flood.measure(extent.floods))),
         ("the guard", lambda: [row for one in guard_latency.measure(extent.kills) for row in guard_rows(one)]),
         ("bad links", lambda: links.rows(extent.link_s, extent.goal_s)),
+        ("the desk", lambda: desk.rows(extent.presses, extent.desk_kills, extent.crowd_s)),
         (
             "the recorder",
             lambda: recorder_rate.rows(extent.recorder_rounds, min(seconds, extent.held_s), seconds),
         ),
         ("the review", lambda: review_rate.rows(extent.review_mb, extent.review_minutes)),
+        ("the search", lambda: review_find.rows(extent.cataloged_logs)),
         ("the export", lambda: review_export.rows(extent.export_messages, extent.export_rounds)),
     ]
     begun_s = time.monotonic()

@@ -12,6 +12,7 @@ from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
 from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority
 from gateway.authority.signer import RobotSigner
+from gateway.authority.silence import AuthoritySilence
 from gateway.command.request import RawRequest
 from schemas.authority.proof import ProofKind, RequestProof, RobotProof, signed_bytes
 from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation, Signed, Statement, body_of
@@ -59,11 +60,13 @@ class Party:
         to.chain = [self.sign(Grant(**(said | changes))), *self.chain]
         return to.chain
 
-    def revoke(self, serial: int, *held: HeldGrant, keys: tuple[bytes, ...] = (), epoch: int = 0) -> Signed:
+    def revoke(
+        self, serial: int, *held: HeldGrant, keys: tuple[bytes, ...] = (), epoch: int = 0, at: int = NOW_S
+    ) -> Signed:
         return self.sign(
             Revocations(
                 serial=serial,
-                at=NOW_S,
+                at=at,
                 grants=[one.id.hex() for one in held],
                 keys=[key.hex() for key in keys],
                 epoch=epoch,
@@ -104,19 +107,30 @@ class Fleet:
 class AuthorityBench:
     """A robot's authority, and its clock."""
 
-    def __init__(self, fleet: Fleet | None = None, kept: Kept | None = None, **settings: Any) -> None:  # noqa: ANN401
+    def __init__(
+        self,
+        fleet: Fleet | None = None,
+        kept: Kept | None = None,
+        *,
+        boot_ns: int = 0,
+        wall_s: int = NOW_S,
+        **settings: Any,  # noqa: ANN401
+    ) -> None:
         self.fleet = fleet or Fleet()
         self.robot = Party("cruiser-1")
         self.fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
         self.signer = RobotSigner(self.robot.private, b"boot no1")
         given = Settings(authority=AuthoritySettings(mode="signed", **settings))
         admission = SignedAdmission(given, self.fleet.trust, self.signer, self._age)
-        floor = TimeFloor((kept or Kept()).floor_s, 0)
-        self.authority = RobotAuthority(given, admission, self.signer, floor, self.robot.chain, kept or Kept())
-        self.now_ns = 0
-        self.wall_s = NOW_S
+        kept = kept or Kept()
+        floor = TimeFloor(kept.floor_s, boot_ns, kept.words)
+        silence = AuthoritySilence(boot_ns, kept.silent_on_s, kept.silent_since_s)
+        own = self.robot.chain
+        self.authority = RobotAuthority(given, admission, self.signer, floor, silence, own, kept)
+        self.now_ns = boot_ns
+        self.wall_s = wall_s
         self._bars: dict[Reason, str] = {}
-        self.tick()
+        self.begun = self.tick()
 
     @staticmethod
     def _age(challenge: bytes, _now_ns: int) -> int | Reason:

@@ -13,6 +13,7 @@ from schemas.messages import CanFrames, Message
 from tests.support.logs import Log
 from tests.support.messages import (
     MS,
+    PERIOD_NS,
     ROOT,
     SECOND,
     WALL_NS,
@@ -125,3 +126,16 @@ def write_messages(
 def undecodable(robot: str = "cruiser-1") -> FakeSample:
     """A sample of a key of ours that is no message."""
     return FakeSample(f"fleet/{robot}/state", "text/plain", b"?")
+
+
+def drives_over(days: int, count: int, periods: int = 60) -> list[Message]:
+    """So many drives, which a bumper ends, in the course of so many days; nobody records the rest between."""
+    apart = days * 24 * 3600 * SECOND // PERIOD_NS // count
+    return [
+        message
+        for first in range(0, count * apart, apart)
+        for message in (
+            *(one for number in range(first, first + periods) for one in (state(number), arbiter(number))),
+            event(first + periods - 1),
+        )
+    ]

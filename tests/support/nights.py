@@ -15,6 +15,11 @@ def by_night(*values: Any) -> Any:  # noqa: ANN401 - whatever a test is given, a
     return pytest.param(*values, marks=pytest.mark.night)
 
 
+def seeds(by_day: int, in_all: int) -> list[Any]:
+    """So many seeds of a random scene; by day the first few of them."""
+    return [seed if seed < by_day else by_night(seed) for seed in range(in_all)]
+
+
 def every_pair(*factors: Sequence[Any]) -> list[Any]:
     """Every combination of these values; by day as few as have each two values together at least once."""
     rows = list(product(*map(range, map(len, factors))))

@@ -23,7 +23,7 @@ from schemas.authority.statement import Grant, GrantRole, Signed, body_of, chain
 from schemas.codec import encode
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason
-from schemas.requests import Acquire, Drive
+from schemas.requests import Acquire, Drive, Park
 from schemas.subjects import BY_NAME, BY_VERB
 
 FILE: Final = Path(__file__).parents[2] / "schemas" / "vectors" / "proof.json"
@@ -31,6 +31,7 @@ FILE: Final = Path(__file__).parents[2] / "schemas" / "vectors" / "proof.json"
 ROOT, ROBOT, OPERATOR = "fleet", "cruiser-1", "ann"
 LEASE: Final = 4711
 BOOT: Final = b"\x01\x02\x03\x04\x05\x06\x07\x08"
+FORMER_BOOT: Final = bytes(range(11, 19))
 CHALLENGE: Final = b"challeng"
 NONCE: Final = b"nonce-01"
 
@@ -109,6 +110,7 @@ def _lease(signed: Signed, operator: Ed25519PrivateKey, robot: Ed25519PrivateKey
             "signed": RobotProof(BOOT).signed_reply(acquire, command.reply_encoding, reply, attachment).hex(),
             "attachment": signer.reply(acquire, command.reply_encoding, reply, attachment).hex(),
         },
+        "verb": _verb(signed, operator, tags),
         "drive": {
             "lease_key": key.hex(),
             "key": drive,
@@ -116,6 +118,24 @@ def _lease(signed: Signed, operator: Ed25519PrivateKey, robot: Ed25519PrivateKey
             "payload": payload.hex(),
             "attachment": tags.attachment(payload).hex(),
         },
+    }
+
+
+def _verb(signed: Signed, operator: Ed25519PrivateKey, tags: DriveTags) -> dict[str, str]:
+    """A verb under the lease, with its tag."""
+    park, command = keys.command(ROOT, ROBOT, OPERATOR, "park"), BY_VERB["park"]
+    payload = msgspec.msgpack.encode(Park(lease=LEASE))
+    proof = RequestProof(signed.id, CHALLENGE, NONCE)
+    text = proof.signed(park, command.encoding, payload)
+    attachment = msgspec.structs.replace(
+        proof, signature=operator.sign(text), tag=tags.verb_tag(text)
+    ).attachment()
+    return {
+        "key": park,
+        "encoding": command.encoding,
+        "payload": payload.hex(),
+        "signed": text.hex(),
+        "attachment": attachment.hex(),
     }
 
 
@@ -132,16 +152,20 @@ def _publication(robot: Ed25519PrivateKey) -> dict[str, str]:
 
 
 def _heads(robot: Ed25519PrivateKey) -> dict[str, str]:
-    signer = RobotSigner(robot, BOOT)
+    former = RobotSigner(robot, FORMER_BOOT)
+    former.heads(1_794_999_999_000_000_000)
+    signer = RobotSigner(robot, BOOT, former.last_heads)
     for payload in (b"first", b"second"):
         signer.record("journal", payload)
+    signer.heads(1_794_999_999_123_456_789)
     heads = signer.heads(1_795_000_000_123_456_789)
     chains = {one.subject: (one.count, one.head) for one in heads.heads}
     link = next_link(first_link(BOOT, "journal"), b"first")
     return {
         "journal_after_first": link.hex(),
         "journal_after_second": next_link(link, b"second").hex(),
-        "signed": heads_text(BOOT, heads.time_ns, chains).hex(),
+        "former": former.last_heads.hex(),
+        "signed": heads_text(BOOT, heads.time_ns, heads.sequence, chains, heads.former).hex(),
         "message": encode(heads).hex(),
     }
 

@@ -40,9 +40,8 @@ class Network:
         write(place / f"{role.value}.json5", json.dumps(file))
         return place
 
-    def tls_file(self, name: str, **entries: object) -> str:
+    def tls_file(self, name: str, role: TransportRole = TransportRole.DESK, **entries: object) -> str:
         """A Zenoh file of a node that speaks TLS alone, both ways, and has no rules; with further entries."""
-        role = TransportRole.DESK
         place = self._certified(role, name, int(time.time()))
         link = {"protocols": ["tls"], "tls": tls_configuration(role, place)}
         file = place / "tls.json5"

@@ -47,13 +47,19 @@ class SignedRun:
     """
 
     def __init__(
-        self, fleet: Fleet, robot: Party | None = None, *, boot: bytes = b"boot no1", at_s: int = NOW_S
+        self,
+        fleet: Fleet,
+        robot: Party | None = None,
+        *,
+        boot: bytes = b"boot no1",
+        at_s: int = NOW_S,
+        former: bytes = b"",
     ) -> None:
         self.fleet = fleet
         self.robot = robot or Party(ROBOT)
         if not self.robot.chain:
             fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=[ROBOT])
-        self.signer = RobotSigner(self.robot.private, boot)
+        self.signer = RobotSigner(self.robot.private, boot, former)
         self.samples: list[Message] = []
         self.time_ns = at_s * S
         self._run = int.from_bytes(hashlib.sha256(boot).digest()[:6], "big")
@@ -114,8 +120,8 @@ class SignedRun:
             requested_angle_deg=None, output_speed_mps=0.25, output_angle_deg=-0.0, frames_sent=4,
         )  # fmt: skip
 
-    def seconds(self, count: int) -> None:
-        """So much time passes: journals, decisions, an event, and heads each second."""
+    def seconds(self, count: int, *, quiet: bool = False) -> None:
+        """So much time passes: journals, heads each second, and decisions and an event unless nobody is there."""
         for _ in range(count):
             for _ in range(PER_SECOND):
                 self.time_ns += JOURNAL_NS
@@ -127,11 +133,12 @@ class SignedRun:
                     Journal, run=self._run, first=self._inputs, count=len(inputs), inputs=encoded, rules=2
                 )
                 self._inputs += len(inputs)
-            self.decide("drive", "ann")
-            self.publish(
-                SafetyEvent, tick=self._tick, severity=Severity.INFO, kind=EventKind.LEASE, reason=Reason.NONE,
-                operator="ann", text="as it were",
-            )  # fmt: skip
+            if not quiet:
+                self.decide("drive", "ann")
+                self.publish(
+                    SafetyEvent, tick=self._tick, severity=Severity.INFO, kind=EventKind.LEASE, reason=Reason.NONE,
+                    operator="ann", text="as it were",
+                )  # fmt: skip
             self.say_heads()
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import msgspec
 import zenoh
 
 from gateway.client.reasons_text import is_idle
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from schemas import keys
 from schemas.authority.statement import GrantRole
@@ -74,7 +75,23 @@ class Site:
 
 @contextmanager
 def driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
-    """The operator, whose robot is engaged and drives."""
+    """The operator, whose robot is engaged and drives.
+
+    On a busy machine the robot may stop by its rules before: then it is engaged anew.
+    """
+    found: list[tuple[Robot, Lease]] = []
+    with ExitStack() as stack:
+
+        def begin() -> None:
+            with suppress(Stopped, Unreachable, LeaseLost, Refused):
+                found.append(stack.enter_context(_driving(site)))
+
+        wait_until(lambda: bool(found), begin)
+        yield found[0]
+
+
+@contextmanager
+def _driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
     with Robot.connect(ROBOT, settings=site.settings) as robot, robot.lease() as lease:
         # Its guard, its self-test, and what it knows of the chassis, come a moment after its Zenoh.
         robot.wait_for(lambda state: is_idle(state.blocked_by), 30)

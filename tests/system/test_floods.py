@@ -12,6 +12,7 @@ import zenoh
 from gateway.zenoh.client import close_session, open_session
 from schemas.settings import ZenohSettings
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes.gateway import chassis, gateway, run, wait_for_chassis
 from tests.support.waiting import wait_until
 
@@ -29,7 +30,7 @@ def peak_bytes(pid: int) -> int:
     return int(found[1]) * 1024
 
 
-@pytest.mark.parametrize("verb", ["drive", "engage", "stop"])
+@pytest.mark.parametrize("verb", [by_night("drive"), by_night("engage"), "stop"])
 def test_no_message_makes_the_gateway_hold_megabytes(verb: str) -> None:
     """Puts and queries of 60 MB are dropped while they arrive, and a stop after them is answered."""
     endpoint = free_endpoint()

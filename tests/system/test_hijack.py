@@ -28,6 +28,7 @@ from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import ROOT
+from tests.support.nights import by_night
 from tests.support.processes.gateway import Running, chassis, gateway
 from tests.support.processes.holding import hold
 from tests.support.waiting import wait_until
@@ -237,9 +238,9 @@ def test_a_jump_of_the_sequence_locks_nobody_out() -> None:
     "forged",
     [
         {"lease_holder": "", "tick": 2**40},
-        {"lease_holder": "neighbour"},
+        by_night({"lease_holder": "neighbour"}),
         {"state": "stopping", "engaged": False, "stop_reason": "remote_stop"},
-        {"accepted_seq": 10**9},
+        by_night({"accepted_seq": 10**9}),
     ],
 )
 def test_a_forged_state_a_second_takes_the_robot_from_nobody(forged: dict[str, object]) -> None:

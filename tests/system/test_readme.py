@@ -24,14 +24,13 @@ import msgspec
 import pytest
 
 from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.nobody import NOBODY, become_nobody
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
 PAGES: Final = ("README.md", "docs/tour.md", "docs/messages.md", "docs/integration.md")
 """In the order in which somebody reads them."""
 
-NOBODY: Final = 65534
-READS_ALL: Final = ("--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search")
 TIMEOUT_S: Final = 400.0
 """The demo takes so long on a busy machine, where it begins again and again."""
 
@@ -78,6 +77,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     PICTURE: "a picture",
     "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/"),
     "make demo-fleet": "tests/system/gateway/cli/test_demo_fleet.py runs it",
+    "make demo-desk": "tests/system/gateway/cli/test_sim_fleet.py runs it",
     "make test": "runs this test",
     # Five minutes.
     "cruiser sim": Start(r" on 127\.0\.0\.1:", stays=True),
@@ -209,7 +209,7 @@ class Newcomer:
 
     def __init__(self, home: Path) -> None:
         self.home = home
-        self._become = _become_nobody()
+        self._become = become_nobody()
         self._running: dict[str, tuple[Start, Terminal]] = {}
         self._chassis = free_endpoint().removeprefix("tcp/")
         self._endpoint = free_endpoint()
@@ -296,24 +296,6 @@ class Newcomer:
         return Terminal([*self._become, *words], self.home, environment)
 
 
-def _become_nobody() -> list[str]:
-    """What makes a command one of a user who is not root: nothing, for whom that is true already.
-
-    Where such a user cannot reach this interpreter, as in a home of root's, the command keeps the right to read.
-    """
-    if os.getuid() != 0:
-        return []
-    become = ["setpriv", "--reuid", str(NOBODY), "--regid", str(NOBODY), "--clear-groups"]
-    for words in (become, [*become, *READS_ALL]):
-        try:
-            # By way of env, because setpriv itself still reaches what root does.
-            subprocess.run([*words, "env", sys.executable, "-c", ""], check=True, capture_output=True)
-        except subprocess.CalledProcessError:
-            continue
-        return words
-    raise AssertionError(f"nobody but root can run {sys.executable}")
-
-
 @pytest.fixture
 def newcomer() -> Iterator[Newcomer]:
     """In an empty home; the command is on the path, as after an installation."""
@@ -336,6 +318,7 @@ def newcomer() -> Iterator[Newcomer]:
             one.kill_all()
 
 
+@pytest.mark.long
 @pytest.mark.timeout(800)
 def test_the_commands_of_the_page_do_what_it_says(newcomer: Newcomer) -> None:
     """Each that can be run here, one after the other."""

@@ -1,33 +1,41 @@
 """A robot in signed mode, as its people and its enemies meet it: real processes, real Zenoh, real keys."""
 
+import os
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Self
 
 import msgspec
 import pytest
 import zenoh
 
 from gateway.client import remote_stop
+from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import close_session, open_session
+from gateway.zenoh.statements import StatementPort
 from schemas import codec, keys
-from schemas.authority.statement import chain_text
-from schemas.decisions import Journal, Reply, SafetyState
-from schemas.exit_codes import CommandError
+from schemas.authority.statement import GrantRole, chain_text
+from schemas.decisions import Journal, Reply, SafetyState, StatementReply
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.journal import Kind
 from schemas.messages import RobotState
 from schemas.reasons import Reason
-from schemas.requests import Drive
+from schemas.requests import Drive, Renew
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_VERB
-from tests.support.authority import DAY_S, Party
+from tests.support.authority import DAY_S, Fleet, Party
 from tests.support.fakes.peer import free_endpoint
-from tests.support.processes.gateway import Running, chassis, gateway
+from tests.support.nights import by_night
+from tests.support.processes.gateway import Running, chassis, gateway, run
+from tests.support.provisioned import provision, write_authority
 from tests.support.signed_site import LIMIT_MPS, OPERATOR, ROBOT, ROOT, WANTED_MPS, Site, driving
-from tests.support.waiting import wait_until
+from tests.support.waiting import DEADLINE_S, wait_until
 
 
 @contextmanager
@@ -66,8 +74,126 @@ def test_an_operator_drives_within_the_grant_until_it_is_revoked(site: Site) -> 
             assert lost.value.reason is Reason.GRANT_REVOKED
         process.wait_says("stopping: the grant was revoked")
         process.wait_says("stopped: the robot is told nothing, and stands")
-    with running(site), pytest.raises(Unreachable, match="the grant was revoked"):
+    with running(site), pytest.raises(Refused, match="it refuses the grant: the grant was revoked") as refused:
         Robot.connect(ROBOT, settings=site.settings)
+    assert refused.value.reason is Reason.GRANT_REVOKED
+
+
+class Flood:
+    """Queries of somebody else, as many as one Python thread sends.
+
+    Attributes:
+        sent: so many.
+    """
+
+    def __init__(self, site: Site, send: Callable[[zenoh.Session], None]) -> None:
+        self.sent = 0
+        self._site, self._send = site, send
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        wait_until(lambda: self.sent > 2000)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ends.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        with stranger(self._site) as session:
+            while not self._ends.is_set():
+                self._send(session)
+                self.sent += 1
+
+
+def showing(forge: Callable[[], bytes]) -> Callable[[zenoh.Session], None]:
+    """Somebody shows the robot a forged statement."""
+
+    def send(session: zenoh.Session) -> None:
+        session.get(
+            keys.authority(ROOT, ROBOT),
+            zenoh.handlers.RingChannel(1),
+            payload=forge(),
+            attachment=os.urandom(16),
+            timeout=0.3,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+
+    return send
+
+
+@pytest.mark.parametrize("flood", [by_night("junk"), "lists in the authority's name"])
+def test_no_flood_of_statements_keeps_a_revocation_out(site: Site, flood: str) -> None:
+    """Shown as ``cruiser provision show`` does it, again until the robot answers, it is taken over."""
+    revoked = site.fleet.authority.revoke(1, keys=(site.operator.key,))
+
+    def forge() -> bytes:
+        if flood == "junk":
+            return b"xxx"
+        return msgspec.structs.replace(revoked, signature=os.urandom(64)).text().encode()
+
+    with (
+        running(site),
+        StatementPort(open_session(ZenohSettings(), [site.endpoint], []), ROOT) as port,
+        Robot.connect(ROBOT, settings=site.settings),
+    ):
+        with Flood(site, showing(forge)):
+            said = port.show(ROBOT, revoked.text().encode(), os.urandom(16), DEADLINE_S)
+            assert said is not None
+            assert msgspec.msgpack.decode(said.payload, type=StatementReply).ok
+        with pytest.raises(Refused, match="the grant was revoked"):
+            Robot.connect(ROBOT, settings=site.settings)
+
+
+@pytest.mark.parametrize("flood", [by_night("junk"), "the operator's grant, forged"])
+def test_no_flood_of_statements_keeps_operators_out(site: Site, flood: str) -> None:
+    """A robot answers who shows a grant of its authority, and who asks who it is, in their turn."""
+    forged = msgspec.structs.replace(site.operator.chain[0], signature=bytes(64)).text().encode()
+    with (
+        running(site),
+        Flood(site, showing(lambda: forged if "forged" in flood else b"xxx")),
+        Robot.connect(ROBOT, settings=site.settings, timeout_s=DEADLINE_S) as robot,
+    ):
+        assert robot.operator == OPERATOR
+
+
+def test_no_flood_of_wrongly_signed_verbs_keeps_the_holder_from_its_robot(site: Site) -> None:
+    """They name the holder's grant, its lease and the newest challenge. A lease is had meanwhile too."""
+    grant, held = site.operator.chain[0].id, [0]
+    with running(site) as process, Robot.connect(ROBOT, settings=site.settings) as robot:
+
+        def send(session: zenoh.Session) -> None:
+            session.get(
+                keys.command(ROOT, ROBOT, OPERATOR, "renew"),
+                zenoh.handlers.RingChannel(1),
+                payload=msgspec.msgpack.encode({"lease": held[0]}),
+                encoding=BY_VERB["renew"].encoding,
+                attachment=b"\1" + grant + robot.state().state.challenge + os.urandom(8 + 64 + 16),
+                timeout=0.3,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+
+        robot.wait_for(lambda state: is_idle(state.blocked_by), 30)
+        leases: list[Lease] = []
+        with Flood(site, send), ExitStack() as stack:
+
+            def acquire() -> None:
+                # A machine that falls behind drops some unread, whoever sent them; none is refused as busy.
+                with suppress(Unreachable):
+                    leases.append(stack.enter_context(robot.lease()))
+
+            wait_until(lambda: leases, acquire)
+            lease = leases[0]
+            held[0] = lease.number
+            renewed = 0
+            for _ in range(40):
+                with suppress(Unreachable):
+                    renewed += robot.ask(Renew(lease=lease.number), 1.0).ok
+            assert renewed > 20
+            assert robot.state().state.lease_holder == OPERATOR
+        assert process.stop() == 0
 
 
 def test_nothing_that_a_stranger_sends_moves_the_robot_but_a_stop(site: Site) -> None:
@@ -169,11 +295,15 @@ def test_an_impostor_is_not_believed(site: Site) -> None:
     (site.directory / "other").mkdir()
     other = Site(site.directory / "other")
     other.endpoint = site.endpoint
-    with running(other), pytest.raises(Unreachable, match="not met"):
+    with (
+        running(other),
+        pytest.raises(Refused, match="not met: the robot's own grant is of the authority") as unmet,
+    ):
         Robot.connect(ROBOT, settings=site.settings, timeout_s=3.0)
+    assert unmet.value.reason is Reason.GRANT_UNKNOWN
     with running(site):
         settings = msgspec.structs.replace(other.settings, zenoh=site.settings.zenoh)
-        with pytest.raises(Unreachable, match="not met"):
+        with pytest.raises(Refused, match="not met"):
             Robot.connect(ROBOT, settings=settings, timeout_s=3.0)
 
 
@@ -243,13 +373,11 @@ def _in_other_hands(files: Path) -> None:
     "damage",
     [
         lambda files: (files / "operator.key").unlink(),
-        lambda files: (files / "operator.key").chmod(0o644),
-        lambda files: (files / "operator.key").write_text("x"),
-        lambda files: (files / "operator.grant").unlink(),
-        lambda files: (files / "operator.grant").write_text("x"),
+        by_night(lambda files: (files / "operator.key").chmod(0o644)),
+        by_night(lambda files: (files / "operator.key").write_text("x")),
+        by_night(lambda files: (files / "operator.grant").unlink()),
+        by_night(lambda files: (files / "operator.grant").write_text("x")),
         _in_other_hands,
-        lambda files: (files / "authority.json").unlink(),
-        lambda files: (files / "authority.json").write_text("{}"),
     ],
 )
 def test_a_stop_fails_for_no_file(site: Site, damage: Callable[[Path], None]) -> None:
@@ -262,7 +390,96 @@ def test_a_stop_fails_for_no_file(site: Site, damage: Callable[[Path], None]) ->
         assert Reason.NONE not in reasons["desk"]
 
 
-@pytest.mark.parametrize(("from_s", "until_s"), [(-DAY_S, -60), (3600, DAY_S)])
+def _of_another_authority(files: Path) -> None:
+    write_authority(files, Fleet())
+
+
+@pytest.mark.parametrize(
+    ("damage", "why"),
+    [
+        (lambda files: (files / "authority.json").unlink(), "authority.json is not there"),
+        by_night(lambda files: (files / "authority.json").write_text("{}"), "authority.json is damaged"),
+        (_of_another_authority, "the robot's own grant is of the authority"),
+    ],
+)
+def test_a_stop_whose_answer_cannot_be_verified_is_said_to_be_that(
+    site: Site, damage: Callable[[Path], None], why: str
+) -> None:
+    """The operator's own files are the trouble: the robot stops, says so, and is not known to be the robot."""
+    damage(Path(site.settings.authority.directory))
+    with standing(site) as session:
+        assert why in word_of_a_stop(site, "desk").why
+        assert stops_in_the_journal(session)
+
+
+def test_a_stop_by_somebody_whose_clock_is_behind_is_no_silence(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By it the robot's own grant has not begun. The dates show it."""
+    monkeypatch.setattr("gateway.client.link_proof._now_s", lambda: int(time.time()) - 2 * DAY_S)
+    with standing(site):
+        word = word_of_a_stop(site, "")
+        assert word.why.startswith("the robot's own grant begins on ")
+        assert word.cure == "set this computer's clock: it is behind"
+
+
+@pytest.mark.parametrize("name", ["robot.key", by_night("robot.grant")])
+def test_a_stop_of_a_robot_without_its_own_files_is_no_silence(site: Site, name: str) -> None:
+    """It stops, and cannot sign that it does. ``cruiser why`` shows the file and the cure, not verified."""
+    (Path(site.robot_settings).parent / name).unlink()
+    configuration = str(Path(site.settings.authority.directory) / "cruiser.toml")
+    with standing(site):
+        word = word_of_a_stop(site, "")
+        assert word.why.startswith("it does not say who it is: its own keys may be missing or damaged")
+        done = run(["why", ROBOT, "--connect", site.endpoint, "--config", configuration, "--timeout", "3"])
+        assert done.returncode == ExitCode.FAILURE, done.stderr
+        first, *lines = done.stdout.splitlines()
+        assert first.startswith(f"{ROBOT}: UNVERIFIED, all of this: it does not say who it is")
+        assert any(f"{name} is not there; 'cruiser provision " in line for line in lines), done.stdout
+        assert any(line.startswith("  remote_stop: ") for line in lines), done.stdout
+        listed = run(["list", "--connect", site.endpoint, "--config", configuration])
+        assert f"{name} is not there" in listed.stdout
+
+
+def word_of_a_stop(site: Site, operator: str) -> remote_stop.Unverified:
+    """The word of a robot that is stopped, and cannot be verified: on a busy machine its states may come late."""
+    words: list[remote_stop.Unverified] = []
+
+    def is_said() -> bool:
+        report = remote_stop.stop_from_here(site.settings, ROBOT, operator, 3)
+        assert (report.stopped, report.refused, report.unconfirmed) == ([], {}, {})
+        words.extend(word for word in report.unverified.values() if word.stops)
+        return bool(words)
+
+    wait_until(is_said)
+    assert words[0].says == "it replied that it stops, and its states show that it stands, latched"
+    return words[0]
+
+
+def test_a_robot_whose_grant_is_over_says_so_to_who_asks(site: Site) -> None:
+    """With the date, this computer's clock, and the cure; and by ``cruiser why``, not verified."""
+    now_s = int(time.time())
+    ends_s = now_s - DAY_S
+    site.robot.chain = []
+    site.fleet.authority.grant(
+        site.robot, role=GrantRole.ROBOT, robots=[ROBOT], not_before=ends_s - DAY_S, not_after=ends_s
+    )
+    site.write("robot", site.robot)
+    configuration = str(Path(site.settings.authority.directory) / "cruiser.toml")
+    with standing(site):
+        asked = ["--connect", site.endpoint, "--config", configuration, "--timeout", "3"]
+        done = run(["reset", ROBOT, *asked])
+        assert done.returncode == ExitCode.REFUSED
+        ended = f"ended on {datetime.fromtimestamp(ends_s, UTC):%Y-%m-%d %H:%M} UTC"
+        assert f"but not met: the robot's own grant {ended}, and this computer's clock says " in done.stderr
+        assert "'cruiser provision renew robot' on the robot" in done.stderr
+        done = run(["why", ROBOT, *asked])
+        assert done.returncode == ExitCode.FAILURE
+        assert f"UNVERIFIED, all of this: the robot's own grant {ended}" in done.stdout
+        assert "  grant_expired: " in done.stdout
+
+
+@pytest.mark.parametrize(("from_s", "until_s"), [(-DAY_S, -60), by_night(3600, DAY_S)])
 def test_a_stop_fails_for_no_grant_that_is_over_and_for_no_clock(site: Site, from_s: int, until_s: int) -> None:
     """Its proof is refused, and the robot stops."""
     now_s = int(time.time())
@@ -278,9 +495,9 @@ def test_a_stop_fails_for_no_grant_that_is_over_and_for_no_clock(site: Site, fro
     ("damage", "said"),
     [
         (lambda files: (files / "robot.key").unlink(), "robot.key is not there"),
-        (lambda files: (files / "robot.key").chmod(0o644), "can be read by others: chmod 600"),
+        by_night(lambda files: (files / "robot.key").chmod(0o644), "can be read by others; chmod 600"),
         (lambda files: (files / "robot.grant").write_text("x"), "robot.grant is no grant"),
-        (lambda files: (files / "authority.json").write_text("{}"), "authority.json is damaged"),
+        by_night(lambda files: (files / "authority.json").write_text("{}"), "authority.json is damaged"),
     ],
 )
 def test_a_robot_whose_files_are_wrong_publishes_and_does_not_arm(site: Site, damage: object, said: str) -> None:
@@ -291,12 +508,83 @@ def test_a_robot_whose_files_are_wrong_publishes_and_does_not_arm(site: Site, da
         process.wait_says(said)
         state = session.declare_subscriber(f"{ROOT}/{ROBOT}/state", zenoh.handlers.RingChannel(1))
         wait_until(lambda: state.try_recv() is not None)
-        with pytest.raises(Unreachable, match="not met"):
+        with pytest.raises(Refused, match="not met"):
             Robot.connect(ROBOT, settings=site.settings, timeout_s=2.0)
 
 
 def test_an_operator_without_a_key_is_told_which_file_is_missing(tmp_path: Path) -> None:
     """Before anything is sent."""
     settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(tmp_path)))
-    with pytest.raises(CommandError, match=r"operator\.key is not there; 'cruiser provision operator' makes it"):
+    with pytest.raises(
+        CommandError, match=r"operator\.key is not there; 'cruiser provision operator NAME' makes it"
+    ):
         Robot.connect(ROBOT, settings=settings)
+
+
+def test_a_latched_robot_takes_renewed_files_over_and_stays_latched(site: Site) -> None:
+    """Stopped, it learns of another authority; its renewed files come; that authority's operator resets it."""
+    new, bea = Fleet(), Party("bea")
+    files = Path(site.robot_settings).parent
+    with running(site) as process, stranger(site) as session:
+        with Robot.connect(ROBOT, settings=site.settings) as robot:
+            robot.wait_for(lambda state: is_idle(state.blocked_by), 30)
+            robot.stop(30)
+        rotation = site.fleet.standby.rotate(1, new.authority, new.standby).text()
+        assert site.show(session, rotation).ok
+        new.authority.grant(robot_party := renewed(site.robot), role=GrantRole.ROBOT, robots=[ROBOT], **site.holds)
+        provision(files, "robot", robot_party, new)
+        process.wait_says("starting again with the renewed files")
+        new.authority.grant(bea, **site.holds)
+        site.fleet = new
+        with Robot.connect(ROBOT, settings=site.settings_of("operator", bea), timeout_s=30) as robot:
+            assert robot.state().state.latched == [Reason.REMOTE_STOP]
+            assert robot.wait_for(lambda state: is_idle({*state.blocked_by} - {Reason.REMOTE_STOP}), 30)
+            with robot.lease() as lease:
+                with pytest.raises(Refused) as refused:
+                    lease.engage()
+                assert refused.value.reason is Reason.REMOTE_STOP
+                reset(lease)
+            assert robot.wait_for(lambda state: not state.latched, 30)
+
+
+def test_a_stopped_robot_without_a_grant_takes_one_over_and_stays_latched(site: Site) -> None:
+    """Nobody could reset it before: no operator believes a robot without a grant."""
+    files = Path(site.robot_settings).parent
+    grant = (files / "robot.grant").read_text()
+    (files / "robot.grant").unlink()
+    with running(site) as process, stranger(site) as session:
+        process.wait_says("robot.grant is not there")
+        state = session.declare_subscriber(f"{ROOT}/{ROBOT}/safety/state", zenoh.handlers.RingChannel(1))
+
+        def latched() -> list[str]:
+            sample = state.try_recv()
+            return [] if sample is None else msgspec.msgpack.decode(sample.payload.to_bytes())["latched"]
+
+        wait_until(
+            lambda: latched() == [Reason.REMOTE_STOP.value],
+            lambda: session.put(keys.command(ROOT, ROBOT, "anybody", "stop"), b""),
+        )
+        (files / "robot.grant").write_text(grant)
+        process.wait_says("starting again with the renewed files")
+        with Robot.connect(ROBOT, settings=site.settings, timeout_s=30) as robot, robot.lease() as lease:
+            assert robot.state().state.latched == [Reason.REMOTE_STOP]
+            reset(lease)
+
+
+def reset(lease: Lease) -> None:
+    """Reset the robot, as soon as it sees its chassis: on a busy machine frames come late."""
+
+    def is_reset() -> bool:
+        try:
+            return lease.reset() == Reason.REMOTE_STOP.value
+        except Refused:
+            return False
+
+    wait_until(is_reset)
+
+
+def renewed(party: Party) -> Party:
+    """Somebody with the same key, whom nobody has granted anything yet."""
+    same = Party(party.name)
+    same.private = party.private
+    return same

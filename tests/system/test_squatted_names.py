@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import msgpack
 import pytest
@@ -13,7 +14,10 @@ from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import chassis, gateway, run
+from tests.support.signed_site import Site
 from tests.support.waiting import wait_until
+
+INFO: Final = "fleet/cruiser-1/gateway/info"
 
 
 @contextmanager
@@ -58,3 +62,52 @@ def test_a_gateway_that_lives_keeps_its_name(listen_only: list[str]) -> None:
         assert second.returncode == ExitCode.REFUSED
         assert "a gateway of the name cruiser-1 is connected already" in second.stderr
         assert first.stop() == ExitCode.OK
+
+
+@contextmanager
+def squatting(session: zenoh.Session) -> Iterator[None]:
+    """Somebody has the robot's token, and answers in its place."""
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(INFO, b"\x80", attachment=bytes(73))
+
+    with (
+        session.liveliness().declare_token("fleet/cruiser-1/gateway"),
+        session.declare_queryable(INFO, answer, complete=True),
+    ):
+        yield
+
+
+def test_in_signed_mode_who_answers_without_a_grant_for_the_name_keeps_no_robot_from_starting(
+    tmp_path: Path,
+) -> None:
+    """Another robot's certificate lets it: the gateway starts, and goes on when it takes over renewed files."""
+    site = Site(tmp_path)
+    with (
+        stranger() as (session, endpoint),
+        chassis() as (_, address),
+        squatting(session),
+        gateway(address, site.endpoint, "--connect", endpoint, "--config", site.robot_settings) as running,
+    ):
+        running.wait_says("what answers there does not prove that it was granted this name")
+        grant = Path(site.robot_settings).with_name("robot.grant")
+        grant.write_bytes(grant.read_bytes())
+        running.wait_says("starting again with the renewed files")
+        wait_until(lambda: len([line for line in running.said if "does not prove" in line]) >= 2)
+        states = session.declare_subscriber("fleet/cruiser-1/safety/state", zenoh.handlers.RingChannel(1))
+        wait_until(lambda: states.try_recv() is not None)
+        assert running.stop() == ExitCode.OK
+
+
+def test_in_signed_mode_a_second_gateway_with_the_same_keys_is_refused(tmp_path: Path) -> None:
+    """It proves itself, although somebody else answers too; the first serves on."""
+    site = Site(tmp_path)
+    with stranger() as (session, endpoint), chassis() as (_, address):
+        files = ["--config", site.robot_settings, "--connect", endpoint]
+        with gateway(address, site.endpoint, *files) as first, squatting(session):
+            bus = ["--interface", "socketcand", "--channel", address]
+            second = run(["gateway", *bus, "--listen", free_endpoint(), *files])
+            assert second.returncode == ExitCode.REFUSED
+            assert "a gateway of the name cruiser-1 is connected already" in second.stderr
+            assert first.stop() == ExitCode.OK

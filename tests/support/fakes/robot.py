@@ -137,7 +137,8 @@ class FakeRobot:
             for reply in due.replies:
                 query, key = self._waiting.pop(reply.handle)
                 command = BY_VERB.get(reply.verb, BY_VERB["stop"])
-                query.reply(key, reply.payload, encoding=command.reply_encoding)
+                with query:  # Else who asked would wait for others who answer.
+                    query.reply(key, reply.payload, encoding=command.reply_encoding)
             for message in [*messages, self.health]:
                 self._publish(message)
             if self.flow.arbiter.tick_number % 5 == 0:

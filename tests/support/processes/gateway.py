@@ -8,7 +8,8 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -37,7 +38,7 @@ class Running:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self.process.poll() is None:
-            self.process.kill()
+            kill_all(self.process.pid)
         self.process.wait()
         self._thread.join()
         for stream in (self.process.stdout, self.process.stderr):
@@ -45,14 +46,19 @@ class Running:
                 stream.close()
 
     def wait_says(self, pattern: str) -> re.Match[str]:
-        """Wait for a line on stderr that has this in it."""
+        """Wait for a line on stderr that has this in it.
+
+        Raises:
+            AssertionError: none came. It holds what the command said.
+        """
         found: list[re.Match[str]] = []
 
         def search() -> bool:
             found.extend(match for line in list(self.said) if (match := re.search(pattern, line)))
             return bool(found) or self.process.poll() is not None
 
-        wait_until(search)
+        with suppress(TimeoutError):
+            wait_until(search)
         assert found, self.said
         return found[0]
 
@@ -64,6 +70,21 @@ class Running:
     def _listen(self) -> None:
         for line in self.process.stderr or ():
             self.said.append(line.rstrip("\n"))
+
+
+def kill_all(pid: int) -> None:
+    """Kill a process and all that it has started: a guard outlives its gateway, while it stops the robot."""
+    children = [child for task in Path(f"/proc/{pid}/task").iterdir() for child in _children(task)]
+    os.kill(pid, signal.SIGKILL)
+    for child in children:
+        with suppress(FileNotFoundError, ProcessLookupError):
+            kill_all(child)
+
+
+def _children(task: Path) -> list[int]:
+    with suppress(FileNotFoundError, ProcessLookupError):  # The thread has ended.
+        return [int(child) for child in (task / "children").read_text().split()]
+    return []
 
 
 @contextmanager

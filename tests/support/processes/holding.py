@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from gateway.client.refusal import LeaseLost, RobotError, Unreachable
 from gateway.client.robot import Lease, Robot
+from schemas.decisions import SafetyState
 from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S
 
@@ -18,12 +19,20 @@ STARVED = {
 }
 """What stops a robot on a machine with other work; no other operator does it, and the holder engages again."""
 
+RESTING = {Reason.NOT_ENGAGED, Reason.GUARD}
+"""What may keep a robot from moving that its holder can engage."""
+
+LEASE_SEEN_S = 3.0
+"""The time from a reply with a lease until the robot's states must say so."""
+
 
 def hold(robot: Robot, lease: Lease, speed_mps: float) -> None:
     """Drive, and engage again where the machine was too busy for it."""
     try:
         if not lease.is_engaged:
-            robot.wait_for(lambda state: set(state.blocked_by) <= {Reason.NOT_ENGAGED, Reason.GUARD}, 30)
+            # Its states may be those of before the lease for a moment; after that, without it the lease is lost.
+            robot.wait_for(_is_leased, LEASE_SEEN_S)
+            robot.wait_for(lambda state: set(state.blocked_by) <= RESTING or not _is_leased(state), 30)
             lease.reset()
             lease.engage(deadman_s=DEADMAN_MAX_S)
             lease.unpark()
@@ -33,6 +42,10 @@ def hold(robot: Robot, lease: Lease, speed_mps: float) -> None:
             raise
     except Unreachable:
         return  # For a moment; else whoever waits gives up.
+
+
+def _is_leased(state: SafetyState) -> bool:
+    return Reason.NO_LEASE not in state.blocked_by
 
 
 def is_done(act: Callable[[], object]) -> bool:

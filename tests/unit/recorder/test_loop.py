@@ -7,7 +7,7 @@ from io import BytesIO, FileIO
 from itertools import count, pairwise, takewhile
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import pytest
@@ -23,7 +23,7 @@ from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.routes import keep_raw
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.loop import Recorded, RecorderLoop
-from recorder.record import robot_log
+from recorder.record import orders, robot_log
 from recorder.record.accounting import KeyReport
 from recorder.record.actions import Action
 from recorder.record.health import HealthReport
@@ -72,6 +72,18 @@ def recorder(
 def record(source: FakeSource, directory: Path, plan: LogPlan = PLAN) -> Recorded:
     """Record all that a source brings."""
     return recorder(source, directory, plan).run(lambda: source.is_exhausted)
+
+
+@pytest.fixture
+def fast_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that shows the loop ten seconds for each one that passes."""
+    clock = SimpleNamespace(
+        monotonic_ns=lambda: 10 * time.monotonic_ns(),
+        time_ns=time.time_ns,
+        sleep=time.sleep,
+        process_time_ns=lambda: 10 * time.process_time_ns(),
+    )
+    monkeypatch.setattr(loop_module, "time", clock)
 
 
 def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
@@ -144,6 +156,9 @@ class FailingFile(FileIO):
         return super().write(taken)
 
 
+FILE_SAMPLES: Final = 2000
+
+
 class Steady(FakeSource):
     """Brings a few at a time."""
 
@@ -212,7 +227,17 @@ def test_a_new_file_is_begun_on_demand(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(robot_log, "ROLL_MIN_NS", 0)
     files: list[str] = []
 
-    source = Steady(sample_of(gear(number)) for number in takewhile(lambda _: len(files) < 3, count()))
+    class Filling(Steady):
+        """Brings what a file holds, and then waits for the next: no disk is too slow for it."""
+
+        brought = 0
+
+        def drain(self, limit: int) -> list[ReceivedSample]:
+            taken = super().drain(limit) if self.brought < FILE_SAMPLES * (1 + len(files)) else []
+            self.brought += len(taken)
+            return taken
+
+    source = Filling(sample_of(gear(number)) for number in takewhile(lambda _: len(files) < 3, count()))
     one = recorder(source, tmp_path)
 
     def rolls() -> bool:
@@ -309,8 +334,11 @@ class FakeControl:
         return [one for one in self.published if isinstance(one, RecorderHealth)]
 
 
-def test_operators_are_obeyed_and_told(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("fast_clock")
+def test_operators_are_obeyed_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is asked for happens to the files on the disk, whose names the replies give."""
+    # However slow the disk is here: a reply that waits for it no longer names no file.
+    monkeypatch.setattr(orders, "REPLY_NS", 10**12)
     control = FakeControl(Status(), Mark("it shook"), Split(), StopRecording(), Start(), Backfill("x", 0, 1))
     backfills = []
     # Each pass brings some, so that there is a file to end.
@@ -338,14 +366,16 @@ def test_operators_are_obeyed_and_told(tmp_path: Path) -> None:
     assert events == ["incident", "stopped", "started"]
 
 
+@pytest.mark.usefixtures("fast_clock")
 def test_health_is_published_each_second(tmp_path: Path) -> None:
     """With what the writer, the queue and this process have to tell; so is what was lost."""
     control = FakeControl()
     source = FakeSource(sample_of(gear(number)) for number in range(10**9))
     one = recorder(source, tmp_path, queue_bytes=1_000_000)
     one.obey(control, lambda _: None)
-    one.run(lambda: len(control.health()) >= 2)
-    first, second = control.health()[:2]
+    # The first may come before the disk has opened a file.
+    one.run(lambda: len(control.health()) >= 2 and control.health()[-1].files > 0)
+    first, second = control.health()[-2:]
     assert (second.sequence, second.files, second.robots) == (first.sequence + 1, 1, 1)
     assert second.received > first.received
     assert second.received_per_s > 0
@@ -376,6 +406,17 @@ def test_notices_of_others_are_taken(tmp_path: Path) -> None:
     assert [event.kind.value for event in events if event.kind.value != "incident"] == ["full", "deleted"]
     (incident,) = tmp_path.glob("*.incident.mcap")
     assert sum(1 for _ in make_reader(BytesIO(incident.read_bytes())).iter_messages(topics=[GEAR_KEY])) == 200
+
+
+def test_the_leftovers_hear_of_room(tmp_path: Path) -> None:
+    """From the keeper: a recorder that began on a full disk has nothing to write that could tell."""
+    notices: list[Notice] = [DiskRoom(has_room=True, has_incident_room=True)]
+    keeper = SimpleNamespace(notices=lambda: [notices.pop(0)] if notices else [], use=DiskUse())
+    heard: list[Notice] = []
+    leftovers = SimpleNamespace(notices=list, receive_notice=heard.append)
+    expected = list(notices)
+    recorder(FakeSource(), tmp_path, keeper=keeper, leftovers=leftovers).run(lambda: not notices)
+    assert heard == expected
 
 
 def test_a_sample_that_is_too_large_holds_nothing_up(tmp_path: Path) -> None:

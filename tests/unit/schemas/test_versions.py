@@ -10,7 +10,8 @@ from schemas.codec import PayloadFault, Understood, decode_request, understand
 from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
 from schemas.requests import Request
 from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, Command
-from schemas.versions import count_fields, encoding_fault, is_foreign, member_of, names_schema
+from schemas.versions import count_fields, encoding_fault, is_foreign, member_of, names_schema, other_version
+from tests.support.messages import HEALTH
 from tests.support.newer import (
     NEW_WORD,
     READ,
@@ -42,6 +43,7 @@ def test_another_version_of_any_schema_is_said_with_who_has_to_be_upgraded(encod
     said = encoding_fault(newer(encoding), encoding, "the reader", "the writer")
     assert said == f"version {int(version) + 1} of {schema}, and the reader knows {version}: upgrade the reader"
     assert encoding_fault(newer(encoding, -1), encoding, "the reader", "the writer").endswith("upgrade the writer")
+    assert [other_version(newer(encoding, by), encoding) for by in (-1, 0, 1)] == ["older", "", "newer"]
 
 
 @given(encoding=st.text(max_size=200))
@@ -51,6 +53,7 @@ def test_any_other_encoding_is_said_as_what_it_is(encoding: str) -> None:
     assert said.isprintable()
     assert len(said) < 1200
     assert ENCODINGS[0] in said
+    assert other_version(encoding, ENCODINGS[0]) == ""
 
 
 @given(grown=growing_fields())
@@ -83,6 +86,13 @@ def test_fields_that_were_added_later_are_left_out_and_named(
     assert understand(kind, with_new_fields(message, new=1, newer="b")) == Understood(
         message, ("field 'new'", "field 'newer'")
     )
+
+
+@pytest.mark.parametrize("name", [b"\xa3\xff\xff\xff", b"\xa3\xec\xa7a", b"\x93\x01\x02\x03"])
+def test_a_field_whose_name_is_none_is_a_fault_and_no_exception(name: bytes) -> None:
+    """Bytes that are not UTF-8, or a list: one sample of a stranger ends no reader."""
+    payload = with_new_fields(HEALTH, new=1).replace(b"\xa3new", name)
+    assert isinstance(understand(type(HEALTH), payload), PayloadFault)
 
 
 @given(kind=st.sampled_from(READ), value=ANYTHING)

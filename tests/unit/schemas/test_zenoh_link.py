@@ -2,6 +2,7 @@
 
 import pytest
 
+from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
 from schemas.zenoh_link import (
     CONNECT,
@@ -10,7 +11,10 @@ from schemas.zenoh_link import (
     MODE,
     MULTICAST,
     ROUTER_LOOKS,
+    SCOUTING,
+    SCOUTING_MS,
     Json,
+    SessionError,
     allows,
     finds_router,
     is_loopback,
@@ -28,6 +32,12 @@ def test_multicast_is_off_unless_the_users_own_file_says_otherwise() -> None:
     """By default no session scouts by multicast; nothing in our own settings turns it on."""
     assert session_settings(ZenohSettings(), [], [])[MULTICAST] is False
     assert MULTICAST not in session_settings(ZenohSettings(), [], [], lambda path: path == MULTICAST)
+
+
+def test_a_session_that_opens_waits_for_others_as_long_as_ours_or_the_users_own_file_says() -> None:
+    """Not for the half second of Zenoh's own, which it often waits for nothing; a file's word holds."""
+    assert session_settings(ZenohSettings(), [ENDPOINT], [])[SCOUTING] == SCOUTING_MS
+    assert SCOUTING not in session_settings(ZenohSettings(), [ENDPOINT], [], lambda path: path == SCOUTING)
 
 
 def test_a_files_endpoints_to_connect_to_hold_where_none_are_given() -> None:
@@ -176,3 +186,25 @@ def test_a_reason_is_one_clean_line() -> None:
     """The places in Zenoh's own source, line breaks and control characters are left out."""
     message = "Can not bind\n tcp/x: [in use at /build/dir/tcp.rs:61.] at /build/dir/unicast.rs:338."
     assert reason(message) == "Can not bind tcp/x: [in use]"
+
+
+@pytest.mark.parametrize(
+    ("places", "says"),
+    [
+        (
+            "Single(tcp/127.0.0.1:7447)",
+            "nobody answers at tcp/127.0.0.1:7447: look at the router or gateway there, and at the network",
+        ),
+        (
+            "Single(tls/[::1]:7447), Single(tls/r.example:7447)",
+            "nobody at tls/[::1]:7447, tls/r.example:7447 lets",
+        ),
+    ],
+)
+def test_where_nobody_answers_it_is_said_in_plain_words(places: str, says: str) -> None:
+    """With certificates there is more than one reason, and Zenoh knows none."""
+    error = SessionError(
+        "cannot open Zenoh", f"Unable to connect to any of [{places}]! at /build/x.rs:1.", "z.json5"
+    )
+    assert str(error).startswith(f"cannot open Zenoh: {says}")
+    assert (error.code, error.config) == (ExitCode.UNREACHABLE, "z.json5")

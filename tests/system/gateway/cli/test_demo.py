@@ -23,7 +23,7 @@ from tests.support.waiting import wait_until
 TIMEOUT_S = 400
 """On a busy machine a demo begins again and again."""
 
-pytestmark = pytest.mark.timeout(TIMEOUT_S)
+pytestmark = [pytest.mark.timeout(TIMEOUT_S), pytest.mark.long]
 
 
 def assert_in_order(told: str, steps: Sequence[str]) -> None:

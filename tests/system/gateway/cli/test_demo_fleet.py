@@ -41,6 +41,7 @@ SEEN = {
 """What the demo has to see, and words of it."""
 
 
+@pytest.mark.long
 def test_a_fleet_is_driven_attacked_and_its_operator_locked_out(tmp_path: Path) -> None:
     """Every fact is as it should be; settings of another robot change nothing. The log can be asked again."""
     foreign = {"CRUISER_ROBOT_ROOT": "elsewhere", "CRUISER_ZENOH_CONNECT": "tcp/127.0.0.1:1"}

@@ -54,7 +54,7 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
 
 def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:
     """A chassis that is well: nothing is missing but the gateway. What is wrong with the bus is found in turn."""
-    logs = ["--logs", str(tmp_path)]
+    logs = ["--logs", str(tmp_path), "--timeout", "0.5"]
     connect = ["--connect", free_endpoint()]
     code, found, summary = examine(bus, *logs)
     assert (code, list(found), summary) == (1, ["gateway_missing"], "")
@@ -70,7 +70,7 @@ def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Pat
 
 def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     """An interface of the kernel, and a server."""
-    logs = ["--logs", str(tmp_path / "nothing")]
+    logs = ["--logs", str(tmp_path / "nothing"), "--timeout", "0.5"]
     found = examine("can9", *logs, interface="socketcan")[1]
     assert list(found) == ["interface_missing", "gateway_missing", "disk_unusable"]
     assert "127.0.0.1:1" in examine("127.0.0.1:1", *logs)[1]["bus_unreachable"]

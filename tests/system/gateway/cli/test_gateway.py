@@ -1,11 +1,14 @@
 """``cruiser gateway`` as a process, with a virtual chassis as a process."""
 
 import itertools
+import os
 import signal
 import socket
 from argparse import Namespace
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -15,6 +18,7 @@ import zenoh
 
 from gateway.chassis.cruiser.layout import load
 from gateway.cli.gateway import run as run_gateway
+from gateway.client.refusal import Refused
 from gateway.client.robot import Robot
 from gateway.command.actuation import Actuation
 from gateway.core import Core
@@ -451,6 +455,31 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
             assert running.stop() == 0
 
 
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_remote_stop_is_latched_until_a_reset_whatever_is_restarted(how: signal.Signals) -> None:
+    """Whoever stopped the robot goes up to it: a restart of the process makes nobody's stop undone."""
+    endpoint = free_endpoint()
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    with chassis() as (_, address):
+        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+            # It is latched, also where the chassis is not seen yet.
+            with suppress(Refused):
+                robot.stop()
+            assert robot.wait_for(lambda state: Reason.REMOTE_STOP in state.latched, 30)
+            wait_until(lambda: any(Path(os.environ["XDG_STATE_HOME"]).glob("**/*.latched.json")))
+            running.stop(how)
+        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+            assert robot.wait_for(lambda state: Reason.REMOTE_STOP in state.latched, 30)
+            with robot.lease() as lease:
+                wait_until(partial(is_done, lease.reset))
+            assert robot.wait_for(lambda state: not state.latched, 30)
+            assert running.stop() == 0
+        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+            assert robot.wait_for(lambda state: state.blocked_by == [Reason.NO_LEASE, Reason.NOT_ENGAGED], 30)
+            assert robot.state().state.latched == []
+            assert running.stop() == 0
+
+
 def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
     """One that is there while the guard still stops the robot knows whose frames these are, and how it ended."""
     endpoint = free_endpoint()
@@ -493,7 +522,7 @@ def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", "")
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint) as running:
-        running.wait_says("will not stay latched across a restart: gateway.state_dir is empty")
+        running.wait_says("will not stay so across a restart: gateway.state_dir is empty")
         running.wait_says(r"no real-time priority.*: 1 m/s \(command.speed_limit_without_realtime_mps\); .*rtprio")
         listener = Listener(endpoint)
         try:

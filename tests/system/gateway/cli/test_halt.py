@@ -4,53 +4,21 @@ import json
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 
-from gateway.can.can_bus import Bus
-from gateway.can.open_bus import open_bus
-from gateway.command.actuation import Actuation
-from gateway.command.frames import FrameMaker
 from gateway.host.stop_note import StopNote
-from schemas.messages import GearPosition, Mode, Variant
-from schemas.settings import CanSettings, Settings
+from schemas.messages import Mode
+from schemas.settings import Settings
 from tests.support.processes.gateway import Running, chassis, run
-from tests.support.processes.guard import COMMANDS, Listener, listening, watched
+from tests.support.processes.guard import COMMANDS, listening, watched
+from tests.support.processes.other_computer import leave_rolling
 from tests.support.waiting import wait_until
-
-DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.8, parking=False)
-
-
-@contextmanager
-def bus(address: str) -> Iterator[Bus]:
-    """Another computer on the bus."""
-    opened = open_bus(CanSettings(interface="socketcand", channel=address))
-    try:
-        yield opened
-    finally:
-        opened.close()
-
-
-def command(opened: Bus, maker: FrameMaker, actuation: Actuation = DRIVING) -> None:
-    """One burst."""
-    frames = maker.make(actuation, [], Variant.COARSE)
-    for frame in frames:
-        opened.send(frame)
-    maker.sent(frames)
 
 
 def halt(address: str, *words: str) -> subprocess.CompletedProcess[str]:
     """Halt the robot."""
     return run(["halt", "--interface", "socketcand", "--channel", address, *words])
-
-
-def leave_rolling(address: str, listener: Listener) -> None:
-    """Somebody drove the robot and went away: it obeys the last command for ever."""
-    with bus(address) as opened:
-        maker = FrameMaker()
-        wait_until(lambda: listener.speed_mps() > 0.6, lambda: command(opened, maker))
 
 
 @pytest.mark.parametrize("words", [(), ("--variant", "coarse")])

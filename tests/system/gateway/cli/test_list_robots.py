@@ -2,16 +2,18 @@ import argparse
 import json
 from collections.abc import Callable
 
+import msgspec
 import pytest
 
 from gateway.cli.list_robots import add_arguments, run
 from gateway.zenoh.client import PendingQuery, RobotListener
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import Reason
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
-from tests.support.messages import HEALTH
+from tests.support.messages import HEALTH, STANDBY
 from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import StopWhen, nothing
 
@@ -38,6 +40,20 @@ def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["cruiser-1", "cruiser-2"]
     assert all("connected" in line and "630/s" in line for line in lines)
+
+
+def test_what_is_latched_is_listed(capsys: Capture) -> None:
+    """A robot that cannot be engaged until a reset is not shown as one that is well."""
+    latched = msgspec.structs.replace(STANDBY, latched=[Reason.REMOTE_STOP, Reason.FRONT_BUMPER])
+    with FakeGateway("cruiser-1") as gateway:
+
+        def speak() -> None:
+            gateway.say(latched)
+            gateway.say(HEALTH)
+
+        assert list_robots(gateway.listen, "--timeout", "20", meanwhile=speak) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "  see to: latched: remote_stop, front_bumper" in lines
 
 
 def test_a_robot_that_sends_no_health_is_said_to_send_none(capsys: Capture) -> None:

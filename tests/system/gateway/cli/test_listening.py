@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from gateway.authority.transport import TransportRole
 from gateway.zenoh.client import close_session, open_session
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
@@ -162,11 +163,12 @@ def test_a_gateway_and_a_recorder_that_speak_tls_alone_dial_out(tmp_path: Path) 
     """Neither listens on anything, the robot is stopped through the router, and the recorder records it."""
     network = Network(tmp_path)
     robot, desk = (network.tls_file(name) for name in ("robot", "desk"))
+    depot = network.tls_file("depot", TransportRole.RECORDER)
     with router(network.tls_file("localhost"), "tls", "localhost") as endpoint:
         there = ["--connect", endpoint, "--zenoh-config"]
         with (
             dialling(*there, robot) as running,
-            Running("record", *there, desk, "-o", str(tmp_path / "logs"), "--name", "desk") as recorder,
+            Running("record", *there, depot, "-o", str(tmp_path / "logs"), "--name", "depot") as recorder,
         ):
             recorder.wait_says("listens on nothing")
             stop_at(*there[1:], desk)

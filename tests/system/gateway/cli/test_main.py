@@ -1,5 +1,7 @@
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -82,3 +84,22 @@ def test_ctrl_c_before_a_command_has_begun_is_no_traceback() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stderr) == (-2, "")
+
+
+def test_a_settings_file_that_was_not_named_is_one_line_with_the_command(tmp_path: Path) -> None:
+    """Who forgot it would be in open mode without a word."""
+    (tmp_path / "operator.toml").write_text("")
+    environment = {**os.environ, "HOME": str(tmp_path)}
+    for names, warnings in (([], 1), (["--config", "operator.toml"], 0)):
+        done = subprocess.run(
+            [sys.executable, "-m", "gateway", "list", "--timeout", "0.1", *names],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=tmp_path,
+            env=environment,
+        )
+        said = [line for line in done.stderr.splitlines() if "warning" in line]
+        assert len(said) == warnings, done.stderr
+        assert all("open mode" in one for one in said)
+        assert all("cruiser list --timeout 0.1 --config operator.toml" in one for one in said)

@@ -20,10 +20,10 @@ def router(tmp_path: Path) -> Path:
     return Network(tmp_path, free_endpoint().replace("tcp", "tls")).node(TransportRole.ROUTER, "127.0.0.1")
 
 
-def run(*words: str | Path) -> tuple[int, str]:
+def run(*words: str | Path, command: str = "router") -> tuple[int, str]:
     """Exit code, and what is said."""
-    command = [sys.executable, "-m", "gateway", "router", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    program = [sys.executable, "-m", "gateway", command, *map(str, words)]
+    done = subprocess.run(program, capture_output=True, text=True, check=False, timeout=60)
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout + done.stderr
 
@@ -51,3 +51,61 @@ def test_what_is_wrong_is_one_line(router: Path, tmp_path: Path) -> None:
         found, text = run(*words)
         assert (found, text.count("\n")) == (code, 1), text
         assert says in text
+
+
+@pytest.mark.parametrize(
+    ("command", "role"), [("list", TransportRole.OPERATOR), ("record", TransportRole.RECORDER)]
+)
+def test_who_is_not_let_in_learns_which_file_is_wrong(tmp_path: Path, command: str, role: TransportRole) -> None:
+    """Zenoh says that nobody is there, whatever it is; where the files are right the handshake tells."""
+    network = Network(tmp_path, free_endpoint().replace("tcp", "tls"))
+    place = network.node(role, "ann")
+    further: tuple[str | Path, ...] = {"record": ("--out", tmp_path / "logs")}.get(command, ())
+    words = ("--zenoh-config", place / f"{role.value}.json5", *further)
+    code, text = run(*words, command=command)
+    assert code == 4
+    assert f"no router runs at {network.endpoint}" in text
+    key = place / f"{role.value}-tls.key"
+    key.unlink()
+    code, text = run(*words, command=command)
+    assert (code, text.count("\n")) == (2, 1), text
+    assert f"{key} is not there; 'cruiser provision {role.value} NAME --replace' makes another" in text
+
+
+@pytest.mark.parametrize(
+    ("robot", "says"),
+    [
+        ("cruiser-1", "cruiser-1: NOT STOPPED: NOTHING WAS SENT. Use the button on the robot"),
+        ("--all", "all robots: NOT STOPPED: NOTHING WAS SENT. Use the buttons on the robots"),
+    ],
+)
+def test_a_stop_that_cannot_be_sent_says_so_first(tmp_path: Path, robot: str, says: str) -> None:
+    """Then the cause, in one line: no router; a certificate that is another network's; one that is missing."""
+    network = Network(tmp_path, free_endpoint().replace("tcp", "tls"))
+    place = network.node(TransportRole.OPERATOR, "ann")
+    (tmp_path / "other").mkdir()
+    foreign = Network(tmp_path / "other", network.endpoint).node(TransportRole.OPERATOR, "ann")
+    words = (robot, "--zenoh-config", place / "operator.json5")
+    code, text = run(*words, command="stop")
+    lines = text.splitlines()
+    assert (code, lines[0], len(lines)) == (4, says, 2)
+    assert f"no router runs at {network.endpoint}" in lines[1]
+    for name in ("operator-tls.key", "operator-tls.pem"):
+        (place / name).write_bytes((foreign / name).read_bytes())
+    code, text = run(*words, command="stop")
+    lines = text.splitlines()
+    assert (code, lines[0], len(lines)) == (2, says, 2)
+    assert "is of another network than" in lines[1]
+    (place / "operator-tls.key").unlink()
+    code, text = run(*words, command="stop")
+    lines = text.splitlines()
+    assert (code, lines[0], len(lines)) == (2, says, 2)
+    assert "operator-tls.key is not there" in lines[1]
+
+
+def test_a_stop_of_all_in_open_mode_that_has_no_link_says_the_same() -> None:
+    """A peer's session opens although nobody is there."""
+    code, text = run("--all", "--connect", "tcp/127.0.0.1:1", "--timeout", "0.5", command="stop")
+    lines = text.splitlines()
+    assert (code, len(lines)) == (4, 2), text
+    assert lines[0].startswith("all robots: NOT STOPPED: NOTHING WAS SENT: there is no link. Use the buttons on")

@@ -16,6 +16,7 @@ from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
 from gateway.authority.robot_authority import Kept, RobotAuthority
 from gateway.authority.signer import RobotSigner
+from gateway.authority.silence import AuthoritySilence
 from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
 from gateway.command.flow import PendingReply
@@ -38,6 +39,7 @@ class FakeRobot:
     Attributes:
         authority: what it knows.
         kept: what it answers in place of anything else: an answer to a question of before.
+        drops: so many queries it leaves unanswered, as one that is flooded does.
     """
 
     def __init__(self, session: zenoh.Session, directory: Path, name: str) -> None:
@@ -45,10 +47,11 @@ class FakeRobot:
         settings = Settings(robot=RobotSettings(name=name), authority=AuthoritySettings(mode="signed"))
         signer = RobotSigner(identity.private, b"boot no1")
         admission = SignedAdmission(settings, identity.trust, signer, self._age)
-        floor = TimeFloor(0, time.monotonic_ns())
-        self.authority = RobotAuthority(settings, admission, signer, floor, identity.chain, Kept())
+        floor, silence = TimeFloor(0, time.monotonic_ns()), AuthoritySilence(time.monotonic_ns())
+        self.authority = RobotAuthority(settings, admission, signer, floor, silence, identity.chain, Kept())
         self.name = name
         self.kept: PendingReply | None = None
+        self.drops = 0
         self._tick()
         self._ends = threading.Event()
         self._session = session
@@ -90,6 +93,10 @@ class FakeRobot:
             self._session.put(f"fleet/{self.name}/safety/state", state)
             query = self._queries.try_recv()
             if query is None:
+                continue
+            if self.drops:
+                self.drops -= 1
+                query.drop()
                 continue
             with query:
                 payload = b"" if query.payload is None else query.payload.to_bytes()
@@ -155,6 +162,18 @@ def test_each_robot_says_what_became_of_it(fleet: Fleet, capsys: pytest.CaptureF
     assert tell(fleet, "show", "two.statement", *both) == ExitCode.PARTIAL
 
 
+def test_a_robot_that_leaves_queries_unanswered_is_asked_again(
+    fleet: Fleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One that is flooded has no time for all of them, and each that it drops ends at once."""
+    run("revoke", "ann", "--directory", fleet.place / "authority", "-o", "one.statement")
+    capsys.readouterr()
+    fleet.robots["cruiser-1"].drops = 5
+    assert tell(fleet, "show", "one.statement", "--robot", "cruiser-1") == ExitCode.OK
+    assert capsys.readouterr().out == "cruiser-1: taken over\n"
+    assert fleet.robots["cruiser-1"].drops == 0
+
+
 def test_a_rotation_is_believed_from_the_standby_alone(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
     """That of a stranger changes nothing."""
     new = ProvisionedFleet(fleet.place / "new")
@@ -166,6 +185,10 @@ def test_a_rotation_is_believed_from_the_standby_alone(fleet: Fleet, capsys: pyt
     assert tell(fleet, "show", "rotation.statement", "--all") == ExitCode.OK
     active = read_identity(fleet.ann, "operator").trust.active
     assert {robot.authority.admission.trust.active for robot in fleet.robots.values()} != {active}
+    capsys.readouterr()
+    assert tell(fleet, "show", "rotation.statement", "--all") == ExitCode.OK
+    has_it = "has it, or a newer one"
+    assert [has_it in line for line in capsys.readouterr().out.splitlines()] == [True, True]
 
 
 @pytest.mark.parametrize("where", ["authority", "depot"])

@@ -1,4 +1,4 @@
-"""Access by role, subject by key by operation, through a real router-mode session with mutual TLS on loopback.
+"""Access by role, subject by key by operation, through a real router with mutual TLS on loopback.
 
 Whoever attacks is a client, a peer, or another router; or is connected with the robot itself.
 
@@ -22,9 +22,9 @@ from zenoh import ext
 from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
 from gateway.provisioning.certificates import LEAF_DAYS, issue, issue_site, new_key, new_request
 from gateway.zenoh.client import open_session
-from gateway.zenoh.router import open_router
 from schemas.exit_codes import CommandError
 from schemas.settings import ZenohSettings
+from tests.support.routers import EVERYTHING, WatchedRouter, routing
 from tests.support.secured import Network, pem, write
 from tests.support.waiting import wait_until
 
@@ -59,6 +59,8 @@ VERB: Final = f"{R}/@cmd/ann/acquire"
 DRIVE: Final = f"{R}/@cmd/ann/drive"
 STOP: Final = f"{R}/@cmd/ann/stop"
 STOP_ALL: Final = "fleet/*/@cmd/ann/stop"
+STOP_MANY: Final = "fleet/c$*/@cmd/ann/stop"
+"""Of all robots whose name begins so: Zenoh's rules cannot tell a pattern from the names in it."""
 ORDER: Final = "fleet/@recorder/depot/@cmd/ann/split"
 BACKFILL: Final = "fleet/@recorder/depot/@cmd/ann/backfill"
 
@@ -82,10 +84,11 @@ PUTS: Final = {f"{R}/{name}": ROBOTS for name in TELEMETRY} | {
     ORDER: NOBODY,
     STOP: PEOPLE,
     STOP_ALL: COMMANDING,
+    STOP_MANY: PEOPLE,
 }
 """Who may put on which key; ``PUTS_REACHED`` are those of them that a robot subscribes to."""
 
-PUTS_REACHED: Final = {DRIVE, STOP, STOP_ALL}
+PUTS_REACHED: Final = {DRIVE, STOP, STOP_ALL, STOP_MANY}
 
 QUERIES: Final = {f"{R}/{name}": PEOPLE | {RECORDER} for name in KEPT} | {
     "fleet/*/gateway/info": PEOPLE | {RECORDER, OTHER},
@@ -100,6 +103,7 @@ QUERIES: Final = {f"{R}/{name}": PEOPLE | {RECORDER} for name in KEPT} | {
     DRIVE: NOBODY,
     STOP: PEOPLE,
     STOP_ALL: COMMANDING,
+    STOP_MANY: PEOPLE,
     f"{R}/@auth": PEOPLE,
     "fleet/*/@auth": PEOPLE,
 }
@@ -152,7 +156,7 @@ class Secured:
     def __init__(self, directory: Path, mode: str) -> None:
         self.network = Network(directory, free_endpoint())
         router = self.network.node(TransportRole.ROUTER, "127.0.0.1")
-        self.router, _ = open_router(router / "router.json5", [])
+        self.router = WatchedRouter(self.network, router / "router.json5")
         self.attackers = {
             name: self.network.session(role, name, mode=mode, access_control__enabled=False)
             for name, role in ROLES.items()
@@ -163,8 +167,9 @@ class Secured:
 
     def close(self) -> None:
         """End all of them, the router last."""
-        for session in (*self.attackers.values(), self.robot, self.operator, self.recorder, self.router):
+        for session in (*self.attackers.values(), self.robot, self.operator, self.recorder):
             session.close()
+        self.router.close()
 
 
 @pytest.fixture(scope="module", params=MODES)
@@ -232,8 +237,7 @@ def fence(secured: Secured, arrivals: Arrivals) -> None:
 
 def observe(secured: Secured, arrivals: Arrivals) -> list[Any]:
     """Subscribe at the router itself to all that passes it."""
-    everything = ("**", "fleet/*/@cmd/**", "fleet/*/@auth/**", "fleet/@recorder/**", "fleet/@recorder/*/@cmd/**")
-    return [secured.router.declare_subscriber(key, arrivals.sample) for key in everything]
+    return [secured.router.session.declare_subscriber(key, arrivals.sample) for key in EVERYTHING]
 
 
 def undeclare(declared: list[Any]) -> None:
@@ -379,7 +383,7 @@ def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
 
     def look() -> None:
         for expression in ("fleet/*/gateway", "fleet/@recorder/*", "fleet/*", "operators/*"):
-            for reply in secured.router.liveliness().get(expression, timeout=2):
+            for reply in secured.router.session.liveliness().get(expression, timeout=2):
                 if reply.ok is not None and "ghost-" in (key := str(reply.ok.key_expr)):
                     name = next(one for one in ROLES if f"ghost-{one}" in key)
                     found.add((name, key.replace(f"-{name}", "")))
@@ -444,6 +448,39 @@ def test_a_robot_refuses_what_a_router_without_rules_sends(secured: Secured) -> 
         assert reached.found == {("router", DRIVE), ("router", STOP_ALL)}
 
 
+def test_who_is_in_no_row_gets_nothing(tmp_path: Path) -> None:
+    """A certificate of the authority lets somebody connect; what it may say or see stands in the rows."""
+    network = Network(tmp_path, free_endpoint())
+    reached, seen, leaked = Arrivals(), Arrivals(), Arrivals()
+    with (
+        routing(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"),
+        network.session(TransportRole.ROBOT, "cruiser-1", "cruiser-1") as robot,
+        network.session(TransportRole.OPERATOR, "ann") as operator,
+        network.session(TransportRole.NOTHING, "nobody", access_control__enabled=False) as nobody,
+    ):
+        assert nobody.info.routers_zid()
+        robot.declare_subscriber(f"{R}/@cmd/*/*", reached.sample)
+        robot.declare_queryable(f"{R}/@cmd/*/*", reached.query, complete=True)
+        robot.declare_queryable(f"{R}/@auth", reached.query, complete=True)
+        for key in (f"{R}/state", "fleet/**", "**", f"{R}/@cmd/*/*"):
+            nobody.declare_subscriber(key, leaked.sample)
+        operator.declare_subscriber(f"{R}/state", seen.sample)
+
+        def say() -> None:
+            say_everything(nobody, "nobody")
+            robot.put(f"{R}/state", b"", attachment="robot state")
+            operator.put(STOP, b"", attachment="ann stop")
+
+        wait_until(lambda: ("ann", "stop") in reached.found and ("robot", "state") in seen.found, say)
+        say()
+        # A query that comes back empty went out after all that was said.
+        assert not [reply for reply in nobody.get(f"{R}/@auth", timeout=2) if reply.ok is not None]
+        operator.put(STOP, b"", attachment="ann last")
+        wait_until(lambda: ("ann", "last") in reached.found)
+    assert reached.found == {("ann", "stop"), ("ann", "last")}
+    assert {one for one in leaked.found if one[0] != "nobody"} == set()
+
+
 def test_a_late_joiner_gets_what_was_published_before(secured: Secured) -> None:
     """An operator the history of a subject, a recorder what the gateway kept: the rules let both through."""
     key, kept = f"{R}/safety/event", f"{R}/journal"
@@ -473,7 +510,7 @@ def test_a_link_ends_with_its_certificate(tmp_path: Path) -> None:
     lives_s = 5
     ann = network.node(TransportRole.OPERATOR, "ann", born_s=int(time.time()) - LEAF_DAYS * 86_400 + lives_s)
     file = str(ann / "operator.json5")
-    with open_router(router / "router.json5", [])[0]:
+    with routing(router / "router.json5"):
         with zenoh.open(zenoh.Config.from_file(file)) as session:
             assert session.info.routers_zid()
             wait_until(lambda: not session.info.routers_zid())
@@ -663,7 +700,7 @@ def test_a_certificate_that_only_dials_out_serves_nobody(tmp_path: Path, role: T
             config.insert_json5(f"transport/link/tls/{end}_{kind}", f'"{file}"')
     with zenoh.open(config):
         assert not opens(configuration(network, TransportRole.ROBOT, "cruiser-1"))
-    with open_router(router / "router.json5", [])[0]:
+    with routing(router / "router.json5"):
         assert opens(configuration(network, TransportRole.ROBOT, "cruiser-2"))
 
 
@@ -677,12 +714,12 @@ def test_what_a_site_certifies_serves_nobody(tmp_path: Path) -> None:
     request = new_request(key, "operator", ["bea"])
     write(operator / "operator-tls.key", pem(key))
     write(operator / "operator-tls.pem", issue(request, TransportRole.OPERATOR, above, site, now_s))
-    with open_router(router / "router.json5", [])[0]:
+    with routing(router / "router.json5"):
         assert opens(zenoh.Config.from_file(str(operator / "operator.json5")))
     request = new_request(key, "router", ["127.0.0.1"])
     write(router / "router-tls.key", pem(key))
     write(router / "router-tls.pem", issue(request, TransportRole.ROUTER, above, site, now_s))
-    with open_router(router / "router.json5", [])[0]:
+    with routing(router / "router.json5"):
         assert not opens(configuration(network, TransportRole.ROBOT, "cruiser-1"))
 
 
@@ -716,3 +753,24 @@ def test_an_endpoint_without_certificates_is_refused() -> None:
     """Plain TCP in a provisioned file would let anybody in."""
     with pytest.raises(ValueError, match="tls and quic"):
         zenoh_configuration(TransportRole.ROBOT, "fleet", Path(), ["tcp/127.0.0.1:7447"], "cruiser-1")
+
+
+@pytest.mark.parametrize("may_read", [False, True])
+@pytest.mark.parametrize("has_rows", [True, False])
+def test_a_router_says_nothing_of_itself(tmp_path: Path, has_rows: bool, may_read: bool) -> None:  # noqa: FBT001
+    """With its admin space on, as zenohd has it: rows or permissions are enough; with neither it answers."""
+    network = Network(tmp_path, free_endpoint())
+    with (
+        network.session(
+            TransportRole.ROUTER,
+            "127.0.0.1",
+            adminspace__enabled=True,
+            adminspace__permissions__read=may_read,
+            access_control__enabled=has_rows,
+        ),
+        network.session(TransportRole.VIEWER, "vic", access_control__enabled=False) as viewer,
+    ):
+        assert viewer.info.routers_zid()
+        replies = viewer.get("@/*/router/**", timeout=2, target=zenoh.QueryTarget.ALL)
+        answers = [reply for reply in replies if reply.ok is not None]
+        assert bool(answers) is (may_read and not has_rows)

@@ -341,22 +341,44 @@ def test_a_reply_to_nobody_is_nothing(bench: Bench) -> None:
     assert [payload for _, payload, _ in replies(asked)] == [b"yes"]
 
 
-@pytest.mark.parametrize(
-    "key",
-    [f"{ROBOT}first/*", f"{ROBOT}*/acquire", f"{ROBOT}*/*", f"{ROBOT}**", f"{ROBOT}first/**", "fleet/*/@cmd/**"],
-)
-def test_a_wildcard_for_verb_or_operator_is_no_verb(bench: Bench, key: str) -> None:
-    """It reaches the arbiter as nothing that it knows, or nameless, and its query ends; nothing here raises."""
+ANY_VERB = [
+    f"{ROBOT}first/*",
+    f"{ROBOT}*/*",
+    f"{ROBOT}**",
+    f"{ROBOT}first/**",
+    f"{ROBOT}first/s$*",
+    "fleet/*/@cmd/**",
+]
+
+
+@pytest.mark.parametrize("key", [f"{ROBOT}*/acquire", *ANY_VERB])
+def test_a_wildcard_for_verb_or_operator_is_no_verb_but_the_stop(bench: Bench, key: str) -> None:
+    """It stops, where a stop is among what it says, and does nothing else; its query ends; nothing here raises."""
     asked = bench.ask(key)
     bench.settle()
     for _ in range(3):
         bench.drain()
     for request in bench.got:
         assert request.is_query
-        assert request.verb not in BY_VERB or not request.operator
+        assert request.verb == STOP_VERB or not request.operator
+    assert [one.verb for one in bench.got if one.verb == STOP_VERB] == [STOP_VERB] * (key in ANY_VERB)
     bench.answer(bench.got)
     bench.inbox._queries.clear()
     assert len(replies(asked)) <= len(bench.got)
+
+
+@pytest.mark.parametrize("key", ANY_VERB)
+def test_what_names_any_verb_displaces_no_stop(bench: Bench, key: str) -> None:
+    """It gets into the rings of the stops, more of it than they hold: the robot stops all the same."""
+    bench.asker.put(f"{ROBOT}op/stop", b"")
+    asked = bench.ask(f"{ROBOT}op/stop")
+    for _ in range(2 * STOPS_WAITING):
+        bench.asker.put(key, b"")
+        bench.ask_nowhere(key)
+    bench.settle()
+    bench.drain()
+    assert {one.verb for one in bench.got[: 2 * STOPS_PER_TICK]} == {STOP_VERB}
+    assert asked is not None
 
 
 @pytest.mark.parametrize("key", ["fleet/**", "**", "*/**", "fleet/cruiser-1/**", "fleet/cruiser-1/*/first/stop"])

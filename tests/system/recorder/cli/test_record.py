@@ -170,8 +170,9 @@ def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
         wait_until(partial(heard, peer, tmp_path, "small"))
 
         def has_gone_on() -> bool:
-            peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(2000)))
-            time.sleep(0.002)
+            for _ in range(10):
+                peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(2000)))
+                time.sleep(0.002)
             return len(logs_in(tmp_path)) > 2
 
         wait_until(has_gone_on)

@@ -22,10 +22,15 @@ from schemas.exit_codes import ExitCode
 from schemas.messages import Gear
 from schemas.recording import GapReason, RecorderEventKind, RecorderState
 from tests.support.fakes.peer import Peer, free_endpoint
-from tests.support.logs import logs_in
-from tests.support.messages import FakeSample, gear, key_of, safety_event, sample_of
+from tests.support.logs import Log, logs_in
+from tests.support.messages import SECOND, FakeSample, gear, key_of, safety_event, sample_of
 from tests.support.processes.recorder import Told, ask, counts, heard, link, recording, sequences, whole
 from tests.support.waiting import wait_until
+
+PAGE_BYTES = 4096
+
+TORN = b"\x06\x10\x00"
+"""The beginning of a record, as a killed recorder may leave it."""
 
 
 @pytest.fixture
@@ -222,6 +227,39 @@ def test_without_room_from_the_start_it_says_why_there_is_no_log(
     assert (code, out) == (ExitCode.FAILURE, "")
     assert "the disk took no log" in err.splitlines()[-1]
     assert logs_in(small_disk) == ["ballast"]
+
+
+def test_what_a_crash_left_is_made_whole_when_there_is_room(
+    small_disk: Path, peer: Peer, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The recorder began on a disk without room for the ends of the logs, and nothing came that it could write."""
+    monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "200000000")
+    log = Log()
+    for number in range(100):
+        log.receive(sample_of(gear(number)))
+        log.tick(number * SECOND)
+    good = log.disk.getvalue()
+    # What is free in a file's last page takes the end of a small log, however full the disk is.
+    assert len(log.close()) - len(good) > 2 * PAGE_BYTES
+    first, second = (small_disk / f"cruiser-{number}-20270115T080000Z.mcap.part" for number in (1, 2))
+    for path in (first, second):
+        path.write_bytes(good + TORN)
+    ballast = small_disk / "ballast"
+    with suppress(OSError), ballast.open("wb", buffering=0) as stream:
+        while stream.write(bytes(PAGE_BYTES)):
+            pass
+    told = Told(peer)
+    with recording(*words(small_disk, endpoint)) as process:
+        wait_until(lambda: told.wait_for_health().state is RecorderState.FULL)
+        # One after the other: when this one is cut, the first has failed.
+        wait_until(lambda: second.stat().st_size == len(good))
+        assert first.read_bytes() == good
+        ballast.unlink()
+        wait_until(lambda: len(told.events(RecorderEventKind.RECOVERED)) == 2)
+        _, _, err = process.end()
+    assert f"cannot recover {first}: No space left on device" in err
+    assert logs_in(small_disk) == [first.stem, second.stem]
+    assert all(check_log(path).whole for path in whole(small_disk))
 
 
 def test_a_directory_that_is_removed_is_made_again(peer: Peer, endpoint: str, tmp_path: Path) -> None:

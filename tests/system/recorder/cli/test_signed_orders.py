@@ -105,7 +105,7 @@ def test_a_stranger_is_refused(depot: SignedDepot, monkeypatch: pytest.MonkeyPat
     act_as(monkeypatch, depot.directory / "nowhere")
     code, detail = order(depot, "stop")
     assert code == ExitCode.USAGE
-    assert "operator.key is not there; 'cruiser provision operator' makes it" in detail
+    assert "operator.key is not there; 'cruiser provision operator NAME' makes it" in detail
 
 
 def test_a_backfill_is_given_by_grant(depot: SignedDepot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -131,4 +131,4 @@ def test_a_recorder_without_its_authority_does_not_start(tmp_path: Path, monkeyp
     with recording("-o", str(tmp_path / "logs"), "--connect", free_endpoint()) as process:
         code, _, _ = process.end(None)
     assert code == ExitCode.USAGE
-    assert "authority.json is not there; 'cruiser provision recorder' makes it" in process.ready
+    assert "authority.json is not there; 'cruiser provision install' writes it" in process.ready

@@ -16,12 +16,12 @@ from gateway.authority.enrolment import (
     FleetPlace,
     bundle_text,
     chain_of,
-    key_fingerprint,
     new_request,
     read_bundle,
     read_request,
     request_fingerprint,
 )
+from schemas.authority.fingerprint import key_fingerprint
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import GrantRole, chain_text
 from schemas.authority.trust import AuthorityKeys, fits
@@ -190,3 +190,16 @@ def test_a_statement_is_found_in_its_file_and_a_grant_in_its_bundle() -> None:
     bundle = bundle_text(bundle_for(fleet, party, EnrolmentRole.OPERATOR), fleet.authority.private)
     assert chain_text(chain_of(text)).encode() == text
     assert chain_text(chain_of(bundle)).encode() == text
+
+
+def test_a_person_alone_asks_for_a_grant_without_a_certificate() -> None:
+    """A browser does: its desk has the certificate."""
+    private = Ed25519PrivateKey.generate()
+    request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", private)
+    assert read_request(msgspec.json.encode(request)).csr == ""
+    for role in (EnrolmentRole.ROBOT, EnrolmentRole.RECORDER, EnrolmentRole.SITE):
+        with pytest.raises(EnrolmentError, match="needs a certificate"):
+            new_request(role, ["ann"], "", private)
+    for role in (EnrolmentRole.VIEWER, EnrolmentRole.ROUTER, EnrolmentRole.DESK):
+        with pytest.raises(EnrolmentError, match="needs a certificate"):
+            new_request(role, ["ann"], "", None)

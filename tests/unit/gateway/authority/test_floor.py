@@ -1,11 +1,18 @@
 """The time as far as it is proven."""
 
-from hypothesis import given
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.authority.floor import TimeFloor
-
-S = 1_000_000_000
+from gateway.authority.floor import WITNESSES_KEPT, TimeFloor, Witness
+from gateway.authority.robot_authority import Kept
+from schemas.authority.statement import GrantRole, TimeStatement, chain_text
+from schemas.reasons import Reason
+from tests.support.authority import CHALLENGE, DAY_S, NOW_S, AuthorityBench, Party, S
 
 
 def test_time_counts_on_from_the_floor() -> None:
@@ -41,3 +48,181 @@ def test_it_never_falls_while_the_machine_runs(steps: list[tuple[int, int, int]]
         floor.lift(stated_s, boot_ns)
         assert floor.now_s(boot_ns, wall_s) >= floor.least_s(boot_ns) >= before_s
         before_s = floor.least_s(boot_ns)
+
+
+# What is attested, by whom. The rules, in words:
+#
+# - the authority attests a time by each list, rotation, statement of the time and grant that it signs;
+# - a site attests one by each statement of the time (no later than its own end), and by each grant that it signs;
+# - from each of them the time goes on while the machine is on; what is unplugged counts no seconds;
+# - the floor is the newest of all, but those of sites that the authority has revoked; a restart changes nothing.
+
+SITES = 3
+
+Step = tuple[str, int, int]
+
+steps = st.lists(
+    st.one_of(
+        st.tuples(st.just("authority states"), st.just(0), st.integers(-DAY_S // 2, DAY_S)),
+        st.tuples(st.just("site states"), st.integers(0, SITES - 1), st.integers(-DAY_S // 2, 200 * DAY_S)),
+        st.tuples(st.just("site grants"), st.integers(0, SITES - 1), st.integers(-DAY_S // 2, DAY_S)),
+        st.tuples(st.just("revoke"), st.integers(0, SITES - 1), st.integers(-DAY_S // 2, DAY_S)),
+        st.tuples(st.just("revoke all below an epoch"), st.just(0), st.integers(-DAY_S // 2, DAY_S)),
+        st.tuples(st.just("restart"), st.just(0), st.just(0)),
+        st.tuples(st.just("wait"), st.just(0), st.integers(1, DAY_S)),
+    ),
+    max_size=12,
+)
+
+
+class Attested:
+    """A robot without a clock, sites, and what each has attested, kept by the rules above."""
+
+    def __init__(self) -> None:
+        self.bench = AuthorityBench()
+        self.bench.wall_s = 0
+        self.bench.tick(0)
+        self.on_s = 0
+        self.words: list[tuple[int, int, int]] = []  # who (-1: the authority), when, which time
+        self.revoked: set[int] = set()
+        self.named: set[int] = set()
+        self.serial = self.epoch = self.granted = 0
+        self.ends_s = NOW_S + 90 * DAY_S
+        self.sites = [self.bench.fleet.site(not_after=self.ends_s) for _ in range(SITES)]
+        self.attests(-1, NOW_S - DAY_S)  # the robot's own grant
+
+    def attests(self, who: int, at_s: int) -> None:
+        self.words.append((who, self.on_s, at_s))
+
+    @property
+    def floor_s(self) -> int:
+        return max(at_s + self.on_s - on_s for who, on_s, at_s in self.words if who not in self.revoked)
+
+    def step(self, step: Step) -> None:
+        name, who, offset_s = step
+        at_s = NOW_S + offset_s
+        getattr(self, name.replace(" ", "_"))(who, at_s)
+        self.bench.tick(0)
+
+    def authority_states(self, _who: int, at_s: int) -> None:
+        said = TimeStatement(challenge=CHALLENGE.hex(), at=at_s)
+        assert self.bench.show(self.bench.fleet.authority.sign(said).text()).ok
+        self.attests(-1, at_s)
+
+    def site_states(self, who: int, at_s: int) -> None:
+        site = self.sites[who]
+        said = site.sign(TimeStatement(challenge=CHALLENGE.hex(), at=at_s))
+        now_s = self.floor_s
+        accepted = self.bench.show(said.text() + chain_text(site.chain)).ok
+        assert accepted == (who not in self.revoked and now_s <= self.ends_s)
+        if accepted:
+            self.attests(who, min(at_s, self.ends_s))
+            self.attests(-1, NOW_S - DAY_S)  # the site's own grant
+
+    def site_grants(self, who: int, at_s: int) -> None:
+        site, person = self.sites[who], Party("ann")
+        self.granted += 1
+        site.grant(person, serial=self.granted, not_before=at_s, not_after=self.ends_s)
+        now_s = self.floor_s
+        accepted = self.bench.show(chain_text(person.chain)).ok
+        # One that begins later is none yet: nobody lifts the floor by a grant to come.
+        assert accepted == (who not in self.revoked and at_s <= now_s <= self.ends_s)
+        if accepted:
+            self.attests(who, at_s)
+
+    def revoke(self, who: int, at_s: int) -> None:
+        self.revoked.add(who)
+        self.named.add(who)
+        self._list(at_s)
+
+    def revoke_all_below_an_epoch(self, _who: int, at_s: int) -> None:
+        self.revoked |= set(range(SITES))
+        self.epoch += 1
+        self._list(at_s)
+
+    def restart(self, _who: int, _at_s: int) -> None:
+        self.wait(0, NOW_S + 61)
+        kept = self.kept
+        trust = self.bench.authority.admission.trust
+        again = AuthorityBench(self.bench.fleet, kept)
+        again.authority.admission.trust = trust
+        again.wall_s = 0
+        self.on_s += 1  # the tick of its start
+        self.bench = again
+
+    def wait(self, _who: int, until_s: int) -> None:
+        time_s = max(until_s - NOW_S, 1)
+        self.on_s += time_s
+        effects = self.bench.tick(time_s * S)
+        if effects.kept is not None:
+            self.kept = msgspec.json.decode(msgspec.json.encode(effects.kept), type=Kept)
+
+    def _list(self, at_s: int) -> None:
+        self.serial += 1
+        authority = self.bench.fleet.authority
+        named = tuple(self.sites[one].key for one in self.named)
+        signed = authority.revoke(self.serial, keys=named, epoch=self.epoch, at=at_s)
+        assert self.bench.show(signed.text()).ok
+        self.attests(-1, at_s)
+
+
+@given(steps)
+@settings(max_examples=150)
+def test_the_floor_is_the_newest_time_that_nobody_attested_who_is_revoked(taken: list[Step]) -> None:
+    """Whatever is stated, granted and revoked, in whatever order, and however often the robot is restarted."""
+    robot = Attested()
+    for step in taken:
+        robot.step(step)
+        assert robot.bench.authority._floor.least_s(robot.bench.now_ns) == robot.floor_s
+
+
+def test_a_site_that_lied_about_the_time_bars_a_robot_until_it_is_revoked() -> None:
+    """Its list says what time it is; from then on grants of that time hold again."""
+    bench = AuthorityBench()
+    site = bench.fleet.site(not_after=NOW_S + 90 * DAY_S)
+    late = site.sign(TimeStatement(challenge=CHALLENGE.hex(), at=2**50))
+    assert bench.show(late.text() + chain_text(site.chain)).ok
+    assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
+    assert bench.show(bench.fleet.authority.revoke(1, keys=(site.key,), at=NOW_S + 60).text()).ok
+    assert bench.bars() == {}
+    assert bench.show(chain_text(bench.fleet.operator().chain)).ok
+    assert bench.authority._floor.least_s(bench.now_ns) == NOW_S + 61
+
+
+def test_the_word_of_a_site_ends_with_that_of_the_site_above() -> None:
+    """A thief of a site's key may have granted others, each of which states the time."""
+    bench = AuthorityBench()
+    site, below = bench.fleet.site(may_delegate=2, not_after=NOW_S + 90 * DAY_S), Party("below")
+    site.grant(below, role=GrantRole.SITE, may_delegate=1, not_after=NOW_S + 90 * DAY_S)
+    late = below.sign(TimeStatement(challenge=CHALLENGE.hex(), at=2**50))
+    assert bench.show(late.text() + chain_text(below.chain)).ok
+    bench.tick()
+    assert bench.authority._floor.least_s(bench.now_ns) > NOW_S + 89 * DAY_S
+    assert bench.show(bench.fleet.authority.revoke(1, keys=(site.key,)).text()).ok
+    assert bench.authority._floor.least_s(bench.now_ns) == NOW_S
+
+
+def test_of_too_many_sites_those_that_stated_the_latest_times_count() -> None:
+    """The floor is the same as if all were kept, until one of them is revoked."""
+    floor = TimeFloor(1000, 0)
+    for number in range(WITNESSES_KEPT + 5):
+        floor.lift(2000 - number, 0, Witness((f"{number:016x}",), 0))
+    assert floor.least_s(0) == 2000
+    assert len(floor.kept(0)[1]) == WITNESSES_KEPT
+
+
+def test_a_site_says_nothing_by_an_earlier_time() -> None:
+    """Neither against another's word, nor against its own of before."""
+    floor, site = TimeFloor(1000, 0), Witness(("0" * 16,), 0)
+    floor.lift(3000, 0, site)
+    floor.lift(2000, 5 * S, site)
+    floor.lift(2500, 5 * S)
+    assert floor.least_s(6 * S) == 3006
+    assert floor.kept(6 * S) == (2501, floor.kept(6 * S)[1])
+
+
+def test_a_note_of_before_holds_the_authoritys_word() -> None:
+    """It did not say who attested its floor."""
+    kept: Any = msgspec.json.decode(b'{"floor_s": 4000}', type=Kept)
+    assert TimeFloor(kept.floor_s, 0, kept.words).kept(0) == (4000, [])
+    assert kept.newest_s == 4000

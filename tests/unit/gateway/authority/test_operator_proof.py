@@ -6,6 +6,7 @@ import pytest
 from gateway.authority.operator_proof import OperatorProof, ViewerProof, new_lease_key, new_question
 from gateway.authority.robot_authority import RobotAuthority
 from gateway.authority.signer import RobotSigner
+from gateway.authority.unmet import SILENT, UNSIGNED
 from gateway.command.flow import PendingReply
 from gateway.command.request import Credentials, RawRequest
 from gateway.telemetry.received import Received
@@ -120,6 +121,21 @@ def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
     assert pair.drives(9).reason is Reason.NONE
     assert pair.drives(8).reason is Reason.NONE  # whose lease it is, the arbiter says by the payload
     assert pair.proof_of(pair.ann).drive(b"") == b""
+
+
+def test_verbs_to_the_robot_whose_lease_is_held_have_its_tag() -> None:
+    """So that no flood keeps them out; what goes to another robot has none."""
+    pair = Pair()
+    assert pair.proof.meet("cruiser-1", pair.shown(), QUESTION) is None
+    private, public = new_lease_key()
+    _, reply, _ = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(7))
+    assert len(pair.proof.request("cruiser-1", "park", b"", CHALLENGE)) == 89
+    said = msgspec.msgpack.decode(reply.payload, type=LeaseReply)
+    assert pair.proof.begin_lease("cruiser-1", private, said, reply.attachment)
+    tagged = pair.proof.request("cruiser-1", "park", b"", CHALLENGE)
+    assert len(tagged) == 105
+    assert pair.robot.admission.may_be_holders("park", b"", tagged)
+    assert len(pair.proof.request("cruiser-2", "park", b"", CHALLENGE)) == 89
 
 
 def test_a_robot_that_was_not_met_is_not_believed() -> None:
@@ -323,7 +339,7 @@ def test_why_a_robot_is_not_met_is_said() -> None:
     pair.proof = pair.proof_of(pair.ann)
     refused = pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     assert isinstance(refused, Objection)
-    assert refused.detail.endswith("3 s ago")
+    assert refused.detail.endswith("it ended 2026-11-18 11:06 UTC, and here it is 2026-11-18 11:06 UTC")
 
 
 def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
@@ -352,3 +368,29 @@ def test_every_request_has_a_nonce_of_its_own() -> None:
     proof = OperatorProof(pair.ann.private, pair.ann.chain, pair.bench.fleet.trust, "fleet", lambda: NOW_S, nonce)
     proof.request("cruiser-1", "renew", b"", CHALLENGE)
     assert asked == [8]
+
+
+def test_why_an_answer_cannot_be_verified_is_known_of_each_robot() -> None:
+    """It never said who it is; it said so and is not believed; it was met, and the answer is another's."""
+    pair = Pair()
+    assert (pair.proof.unmet("cruiser-1"), pair.proof.doubt("cruiser-1")) == (None, SILENT)
+    unsigned = msgspec.structs.replace(pair.shown(), attachment=b"")
+    pair.proof.meet("cruiser-1", unsigned, QUESTION)
+    doubt = pair.proof.doubt("cruiser-1")
+    assert (doubt, doubt.text) == (pair.proof.unmet("cruiser-1"), "the reply is not signed")
+    pair.proof.meet("cruiser-1", msgspec.structs.replace(unsigned, payload=b""), QUESTION)
+    assert pair.proof.doubt("cruiser-1").reason is Reason.MALFORMED
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    assert (pair.proof.unmet("cruiser-1"), pair.proof.doubt("cruiser-1")) == (None, UNSIGNED)
+
+
+def test_a_robot_that_refuses_the_grant_can_be_verified() -> None:
+    """Its refusal is no doubt about who it is."""
+    pair = Pair()
+    pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 1)
+    pair.proof = pair.proof_of(pair.ann)
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    unmet = pair.proof.unmet("cruiser-1")
+    assert unmet is not None
+    assert (unmet.is_refusal, unmet.reason) == (True, Reason.GRANT_EXPIRED)
+    assert pair.proof.doubt("cruiser-1") == UNSIGNED

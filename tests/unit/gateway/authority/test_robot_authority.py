@@ -2,12 +2,15 @@
 
 import msgspec
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from gateway.authority.admission import GRANTS_KEPT
 from gateway.authority.operator_proof import new_lease_key
 from gateway.authority.robot_authority import ANSWER_MAX_NS, AuthorityEffects, Kept, resume, trust_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
+from schemas.authority.chain import FormerHeads
 from schemas.authority.statement import GrantRole, TimeStatement, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode
@@ -100,6 +103,76 @@ def test_a_restart_finds_what_was_revoked_before_and_after_a_rotation(first: str
     assert trust_of(bench.fleet.trust, effects.kept) == bench.authority.admission.trust
 
 
+Shown = tuple[str, int, int, int]
+
+shown = st.lists(
+    st.tuples(
+        st.sampled_from(["rotate", "rotate", "revoke by active", "revoke by standby"]),
+        st.integers(0, 2),  # the next active key, or who is revoked
+        st.integers(0, 2),  # the next standby key
+        st.integers(0, 2),  # the epoch
+    ),
+    max_size=8,
+)
+
+
+@example([("rotate", 2, 1, 0), ("revoke by standby", 0, 0, 0)])  # the standby stays, and signs the list
+@example([("rotate", 1, 2, 0), ("rotate", 0, 2, 0), ("revoke by active", 0, 0, 0)])  # there and back
+@example([("revoke by active", 0, 0, 1), ("rotate", 1, 2, 0), ("rotate", 0, 2, 0)])  # its list ended in between
+@example([("revoke by standby", 0, 0, 0), ("rotate", 0, 2, 0)])  # the authority stays: so does the list
+@given(shown)
+@settings(max_examples=200)
+def test_a_restart_trusts_as_the_robot_did(taken: list[Shown]) -> None:
+    """Whatever was revoked and rotated, also back to a key of before, and whoever of the two keys signed it."""
+    fleet = Fleet()
+    keys = [fleet.authority, fleet.standby, Party("third")]
+    person = Party("ann")
+    bench = AuthorityBench(fleet, since(fleet))
+    by_key = {key.key: key for key in keys}
+    for serial, (what, one, two, epoch) in enumerate(taken, start=1):
+        live = bench.authority.admission.trust
+        if what == "rotate":
+            signed = by_key[live.standby].rotate(serial, keys[one], keys[two], epoch)
+        else:
+            signer = by_key[live.active if what == "revoke by active" else live.standby]
+            signed = signer.revoke(serial, keys=(keys[one].key, person.key), epoch=epoch)
+        assert bench.show(signed.text()).ok
+    live = bench.authority.admission.trust
+    kept = msgspec.json.decode(msgspec.json.encode(bench.authority.to_keep(bench.now_ns)), type=Kept)
+    resumed = resume(fleet.trust, kept)
+    assert not isinstance(resumed, Objection)
+    assert resumed[0] == live
+
+
+def test_a_note_that_still_holds_a_list_which_a_rotation_ended_starts() -> None:
+    """A version of before kept it; one that nobody of them signed is a damaged note."""
+    fleet, new = Fleet(), Fleet()
+    rotation = fleet.standby.rotate(1, new.authority, new.standby).text()
+    note = Kept(revocations=fleet.authority.revoke(3, keys=(b"x" * 32,)).text(), rotations=[rotation])
+    trust = trust_of(fleet.trust, note)
+    assert not isinstance(trust, Objection)
+    assert (trust.active, trust.list_serial, trust.revoked) == (new.authority.key, 0, frozenset())
+    assert isinstance(
+        trust_of(fleet.trust, msgspec.structs.replace(note, revocations=Fleet().authority.revoke(3).text())),
+        Objection,
+    )
+
+
+def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
+    """Whoever shows it again learns that the robot has it, not that its signature is wrong."""
+    bench = AuthorityBench()
+    new, newer = Fleet(), Fleet()
+    first = bench.fleet.standby.rotate(1, new.authority, new.standby).text()
+    second = new.standby.rotate(2, newer.authority, newer.standby).text()
+    for text in (first, second):
+        assert bench.show(text).ok
+        said = bench.show(text)
+        assert (said.ok, said.reason) == (False, Reason.REPLAYED)
+    assert bench.show(first).reason is Reason.REPLAYED
+    third = bench.fleet.standby.rotate(3, new.authority, new.standby).text()
+    assert bench.show(third).reason is Reason.PROOF_WRONG
+
+
 @pytest.mark.parametrize("kept", [Kept(revocations="x"), Kept(rotations=["x"])])
 def test_a_damaged_note_is_no_trust(kept: Kept) -> None:
     """Nor is one that somebody else wrote."""
@@ -172,13 +245,16 @@ def test_a_robot_without_a_grant_of_its_own_does_not_arm() -> None:
 
 
 def test_without_a_word_of_the_authority_a_robot_arms_for_so_long() -> None:
-    """A signed time in answer to its challenge, or a newer list, is a word; a list that it has is none."""
+    """A signed time in answer to its challenge is a word, and a newer list one of when it was signed."""
     bench = AuthorityBench(max_offline_h=2)
     bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 99 * DAY_S)
     bench.show(chain_text(bench.robot.chain))
+    bench.wall_s += 2 * HOUR // S
     bench.tick(2 * HOUR)
     assert bench.bars().keys() == {Reason.AUTHORITY_STALE}
-    revoked = bench.fleet.authority.revoke(1).text()
+    assert bench.show(bench.fleet.authority.revoke(1).text()).ok
+    assert bench.bars().keys() == {Reason.AUTHORITY_STALE}  # It was signed two hours ago.
+    revoked = bench.fleet.authority.revoke(2, at=NOW_S + 2 * HOUR // S).text()
     assert bench.show(revoked).ok
     assert bench.bars() == {}
     bench.tick(2 * HOUR)
@@ -196,6 +272,9 @@ def test_a_fresh_word_can_be_asked_for_after_each_start() -> None:
     assert bench.bars().keys() == {Reason.AUTHORITY_STALE, Reason.SELF_TEST}
     bench.authority.self_test = ""
     assert bench.show(bench.fleet.authority.revoke(1).text()).ok
+    assert bench.bars().keys() == {Reason.AUTHORITY_STALE}  # It may have been kept back.
+    said = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S)
+    assert bench.show(bench.fleet.authority.sign(said).text()).ok
     assert bench.bars() == {}
 
 
@@ -255,15 +334,28 @@ def test_why_a_robot_does_not_arm_is_said_in_words() -> None:
     bench.wall_s = NOW_S + 2 * DAY_S + 10
     bench.tick(3 * HOUR)
     assert bench.bars() == {
-        Reason.GRANT_EXPIRED: "the robot's own; 10 s ago",
+        Reason.GRANT_EXPIRED: "the robot's own ended on 2026-11-20 11:06 UTC",
         Reason.AUTHORITY_STALE: "none for 3.0 h (authority.max_offline_h)",
     }
-    assert bench.show(bench.fleet.authority.revoke(1).text()).ok
+    assert bench.show(bench.fleet.authority.revoke(1, at=bench.wall_s + 3 * HOUR // S).text()).ok
     bench.tick(HOUR)
     bench.tick(HOUR)
     assert bench.bars()[Reason.AUTHORITY_STALE] == "none for 2.0 h (authority.max_offline_h)"
     fresh = AuthorityBench(require_fresh=True)
-    assert fresh.bars() == {Reason.AUTHORITY_STALE: "none since the start (authority.require_fresh)"}
+    assert fresh.bars() == {
+        Reason.AUTHORITY_STALE: "no answer to a challenge since the start (authority.require_fresh)"
+    }
+
+
+def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
+    """With the date of its end: a log is read by people, and the journal keeps each change."""
+    bench = AuthorityBench()
+    bench.wall_s = NOW_S + 2 * DAY_S
+    bars = [bench.tick().bars for _ in range(5)]
+    assert bars[0] == {Reason.GRANT_EXPIRED: "the robot's own ended on 2026-11-19 11:06 UTC"}
+    assert bars[1:] == [None] * 4
+    bench.wall_s += 3
+    assert bench.tick().bars is None
 
 
 class Holding:
@@ -305,6 +397,23 @@ def test_the_holders_grant_is_published_again_with_what_is_new() -> None:
     assert statements(holding.bench.tick(61 * S)) == [cyd, own, held]
 
 
+def test_rotations_are_published_again_and_a_list_as_long_as_it_is_in_force() -> None:
+    """So that a log of any time leads from the authority that was known before to the one that counts."""
+    bench, active, standby = AuthorityBench(), Party(), Party()
+    own = chain_text(bench.robot.chain)
+    former = bench.fleet.authority.revoke(1).text()
+    assert bench.show(former).ok
+    assert statements(bench.tick(61 * S)) == [former, own, former]
+    rotation = bench.fleet.standby.rotate(1, active, standby).text()
+    assert bench.show(rotation).ok
+    bench.tick()
+    assert statements(bench.tick(61 * S)) == [rotation, own]
+    newer = active.revoke(1).text()
+    assert bench.show(newer).ok
+    bench.tick()
+    assert statements(bench.tick(61 * S)) == [rotation, own, newer]
+
+
 def test_statements_are_numbered_and_heads_are_those_of_the_signer() -> None:
     """So that a log shows which is missing."""
     bench = AuthorityBench()
@@ -321,6 +430,20 @@ def test_statements_are_numbered_and_heads_are_those_of_the_signer() -> None:
         assert all(isinstance(one, ChainHeads) and one.time_ns == bench.wall_s * S for one in heads)
         assert len(heads) == 1
     assert numbers == [numbers[0] + step for step in range(3)]
+
+
+def test_the_heads_that_were_signed_last_are_kept_for_the_next_run() -> None:
+    """The first ones at once: a run that was killed in its first minute was there all the same."""
+    bench = AuthorityBench()
+    assert bench.begun.kept is not None
+    begun = FormerHeads.read(bytes.fromhex(bench.begun.kept.last_heads))
+    assert begun is not None
+    assert (begun.boot, begun.sequence) == (b"boot no1", 0)
+    kept = bench.tick(61 * S).kept
+    assert kept is not None
+    assert kept.last_heads == bench.signer.last_heads.hex() != bench.begun.kept.last_heads
+    bench.authority.heads(NOW_S * S)
+    assert bench.authority.to_keep(bench.now_ns).last_heads == bench.signer.last_heads.hex() != kept.last_heads
 
 
 def test_what_has_changed_is_saved_once_and_the_floor_once_a_minute() -> None:

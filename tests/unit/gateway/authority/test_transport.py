@@ -47,6 +47,14 @@ def test_everything_is_denied_that_is_not_allowed(role: TransportRole) -> None:
 
 
 @every_role
+def test_the_admin_space_is_closed(role: TransportRole) -> None:
+    """In so many words: Zenoh's own start value lets everybody read where somebody has it on."""
+    config = zenoh.Config.from_json5(json.dumps(configuration(role)))
+    closed = {"enabled": False, "permissions": {"read": False, "write": False}}
+    assert json.loads(config.get_json("adminspace")) == closed
+
+
+@every_role
 def test_links_are_mutual_tls_alone(role: TransportRole) -> None:
     """Both ends show certificates, names are held against them, a link ends with its certificate."""
     link = configuration(role)["transport"]["link"]

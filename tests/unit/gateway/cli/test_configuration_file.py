@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -5,9 +6,11 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from gateway.cli.configuration_file import load_settings
+from gateway.cli import configuration_file
+from gateway.cli.configuration_file import OWN_FILES, load_settings, unread_file
+from gateway.cli.main import COMMANDS
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.settings import Settings
+from schemas.settings import AuthoritySettings, Settings
 
 
 def _written(directory: Path, content: bytes) -> str:
@@ -73,3 +76,103 @@ def test_no_bytes_do_more_than_fail_with_one_line(tmp_path: Path, content: bytes
     message = _complaint(_written(tmp_path, content))
     assert message.isprintable()
     assert "robot.toml" in message or message == "right"
+
+
+def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
+    """Neither as the settings, nor as the Zenoh file that they name."""
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    with pytest.raises(CommandError, match=r"cannot read the configuration file .* it is a FIFO"):
+        load_settings(str(fifo), {}, {})
+    with pytest.raises(CommandError, match="is a FIFO"):
+        load_settings(None, {}, {"zenoh.config": str(fifo)})
+
+
+def test_zenohs_own_file_is_not_taken_for_the_settings() -> None:
+    """They lie side by side: the settings, and the flag for the other, are named."""
+    with pytest.raises(CommandError, match=r"--zenoh-config takes; --config takes settings: ann/operator\.toml"):
+        load_settings("ann/operator.json5", {}, {})
+
+
+def test_who_was_not_let_in_yet_learns_what_writes_the_file(tmp_path: Path) -> None:
+    """The keys are there, and the authority's answer is not; without keys it is a file like any other."""
+    file = tmp_path / "operator.toml"
+    with pytest.raises(CommandError, match=r"no such file or directory$"):
+        load_settings(str(file), {}, {})
+    (tmp_path / "operator-tls.key").write_text("")
+    with pytest.raises(CommandError, match="no such file or directory; 'cruiser provision install' writes it"):
+        load_settings(str(file), {}, {})
+
+
+# A settings file that somebody forgot to name.
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with nothing in it, and no home or system directory with anything."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(configuration_file, "SYSTEM_FILE", tmp_path / "etc" / "cruiser.toml")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    return tmp_path
+
+
+def _unread(command: str, environ: dict[str, str] | None = None, connect: str = "") -> str:
+    given = environ or {}
+    settings = load_settings(None, given, {"zenoh.connect": [connect]} if connect else {})
+    return unread_file(command, None, given, settings)
+
+
+def test_every_command_with_a_settings_file_of_its_own_is_one() -> None:
+    """A command that was renamed would be warned of no more."""
+    assert set(OWN_FILES) <= set(COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("command", "name"), [(command, name) for command in OWN_FILES for name in OWN_FILES[command]]
+)
+def test_a_settings_file_that_was_not_named_is_found_in_the_working_directory(
+    place: Path, command: str, name: str
+) -> None:
+    """The file of each command's user alone: a robot's says nothing to an operator."""
+    assert _unread(command) == ""
+    (place / name).write_text("")
+    assert _unread(command) == name
+    others = [one for one in OWN_FILES if name not in OWN_FILES[one]]
+    assert [one for one in others if _unread(one)] == []
+
+
+@pytest.mark.parametrize("variable", ["HOME", "XDG_CONFIG_HOME", "CRUISER_AUTHORITY_DIRECTORY"])
+def test_a_settings_file_that_was_not_named_is_found_beside_the_keys(place: Path, variable: str) -> None:
+    """Wherever the directory of the keys is."""
+    keys = place / {"HOME": "home/.config/cruiser", "XDG_CONFIG_HOME": "xdg/cruiser"}.get(variable, "keys")
+    keys.mkdir(parents=True)
+    (keys / "robot.toml").write_text("")
+    given = {"HOME": {}, "XDG_CONFIG_HOME": {variable: str(place / "xdg")}}.get(variable, {variable: str(keys)})
+    assert _unread("gateway", given) == str(keys / "robot.toml")
+
+
+def test_the_settings_of_the_services_are_found_for_a_gateway_that_is_started_by_hand(place: Path) -> None:
+    """Doctor reads them by itself, and operators have nothing to do with them."""
+    (place / "etc").mkdir()
+    (place / "etc" / "cruiser.toml").write_text("")
+    assert [command for command in OWN_FILES if _unread(command)] == ["gateway"]
+    (place / "robot.toml").write_text("")
+    assert _unread("doctor") == ""
+
+
+def test_nothing_is_said_to_whoever_stated_what_they_want(place: Path) -> None:
+    """A file, none, a mode, or for all but a gateway the place to connect to."""
+    for name in ("robot.toml", "operator.toml"):
+        (place / name).write_text("")
+    assert unread_file("gateway", "robot.toml", {}, Settings()) == ""
+    assert _unread("gateway", {"CRUISER_CONFIG": ""}) == ""
+    assert _unread("gateway", {"CRUISER_AUTHORITY_MODE": "open"}) == ""
+    assert unread_file("gateway", None, {}, Settings(authority=AuthoritySettings(mode="signed"))) == ""
+    assert _unread("list", connect="tcp/10.0.0.5:7447") == ""
+    assert _unread("gateway", connect="tcp/10.0.0.5:7447") == "robot.toml"
+
+
+def test_a_directory_of_that_name_is_no_settings_file(place: Path) -> None:
+    """Nor is anything else that is no file."""
+    (place / "robot.toml").mkdir()
+    assert _unread("gateway") == ""

@@ -4,13 +4,16 @@ import argparse
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from gateway.authority.transport import TransportRole
 from gateway.cli import doctor
 from gateway.doctor.checks import Diagnosis
 from gateway.doctor.facts import Facts
-from schemas.exit_codes import ExitCode
-from schemas.settings import Settings, ZenohSettings
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import AuthoritySettings, CanSettings, Settings, ZenohSettings
+from tests.support.secured import Network
 
 MUST = Diagnosis("disk_full", "the disk is full", "copy logs away", is_note=False)
 NOTE = Diagnosis("losses", "something was lost", "look", is_note=True)
@@ -85,3 +88,61 @@ def test_the_systems_settings_are_read_where_nobody_names_others(
     monkeypatch.setenv("CRUISER_CONFIG", "another.toml")
     doctor.run(parser.parse_args([]), Settings(), lambda: False)
     assert [one.robot.name for one in seen[1:]] == ["cruiser-1", "cruiser-1"]
+
+
+def _arguments(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--config")
+    doctor.add_arguments(parser)
+    return parser.parse_args(list(words))
+
+
+def _network(tmp_path: Path) -> Network:
+    return Network(tmp_path, "tls/127.0.0.1:47447")
+
+
+@pytest.mark.parametrize("role", ["operator", "viewer", "desk", "recorder"])
+def test_settings_of_somebody_who_is_no_robot_are_refused_with_what_to_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, role: str
+) -> None:
+    """Findings and cures would be a robot's. Beside a robot's key, or named by a flag, they are asked with."""
+    monkeypatch.setattr(doctor, "look", lambda *_: FACTS)
+    place = _network(tmp_path).node(TransportRole(role), "ann")
+    zenoh = ZenohSettings(config=str(place / f"{role}.json5"))
+    settings = Settings(zenoh=zenoh, authority=AuthoritySettings(mode="signed", directory=str(place)))
+    own = _arguments("--config", f"{role}.toml")
+    with pytest.raises(
+        CommandError, match=rf"of the role {role} .*--config robot\.toml.*'cruiser why ROBOT'"
+    ) as caught:
+        doctor.run(own, settings, lambda: False)
+    assert caught.value.code is ExitCode.USAGE
+    named = _arguments("--config", "robot.toml", "--zenoh-config", zenoh.config)
+    doctor.run(named, settings, lambda: False)
+    (place / "robot.key").write_text("")
+    doctor.run(own, settings, lambda: False)
+
+
+def test_a_robots_own_settings_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As are those that name a file without certificates."""
+    monkeypatch.setattr(doctor, "look", lambda *_: FACTS)
+    place = _network(tmp_path).node(TransportRole.ROBOT, "cruiser-1", "cruiser-1")
+    plain_file = tmp_path / "operator.json5"
+    plain_file.write_text("{mode: 'client'}")
+    for config in (place / "robot.json5", plain_file):
+        settings = Settings(zenoh=ZenohSettings(config=str(config)))
+        doctor.run(_arguments("--config", "robot.toml"), settings, lambda: False)
+
+
+def test_the_bus_of_the_flags_is_looked_at_and_that_of_the_file_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A note, which changes no exit code; none where both are the same."""
+    monkeypatch.setattr(doctor, "look", lambda settings, *_: msgspec.structs.replace(FACTS, settings=settings))
+    file = tmp_path / "robot.toml"
+    file.write_text('[can]\nchannel = "can5"\n')
+    for channel, notes in (("can6", 1), ("can5", 0)):
+        settings = Settings(can=CanSettings(channel=channel))
+        doctor.run(_arguments("--config", str(file), "--channel", channel), settings, lambda: False)
+        lines = [one for one in capsys.readouterr().out.splitlines() if one.startswith("note: other_bus")]
+        assert len(lines) == notes
+        assert all(f"socketcan can6, and not socketcan can5, by {file}" in one for one in lines)

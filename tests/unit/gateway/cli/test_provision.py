@@ -67,15 +67,19 @@ def test_a_robot_and_a_person_hold_grants_of_the_authority(fleet: ProvisionedFle
 
 
 def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
-    """Keys, and all that lies beside them: files 0600, directories 0700."""
+    """Keys, and what lies beside them: files 0600, directories 0700. Others may read what travels or is copied."""
     for role, name in (("robot", "cruiser-1"), ("operator", "ann"), ("router", "127.0.0.1"), ("site", "depot")):
         fleet.let_in(role, name)
     directories = [path for path in fleet.place.iterdir() if path.is_dir() and path.name != "config"]
     assert len(directories) == 6
     assert {path.stat().st_mode & 0o777 for path in directories} == {0o700}
     files = [file for directory in directories for file in directory.iterdir()]
-    files += [*fleet.place.glob("*.request"), *fleet.place.glob("*.bundle")]
-    assert {file.stat().st_mode & 0o777 for file in files} == {0o600}
+    public = {file for file in files if file.name in {"standby.pub", "authority.json", "ca.pem"}}
+    assert len(public) == 11
+    assert {file.stat().st_mode & 0o777 for file in public} == {0o644}
+    assert {file.stat().st_mode & 0o777 for file in set(files) - public} == {0o600}
+    travel = [*fleet.place.glob("*.request"), *fleet.place.glob("*.bundle")]
+    assert {file.stat().st_mode & 0o777 for file in travel} == {0o644}
     assert not [file for file in files if "unfinished" in file.name]
 
 
@@ -185,6 +189,27 @@ def test_a_renewal_grants_the_same_again(fleet: ProvisionedFleet) -> None:
     assert (after.robots, after.serial) == (["depot-*"], before.serial + 1)
 
 
+def test_who_is_not_known_here_is_not_let_in_without_limits_in_silence(
+    fleet: ProvisionedFleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After a rotation a new authority knows nobody's limits: it says so, unless they are given or it has them."""
+    ann = fleet.let_in("operator", "ann", "--speed-limit", "0.5")
+    assert capsys.readouterr().err == ""
+    run("renew", "operator", "--directory", ann, "-o", "again.request")
+    request = fleet.place / "again.request"
+    fleet.sign(request)
+    assert capsys.readouterr().err == ""
+    new = ProvisionedFleet(fleet.place / "new")
+    again = ("--directory", new.place / "authority", "-o")
+    capsys.readouterr()
+    run("sign", request, *again, "wide.bundle")
+    warning = "nothing is known of this key here: all robots, all verbs, no speed limit; "
+    assert capsys.readouterr().err == f"{warning}--robots and --speed-limit narrow it\n"
+    robot = fleet.request("robot", "cruiser-1")
+    run("sign", robot, *again, "robot.bundle")
+    assert capsys.readouterr().err == ""
+
+
 def test_a_site_lets_people_in_for_half_a_day(fleet: ProvisionedFleet) -> None:
     """Their grants and certificates hold up to the authority; nobody else, nothing wider, nothing longer."""
     depot = fleet.let_in("site", "depot", "--robots", "depot-*", "--speed-limit", "1")
@@ -209,6 +234,17 @@ def test_a_site_lets_people_in_for_half_a_day(fleet: ProvisionedFleet) -> None:
         other = fleet.request(role, f"{role}-9")
         assert "the authority alone" in refused("sign", other, *by_site)
     assert "the authority alone revokes" in refused("revoke", "bea", "--directory", depot)
+
+
+@pytest.mark.parametrize("content", [None, "damaged"])
+def test_a_grant_that_is_lost_is_asked_for_again(fleet: ProvisionedFleet, content: str | None) -> None:
+    """The certificate knows the name as well."""
+    ann = fleet.let_in("operator", "ann", "--speed-limit", "0.5")
+    grant = ann / "operator.grant"
+    grant.unlink() if content is None else grant.write_text(content)
+    run("renew", "operator", "--directory", ann, "-o", "again.request")
+    run("install", fleet.sign(fleet.place / "again.request"), "--directory", ann, "--replace")
+    assert fleet.grant("ann").speed_limit_mps == 0.5
 
 
 def test_who_was_let_in_is_written_down(fleet: ProvisionedFleet) -> None:
@@ -244,6 +280,23 @@ def test_a_list_of_revocations_holds_all_of_before(fleet: ProvisionedFleet) -> N
     assert refusal.reason is Reason.GRANT_REVOKED
     assert isinstance(trust.judge(chain(bea / "operator.grant"), int(time.time())), HeldGrant)
     assert isinstance(trust.revoke(first), Objection)
+
+
+def test_a_revoked_key_is_let_in_nowhere(fleet: ProvisionedFleet) -> None:
+    """No robot would take the grant: the list is named, and what makes a new key. The new key is let in."""
+    ann, authority = fleet.let_in("operator", "ann"), ("--directory", fleet.place / "authority")
+    run("revoke", "ann", *authority)
+    newest = chain(fleet.place / "revocations.statement")[0].statement
+    assert isinstance(newest, Revocations)
+    run("renew", "operator", "--directory", ann, "-o", "again.request")
+    text = refused("sign", "again.request", *authority)
+    assert "the key of operator ann was revoked" in text
+    assert f"list {newest.serial} of {time.strftime('%Y-%m-%d %H:%M', time.gmtime(newest.at))} UTC" in text
+    assert text.endswith(
+        "'cruiser provision operator NAME --replace' makes another, and a request to the authority"
+    )
+    run("operator", "ann", "--directory", ann, "-o", "new.request", "--replace")
+    run("install", fleet.sign(fleet.place / "new.request"), "--directory", ann, "--replace")
 
 
 def test_a_serial_survives_a_lost_file_and_a_clock_set_back(
@@ -517,10 +570,14 @@ def test_a_bundle_for_other_keys_is_refused(fleet: ProvisionedFleet) -> None:
     one, two = fleet.request("robot", "cruiser-1"), fleet.request("robot", "cruiser-2")
     fleet.sign(two)
     bundle = fleet.sign(one)
-    assert "answers another request" in refused("install", bundle, "--directory", fleet.place / "cruiser-2")
-    assert "'cruiser provision robot' makes it" in refused(
-        "install", bundle, "--directory", fleet.place / "nobody"
+    other = refused("install", bundle, "--directory", fleet.place / "cruiser-2")
+    assert other.startswith("the bundle is for robot cruiser-1, and answers another request than that of ")
+    assert str(fleet.place / "cruiser-2" / "robot-tls.key") in other
+    nobodys = refused("install", bundle, "--directory", fleet.place / "nobody")
+    assert nobodys.startswith(
+        f"the bundle is for robot cruiser-1, whose keys are not in {fleet.place / 'nobody'}: "
     )
+    assert "install it where the request was made" in nobodys
     assert not (fleet.place / "cruiser-2" / "robot.grant").exists()
 
 
@@ -535,7 +592,9 @@ def test_a_key_that_others_may_read_is_refused(fleet: ProvisionedFleet) -> None:
     key.write_bytes((robot / "robot-tls.key").read_bytes())
     assert "another kind of key" in refused(*again)
     key.write_text("no key")
-    assert re.search(r"robot\.key: no private key; 'cruiser provision robot' makes it", refused(*again))
+    assert re.search(
+        r"robot\.key: no private key; 'cruiser provision robot NAME --replace' makes", refused(*again)
+    )
     bundle = fleet.sign(fleet.request("viewer", "hall"))
     (fleet.place / "hall").chmod(0o770)
     assert "chmod 700" in refused("install", bundle, "--directory", fleet.place / "hall")
@@ -547,6 +606,15 @@ def test_a_damaged_file_of_the_authority_is_named(fleet: ProvisionedFleet, name:
     request = fleet.request("operator", "ann")
     (fleet.place / "authority" / name).write_text("damaged")
     assert name in refused("sign", request, "--directory", fleet.place / "authority")
+
+
+@pytest.mark.parametrize("name", ["authority.json", "fleet.json", "ca.pem", "site.grant"])
+def test_what_a_site_lacks_is_the_authoritys_to_give(fleet: ProvisionedFleet, name: str) -> None:
+    """A site that made an authority of its own would let nobody in."""
+    depot, request = fleet.let_in("site", "depot"), fleet.request("operator", "ann")
+    (depot / name).unlink()
+    text = refused("sign", request, "--directory", depot)
+    assert text.startswith(f"{depot / name} is not there; 'cruiser provision install' writes it")
 
 
 def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -> None:
@@ -575,7 +643,9 @@ def test_what_cannot_be_granted_is_refused_as_usage(
     """Before anything is read."""
     with pytest.raises(SystemExit, match="2"):
         run("sign", "some.request", "--directory", fleet.place / "authority", *words)
-    assert words[0] in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert words[0] in said
+    assert "seconds" not in said
 
 
 def test_certificates_end_after_thirty_days(fleet: ProvisionedFleet) -> None:

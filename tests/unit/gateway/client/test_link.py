@@ -1,16 +1,21 @@
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import msgspec
+import pytest
 
 from gateway.client import link
 from gateway.client.link import RobotLink
+from gateway.client.refusal import Refused, Unreachable
 from gateway.telemetry.received import Missed, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
-from schemas.decisions import SafetyState
+from schemas.decisions import LeaseReply, SafetyState
 from schemas.messages import RobotState
-from schemas.subjects import BY_TYPE
+from schemas.reasons import Reason
+from schemas.requests import Acquire, Park, Request
+from schemas.subjects import BY_TYPE, BY_VERB
 from tests.support.messages import ROOT, STANDBY, STATE
 from tests.support.waiting import wait_until
 
@@ -63,3 +68,85 @@ def test_a_look_says_where_samples_are_missing() -> None:
     flood = looked_at([sample(MOVES), *[sample(FORGED)] * link.SEEN_KEPT])
     assert flood[0] == Missed()
     assert len(flood) <= link.SEEN_KEPT
+
+
+class FakeDoor(FakePort):
+    """A robot whose state is seen, and which answers these one after the other, the last one for ever."""
+
+    def __init__(self, *answers: Reason | None) -> None:
+        super().__init__([])
+        self.prover: Any = None
+        self.answers = list(answers)
+        self.asked = 0
+
+    def drain(self) -> Iterator[Received | Missed]:
+        yield sample(STANDBY)
+
+    def ask(self, verb: str, _payload: bytes, _timeout_s: float) -> list[Received]:
+        self.asked += 1
+        reason = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+        if reason is None:
+            return []
+        said = LeaseReply(ok=reason is Reason.NONE, reason=reason, detail="", cure="", lease=7, expires_s=2.0)
+        return [
+            Received(
+                f"fleet/cruiser-1/@cmd/ann/{verb}", BY_VERB[verb].reply_encoding, msgspec.msgpack.encode(said)
+            )
+        ]
+
+
+class FakeProof:
+    """Everything is proven."""
+
+    def with_key(self, request: Request) -> Request:
+        return request
+
+    def begin_lease(self, *_: object) -> bool:
+        return True
+
+    def __getattr__(self, _name: str) -> Callable[..., Any]:
+        return lambda *_: True
+
+
+def asked(door: Any, request: Request, timeout_s: float = 5.0) -> Any:  # noqa: ANN401 - a fake, a reply
+    """What becomes of a request."""
+    proof: Any = FakeProof()
+    opened = RobotLink(door, door, "cruiser-1", proof)
+    try:
+        wait_until(lambda: opened.is_heard)
+        return opened.ask(request, timeout_s)
+    finally:
+        opened.close()
+
+
+def test_a_robot_that_is_asked_too_much_is_asked_for_its_lease_again() -> None:
+    """Its door judges a bounded number of requests in a tick, and leaves others unanswered."""
+    door = FakeDoor(Reason.BUSY, None, Reason.BUSY, Reason.NONE)
+    assert asked(door, Acquire()).lease == 7
+    assert door.asked == 4
+
+
+def test_a_refusal_is_no_reason_to_ask_again() -> None:
+    """Nor are other verbs sent twice: they may have been carried out."""
+    for door, request in (
+        (FakeDoor(Reason.LEASE_HELD), Acquire()),
+        (FakeDoor(Reason.BUSY), Park(lease=7)),
+    ):
+        with pytest.raises(Refused):
+            asked(door, request)
+        assert door.asked == 1
+    silent = FakeDoor(None)
+    with pytest.raises(Unreachable, match="did not answer park"):
+        asked(silent, Park(lease=7))
+    assert silent.asked == 1
+
+
+def test_a_robot_that_stays_busy_is_asked_as_long_as_one_wants_to_wait() -> None:
+    """Then it is said what it said last."""
+    door = FakeDoor(Reason.BUSY)
+    began_s = time.monotonic()
+    with pytest.raises(Refused) as refused:
+        asked(door, Acquire(), 0.3)
+    assert refused.value.reason is Reason.BUSY
+    assert door.asked > 2
+    assert time.monotonic() - began_s >= 0.2

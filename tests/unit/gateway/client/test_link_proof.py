@@ -1,3 +1,4 @@
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -5,13 +6,15 @@ import pytest
 
 from gateway.authority.operator_proof import KnownRobots, OperatorProof
 from gateway.authority.signer import RobotSigner
-from gateway.client.link_proof import ASK_AGAIN_NS, SIGN_AGAIN_NS, LinkProof, StopProof
+from gateway.authority.unmet import Unmet
+from gateway.client.link_proof import ASK_AGAIN_NS, SIGN_AGAIN_NS, LinkProof, StopProof, stop_proof
 from gateway.telemetry.received import Received
 from schemas.authority.proof import RequestProof
 from schemas.authority.statement import GrantRole, chain_text
 from schemas.authority.trust import fits
 from schemas.decisions import StatementReply
 from schemas.reasons import Reason
+from schemas.settings import AuthoritySettings, Settings
 from schemas.subjects import BY_NAME, BY_VERB, STATEMENT_REPLY_ENCODING
 from tests.support.authority import CHALLENGE, NOW_S, Fleet, Party
 
@@ -177,3 +180,27 @@ def test_before_the_first_challenge_a_request_proves_nothing(scene: Scene) -> No
     assert RequestProof.read(first) is None
     proof.challenge = CHALLENGE
     assert RequestProof.read(proof.attach("stop", b"")) is not None
+
+
+def test_without_the_keys_of_the_authority_nothing_is_verified(scene: Scene) -> None:
+    """And it is known why; the stop goes out all the same, with bytes of its own."""
+    fault = Unmet(Reason.PROOF_MISSING, "authority.json is not there", "")
+    proof = StopProof(fault, "fleet")
+    proof.meet(scene.port)
+    assert scene.port.asked == []
+    assert proof.attach("stop", b"") != proof.attach("stop", b"")
+    assert not proof.is_reply(scene.reply(b"question"), b"question")
+    assert not proof.believes(scene.state(1))
+    assert proof.doubt("cruiser-1") is fault
+
+
+@pytest.mark.parametrize("who", ["operator", "viewer", "desk"])
+def test_without_the_authoritys_file_the_cure_is_that_of_whose_machine_it_is(tmp_path: Path, who: str) -> None:
+    """The file, the bundle that has it, and the command for their own role."""
+    (tmp_path / f"{who}-tls.key").write_text("")
+    proof = stop_proof(Settings(authority=AuthoritySettings(mode="signed", directory=str(tmp_path))))
+    assert proof is not None
+    said = proof.doubt("cruiser-1").text
+    assert said.startswith(f"{tmp_path / 'authority.json'} is not there; 'cruiser provision install'")
+    assert f"({who}-NAME.bundle; " in said
+    assert said.endswith(f"'cruiser provision renew {who}' asks for another")

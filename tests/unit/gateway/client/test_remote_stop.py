@@ -1,11 +1,14 @@
+from collections import deque
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
 
+from gateway.authority.unmet import SILENT
 from gateway.client import remote_stop
 from gateway.telemetry.received import Missed, Received
 from schemas import keys
-from schemas.decisions import SafetyState
+from schemas.decisions import Reply, SafetyState
 from schemas.messages import RobotState
 from schemas.reasons import Reason
 from tests.support.fakes.fleet import STOPS
@@ -18,7 +21,17 @@ MS = 1_000_000
 
 
 class AnsweringPort:
-    """A port to a robot that says at once that it stops."""
+    """A port to a robot that says at once that it stops.
+
+    Attributes:
+        is_proven: the port accepts the reply; else it is rejected, as one that cannot be verified.
+        rejected: of the query.
+    """
+
+    def __init__(self, *, is_proven: bool = True, reply: bytes = STOPS) -> None:
+        self.is_proven = is_proven
+        self.reply = reply
+        self.rejected: deque[Received] = deque()
 
     def connected(self) -> bool:
         return True
@@ -31,7 +44,11 @@ class AnsweringPort:
 
     def poll(self) -> list[Received]:
         key = keys.command(ROOT, "cruiser-1", "first", "stop")
-        return [Received(key, remote_stop.STOP.reply_encoding, STOPS)]
+        received = Received(key, remote_stop.STOP.reply_encoding, self.reply)
+        if self.is_proven:
+            return [received]
+        self.rejected.append(received)
+        return []
 
     is_over = True
 
@@ -85,3 +102,66 @@ def test_a_robot_that_stands_and_is_not_latched_is_not_said_to_stop() -> None:
     unlatched: list[tuple[int, SafetyState | RobotState] | Missed] = [(800, STANDBY)]
     report = report_of(batch(0), batch(400), unlatched)
     assert report.unconfirmed == {"cruiser-1": "it replied that it stops, but its safety/state does not say so"}
+
+
+Look = list[tuple[int, SafetyState | RobotState] | Missed]
+
+
+def report_of_strangers(
+    *batches: Look, port: AnsweringPort, proven: Iterable[Look] = ()
+) -> remote_stop.StopReport:
+    """What is said of a robot of which these samples cannot be verified, and ``proven`` can."""
+    unproven, verified = iter(batches), iter([*proven, *[[] for _ in batches]])
+
+    def look() -> list[remote_stop.Seen | Missed | remote_stop.Unproven]:
+        seen = [(one[0] * MS, "cruiser-1", one[1]) for one in next(unproven) if not isinstance(one, Missed)]
+        also = [(one[0] * MS, "cruiser-1", one[1]) for one in next(verified) if not isinstance(one, Missed)]
+        return [*map(remote_stop.Unproven, seen), *also]
+
+    given: Any = port
+    stopping = remote_stop._Stopping(given, ROOT, "cruiser-1", look, lambda _: SILENT)
+    for number in range(len(batches)):
+        stopping.step(float(number))
+    return stopping.report()
+
+
+def test_what_cannot_be_verified_is_reported_as_that() -> None:
+    """Neither as a robot that stopped, nor as one that is silent: its word, and why it is only that."""
+    report = report_of_strangers(batch(0), batch(400), port=AnsweringPort(is_proven=False))
+    assert (report.stopped, report.refused, report.unconfirmed, report.silent) == ([], {}, {}, [])
+    says = "it replied that it stops, and its states show that it stands, latched"
+    assert report.unverified == {"cruiser-1": remote_stop.Unverified(True, says, SILENT.text, SILENT.cure)}  # noqa: FBT003 - says that it stops
+
+
+def test_an_answer_that_cannot_be_verified_is_not_improved() -> None:
+    """It moves by its own states, or says that it cannot stop: then it does not say that it stops."""
+    moving = report_of_strangers(batch(0, MOVES), batch(400, MOVES), port=AnsweringPort(is_proven=False))
+    word = moving.unverified["cruiser-1"]
+    assert (word.stops, word.says) == (False, "it replied that it stops, but it is seen to move at 0.30 m/s")
+    refusal = msgspec.msgpack.encode(Reply(ok=False, reason=Reason.BUS_DOWN, detail="it moves", cure=""))
+    cannot = report_of_strangers(
+        batch(0), batch(400), port=AnsweringPort(is_proven=False, reply=refusal)
+    ).unverified["cruiser-1"]
+    assert (cannot.stops, cannot.says) == (False, "it replied that it is not stopped: bus_down: it moves")
+
+
+def test_what_is_verified_counts_alone() -> None:
+    """Whoever answers and publishes besides, in the robot's place."""
+    port = AnsweringPort()
+    report = report_of_strangers(batch(0, MOVES), batch(400, MOVES), port=port, proven=[batch(0), batch(400)])
+    assert (report.stopped, report.unverified) == (["cruiser-1"], {})
+    report = report_of_strangers(batch(0), batch(400), port=port)
+    assert report.unconfirmed == {"cruiser-1": "it replied that it stops, but its safety/state does not say so"}
+
+
+def test_of_a_silent_robot_is_said_what_is_seen() -> None:
+    """And that it is not verified, where it is not."""
+    port = AnsweringPort(is_proven=False)
+    port.poll = list  # type: ignore[method-assign] # nobody answers
+    proven = report_of_strangers([], [], port=port, proven=[batch(0), batch(400)])
+    assert (proven.silent, proven.unverified) == (["cruiser-1"], {})
+    assert proven.seen == {"cruiser-1": "its states say: a remote stop is latched, and it stands"}
+    unproven = report_of_strangers([(0, STANDBY), (0, MOVES)], port=port)
+    said = "its states say: no remote stop is latched, and it moves at 0.30 m/s, which cannot be verified: "
+    assert unproven.seen == {"cruiser-1": said + SILENT.text}
+    assert report_of_strangers([], port=port).seen == {}

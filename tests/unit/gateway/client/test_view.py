@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rich.console import Console, RenderableType
 
 from gateway.client import view
-from gateway.client.fleet import RobotStatus
+from gateway.client.fleet import RobotStatus, alarm
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import GatewayHealth, Mode, RobotState, Variant
 from schemas.reasons import Reason
@@ -162,7 +162,7 @@ def test_a_stale_view_says_so_and_shows_no_value() -> None:
 )
 def test_an_alarm_says_what_is_known_of_the_cause(change: dict[str, object], reason: str) -> None:
     """Why no state comes: this end, the gateway, its health, or what it sends."""
-    assert reason in view.alarm(msgspec.structs.replace(STALE, **change))
+    assert reason in alarm(msgspec.structs.replace(STALE, **change))
 
 
 @pytest.mark.parametrize(

@@ -121,6 +121,33 @@ def test_a_stop_is_served_from_anyone_and_says_whether_it_is_proven(
     assert rig.arbiter.latches.details == {Reason.REMOTE_STOP: who or "by first (unproven)"}
 
 
+def test_a_stop_whose_word_came_first_is_named_once_it_is_proven() -> None:
+    """The first word of a stop waits for no proof, so the record says afterwards whose it was; once."""
+    rig = granted()
+    rig.engage()
+    rig.drive_for(20, 0.3)
+    for rig.credentials in (NOBODY, OPERATOR, NOBODY, OPERATOR):
+        rig.send("stop", b"")
+    assert rig.arbiter.latches.details == {Reason.REMOTE_STOP: "by first"}
+    assert rig.arbiter.engagement.stop_detail == "by first"
+    said = [event.text for event in rig.told(EventKind.LATCH)]
+    assert said == [
+        "latched until a reset: a remote stop was received; by first (unproven)",
+        "proven: a remote stop was received; by first",
+    ]
+
+
+def test_a_proven_stop_takes_no_name_from_somebody_elses() -> None:
+    """Who only claimed to stop the robot first stays unproven."""
+    rig = granted()
+    rig.credentials = NOBODY
+    rig.send("stop", b"", "vic")
+    rig.credentials = OPERATOR
+    rig.send("stop", b"")
+    assert rig.arbiter.latches.details == {Reason.REMOTE_STOP: "by vic (unproven)"}
+    assert len(rig.told(EventKind.LATCH)) == 1
+
+
 def test_in_open_mode_what_is_not_proven_is_not_asked_for() -> None:
     """As before: names and roles are what people say."""
     rig = ArbiterRig()

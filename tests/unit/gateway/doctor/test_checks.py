@@ -108,6 +108,10 @@ def dead(**changes: object) -> GatewayHealth:
 
 
 CASES: dict[str, tuple[Facts, str]] = {
+    "other_bus": (
+        replace(WELL, bus_of_file="socketcan can5, by robot.toml"),
+        "socketcan can0, and not socketcan can5, by robot.toml",
+    ),
     "interface_missing": (
         replace(interface(is_present=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))),
         "the interface is not there: can0",
@@ -148,13 +152,17 @@ CASES: dict[str, tuple[Facts, str]] = {
     ),
     "gateway_hangs": (zenoh(health=None, safety=None), "sends no health: cruiser-1"),
     "not_asked": (zenoh(is_blind=True, health=None, safety=None), "own certificate sees no telemetry"),
+    "not_shut_down": (
+        replace(WELL, was_shut_down=False, booted_s=NOW_S - 60),
+        "lost its power, or was reset, without being shut down: before 2027-01-15 07:59 UTC -> look at the batt",
+    ),
     "service_not_active": (
         replace(WELL, units=[ServiceUnit("cruiser-recorder.service", "failed", "exit-code")]),
         "cruiser-recorder.service is failed, because of exit-code -> journalctl -u cruiser-recorder.service",
     ),
     "service_restarted": (
-        replace(WELL, units=[ServiceUnit("cruiser-gateway.service", "active", "watchdog", 2)]),
-        "cruiser-gateway.service, 2 times, last because of watchdog",
+        replace(WELL, units=[ServiceUnit("cruiser-gateway.service", "active", "watchdog", 2, None, NOW_S)]),
+        "cruiser-gateway.service, 2 times, last because of watchdog (it hung) at 2027-01-15 08:00 UTC -> journ",
     ),
     "realtime": (health(realtime=False), "no real-time priority"),
     "memory": (
@@ -170,6 +178,7 @@ CASES: dict[str, tuple[Facts, str]] = {
     ),
     "blocked": (safety(blocked_by=[Reason.SELF_TEST]), "blocked: self_test: the gateway's own test"),
     "clock_behind": (replace(WELL, now_s=0.0), "it says 1970-01-01 00:00 UTC, and it is 2027-01-14"),
+    "clock_set_back": (zenoh(clock_moved_s=-3600.2), "was set back since its gateway started: by 3600 s"),
     "clock_unsynchronised": (replace(WELL, is_synchronised=False), "no time server keeps the clock"),
     "clock_differs": (zenoh(ahead_s=-3.25), "the robot's is 3.2 s behind"),
     "credentials_missing": (replace(WELL, credentials=[]), "there are no keys: cruiser-1"),
@@ -222,6 +231,22 @@ def test_each_cause_has_its_finding_and_no_other(name: str) -> None:
     assert "\n" not in found[0].line
     assert found[0].cure
     assert not any(word in found[0].cure for word in ("ROBOT", "CHANNEL", "BITRATE"))
+
+
+def test_a_service_whose_end_nobody_knows_was_started_again_all_the_same() -> None:
+    """The word of systemd for that is no cause: success."""
+    units = [ServiceUnit("cruiser-recorder.service", "active", restarts=1)]
+    (found,) = diagnose(replace(WELL, units=units))
+    assert found.text.endswith("again: cruiser-recorder.service, once")
+
+
+def test_a_stop_by_the_guard_says_from_its_note_why_it_was() -> None:
+    """The note of the early stop is the same: whoever comes after a power cut reads what happened."""
+    stopped = safety(latched=[Reason.GUARD, Reason.ROLLING], stop_reason=Reason.GUARD, stop_detail="by note")
+    assert "(by note)" in diagnose(stopped)[0].text
+    guard, rolling = diagnose(replace(stopped, stop_note="2027-01-15T08:00:00.000+00:00 early stop: it moved"))
+    assert guard.text.endswith("in place of the gateway (2027-01-15T08:00:00.000+00:00 early stop: it moved)")
+    assert "early stop" not in rolling.text
 
 
 def test_every_check_has_a_case() -> None:

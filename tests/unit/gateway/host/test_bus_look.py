@@ -1,7 +1,6 @@
 """What is said of a CAN interface, and of a bus: a directory instead of the kernel, frames instead of a bus."""
 
 import json
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,12 +16,13 @@ from gateway.host.bus_look import can_interfaces, listen, look_at_interface
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ChassisSettings, Settings
 from tests.support.frames import Feedback
+from tests.support.messages import SECOND
 
 SETTINGS = Settings(can=CanSettings(interface="socketcan", channel="can0"))
 
 
 class FakeBus:
-    """Gives one frame after the other at a chassis's pace, again and again; it may be lost."""
+    """Gives one frame after the other at a chassis's pace, again and again; it may be lost. It keeps the time."""
 
     def __init__(self, frames: Sequence[Frame], lost: str = "") -> None:
         self.drops = 0
@@ -31,16 +31,19 @@ class FakeBus:
         self._frames = frames
         self._given = 0
         self._lost = lost
-        self._start_s = time.monotonic()
+        self._now_ns = 0
 
     def receive(self, timeout_s: float) -> Frame | None:
         if self._lost:
             raise BusLost(self._lost)
-        if self._given < len(self._frames) * 50 * (time.monotonic() - self._start_s):
+        if self._given < len(self._frames) * 50 * self._now_ns / SECOND:
             self._given += 1
             return self._frames[(self._given - 1) % len(self._frames)]
-        time.sleep(min(timeout_s, 0.002))
+        self._now_ns += round(min(timeout_s, 0.002) * SECOND) + 1
         return None
+
+    def monotonic_ns(self) -> int:
+        return self._now_ns
 
     def send(self, frame: Frame) -> None:
         self.sent.append(frame)
@@ -52,7 +55,7 @@ class FakeBus:
 def heard(frames: Sequence[Frame]) -> BusReport:
     """What is reported of a bus with these frames. Nothing is sent on it, whatever they are."""
     bus = FakeBus(frames)
-    report = listen(SETTINGS, opener=lambda _: bus)
+    report = listen(SETTINGS, opener=lambda _: bus, monotonic_ns=bus.monotonic_ns)
     assert bus.sent == []
     assert bus.is_closed
     return report

@@ -15,8 +15,11 @@ from gateway.host.computer_look import (
     is_synchronised,
     look_at_credentials,
     look_at_disk,
+    look_at_stop_note,
     look_at_units,
+    was_shut_down,
 )
+from gateway.host.stop_note import StopNote
 from schemas.settings import AuthoritySettings, GatewaySettings, Settings
 from tests.support.provisioning import ProvisionedFleet
 
@@ -24,12 +27,15 @@ DAY_S = 86_400
 
 
 class FakeSystemd:
-    """Answers for services; the others are not there."""
+    """Answers for services, of which the others are not there, and for the journal."""
 
-    def __init__(self, **units: str) -> None:
+    def __init__(self, journal: str | None = None, **units: str) -> None:
+        self._journal = journal
         self._units = units
 
     def __call__(self, words: Sequence[str]) -> str | None:
+        if words[0] == "journalctl":
+            return self._journal
         name = words[-1].removeprefix("cruiser-").removesuffix(".service")
         return self._units.get(name, "LoadState=not-found\nActiveState=inactive\n").replace(" ", "\n")
 
@@ -47,6 +53,49 @@ def test_services_that_are_enabled_or_run_are_looked_at() -> None:
     assert gateway.locked_bytes is not None
     assert recorder == ServiceUnit("cruiser-recorder.service", "failed", "exit-code")
     assert look_at_units(lambda _: None) == []
+
+
+@pytest.mark.parametrize("journal", [None, "", "no json", "[]", '{"UNIT_RESULT": "watchdog"}'])
+def test_the_journal_knows_why_a_service_ended(journal: str | None) -> None:
+    """At the start that follows systemd itself forgets it; a journal that says nothing is no fault."""
+    again = "LoadState=loaded ActiveState=active UnitFileState=enabled Result=success NRestarts=1"
+    (unit,) = look_at_units(FakeSystemd(journal, gateway=again))
+    assert (unit.result, unit.restarts, unit.ended_s) == ("success", 1, None)
+    entry = '{"UNIT_RESULT": "watchdog", "__REALTIME_TIMESTAMP": "1800000000500000"}\n'
+    (unit,) = look_at_units(FakeSystemd(entry, gateway=again))
+    assert (unit.result, unit.ended_s) == ("watchdog", 1_800_000_000.5)
+
+
+@pytest.mark.parametrize(
+    ("before", "shutdown", "was"),
+    [(None, None, None), ("", "", None), ("{}\n", None, None), ("{}\n", "", False), ("{}\n", "{}\n", True)],
+)
+def test_a_run_that_did_not_end_in_order_lost_its_power(
+    before: str | None,
+    shutdown: str | None,
+    was: bool | None,  # noqa: FBT001 - a row of the table
+) -> None:
+    """Only the journal of the run before knows, and only for those who may read it."""
+
+    def journal(words: Sequence[str], kernel: str | None = None) -> str | None:
+        if "--dmesg" in words:
+            return kernel
+        return shutdown if words[-1].startswith("MESSAGE_ID=") else before
+
+    assert was_shut_down(journal) is was
+    assert was_shut_down(lambda words: journal(words, "EXT4-fs (sda1): recovery complete")) is False
+
+
+def test_the_note_of_a_stop_is_read_where_it_is(tmp_path: Path) -> None:
+    """One on a full disk is empty, and says so."""
+    settings = Settings(gateway=GatewaySettings(state_dir=str(tmp_path)))
+    assert look_at_stop_note(settings) == ""
+    note = StopNote.of(settings)
+    note.add("the gateway is gone")
+    assert look_at_stop_note(settings).endswith("+00:00 the gateway is gone")
+    assert note.path is not None
+    note.path.write_bytes(b"")
+    assert look_at_stop_note(settings).endswith("is empty: the disk was full")
 
 
 def a_file_system(flag: int = 0, free: int = 100) -> SimpleNamespace:
@@ -107,7 +156,7 @@ def test_certificates_and_grants_say_when_they_end_and_what_is_wrong(tmp_path: P
     (directory / "robot-tls.key").chmod(0o644)
     (directory / "robot.grant").unlink()
     shown, missing = problems(now_s)
-    assert "can be read by others: chmod 600" in shown
+    assert "can be read by others; chmod 600" in shown
     assert "robot.grant" in missing
     assert all("\n" not in one for one in (*over, shown, missing))
 

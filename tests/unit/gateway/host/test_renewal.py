@@ -131,6 +131,19 @@ def test_damaged_files_are_not_used(robot: Robot, watched: Renewal, name: str, s
     wait_until(lambda: watched.is_ready)
 
 
+def test_a_key_that_others_could_read_is_read_again_once_they_cannot(robot: Robot) -> None:
+    """The gateway began without it, and its line said chmod."""
+    file = robot.files / "robot.key"
+    file.chmod(0o644)
+    one = Renewal(robot.settings)
+    one.begin([])
+    looks(one)
+    assert not one.is_ready
+    file.chmod(0o600)
+    wait_until(lambda: one.is_ready)
+    one.close()
+
+
 def test_a_grant_that_nobody_signed_is_not_used(robot: Robot, watched: Renewal) -> None:
     """The gateway continues with the one that it has: with this one nobody could engage the robot."""
     file = robot.files / "robot.grant"

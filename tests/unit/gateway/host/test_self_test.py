@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from gateway.authority.self_test import UNDER_WAY
 from gateway.host import self_test
-from gateway.host.self_test import UNDER_WAY, Reached, SelfTest
+from gateway.host.self_test import Reached, SelfTest
 from gateway.zenoh.intruder import Attempt
 from schemas.exit_codes import CommandError
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
@@ -27,9 +28,10 @@ class Network:
         attempt: what an intruder comes to.
         entrance: where somebody gets in without a certificate.
         tried: the endpoints at which an intruder was.
+        session: the gateway's; None as long as it is off the network.
     """
 
-    session: Any = None
+    session: Any = "open"
 
     def __init__(self) -> None:
         self.connected: frozenset[str] = frozenset({"one"})
@@ -108,6 +110,19 @@ def test_a_certificate_to_test_with_of_another_key_fails(settings: Settings, net
     file.write_bytes((other / "nothing-tls.pem").read_bytes())
     begun(settings, network, Reached([ROUTER], [])).close()
     assert network.verdicts == [f"{file} is not of the key beside it; 'cruiser provision renew robot' asks for it"]
+
+
+def test_a_file_that_is_mended_is_tested_again(settings: Settings, network: Network) -> None:
+    """As an ended certificate is in order once the clock is set: no other file comes, and nothing starts again."""
+    file = Path(settings.authority.directory) / "nothing-tls.pem"
+    away = file.rename(file.with_suffix(".away"))
+    test = begun(settings, network, Reached([ROUTER], []))
+    assert f"{file} is not there" in network.verdicts[0]
+    assert network.tried == []
+    away.rename(file)
+    wait_until(lambda: network.verdicts[-1] == "")
+    test.close()
+    assert network.tried
 
 
 def test_a_damaged_admission_fails_before_all_else(
@@ -189,6 +204,18 @@ def test_an_own_listener_that_is_open_names_the_robots_own_file(settings: Settin
         "tcp/127.0.0.1:7447 lets in who shows no certificate: leave out what the endpoint tls/127.0.0.1:7447 says "
         f"against {file}"
     )
+
+
+def test_off_the_network_nothing_is_tried_and_nothing_passes(settings: Settings, network: Network) -> None:
+    """A router that answers to the intruder alone proves nothing: the gateway's own sessions are to notice it."""
+    network.session, network.connected = None, frozenset()
+    test = begun(settings, network, Reached([ROUTER], []))
+    wait_until(lambda: network.verdicts[-1].endswith("where no node answers; it is tried on"))
+    assert network.tried == []
+    network.session, network.connected = "open", frozenset({"one"})
+    wait_until(lambda: network.verdicts[-1] == "")
+    test.close()
+    assert network.tried
 
 
 def test_a_router_that_may_be_anybody_fails(settings: Settings, network: Network) -> None:

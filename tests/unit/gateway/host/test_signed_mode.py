@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import time
 from pathlib import Path
@@ -16,9 +17,12 @@ from gateway.host.signed_mode import SignedMode
 from gateway.provisioning.certificates import expires_s, read_certificates
 from schemas.authority.statement import Grant, chain_text
 from schemas.authority.trust import AuthorityKeys
+from schemas.codec import decode
+from schemas.decisions import ChainHeads
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, GatewaySettings, RobotSettings, Settings, ZenohSettings
+from schemas.subjects import BY_NAME
 from tests.support.provisioning import ProvisionedFleet, chain, run
 from tests.support.waiting import wait_until
 
@@ -63,7 +67,7 @@ def test_of_a_grant_that_was_shown_and_one_that_was_installed_the_longer_one_hol
     assert started(fleet) == installed
     bundle = renewed(fleet, days)
     shown = msgspec.json.decode(bundle.read_bytes().partition(b"\n")[0])["chain"]
-    note = note_path(settings_of(fleet), {"XDG_STATE_HOME": str(fleet.place / "state")})
+    note = note_path(settings_of(fleet), os.environ)
     assert note is not None
     note.parent.mkdir(parents=True)
     note.write_bytes(msgspec.json.encode(Kept(own=shown)))
@@ -77,7 +81,7 @@ def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedF
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "400.request", "--directory", new.place / "authority", "-o", "new.bundle", "--days", "5")
     run("install", "new.bundle", "--directory", fleet.place / "cruiser-1", "--replace")
-    note = note_path(settings_of(fleet), {"XDG_STATE_HOME": str(fleet.place / "state")})
+    note = note_path(settings_of(fleet), os.environ)
     assert note is not None
     note.parent.mkdir(parents=True)
     note.write_bytes(msgspec.json.encode(Kept(own=shown)))
@@ -88,15 +92,15 @@ def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedF
 def test_a_robot_starts_under_another_authority_that_was_installed(fleet: ProvisionedFleet) -> None:
     """Whatever it learnt of the former one, which a gateway that runs meanwhile saves again."""
     started(fleet)
+    bundle = renewed(fleet, "5")
     run("revoke", "cruiser-1", "--directory", fleet.place / "authority")
     before = msgspec.json.decode((fleet.place / "cruiser-1" / "authority.json").read_bytes(), type=AuthorityKeys)
-    note = note_path(settings_of(fleet), {"XDG_STATE_HOME": str(fleet.place / "state")})
+    note = note_path(settings_of(fleet), os.environ)
     assert note is not None
     note.parent.mkdir(parents=True)
     note.write_bytes(
         msgspec.json.encode(Kept(revocations=Path("revocations.statement").read_text(), since=before))
     )
-    bundle = renewed(fleet, "5")
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "5.request", "--directory", new.place / "authority", "-o", bundle, "--replace")
     run("install", bundle, "--directory", fleet.place / "cruiser-1", "--replace")
@@ -122,6 +126,50 @@ def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: Provisione
     wait_until(lambda: str(place) in bars.get(Reason.SELF_TEST, ""), tick)
     assert "forget what was revoked" in bars[Reason.SELF_TEST]
     signed.close()
+
+
+def test_a_run_names_the_last_heads_of_the_one_before(fleet: ProvisionedFleet) -> None:
+    """Across restarts; a note that holds something else in their place names none, and the robot starts."""
+    settings = settings_of(fleet)
+
+    def run_once() -> tuple[bytes, bytes]:
+        signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+        heads = [signed.authority.heads(time.time_ns()) for _ in range(3)]
+        signed.save(signed.authority.to_keep(time.monotonic_ns()))
+        signed.close()
+        message = decode(BY_NAME["authority/heads"], heads[-1].payload)
+        assert isinstance(message, ChainHeads)
+        return message.former, signed.authority.signer.last_heads
+
+    former, first = run_once()
+    assert former == b""
+    former, _ = run_once()
+    assert former == first
+    note = note_path(settings, os.environ)
+    assert note is not None
+    for damage in ("", "zz", "00" * 47):
+        kept = msgspec.json.decode(note.read_bytes(), type=Kept)
+        note.write_bytes(msgspec.json.encode(msgspec.structs.replace(kept, last_heads=damage)))
+        assert run_once()[0] == b""
+
+
+def test_a_run_goes_on_with_the_silence_of_the_one_before(fleet: ProvisionedFleet) -> None:
+    """However long the machine is on, and whatever its clock says: both the time on and the time off are kept."""
+    settings, now_s = settings_of(fleet), int(time.time())
+    note = note_path(settings, os.environ)
+    assert note is not None
+    note.parent.mkdir(parents=True)
+
+    def is_stale(on_h: int, since_h: int) -> bool:
+        kept = Kept(silent_on_s=on_h * 3600, silent_since_s=now_s - since_h * 3600)
+        note.write_bytes(msgspec.json.encode(kept))
+        signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+        boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        effects = signed.authority.tick(time.monotonic_ns(), boot_ns, time.time_ns())
+        signed.close()
+        return Reason.AUTHORITY_STALE in (effects.bars or {})
+
+    assert [is_stale(*hours) for hours in ((20, 20), (25, 0), (1, 25))] == [False, True, True]
 
 
 def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:

@@ -105,14 +105,24 @@ def test_a_token_alone_is_a_robot_that_is_silent() -> None:
     assert series(fleet(token(), token(present=False)))[f"cruiser_gateway_connected{{{R}}}"] == 0
 
 
-@pytest.mark.parametrize("wrong", ["payload", "encoding"])
-def test_what_cannot_be_read_is_counted_and_changes_nothing(wrong: str) -> None:
-    """The values are those of before, until they are too old."""
-    bad = received(STATE, encoding="application/msgpack;cruiser.RobotState/9")
-    if wrong == "payload":
-        bad = msgspec.structs.replace(received(STATE), payload=b"\x81\xa5speed\xc1")
+def unreadable(shown: dict[str, float], subject: str) -> dict[str, float]:
+    """Samples of the robot that could not be read, by the reason."""
+    return {
+        reason: shown[f'cruiser_samples_unreadable_total{{reason="{reason}",{R},subject="{subject}"}}']
+        for reason in ("newer", "older", "damaged")
+    }
+
+
+@pytest.mark.parametrize(
+    ("version", "reason"), [("9", "newer"), ("0", "older"), ("1", "damaged"), ("of_another", "damaged")]
+)
+def test_what_cannot_be_read_is_counted_with_the_reason_and_changes_nothing(version: str, reason: str) -> None:
+    """Which side is to be upgraded; the values are those of before, until they are too old."""
+    bad = received(STATE, encoding=f"application/msgpack;cruiser.RobotState/{version}")
+    if version == "1":
+        bad = msgspec.structs.replace(bad, payload=b"\x81\xa5speed\xc1")
     shown = series(fleet(received(STATE), bad))
-    assert shown[f'cruiser_samples_unreadable_total{{{R},subject="state"}}'] == 1
+    assert unreadable(shown, "state") == {one: float(one == reason) for one in ("newer", "older", "damaged")}
     assert shown[f'cruiser_samples_received_total{{{R},subject="state"}}'] == 1
     assert shown[f"cruiser_chassis_speed_meters_per_second{{{R}}}"] == STATE.speed_mps
 
@@ -213,7 +223,7 @@ def test_any_payload_is_read_or_counted(payload: bytes) -> None:
     """Nothing raises."""
     sample = received(HEALTH)
     shown = series(fleet(Received(sample.key, sample.encoding, payload)))
-    assert shown[f'cruiser_samples_unreadable_total{{{R},subject="gateway/health"}}'] == 1
+    assert unreadable(shown, "gateway/health") == {"newer": 0, "older": 0, "damaged": 1}
 
 
 def test_all_that_is_served_has_a_help_and_is_there_once() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,9 @@ from gateway.authority.transport import TransportRole
 from gateway.provisioning.certificates import (
     RENEW_S,
     CertificateError,
+    begins_s,
     expires_s,
+    is_issued,
     issue,
     issue_site,
     names_of,
@@ -25,7 +28,7 @@ from gateway.provisioning.certificates import (
     read_certificates,
     read_request,
 )
-from gateway.provisioning.tls_files import certificate_ends_s, check_tls_files
+from gateway.provisioning.tls_files import certificate_ends_s, check_kinds, check_tls_files, why_shut_out
 from schemas.exit_codes import CommandError
 from schemas.settings import ZenohSettings
 from tests.support.secured import Network
@@ -181,6 +184,65 @@ def test_a_certificate_of_another_key_and_one_that_is_over_are_named(file: Path,
     file.with_name("router-tls.key").chmod(0o644)
     with pytest.raises(CommandError, match="chmod 600"):
         check_tls_files(file, "router", ends_s(file) - DAY_S)
+
+
+def test_a_certificate_of_another_network_is_named(file: Path, tmp_path: Path) -> None:
+    """Whichever of the two files was exchanged, both are said; beside the right authority others may count."""
+    (tmp_path / "other").mkdir()
+    other = Network(tmp_path / "other", "tls/127.0.0.1:47447").node(TransportRole.ROUTER, "127.0.0.1")
+    ca, now_s = file.with_name("ca.pem"), ends_s(file) - RENEW_S - 60
+    own = ca.read_text()
+    ca.write_text((other / "ca.pem").read_text())
+    with pytest.raises(CommandError, match=r"router-tls\.pem is of another network than .*ca\.pem.*renew router"):
+        check_tls_files(file, "router", now_s)
+    ca.write_text((other / "ca.pem").read_text() + own)
+    assert check_tls_files(file, "router", now_s) == ""
+    for name in ("router-tls.pem", "router-tls.key"):
+        file.with_name(name).write_bytes((other / name).read_bytes())
+    ca.write_text(own)
+    with pytest.raises(CommandError, match="is of another network than"):
+        check_tls_files(file, "router", now_s)
+
+
+def test_a_chain_ends_at_a_root() -> None:
+    """A site's certificate stands between; without it, or below another site's, nothing holds."""
+    ca, site, other, ann = (new_key() for _ in range(4))
+    root = new_authority(ca, NOW_S)
+    sites = [
+        issue_site(new_request(key, "site", ["depot"]), root, ca, NOW_S, NOW_S + DAY_S) for key in (site, other)
+    ]
+    text = issue(new_request(ann, "viewer", ["ann"]), TransportRole.VIEWER, sites[0], site, NOW_S)
+    roots, chain = read_certificates(root), read_certificates(text)
+    assert is_issued(chain, roots)
+    assert is_issued([*chain, *roots], roots)
+    assert not is_issued(chain[:1], roots)
+    assert not is_issued([chain[0], *read_certificates(sites[1])], roots)
+    assert not is_issued(chain, read_certificates(new_authority(new_key(), NOW_S)))
+
+
+def test_why_no_session_opened_is_looked_for_in_its_files(file: Path) -> None:
+    """A file that is missing; a clock that is behind all certificates. Where nothing is wrong nothing is said."""
+    begins = begins_s(read_certificates(file.with_name("router-tls.pem").read_text())[0])
+    assert why_shut_out(file, begins + 1) == ""
+    assert "begins in 2.0 days by this computer's clock, which is behind: set it" in why_shut_out(
+        file, begins - 2 * DAY_S
+    )
+    file.with_name("router-tls.key").unlink()
+    assert why_shut_out(file, begins + 1).startswith(f"{file.with_name('router-tls.key')} is not there; ")
+
+
+@pytest.mark.parametrize("name", ["router.json5", "router-tls.key", "router-tls.pem", "ca.pem"])
+def test_a_fifo_is_not_waited_for(file: Path, name: str) -> None:
+    """Zenoh would read it for ever."""
+    check_kinds(file)
+    wrong = file.with_name(name)
+    wrong.unlink()
+    check_kinds(file)
+    os.mkfifo(wrong, 0o600)
+    with pytest.raises(CommandError, match=f"{name} is a FIFO"):
+        check_kinds(file)
+    with pytest.raises(CommandError, match=f"{name} is a FIFO"):
+        check_tls_files(file, "router", NOW_S)
 
 
 @pytest.mark.parametrize("text", ["{mode: 'router'}", "[]", "{}", '{"transport": {"link": {"tls": 1}}}'])

@@ -13,6 +13,7 @@ import pytest
 
 from recorder.disk import keeper as disk_keeper
 from recorder.disk.keeper import DiskKeeper, read_entries
+from recorder.disk.upload_note import SafeLogs, UploadedLog, UploadNote
 from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry
 from tests.support.logs import logs_in
@@ -331,7 +332,7 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
     """A network file system may hang for ever."""
     asked, goes_on = threading.Event(), threading.Event()
 
-    def hang(_directory: Path, _own: Collection[str]) -> list[LogEntry]:
+    def hang(_directory: Path, _own: Collection[str], _safe: SafeLogs) -> list[LogEntry]:
         asked.set()
         assert goes_on.wait(60)
         return []
@@ -345,3 +346,16 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
     goes_on.set()
     keeper._thread.join(30)
     assert not keeper._thread.is_alive()
+
+
+def test_what_an_upload_has_marked_goes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An incident, too; and a mark for a file that was changed since counts for nothing."""
+    old, changed, incident = log(tmp_path, 80000), log(tmp_path, 80001), log(tmp_path, 80002, kind=".incident")
+    with UploadNote(tmp_path) as note:
+        for name, size in ((changed, 999), (incident, 1000)):
+            modified_ns = (tmp_path / name).stat().st_mtime_ns
+            note.add(UploadedLog(name, size, modified_ns, "", "", ""))
+    with kept(tmp_path, DiskLimits(budget_bytes=2500), monkeypatch) as looks:
+        wait_until(lambda: looks.has_said(Deleted(incident, 1000)))
+        looks.look_twice()
+    assert {old, changed} < set(logs_in(tmp_path))

@@ -3,10 +3,12 @@
 import errno
 import logging
 import os
+import shutil
 import threading
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import BinaryIO
 
 import pytest
@@ -16,13 +18,15 @@ from recorder.disk import leftovers
 from recorder.disk.keeper import read_entries
 from recorder.disk.leftovers import LeftoverThread, Recovery, RecoveryOutcome, recover, recover_leftovers
 from recorder.disk.log_directory import LogDirectory, lock
-from recorder.record.notices import Recovered
+from recorder.record.notices import DiskBack, DiskRoom, Recovered
 from recorder.review.check import check_log
 from tests.support.logs import logs_in, small_log
 from tests.support.messages import WALL_NS
 
 LOG = small_log()
 SUMMARY = LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")
+FULL = DiskRoom(has_room=False, has_incident_room=True)
+ROOM = DiskRoom(has_room=True, has_incident_room=True)
 
 
 def part(directory: Path, data: bytes, stem: str = "x") -> Path:
@@ -154,11 +158,11 @@ def test_a_part_without_anything_is_set_aside_at_a_start(tmp_path: Path, data: b
     assert logs_in(tmp_path) == ["x.mcap.damaged"]
 
 
-def fail_to(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a step of the recovery meet a full disk."""
+def fail_to(name: str, monkeypatch: pytest.MonkeyPatch, number: int = errno.ENOSPC) -> None:
+    """Let a step of the recovery meet a full disk, or another fault."""
 
     def full(*_arguments: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(leftovers, name, full)
 
@@ -173,6 +177,41 @@ def test_a_copy_that_does_not_fit_leaves_the_log_as_it_was(
     assert (recovery.outcome, recovery.detail) == (RecoveryOutcome.FAILED, "No space left on device")
     assert logs_in(tmp_path) == ["x.mcap.part"]
     assert (tmp_path / "x.mcap.part").read_bytes() == data
+
+
+@pytest.mark.parametrize(
+    ("data", "needed"), [(flipped(LOG)[:SUMMARY], SUMMARY), (LOG[:SUMMARY] + b"\xffnobody knows", 13)]
+)
+def test_what_does_not_fit_beside_the_log_is_not_begun(
+    data: bytes, needed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A copy or rest that filled the disk in vain would have whole logs deleted for it, time and again."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=needed - 1))
+    fail_to("copy_good", monkeypatch, errno.EIO)
+    fail_to("_finish", monkeypatch, errno.EIO)
+    path = part(tmp_path, data)
+    assert recover(path, "test").detail == "No space left on device"
+    assert logs_in(tmp_path) == ["x.mcap.part"]
+    assert path.read_bytes() == data
+    monkeypatch.undo()
+    assert recover(path, "test").outcome is RecoveryOutcome.DAMAGED
+
+
+def test_a_rest_that_cannot_be_kept_leaves_the_log_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And nothing of the rest: each further try would leave one more."""
+
+    def fail_late(stream: BinaryIO, kept: BinaryIO) -> None:
+        kept.write(stream.read(3))
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(shutil, "copyfileobj", fail_late)
+    data = LOG[:SUMMARY] + b"\xffnobody knows"
+    path = part(tmp_path, data)
+    assert recover(path, "test").detail == "Input/output error"
+    assert logs_in(tmp_path) == ["x.mcap.part"]
+    assert path.read_bytes() == data
 
 
 def test_a_log_whose_end_does_not_fit_stays_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,13 +304,75 @@ def test_what_was_recovered_is_told_to_the_recording_and_nothing_else(tmp_path: 
 
 
 def test_what_cannot_be_recovered_now_is_told_by_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is as it was; the next start tries again."""
+    """It is as it was."""
     fail_to("copy_good", monkeypatch)
     part(tmp_path, flipped(LOG)[:SUMMARY])
     thread = LeftoverThread(tmp_path, "test")
     thread.wait(30)
     assert list(thread.notices()) == []
     assert [one.outcome for one in thread.recoveries] == [RecoveryOutcome.FAILED]
+
+
+def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither before, nor again after that: where nothing has failed, room is no reason to look."""
+    fail_to("_finish", monkeypatch)
+    part(tmp_path, LOG[:SUMMARY])
+    thread = LeftoverThread(tmp_path, "test")
+    thread.wait(30)
+    monkeypatch.undo()
+    thread.receive_notice(FULL)
+    thread.wait(30)
+    assert logs_in(tmp_path) == ["x.mcap.part"]
+    thread.receive_notice(ROOM)
+    thread.wait(30)
+    assert logs_in(tmp_path) == ["x.mcap"]
+    assert list(thread.notices()) == [Recovered("x.mcap", 12)]
+    assert check_log(tmp_path / "x.mcap").whole
+    part(tmp_path, LOG[:SUMMARY], "later")
+    thread.receive_notice(ROOM)
+    thread.wait(30)
+    assert "later.mcap.part" in logs_in(tmp_path)
+    thread.receive_notice(DiskBack())
+    thread.wait(30)
+    assert logs_in(tmp_path) == ["later.mcap", "x.mcap"]
+
+
+def test_a_try_that_fails_again_waits_for_the_next_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One try for each time that there is room: it reads the whole log."""
+    fail_to("_finish", monkeypatch)
+    part(tmp_path, LOG[:SUMMARY])
+    thread = LeftoverThread(tmp_path, "test")
+    for tries in (1, 2, 3):
+        thread.wait(30)
+        assert list(thread.notices()) == []
+        assert [one.outcome for one in thread.recoveries] == [RecoveryOutcome.FAILED] * tries
+        thread.receive_notice(ROOM)
+
+
+def test_room_that_comes_during_a_look_is_not_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first part has failed by then, and the second is still being read: one more look follows."""
+    reads, goes_on = threading.Event(), threading.Event()
+
+    def late(path: Path, library: str, *, set_aside: bool) -> Recovery:
+        if path.name.startswith("a") and not goes_on.is_set():
+            return Recovery(str(path), RecoveryOutcome.FAILED, str(path), detail="No space left on device")
+        reads.set()
+        assert goes_on.wait(30)
+        return recover(path, library, set_aside=set_aside)
+
+    monkeypatch.setattr(leftovers, "recover", late)
+    for stem in "ab":
+        part(tmp_path, LOG[:SUMMARY], stem)
+    thread = LeftoverThread(tmp_path, "test")
+    assert reads.wait(30)
+    thread.receive_notice(ROOM)
+    goes_on.set()
+    thread.wait(30)
+    told = list(thread.notices())
+    thread.wait(30)
+    told += thread.notices()
+    assert told == [Recovered("b.mcap", 12), Recovered("a.mcap", 12)]
+    assert logs_in(tmp_path) == ["a.mcap", "b.mcap"]
 
 
 def test_an_incident_stays_one(tmp_path: Path) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
 from recorder.record.admission import (
+    ALL_ROBOTS,
     CHALLENGE_MAX_NS,
     CHALLENGE_NS,
     GRANTS_KEPT,
@@ -17,10 +19,11 @@ from recorder.record.admission import (
     OrderProof,
     SignedOrder,
     refusal_text,
+    text_of,
 )
 from schemas import codec, keys
 from schemas.authority.identity import Identity
-from schemas.authority.statement import GrantRole, TimeStatement, chain_text
+from schemas.authority.statement import GrantRole, Revocations, TimeStatement, chain_text
 from schemas.codec import PayloadFault
 from schemas.reasons import Reason
 from schemas.recording import Backfill, Mark, StopRecording
@@ -35,14 +38,16 @@ BACKFILL = Backfill("fleet/cruiser-1/**", 1, 2)
 class Door:
     """A recorder's door, and somebody before it."""
 
-    def __init__(self, note: OrderNote | None = None, fleet: Fleet | None = None) -> None:
+    def __init__(
+        self, note: OrderNote | None = None, fleet: Fleet | None = None, robots: Sequence[str] = (ALL_ROBOTS,)
+    ) -> None:
         self.fleet = fleet or Fleet()
         numbers = itertools.count(1)
 
         def draw(size: int) -> bytes:
             return next(numbers).to_bytes(size, "big")
 
-        self.door = OrderAdmission(self.fleet.trust, "fleet", "bench", note or OrderNote(), draw)
+        self.door = OrderAdmission(self.fleet.trust, "fleet", "bench", note or OrderNote(), draw, robots)
         self.now_ns = 0
         self.now_s = NOW_S
 
@@ -200,7 +205,10 @@ def test_a_grant_of_another_name_or_authority_is_none() -> None:
     [
         ("mark", Mark("", "cruiser-1"), Reason.NONE),
         ("mark", Mark("", "cruiser-2"), Reason.NOT_GRANTED),
-        ("mark", Mark("", ""), Reason.NONE),
+        ("mark", Mark("", ""), Reason.NOT_GRANTED),
+        ("stop", StopRecording(), Reason.NOT_GRANTED),
+        ("split", StopRecording(), Reason.NOT_GRANTED),
+        ("start", StopRecording(), Reason.NOT_GRANTED),
         ("backfill", Backfill("fleet/cruiser-1/state", 1, 2), Reason.NONE),
         ("backfill", Backfill("fleet/cruiser-2/state", 1, 2), Reason.NOT_GRANTED),
         ("backfill", Backfill("fleet/*/state", 1, 2), Reason.NOT_GRANTED),
@@ -215,6 +223,36 @@ def test_an_order_about_robots_needs_a_grant_for_them(verb: str, request_: Reque
     assert door.judge(door.order(door.let_in(robots=["cruiser-1"]), verb, request_)) is reason
     for_all = Door()
     assert for_all.judge(for_all.order(for_all.let_in(), verb, request_)) is Reason.NONE
+
+
+@pytest.mark.parametrize("verb", ["start", "stop", "split", "mark"])
+@pytest.mark.parametrize(
+    ("recorded", "granted", "reason"),
+    [
+        (["cruiser-1"], ["cruiser-1"], Reason.NONE),
+        (["cruiser-1", "cruiser-2"], ["cruiser-*"], Reason.NONE),
+        (["cruiser-1", "cruiser-2"], ["cruiser-2", "cruiser-1"], Reason.NONE),
+        (["cruiser-1", "cruiser-2"], ["cruiser-2"], Reason.NOT_GRANTED),
+        (["cruiser-1", ALL_ROBOTS], ["cruiser-*"], Reason.NOT_GRANTED),
+        ([ALL_ROBOTS], ["*"], Reason.NONE),
+    ],
+)
+def test_an_order_about_the_whole_recorder_needs_a_grant_for_all_that_it_records(
+    verb: str, recorded: list[str], granted: list[str], reason: Reason
+) -> None:
+    """Whoever may drive one robot does not end the recording of the others."""
+    door = Door(robots=recorded)
+    request = Mark("", "") if verb == "mark" else StopRecording()
+    assert door.judge(door.order(door.let_in(robots=granted), verb, request)) is reason
+
+
+def test_a_refusal_names_the_robots_that_the_grant_is_not_for() -> None:
+    """And says of a mark what would be obeyed."""
+    door = Door(robots=["cruiser-1", "cruiser-2"])
+    order = door.order(door.let_in(robots=["cruiser-1"]), "mark", Mark("", ""))
+    refusal = door.door.judge(order, door.now_ns, door.now_s)
+    assert refusal is not None
+    assert "not for cruiser-2; name a robot" in refusal_text(refusal)
 
 
 def test_who_was_revoked_is_refused_at_once_and_after_a_restart() -> None:
@@ -272,6 +310,41 @@ def test_a_grant_ends_by_the_latest_time_that_is_known() -> None:
     assert door.judge(door.order(ann)) is Reason.GRANT_EXPIRED
 
 
+def test_a_verified_grant_lifts_the_floor_of_time_across_a_restart() -> None:
+    """It has begun, so it is later than that: a clock that is set back revives no grant of before."""
+    door = Door()
+    old = door.let_in("old", not_before=NOW_S - 9 * DAY_S, not_after=NOW_S - 8 * DAY_S)
+    door.let_in("new", not_before=NOW_S - DAY_S)
+    assert door.door.note.floor_s == NOW_S - DAY_S
+    again = Door(door.door.note, door.fleet)
+    for one in (door, again):
+        one.now_s = NOW_S - 8 * DAY_S - DAY_S // 2
+        assert one.show(chain_text(old.chain)) is Reason.GRANT_EXPIRED
+    fresh = Door(fleet=door.fleet)
+    fresh.now_s = NOW_S - 8 * DAY_S - DAY_S // 2
+    assert fresh.show(chain_text(old.chain)) is Reason.NONE
+
+
+def test_a_grant_that_is_not_the_authoritys_lifts_no_floor() -> None:
+    """Else anybody could end all grants."""
+    door, stranger = Door(), Party("eve")
+    Fleet().authority.grant(stranger, verbs=ALL_ORDERS, not_before=NOW_S - 1)
+    assert door.show(chain_text(stranger.chain)) is Reason.GRANT_UNKNOWN
+    assert door.let_in(not_before=NOW_S + DAY_S)
+    assert door.door.note.floor_s == 0
+
+
+def test_a_new_authority_says_what_time_it_is() -> None:
+    """A thief of the former one's key may have signed any time."""
+    door, new, standby, bob = Door(), Party("new"), Party("next"), Party("bob")
+    door.show(door.fleet.authority.sign(Revocations(serial=9, at=NOW_S + 1000 * DAY_S)).text())
+    new.grant(bob, verbs=ALL_ORDERS)
+    assert door.show(door.fleet.standby.rotate(1, new, standby).text()) is Reason.NONE
+    for one in (door, Door(door.door.note, door.fleet)):
+        assert one.show(chain_text(bob.chain)) is Reason.NONE
+        assert one.judge(one.order(bob)) is Reason.NONE
+
+
 @pytest.mark.parametrize("text", ["", "junk", "{}\ned25519 00 00\n"])
 def test_what_is_no_statement_is_refused(text: str) -> None:
     """Whoever shows it."""
@@ -311,3 +384,16 @@ def test_a_refusal_says_what_would_help() -> None:
     refusal = Door().door.judge(SignedOrder("stop", "ann", b"", b"", StopRecording()), 0, NOW_S)
     assert refusal is not None
     assert "(proof_missing). Cure: " in refusal_text(refusal)
+
+
+def test_no_refusal_of_a_recorder_speaks_of_the_robot() -> None:
+    """Who asked it would look in the wrong place."""
+    said = [
+        text
+        for reason in (
+            Reason.MALFORMED, Reason.PROOF_MISSING, Reason.PROOF_WRONG, Reason.CHALLENGE_UNKNOWN, Reason.TOO_OLD,
+            Reason.REPLAYED, Reason.GRANT_UNKNOWN, Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED, Reason.NOT_GRANTED,
+        )
+        for text in (text_of(reason).means, text_of(reason).cure)
+    ]  # fmt: skip
+    assert not [text for text in said if "robot" in text]

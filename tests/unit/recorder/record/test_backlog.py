@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from recorder.record.actions import Query
-from recorder.record.backlog import ANSWER_NS, KEPT_SUBJECTS, TRIES, Backlog
+from recorder.record.backlog import ANSWER_NS, HELD, KEPT_SUBJECTS, TRIES, Backlog
 from schemas.subjects import KEPT_PIECE
 from tests.support.messages import MS, SECOND
 
@@ -23,7 +23,7 @@ class Robot:
         self.loses: Callable[[int], bool] = lambda _sequence: False
         self.now_ns = 0
         self.got: list[int] = []
-        self.counted = 0
+        self.counted = self.runs = 0
         self.asked: list[int] = []
         self.backlog = Backlog()
         self.backlog.see("fleet", "cruiser-1", 0)
@@ -31,9 +31,14 @@ class Robot:
     def say(self, *, is_restart: bool = False, is_lost: bool = False) -> None:
         """The next sample by itself."""
         if not is_lost:
-            self.backlog.receive(self.key, self.said, self.now_ns, is_restart=is_restart)
+            payload = self.payload(self.said)
+            self.backlog.receive(self.key, self.said, payload, self.now_ns, is_restart=is_restart)
             self.got.append(self.said)
         self.said += 1
+
+    def payload(self, sequence: int) -> bytes:
+        """A sample of the run."""
+        return f"{self.runs} {sequence}".encode()
 
     def run(self, ticks: int = 200) -> None:
         """Ask and answer."""
@@ -50,7 +55,9 @@ class Robot:
         start = max(query.first, self.oldest)
         for sequence in range(start, min(self.said, start + KEPT_PIECE)):
             was_missing, was_counted = (
-                (False, False) if self.loses(sequence) else self.backlog.receive_reply(self.key, sequence)
+                (False, False)
+                if self.loses(sequence)
+                else self.backlog.receive_reply(self.key, sequence, self.payload(sequence))
             )
             self.got += [sequence] * was_missing
             self.counted += was_counted
@@ -144,9 +151,48 @@ def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:
     asked = 0
     for number in range(500):
         now_ns = number * 20 * MS
-        backlog.receive(EVENT, 1000 + number, now_ns, is_restart=False)
-        backlog.receive(EVENT, number, now_ns, is_restart=True)
+        backlog.receive(EVENT, 1000 + number, b"", now_ns, is_restart=False)
+        backlog.receive(EVENT, number, b"", now_ns, is_restart=True)
         asked += sum(one.key == EVENT for one in backlog.queries(now_ns))
     assert 3 <= asked <= 6
-    backlog.receive(EVENT, 7, 60 * SECOND, is_restart=True)
+    backlog.receive(EVENT, 7, b"", 60 * SECOND, is_restart=True)
     assert Query(EVENT, 0) in backlog.queries(60 * SECOND)
+
+
+@pytest.mark.parametrize("place", [0, 3, 70, 500])
+def test_who_repeats_samples_of_a_robot_has_nothing_recorded_twice(place: int) -> None:
+    """It looks like a restart, or like a gap: the robot is asked, and what the log has is not written again."""
+    robot = Robot(EVENT, said=40)
+    for _ in range(60):
+        robot.say()
+    robot.run()
+    is_back = place <= 100
+    robot.backlog.receive(EVENT, place, b"of somebody else", robot.now_ns, is_restart=is_back)
+    robot.run(400)
+    robot.say(is_restart=not is_back)
+    robot.run(400)
+    assert sorted(robot.got) == list(range(101))
+
+
+def test_a_restart_has_its_own_samples_of_the_same_numbers_recorded() -> None:
+    """They are others than those of the run before."""
+    robot = Robot(EVENT)
+    for _ in range(20):
+        robot.say()
+    robot.run()
+    robot.said, robot.runs = 10, 1
+    robot.say(is_restart=True)
+    robot.run(400)
+    assert sorted(robot.got) == sorted([*range(20), *range(11)])
+
+
+def test_of_what_was_repeated_a_bounded_number_is_known_again() -> None:
+    """What is older than a gateway keeps may be written twice, which review counts; the memory is bounded."""
+    robot = Robot(EVENT)
+    for _ in range(HELD + 5):
+        robot.say()
+    robot.run()
+    robot.backlog.receive(EVENT, 0, b"of somebody else", robot.now_ns, is_restart=True)
+    robot.say()
+    robot.run(2 * HELD // KEPT_PIECE)
+    assert len(robot.got) - robot.said <= 10

@@ -155,6 +155,6 @@ def test_an_incident_declares_what_its_log_did(bench: RecorderRig) -> None:
     assert summary is not None
     topics = [channel.topic for channel in summary.channels.values()]
     assert topics[:3] == [GEAR_KEY, key_of(GatewayInfo), key_of(CanFrames)]
-    assert [one.name for one in reader.iter_metadata()] == ["cruiser", INCIDENT_NAME]
+    assert [one.name for one in reader.iter_metadata()] == ["cruiser", "foxglove", INCIDENT_NAME]
     attached = {one.name for one in reader.iter_attachments()}
     assert {"cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc"} < attached

@@ -372,3 +372,38 @@ def test_a_recorder_goes_on_for_ever_within_its_limits(
             entries = [LogEntry(entry.name, entry.bytes, entry.started) for entry in entries]
         else:
             assert is_within(entries, free_bytes, limits)
+
+
+def test_what_is_safe_elsewhere_goes_first() -> None:
+    """However young it is; then the oldest of the rest."""
+    entries = [
+        LogEntry("old", 100, "20270115T080000Z"),
+        LogEntry("young and safe", 100, "20270115T080002Z", is_safe=True),
+        LogEntry("younger", 100, "20270115T080003Z"),
+    ]
+    assert judge(entries, 0, DiskLimits(budget_bytes=200), is_full=False).delete == ("young and safe",)
+    assert judge(entries, 0, DiskLimits(budget_bytes=100), is_full=False).delete == ("young and safe", "old")
+
+
+def test_the_last_hours_of_a_known_robot_stay_also_where_they_are_safe() -> None:
+    """They are kept to be asked on the robot. When nothing else is left they go, those first that are safe."""
+    limits = DiskLimits(budget_bytes=200, known=frozenset({"a"}), keep_s=7200.0)
+    entries = [
+        LogEntry("stranger", 100, "20270115T080000Z", robot="b"),
+        LogEntry("older", 100, "20270115T080001Z", robot="a"),
+        LogEntry("newest, safe", 100, "20270115T080002Z", robot="a", is_safe=True),
+    ]
+    assert judge(entries, 0, limits, is_full=False).delete == ("stranger",)
+    assert judge(entries[1:], 0, msgspec.structs.replace(limits, budget_bytes=100), is_full=False).delete == (
+        "newest, safe",
+    )
+
+
+def test_an_incident_goes_when_it_is_safe_elsewhere_and_leaves_its_room_to_others() -> None:
+    """One that is not safe never does, and one that is being written is not safe whatever a note says."""
+    safe = LogEntry("safe", 100, "20270115T080000Z", is_incident=True, is_safe=True)
+    unsafe = LogEntry("unsafe", 100, "20270115T080000Z", is_incident=True)
+    written = LogEntry("written", 100, "20270115T080000Z", is_incident=True, is_safe=True, is_open=True)
+    assert judge([safe, unsafe, written], 0, DiskLimits(budget_bytes=200), is_full=False).delete == ("safe",)
+    assert judge([safe, safe], 0, DiskLimits(budget_bytes=300), is_full=False).has_incident_room
+    assert not judge([unsafe, unsafe], 0, DiskLimits(budget_bytes=300), is_full=False).has_incident_room

@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from recorder.encoding.can_columns import FRAMES_MAX
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.routes import FRAMES_MAX_BYTES
+from recorder.record import backlog as backlog_module
 from recorder.record import channels
 from recorder.record import robots as robots_module
 from recorder.record.accounting import KeyReport
@@ -438,7 +439,8 @@ def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch
     """Beyond the limits a sample is written, and nothing of it is kept: neither its key, its robot nor a route."""
     monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 20)
     monkeypatch.setitem(channels.LIMITS, ChannelQuota.TABLE, 10)
-    monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 10)
+    for module in (robots_module, backlog_module):
+        monkeypatch.setattr(module, "ROBOT_LIMIT", 10)
     # That cache has a bound of its own.
     monkeypatch.setattr(keys, "_parse", keys._parse.__wrapped__)
     log = Log(LogPlan("x", 1, SECOND, "1"))  # Every sample is a chunk of its own, and goes.

@@ -12,6 +12,7 @@ from schemas.messages import Variant
 from tests.support.messages import SECOND, WALL_NS, info
 
 KEY = "fleet/cruiser-1/gateway/info"
+ANYBODY = {"recorder_version": "1.0", "robots": ""}
 LAYOUTS = ["cruiser-1/layout.foxglove.json", "cruiser-1/layout.plotjuggler.xml"]
 
 
@@ -70,8 +71,9 @@ def test_an_answer_becomes_metadata_and_attachments() -> None:
     robots.queries(0)
     effects = robots.receive_info("cruiser-1", info(), WALL_NS)
     assert names(effects) == ["cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc", *LAYOUTS]
-    metadata = effects[-1]
+    *_, metadata, device = effects
     assert isinstance(metadata, WriteMetadata)
+    assert device == WriteMetadata("x", "foxglove", {"deviceName": "cruiser-1"}, lasts=True)
     assert metadata.entries == {
         "recorder_version": "1.0",
         "robots": "cruiser-1",
@@ -125,3 +127,13 @@ def test_robots_of_one_name_under_two_roots_are_told_apart() -> None:
     assert robots.see("other/base", "cruiser-1", 0) == "other/base/cruiser-1"
     assert robots.see("fleet", "cruiser-1", 0) == "cruiser-1"
     assert robots.queries(0) == [Query(KEY), Query("other/base/cruiser-1/gateway/info")]
+
+
+def test_a_log_is_filed_under_its_robot_as_long_as_it_has_but_one() -> None:
+    """Foxglove reads the last record of the name: of a log of several robots that one names none."""
+    robots = Robots("x", "1.0")
+    assert [one for one in robots.describe() if one != WriteMetadata("x", "cruiser", ANYBODY, lasts=True)] == []
+    robots.see("fleet", "cruiser-1", 0)
+    assert robots.describe()[-1] == WriteMetadata("x", "foxglove", {"deviceName": "cruiser-1"}, lasts=True)
+    robots.see("fleet", "cruiser-2", 0)
+    assert robots.describe()[-1] == WriteMetadata("x", "foxglove", {}, lasts=True)

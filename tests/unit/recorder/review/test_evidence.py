@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import zipfile
 from collections.abc import Callable
@@ -37,6 +38,32 @@ RUN, ANN = driven(FLEET, 120)
 LOG = log_of(RUN.samples)
 DESK = Party("desk")
 AT = "70"
+
+
+@pytest.mark.parametrize(("at", "code"), [("20", 0), ("70", 0), ("100", 3)])
+def test_a_log_that_is_still_recorded_gives_an_archive_of_what_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], at: str, code: int
+) -> None:
+    """It says up to when that is; 3 only where the time asked for goes on after that."""
+    path = saved(tmp_path / "log.mcap.part", LOG[: len(LOG) * 98 // 100])
+    out = tmp_path / "out.zip"
+    with path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert review("evidence", str(path), "--at", at, "-o", str(out)) == code
+    said = capsys.readouterr()
+    assert not said.err
+    manifest = read(out).manifest
+    assert manifest.complete_to_ns is not None
+    assert manifest.is_early == (code == 3)
+    assert any("still being recorded" in one for one in manifest.missing) == (code == 3)
+    assert review("verify", str(out)) == 0
+
+
+def test_a_log_whose_recorder_died_is_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nobody goes on with it."""
+    path = saved(tmp_path / "log.mcap.part", LOG[: len(LOG) * 9 // 10])
+    assert review("evidence", str(path), "--at", "20", "-o", str(tmp_path / "out.zip")) == 3
+    assert "cut off" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -192,6 +192,22 @@ def test_the_last_word_is_about_all_files(tmp_path: Path) -> None:
     assert info.completeness == {"t": KeyReport(received=21, written=10, lost_link=2)}
 
 
+@pytest.mark.parametrize(("robots", "device"), [(("r-0", "r-0"), "r-0"), (("r-0", "r-1"), None)])
+def test_logs_of_two_robots_are_filed_under_neither(
+    robots: tuple[str, str], device: str | None, tmp_path: Path
+) -> None:
+    """Foxglove reads the last record of the name; those of one robot stay that robot's."""
+    logs = [
+        own_log(
+            [gears(number, 1, number)],
+            metadata=[(METADATA_NAME, {"robots": robot}), ("foxglove", {"deviceName": robot})],
+        )
+        for number, robot in enumerate(robots)
+    ]
+    _, read = merged(tmp_path, *logs)
+    assert [one.metadata for one in read.metadata if one.name == "foxglove"][-1].get("deviceName") == device
+
+
 def test_damage_costs_what_is_damaged(tmp_path: Path) -> None:
     """It is told, and the rest is in the new file, which is whole."""
     data = bytearray(own_log([gears(0, 3, 10), gears(3, 3, 100), gears(6, 3, 200)]))

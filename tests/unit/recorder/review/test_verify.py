@@ -20,9 +20,11 @@ from recorder.reading.rows import Selection
 from recorder.review.cut import cut
 from recorder.review.merge import merge
 from recorder.review.verify import RobotProofReport, shown_statements, verify_logs
+from recorder.review.verifying.commands import STOPS_WAITING
 from recorder.review.verifying.findings import ProofFault
 from schemas import keys
 from schemas.authority.chain import heads_text
+from schemas.authority.fingerprint import fingerprint
 from schemas.authority.statement import GrantRole, chain_text
 from schemas.authority.trust import Trust
 from schemas.decisions import ChainHeads, Decision, Journal, SafetyEvent, SignedStatement
@@ -60,10 +62,10 @@ def verified(directory: Path, *logs: bytes, trust: Any = GIVEN) -> RobotProofRep
     return verified_files(paths, FLEET.trust if trust is GIVEN else trust)
 
 
-def verified_files(paths: Sequence[Path], trust: Trust | None, **given: Any) -> RobotProofReport:  # noqa: ANN401
+def verified_files(paths: Sequence[Path], *trusts: Trust | None, **given: Any) -> RobotProofReport:  # noqa: ANN401
     """The same, of files."""
     faults = Faults()
-    (report,) = verify_logs(find_logs(paths, faults), faults, trust, **given)
+    (report,) = verify_logs(find_logs(paths, faults), faults, [one for one in trusts if one is not None], **given)
     assert not faults, faults.told
     return report
 
@@ -84,7 +86,7 @@ def test_a_run_as_it_was_holds_to_its_last_head(tmp_path: Path) -> None:
     assert not report.findings
     assert report.is_proven
     assert report.is_vouched
-    assert report.authority == FLEET.authority.key.hex()
+    assert report.authorities == [FLEET.authority.key.hex()]
     assert report.robot_key == RUN.robot.key.hex()
     (run,) = report.runs
     assert sum(count.proven for count in run.subjects.values()) == len(CHAINED)
@@ -101,12 +103,8 @@ def test_a_run_as_it_was_holds_to_its_last_head(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", CHAINED_KINDS)
 @pytest.mark.parametrize("number", [0, 2, -2])
 def test_a_sample_that_is_missing_is_found(tmp_path: Path, kind: type[Message], number: int) -> None:
-    """Wherever it stood between the beginning and the last head; but a log may begin after a run has begun."""
+    """Wherever it stood between the first head and the last one."""
     report = verified(tmp_path, log_of(without(SAMPLES, of(SAMPLES, kind)[number])))
-    if number == 0:
-        assert sum(count.absent for count in report.runs[0].subjects.values()) == 1
-        assert sum(count.proven for count in report.runs[0].subjects.values()) < len(CHAINED)
-        return
     assert faults_of(report) == {ProofFault.MISSING}
     assert sum(count.missing for count in report.runs[0].subjects.values()) == 1
 
@@ -188,21 +186,49 @@ def test_a_head_that_somebody_else_signed_is_found(tmp_path: Path, number: int) 
     place = of(SAMPLES, ChainHeads)[number]
     head = SAMPLES[place]
     assert isinstance(head, ChainHeads)
-    text = heads_text(head.boot, head.time_ns, {one.subject: (one.count, one.head) for one in head.heads})
+    said = {one.subject: (one.count, one.head) for one in head.heads}
+    text = heads_text(head.boot, head.time_ns, head.sequence, said)
     report = verified(tmp_path, log_of(replaced(SAMPLES, place, signature=Party().private.sign(text))))
     assert ProofFault.WRONGLY_SIGNED in faults_of(report)
 
 
+@pytest.mark.parametrize("changes", [{"signature": bytes(64)}, {"time_ns": 0}, {"former": b"x"}, {"heads": []}])
+@pytest.mark.parametrize("at", [0, 1])
+def test_a_forged_head_beside_that_of_the_robot_displaces_nothing(
+    tmp_path: Path, at: int, changes: dict[str, Any]
+) -> None:
+    """Whether it came first or last. It is found, and what the robot signed is proven."""
+    place = of(SAMPLES, ChainHeads)[2]
+    forged = msgspec.structs.replace(SAMPLES[place], **changes)
+    report = verified(tmp_path, log_of([*SAMPLES[: place + at], forged, *SAMPLES[place + at :]]))
+    assert faults_of(report) == {ProofFault.WRONGLY_SIGNED}
+    assert words_of(report) == "chain heads that the robot did not sign"
+    assert report.runs == verified(tmp_path / "alone", log_of(SAMPLES)).runs
+
+
+@pytest.mark.parametrize(
+    "changes", [{"time_ns": 2**63}, {"boot": b""}, {"boot": bytes(99)}, {"former": bytes(999)}]
+)
+def test_a_head_whose_fields_are_none_is_found(tmp_path: Path, changes: dict[str, Any]) -> None:
+    """In a log that no recorder wrote. It ends no verification."""
+    forged = msgspec.structs.replace(SAMPLES[of(SAMPLES, ChainHeads)[2]], **changes)
+    log = saved(tmp_path / "log.mcap", log_of_shifted([*SAMPLES, forged], -1))
+    assert faults_of(verified_files([log], FLEET.trust)) == {ProofFault.WRONGLY_SIGNED}
+
+
 def test_a_whole_run_of_somebody_elses_making_is_found(tmp_path: Path) -> None:
-    """It holds in itself; its authority is not the fleet's. Who is not given the fleet's is told so."""
+    """It holds in itself; its authority is not the fleet's, so nothing vouches for it."""
     forger = Fleet()
     run, _ = driven(forger)
     report = verified(tmp_path, log_of(run.samples))
-    assert ProofFault.NOT_GRANTED in faults_of(report)
+    assert faults_of(report) == {ProofFault.OTHER_AUTHORITY}
+    assert not report.is_vouched
+    assert not report.is_proven
+    assert not report.is_broken
     believed = verified(tmp_path, log_of(run.samples), trust=None)
     assert not believed.findings
     assert not believed.is_vouched
-    assert believed.authority == forger.authority.key.hex()
+    assert believed.authorities == [forger.authority.key.hex()]
 
 
 def test_a_log_joined_from_two_runs_is_found(tmp_path: Path) -> None:
@@ -217,7 +243,7 @@ def test_a_log_joined_from_two_runs_is_found(tmp_path: Path) -> None:
 
 def test_two_runs_of_one_robot_hold_each_for_itself(tmp_path: Path) -> None:
     """In one log, or in one each; the second gateway may have begun right behind the first."""
-    second, _ = driven(FLEET, robot=RUN.robot, boot=b"boot no2", at_s=NOW_S + 7)
+    second, _ = driven(FLEET, robot=RUN.robot, boot=b"boot no2", at_s=NOW_S + 7, former=RUN.signer.last_heads)
     for logs in ([log_of([*SAMPLES, *second.samples])], [log_of(SAMPLES), log_of(second.samples)]):
         report = verified(tmp_path, *logs)
         assert report.is_proven, words_of(report)
@@ -272,6 +298,100 @@ def test_a_log_that_begins_in_mid_run_holds_from_its_first_head_on(tmp_path: Pat
     assert journal.absent == 3 * PER_SECOND - 5
     assert journal.proven == 3 * PER_SECOND
     assert journal.from_ns == SAMPLES[of(SAMPLES, ChainHeads)[3]].time_ns
+
+
+def test_what_came_late_into_a_part_of_a_log_is_not_called_missing(tmp_path: Path) -> None:
+    """Nothing proves what a recorder fetched of a robot's memory as the part began; nobody took anything out."""
+    heads = of(SAMPLES, ChainHeads)
+    late = [one for one in SAMPLES[heads[0] + 1 : heads[1]] if isinstance(one, Journal)][2:-2]
+    told = [SAMPLES[place] for place in of(SAMPLES, SignedStatement)]
+    report = verified(tmp_path, log_of([*told, *SAMPLES[heads[3] :], *late]))
+    assert faults_of(report) == {ProofFault.UNPROVEN}
+    assert "before the heads that would prove them" in words_of(report)
+    assert not report.is_broken
+    assert not report.is_proven
+    near = SAMPLES[heads[3] - 9 : heads[3] - 3]
+    assert ProofFault.MISSING in faults_of(
+        verified(tmp_path / "gap", log_of([*told, *near, *SAMPLES[heads[3] :]]))
+    )
+
+
+def begun_at(samples: Sequence[Message], head: int, since: int) -> list[Message]:
+    """The log that begins with this head, before it the chained samples from a place on; statements stay."""
+    first = of(samples, ChainHeads)[head]
+    return [
+        one
+        for place, one in enumerate(samples)
+        if place >= first or isinstance(one, SignedStatement) or (place >= since and type(one) in CHAINED_KINDS)
+    ]
+
+
+@pytest.mark.parametrize("seconds", [2, 3])
+@pytest.mark.parametrize("head", [4, 5, -1])
+def test_what_lies_before_the_first_head_proves_no_holder(tmp_path: Path, head: int, seconds: int) -> None:
+    """Whoever made it up could give the drive to anybody; and more than a head's second of it is said."""
+    since = of(SAMPLES, ChainHeads)[head - seconds] + 1
+    forged = [
+        msgspec.structs.replace(one, operator="bob") if isinstance(one, Decision) else one
+        for one in SAMPLES[: of(SAMPLES, ChainHeads)[head]]
+    ]
+    samples = begun_at([*forged, *SAMPLES[len(forged) :]], head, since)
+    report = verified(tmp_path, log_of(samples))
+    assert faults_of(report) == {ProofFault.UNPROVEN}
+    assert {one.is_proven for one in report.holders if one.operator == "bob"} == {False}
+    assert sum(one.drives for one in report.holders if one.is_proven) == sum(
+        isinstance(one, Decision) for one in SAMPLES[len(forged) :]
+    )
+
+
+def test_what_comes_after_the_last_head_proves_no_holder(tmp_path: Path) -> None:
+    """For a second it is what the robot had no time to sign; whoever comes with more is not believed either."""
+    (last,) = [one for one in SAMPLES if isinstance(one, Decision)][-1:]
+    for far_s, faults in ((1.0, set()), (4.0, {ProofFault.UNPROVEN}), (8.0, {ProofFault.MISSING})):
+        forged = [
+            msgspec.structs.replace(
+                last, operator="bob", lease=99, sequence=last.sequence + 1 + n, time_ns=RUN.time_ns + at_ns
+            )
+            for n, at_ns in enumerate((S // 2, int(far_s * S)))
+        ]
+        report = verified(tmp_path, log_of([*SAMPLES, *forged]))
+        assert faults_of(report) == faults
+        assert [(one.operator, one.is_proven) for one in report.holders] == [("ann", True), ("bob", False)]
+
+
+def test_a_verb_before_the_first_head_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its operator signed it at some time; that the robot accepted it then, nothing shows."""
+    log = str(saved(tmp_path / "log.mcap", log_of(begun_at(SAMPLES, 3, of(SAMPLES, ChainHeads)[1]))))
+    assert review("verify", log, "--authority", str(authority_file(tmp_path))) == 3
+    said = capsys.readouterr().out
+    assert "holds; nothing proves it" in said
+    report = verified_files([Path(log)], FLEET.trust)
+    assert [(one.holds, one.is_proven) for one in report.verbs] == [(True, False)] * 2
+    assert [(one.is_proven, bool(one.grant)) for one in report.holders] == [(False, True), (True, False)]
+
+
+@pytest.mark.parametrize("kind", [Decision, SafetyEvent])
+@pytest.mark.parametrize("seconds", [1, 2, 60])
+def test_the_first_second_of_a_subject_cannot_be_left_out(
+    tmp_path: Path, kind: type[Message], seconds: int
+) -> None:
+    """A head from before it says that there was none yet."""
+    run = SignedRun(FLEET)
+    run.seconds(seconds, quiet=True)
+    place = len(run.samples)
+    run.seconds(2)
+    assert verified(tmp_path, log_of(run.samples)).is_proven
+    end = of(run.samples, ChainHeads)[-2]
+    kept = [one for at, one in enumerate(run.samples) if not (place <= at < end and isinstance(one, kind))]
+    report = verified(tmp_path, log_of(kept))
+    assert faults_of(report) == {ProofFault.MISSING}
+
+
+def test_heads_that_nobody_vouches_for_prove_no_holder(tmp_path: Path) -> None:
+    """Without the robot's grant anybody may have signed them."""
+    report = verified(tmp_path, log_of([one for one in SAMPLES if not isinstance(one, SignedStatement)]))
+    assert ProofFault.UNPROVEN in faults_of(report)
+    assert {one.is_proven for one in report.holders} == {one.is_proven for one in report.verbs} == {False}
 
 
 @pytest.mark.parametrize("dropped", [(Journal,), (Decision,), (SafetyEvent,), (Journal, Decision, SafetyEvent)])
@@ -375,7 +495,7 @@ def _signed_for(verb: str, operator: str = "ann", robot: str = ROBOT, payload: b
     [
         b"",
         _signed_for("engage")[:-1],
-        _signed_for("engage")[:-1] + bytes([_signed_for("engage")[-1] ^ 1]),
+        (SIGNED := _signed_for("engage"))[:-1] + bytes([SIGNED[-1] ^ 1]),
         _signed_for("park"),
         _signed_for("engage", operator="bob"),
         _signed_for("engage", robot="cruiser-2"),
@@ -485,6 +605,50 @@ def test_stops_that_nobody_signed_and_refused_requests_are_listed(tmp_path: Path
     ]
     assert [(one.operator, one.verb, one.count) for one in report.refused] == [("zoe", "engage", 1)]
     assert [verb.verb for verb in report.verbs] == ["acquire", "engage", "stop"]
+    assert report.verbs[-1].unsigned_before == 0
+
+
+@pytest.mark.parametrize(
+    ("after_s", "by", "proven", "left"), [(0, "ann", 2, 0), (4, "ann", 2, 0), (6, "ann", 0, 2), (1, "zoe", 0, 2)]
+)
+def test_a_stop_that_is_signed_right_after_is_its_operators(
+    tmp_path: Path, after_s: int, by: str, proven: int, left: int
+) -> None:
+    """A stop goes out before its proof can be made; nobody is accused for it. Another's proof is none of it."""
+    run, ann = driven(FLEET, robot=RUN.robot)
+    for _ in range(2):
+        run.ask("stop", ann, operator=by, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
+    run.seconds(after_s)
+    run.ask("stop", ann)
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples))
+    assert report.is_proven
+    assert sum(one.count for one in report.unproven_stops) == left
+    assert (report.verbs[-1].verb, report.verbs[-1].unsigned_before) == ("stop", proven)
+
+
+def test_a_flood_of_unsigned_stops_is_counted(tmp_path: Path) -> None:
+    """All of them, whether somebody signs one afterwards or not."""
+    run, ann = driven(FLEET, robot=RUN.robot)
+    for _ in range(STOPS_WAITING + 50):
+        run.ask("stop", ann, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
+    run.ask("stop", ann)
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples))
+    assert [one.count for one in report.unproven_stops] == [50]
+    assert report.verbs[-1].unsigned_before == STOPS_WAITING
+
+
+def test_a_signed_stop_that_does_not_hold_proves_none(tmp_path: Path) -> None:
+    """Its operator is not known then."""
+    run, ann = driven(FLEET, robot=RUN.robot)
+    run.ask("stop", ann, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
+    other = ann.prove(keys.command("fleet", ROBOT, "ann", "engage"), BY_VERB["engage"].encoding, b"\x80", bytes(8))
+    run.ask("stop", ann, attachment=other)
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples))
+    assert report.is_broken
+    assert [one.count for one in report.unproven_stops] == [1]
 
 
 # The command.
@@ -512,6 +676,50 @@ def test_the_command_says_that_nobody_vouches(tmp_path: Path, capsys: pytest.Cap
     """Where it is not given the authority."""
     assert review("verify", str(saved(tmp_path / "log.mcap", log_of(SAMPLES)))) == 0
     assert "nobody vouches" in capsys.readouterr().out
+
+
+def test_the_command_names_another_authority_and_the_one_that_was_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3, as where nothing proves it: a log of before a rotation was not tampered with."""
+    log = str(saved(tmp_path / "log.mcap", log_of(SAMPLES)))
+    other = Fleet()
+    assert review("verify", log, "--authority", str(authority_file(tmp_path, other))) == 3
+    said = capsys.readouterr().out
+    assert said.partition("\n")[0].startswith(f"{ROBOT}: UNDER ANOTHER AUTHORITY")
+    for key in (FLEET.authority.key, other.authority.key):
+        assert fingerprint(key) in said
+    assert "no rotation" in said
+    assert ", as given" not in said
+
+
+@pytest.mark.parametrize("kind", CHAINED_KINDS)
+def test_what_was_tampered_with_is_found_under_another_authority_too(tmp_path: Path, kind: type[Message]) -> None:
+    """The log is held against the authority that it names itself."""
+    changed = replaced(SAMPLES, of(SAMPLES, kind)[3], **CHANGES[kind])
+    report = verified(tmp_path, log_of(changed), trust=Fleet().trust)
+    assert faults_of(report) == {ProofFault.OTHER_AUTHORITY, ProofFault.CHANGED}
+    assert report.is_broken
+
+
+def test_a_run_of_another_authority_beside_one_of_the_given_is_no_former_one(tmp_path: Path) -> None:
+    """Where the robot has a grant of the authority that was given, a run under another one was put in."""
+    forged, _ = driven(Fleet(), boot=b"boot no2", at_s=NOW_S + 60)
+    report = verified(tmp_path, log_of(SAMPLES), log_of(forged.samples))
+    assert ProofFault.NOT_GRANTED in faults_of(report)
+    assert report.is_broken
+
+
+def test_a_log_that_is_cut_off_says_so_in_its_first_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What can be read holds; the verdict is on all of it."""
+    whole = log_of(driven(FLEET, 12)[0].samples)
+    log = str(saved(tmp_path / "log.mcap", whole[: len(whole) * 4 // 5]))
+    assert review("verify", log, "--authority", str(authority_file(tmp_path))) == 3
+    assert "NOT ALL COULD BE READ" in capsys.readouterr().out.partition("\n")[0]
+    assert review("verify", log, "--authority", str(authority_file(tmp_path)), "--json") == 3
+    assert json.loads(capsys.readouterr().out)["unread"] == 1
 
 
 def test_the_command_ends_with_1_for_a_log_that_was_changed(

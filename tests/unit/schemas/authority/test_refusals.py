@@ -55,7 +55,7 @@ def swapped(fleet: Fleet) -> list[Signed]:
         (
             lambda _: Fleet().operator().chain,
             Reason.GRANT_UNKNOWN,
-            "its chain does not end at this robot's authority",
+            "its chain does not end at the authority that is known here",
         ),
         (forged, Reason.PROOF_WRONG, "the signature of a grant does not fit"),
         (swapped, Reason.PROOF_WRONG, "the next grant of the chain is not its signer's"),
@@ -91,8 +91,21 @@ def swapped(fleet: Fleet) -> list[Signed]:
             Reason.NOT_GRANTED,
             "it may delegate as far as its signer",
         ),
-        (lambda fleet: fleet.operator(not_after=NOW_S - 7).chain, Reason.GRANT_EXPIRED, "7 s ago"),
-        (lambda fleet: fleet.operator(not_before=NOW_S + 9).chain, Reason.GRANT_EXPIRED, "it begins in 9 s"),
+        (
+            lambda fleet: fleet.operator(not_after=NOW_S - 7).chain,
+            Reason.GRANT_EXPIRED,
+            "it ended 2026-11-18 11:06 UTC, and here it is 2026-11-18 11:06 UTC",
+        ),
+        (
+            lambda fleet: fleet.operator(not_before=NOW_S + DAY_S).chain,
+            Reason.GRANT_EXPIRED,
+            "it begins 2026-11-19 11:06 UTC, and here it is 2026-11-18 11:06 UTC",
+        ),
+        (
+            lambda fleet: fleet.operator(not_before=2**53 - 1, not_after=2**53 - 1).chain,
+            Reason.GRANT_EXPIRED,
+            "it begins 9999-12-31 23:59 UTC, and here it is 2026-11-18 11:06 UTC",
+        ),
     ],
 )
 def test_a_chain_that_does_not_hold(chain: Callable[[Fleet], list[Signed]], reason: Reason, detail: str) -> None:
@@ -197,7 +210,9 @@ def test_a_site_states_the_time_while_its_grant_holds() -> None:
     site = fleet.site()
     chain = [site.sign(TimeStatement(challenge=QUESTION.hex(), at=NOW_S + 9 * DAY_S)), *site.chain]
     assert fleet.trust.time_of(chain, QUESTION, NOW_S) == NOW_S + DAY_S
-    assert fleet.trust.time_of(chain, QUESTION, NOW_S + DAY_S + 2) == Objection(Reason.GRANT_EXPIRED, "2 s ago")
+    assert fleet.trust.time_of(chain, QUESTION, NOW_S + DAY_S + 2) == Objection(
+        Reason.GRANT_EXPIRED, "it ended 2026-11-19 11:06 UTC, and here it is 2026-11-19 11:06 UTC"
+    )
 
 
 def test_texts_that_are_no_chain() -> None:

@@ -199,7 +199,10 @@ def test_the_standby_key_replaces_a_stolen_authority() -> None:
     assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.GRANT_UNKNOWN
     active.grant(ann)
     assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.NONE
-    assert reason_of(trust.rotate(rotation)) is Reason.PROOF_WRONG  # the old standby is nobody now
+    assert reason_of(trust.rotate(rotation)) is Reason.REPLAYED
+    # The old standby is nobody now.
+    assert reason_of(trust.rotate(fleet.standby.rotate(2, Party(), Party()))) is Reason.PROOF_WRONG
+    assert reason_of(trust.rotate(fleet.standby.rotate(2, active, Party()))) is Reason.PROOF_WRONG
     assert reason_of(trust.rotate(standby.rotate(1, active, standby))) is Reason.REPLAYED
 
 

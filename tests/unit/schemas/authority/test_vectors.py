@@ -47,6 +47,18 @@ def test_a_reply_covers_the_request_that_it_answers() -> None:
     )
 
 
+def test_a_verb_may_carry_a_tag_under_the_key_of_the_lease() -> None:
+    """HMAC-SHA256 over the text that is signed, the first sixteen bytes of it, behind the signature."""
+    verb = VECTORS["verb"]
+    payload, attachment = bytes.fromhex(verb["payload"]), bytes.fromhex(verb["attachment"])
+    assert (len(attachment), attachment[0]) == (105, 1)
+    signed = frame(b"S", verb["key"].encode(), verb["encoding"].encode(), attachment[:25], payload)
+    assert bytes.fromhex(verb["signed"]) == signed
+    assert attachment[89:] == hmac.digest(bytes.fromhex(VECTORS["drive"]["lease_key"]), signed, "sha256")[:16]
+    grant = json.loads(VECTORS["statement"]["body"])
+    Ed25519PublicKey.from_public_bytes(bytes.fromhex(grant["key"])).verify(attachment[25:89], signed)
+
+
 def test_a_drive_carries_a_tag_under_the_key_of_the_lease() -> None:
     """HMAC-SHA256 over the framed text, the first sixteen bytes of it."""
     drive = VECTORS["drive"]

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import msgspec
 import pytest
+import zenoh
 
 from gateway.client.refusal import LeaseLost
 from gateway.client.robot import Robot
 from gateway.zenoh.client import open_towards_robots
 from recorder import read_log
-from schemas.authority.statement import GrantRole, Signed
+from schemas.authority.statement import GrantRole, Signed, TimeStatement
 from schemas.decisions import EventKind, Journal, SafetyEvent
 from schemas.journal import Kind
 from schemas.reasons import Reason
@@ -82,6 +83,26 @@ def show(settings: Settings, statement: Signed) -> None:
         session.close()
 
 
+def state_the_time(settings: Settings, fleet: Fleet) -> None:
+    """Answer the robot's challenge, as ``cruiser provision time`` does."""
+    session = open_towards_robots(settings.zenoh)
+    try:
+        states = session.declare_subscriber(f"fleet/{ROBOT}/safety/state", zenoh.handlers.RingChannel(1))
+
+        def is_taken() -> bool:
+            sample = states.try_recv()
+            if sample is None:
+                return False
+            challenge = msgspec.msgpack.decode(sample.payload.to_bytes())["challenge"]
+            said = fleet.authority.sign(TimeStatement(challenge=challenge.hex(), at=int(time.time()))).text()
+            replies = session.get(f"fleet/{ROBOT}/@auth", payload=said.encode(), timeout=2)
+            return any(msgspec.msgpack.decode(one.ok.payload.to_bytes())["ok"] for one in replies if one.ok)
+
+        wait_until(is_taken)
+    finally:
+        session.close()
+
+
 def speed_mps(robot: Robot) -> float:
     """The measured speed; 0 as long as none is known."""
     chassis = robot.state().chassis
@@ -90,6 +111,7 @@ def speed_mps(robot: Robot) -> float:
 
 def drive(settings: Settings, fleet: Fleet, ann: Party) -> None:
     """Engage and drive; the grant is revoked, and the robot comes to rest."""
+    state_the_time(settings, fleet)
     show(settings, fleet.authority.revoke(1))
     with Robot.connect(ROBOT, settings=settings) as robot, robot.lease() as lease:
         wait_until(lambda: robot.state().state.blocked_by == [Reason.NOT_ENGAGED])
@@ -144,10 +166,10 @@ def test_the_run_comes_out_again_byte_for_byte(recorded: SignedDrive) -> None:
 
 
 def test_of_somebody_elses_authority_the_log_is_not(recorded: SignedDrive, tmp_path: Path) -> None:
-    """Exit code 1: what is proven is that these are not the fleet's."""
+    """Exit code 3: it holds in itself, and the fleet's authority does not vouch for it."""
     other = Fleet()
     path = tmp_path / "authority.json"
     path.write_text(json.dumps({"active": other.authority.key.hex(), "standby": other.standby.key.hex()}))
     done = run(["review", "verify", str(recorded.logs), "--authority", str(path)])
-    assert done.returncode == 1, done.stdout
-    assert "not granted" in done.stdout
+    assert done.returncode == 3, done.stdout
+    assert "UNDER ANOTHER AUTHORITY" in done.stdout.partition("\n")[0]

@@ -2,23 +2,26 @@
 
 import fcntl
 import json
+import tracemalloc
+from io import BytesIO
 from pathlib import Path
 
+import lz4.frame
 import pytest
 import zstandard
 from mcap import records
 
 from recorder.cli.review import asking
 from recorder.cli.review.command import QUESTIONS
-from recorder.mcap.framing import MAGIC, encode
-from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock
+from recorder.mcap.framing import BROKEN, MAGIC, RECORD_MAX, UNPACKED_MAX, encode
+from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock, content_of, unpack_chunk
 from recorder.mcap.reader import DamagedError
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.logs import gears, own_log, saved
 from tests.support.rigs import scenarios as log_scenarios
 
-OTHERS = {"evidence", "query", "recover", "replay", "rerun"}
+OTHERS = {"evidence", "find", "query", "recover", "replay", "rerun"}
 """What these do with such logs, their own tests say."""
 
 READERS = [question for question in QUESTIONS if question not in OTHERS]
@@ -127,7 +130,46 @@ def test_a_bomb_of_zeros_is_answered(
     assert NO_RECORD in said
 
 
-@pytest.mark.parametrize("question", [one for one in READERS if one != "layouts"])
+@pytest.mark.parametrize("promised", [0, 100, (1 << 26) - 1, (1 << 26) + 1])
+def test_a_chunk_of_lz4_is_unpacked_to_the_size_that_it_promises_and_no_further(promised: int) -> None:
+    """Else a few megabytes could fill the memory of the machine that reads them."""
+    packed = lz4.frame.compress(bytes(1 << 26), store_size=False)
+    chunk = records.Chunk("lz4", packed, 2, 1, 0, promised)
+    tracemalloc.start()
+    try:
+        with pytest.raises(DamagedError, match="sizes differ"):
+            content_of(chunk)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2 * promised + 1_000_000
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_packed_chunk_that_promises_a_gigabyte_is_left_packed(compression: str) -> None:
+    """Even one that keeps its promise: of tiny messages it would cost a reader ten times that."""
+    packed = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression](bytes(UNPACKED_MAX + 1))
+    for promised in (UNPACKED_MAX + 1, RECORD_MAX):
+        tracemalloc.start()
+        try:
+            with pytest.raises(DamagedError, match="too large"):
+                unpack_chunk(BytesIO(encode(records.Chunk(compression, packed, 2, 1, 7, promised))), 0)
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+        assert peak < 4 * len(packed) + 100_000
+
+
+def test_a_chunk_of_lz4_that_is_cut_off_or_junk_is_damaged() -> None:
+    """In words; one that is whole is read."""
+    packed = lz4.frame.compress(b"whole" * 100)
+    assert content_of(records.Chunk("lz4", packed, 2, 1, 0, 500)) == b"whole" * 100
+    for data in (b"", packed[:-4], packed[:20], b"junk" + packed):
+        with pytest.raises(BROKEN):
+            content_of(records.Chunk("lz4", data, 2, 1, 0, 500))
+
+
+@pytest.mark.parametrize("question", [one for one in READERS if one not in {"layouts", "regress"}])
 def test_what_takes_too_long_is_given_up(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:

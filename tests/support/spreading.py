@@ -1,0 +1,41 @@
+"""Spread tests over the workers of pytest-xdist: ``--dist loadfile``, but for system tests that share nothing.
+
+A file of system tests may take minutes, most of which are waits: its tests go one by one to whoever is free. Those
+of a file in which tests share what they started, and all others, stay together.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from xdist.scheduler import LoadScopeScheduling
+
+SYSTEM: Final = "tests/system/"
+
+SHARED: Final = 'scope="module"'
+"""A fixture that is made once for all tests of a file."""
+
+
+class Spreading(LoadScopeScheduling):  # type: ignore[misc]  # pytest-xdist has no types
+    """Hands out tests of the system one by one, others file by file, in the order in which they were collected."""
+
+    def __init__(self, config: pytest.Config, log: Any) -> None:  # noqa: ANN401 - pytest-xdist's own
+        super().__init__(config, log)
+        self._root = config.rootpath
+
+    def _split_scope(self, nodeid: str) -> str:
+        return scope_of(nodeid, self._root)
+
+
+def scope_of(nodeid: str, root: Path) -> str:
+    """The name of the unit of work that a test belongs to."""
+    file, _, _ = nodeid.partition("::")
+    return nodeid if file.startswith(SYSTEM) and not _shares(root / file) else file
+
+
+@cache
+def _shares(file: Path) -> bool:
+    return SHARED in file.read_text("utf-8")

@@ -1,0 +1,155 @@
+"""A node that joins a router late: what waits for it, and its end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, cast
+
+import pytest
+import zenoh
+from zenoh import ext
+
+from gateway.telemetry.sample import Sample
+from gateway.zenoh import late_node
+from gateway.zenoh.client import PendingQuery, close_session, open_session
+from gateway.zenoh.inbox import CommandInbox, open_inbox
+from gateway.zenoh.late_node import Joined, LateInbox, LateNode
+from gateway.zenoh.node import ZenohNode, client_place, open_node
+from gateway.zenoh.router import open_local_router
+from schemas.exit_codes import CommandError
+from schemas.settings import RobotSettings, Settings, ZenohSettings
+from schemas.subjects import KEPT_FIRST
+from tests.support.fakes.peer import free_endpoint
+from tests.support.waiting import wait_until
+
+CAUSE = "nobody answers"
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Attempts follow each other closely."""
+    monkeypatch.setattr(late_node, "AGAIN_S", 0.01)
+
+
+def info() -> bytes:
+    """The payload of ``gateway/info``."""
+    return b"\x80"
+
+
+def test_what_is_kept_waits_for_the_router() -> None:
+    """The journal is asked for as ever; events come to whoever listens then; states of before are gone."""
+    endpoint = free_endpoint()
+    settings = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(mode="client", connect=[endpoint]))
+
+    def join() -> Joined:
+        node, place = open_node(settings)
+        return node, open_inbox(settings, place)
+
+    assert client_place(settings).connect == [endpoint]
+    inbox = LateInbox()
+    node = LateNode(join, inbox, None, CAUSE)
+    for subject, payload in (("journal", b"\x01"), ("safety/event", b"\x02"), ("state", b"\x03")):
+        node.publish(Sample(subject, payload))
+    node.answer(info)
+    assert (node.peers(), node.failures, node.session, node.routers()) == (0, 0, None, frozenset())
+    assert (inbox.drain(""), inbox.statements(), inbox.drops, inbox.session) == ([], [], 0, None)
+    router = open_local_router(endpoint)
+    peer = open_session(ZenohSettings(mode="client"), [endpoint], [])
+    try:
+        events: Any = ext.declare_advanced_subscriber(
+            peer,
+            "fleet/r-1/safety/event",
+            zenoh.handlers.RingChannel(10),
+            history=ext.HistoryConfig(detect_late_publishers=True),
+        )
+        states = peer.declare_subscriber("fleet/r-1/state", zenoh.handlers.RingChannel(10))
+        wait_until(lambda: node.peers() == 1, lambda: node.answer(info))
+        assert node.notes() == ()
+        assert inbox.session is not None
+        heard: list[bytes] = []
+
+        def hear() -> None:
+            while (sample := events.try_recv()) is not None:
+                heard.append(sample.payload.to_bytes())
+
+        wait_until(lambda: bool(heard), hear)
+        assert heard == [b"\x02"]
+        question, found = PendingQuery(), list[bytes]()
+        peer.get(f"fleet/r-1/journal?{KEPT_FIRST}=0", question.handler, timeout=10)
+
+        def ask() -> None:
+            node.answer(info)
+            found.extend(received.payload for received in question.poll())
+
+        wait_until(lambda: found == [b"\x01"], ask)
+        node.publish(Sample("state", b"\x04"))
+        wait_until(lambda: (sample := states.try_recv()) is not None and sample.payload.to_bytes() == b"\x04")
+    finally:
+        inbox.close()
+        node.close()
+        close_session(peer)
+        router.close()
+
+
+class Sessions:
+    """Sessions whose end is noted."""
+
+    def __init__(self) -> None:
+        self.closed: list[str] = []
+
+    def pair(self) -> Joined:
+        """A node and its inbox."""
+        return cast("ZenohNode", _Closing(self.closed, "node")), cast(
+            "CommandInbox", _Closing(self.closed, "inbox")
+        )
+
+
+class _Closing:
+    def __init__(self, closed: list[str], name: str) -> None:
+        self.close: Callable[[], Any] = lambda: closed.append(name)
+
+
+def test_why_it_is_off_the_network_is_said_as_it_changes(caplog: pytest.LogCaptureFixture) -> None:
+    """Once each, and as a note until it is on it."""
+    causes = iter([CAUSE, CAUSE, "a gateway of the name r-1 is connected already"])
+
+    def join() -> Joined:
+        raise CommandError(next(causes, "a gateway of the name r-1 is connected already"))
+
+    node = LateNode(join, None, None, CAUSE)
+    assert node.notes() == (f"off the network: {CAUSE}",)
+    wait_until(lambda: "r-1 is connected" in caplog.text)
+    assert node.notes() == ("off the network: a gateway of the name r-1 is connected already",)
+    node.close()
+    assert [record.getMessage().partition(";")[0] for record in caplog.records] == [
+        CAUSE,
+        "a gateway of the name r-1 is connected already",
+    ]
+
+
+def test_sessions_that_nobody_took_over_are_closed() -> None:
+    """The gateway ended before its loop came round."""
+    sessions = Sessions()
+    node = LateNode(sessions.pair, LateInbox(), None, CAUSE)
+    wait_until(lambda: node._joined is not None)
+    node.close()
+    assert sessions.closed == ["inbox", "node"]
+
+
+def test_the_end_waits_for_no_attempt_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it opens after all is closed."""
+    monkeypatch.setattr(late_node, "CLOSE_TIMEOUT_S", 0.01)
+    sessions, begun, answered = Sessions(), threading.Event(), threading.Event()
+
+    def join() -> Joined:
+        begun.set()
+        answered.wait(30)
+        return sessions.pair()
+
+    node = LateNode(join, LateInbox(), None, CAUSE)
+    begun.wait(30)
+    node.close()
+    assert sessions.closed == []
+    answered.set()
+    wait_until(lambda: sessions.closed == ["inbox", "node"])

@@ -1,0 +1,84 @@
+"""A router denies in silence: what a role may not do is said before it is tried."""
+
+from pathlib import Path
+
+import pytest
+
+from gateway.authority.transport import TransportRole
+from recorder.cli.role import FETCHING, ORDERING, RECORDING, check_recording, check_role
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import ZenohSettings
+from tests.support.secured import Network
+
+ALL = ["fleet/**"]
+
+
+@pytest.fixture
+def network(tmp_path: Path) -> Network:
+    """Makes nodes of any role."""
+    return Network(tmp_path, "tls/127.0.0.1:47447")
+
+
+def settings(network: Network, role: TransportRole) -> ZenohSettings:
+    """Those of a machine of this role."""
+    return ZenohSettings(config=str(network.node(role, "one") / f"{role.value}.json5"))
+
+
+def refused(one: ZenohSettings, roles: frozenset[str]) -> bool:
+    """Return True if it is refused."""
+    try:
+        check_role(one, roles, "others may")
+    except CommandError:
+        return True
+    return False
+
+
+def test_a_refusal_names_the_certificate(network: Network) -> None:
+    """In one line, as wrong usage."""
+    one = settings(network, TransportRole.VIEWER)
+    file = Path(one.config).with_name("viewer-tls.pem")
+    with pytest.raises(CommandError) as caught:
+        check_role(one, ORDERING, "others may")
+    assert str(caught.value) == f"{file} is a certificate of the role viewer: others may"
+    assert caught.value.code is ExitCode.USAGE
+
+
+def test_each_role_does_what_routers_let_it(network: Network) -> None:
+    """As the table of access says: a recorder records, an operator or a desk orders, a viewer does neither."""
+    roles = {role: settings(network, role) for role in TransportRole if role is not TransportRole.NOTHING}
+    lets = {
+        role.value: [not refused(one, allowed) for allowed in (RECORDING, ORDERING, FETCHING)]
+        for role, one in roles.items()
+    }
+    assert lets == {
+        "robot": [False, False, False],
+        "operator": [False, True, True],
+        "viewer": [False, False, False],
+        "recorder": [True, False, True],
+        "desk": [False, True, True],
+        "router": [True, True, True],
+    }
+
+
+def test_an_operator_records_single_subjects_alone(network: Network) -> None:
+    """Under '**' nothing would come, and nothing would say so."""
+    operator = settings(network, TransportRole.OPERATOR)
+    with pytest.raises(CommandError, match="'cruiser provision recorder NAME' makes the keys of one, or -k names"):
+        check_recording(operator, ALL)
+    check_recording(operator, ["fleet/*/state"])
+    check_recording(settings(network, TransportRole.RECORDER), ALL)
+
+
+def test_of_other_certificates_and_of_none_nothing_is_said(network: Network, tmp_path: Path) -> None:
+    """Somebody else's network has its own roles; a damaged file is named where it is used."""
+    one = settings(network, TransportRole.VIEWER)
+    certificate = Path(one.config).with_name("viewer-tls.pem")
+    for content in (network.certificate, "damaged"):
+        certificate.write_text(content)
+        check_recording(one, ALL)
+    certificate.unlink()
+    check_recording(one, ALL)
+    own = tmp_path / "own.json5"
+    own.write_text("{mode: 'client'}")
+    check_recording(ZenohSettings(config=str(own)), ALL)
+    check_recording(ZenohSettings(), ALL)

@@ -1,0 +1,277 @@
+"""The proof of logs across a change of the authority: rotations, renewed grants, lists of revocations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.review.verify import RobotProofReport, verify_logs
+from recorder.review.verifying.findings import ProofFault
+from schemas.authority.fingerprint import fingerprint
+from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.trust import Trust
+from schemas.decisions import ChainHeads, SignedStatement
+from schemas.messages import Message
+from tests.support.authority import DAY_S, NOW_S, Fleet, Party, S
+from tests.support.logs import saved
+from tests.support.messages import ROBOT
+from tests.support.signed_run import SignedRun, log_of, of
+
+
+class Rotation:
+    """A robot's run in which the standby replaces the authority.
+
+    Args:
+        before_s: so long it runs under the first authority.
+        without_s: so long it has taken over the rotation, and no grant of the next authority.
+        after_s: so long it runs under the next one.
+    """
+
+    def __init__(self, before_s: int = 4, without_s: int = 2, after_s: int = 4) -> None:
+        self.fleet = Fleet()
+        self.active, self.standby = Party("next"), Party("next standby")
+        self.next = Trust(self.active.key, self.standby.key)
+        self.run = run = SignedRun(self.fleet)
+        ann = self.fleet.operator("ann")
+        former = self.fleet.authority.revoke(7, keys=(Party().key,)).text()
+        run.show(chain_text(ann.chain))
+        run.show(former)
+        run.ask("acquire", ann)
+        run.seconds(before_s)
+        rotation = self.fleet.standby.rotate(1, self.active, self.standby)
+        self.begin_ns = run.time_ns
+        self.text = rotation.text()
+        run.show(self.text)
+        run.show(former)
+        run.seconds(without_s)
+        run.robot.chain = []
+        self.active.grant(run.robot, role=GrantRole.ROBOT, robots=[ROBOT], not_before=run.time_ns // S)
+        bob = Party("bob")
+        self.active.grant(bob)
+        for text in (chain_text(run.robot.chain), chain_text(bob.chain), self.active.revoke(1).text()):
+            run.show(text)
+        run.ask("acquire", bob)
+        run.seconds(after_s)
+
+
+ROTATED = Rotation()
+SAMPLES: tuple[Message, ...] = tuple(ROTATED.run.samples)
+
+
+def verified(logs: Sequence[Sequence[Message]], *trusts: Trust) -> RobotProofReport:
+    """The result for logs of these samples, in files of their own."""
+    with TemporaryDirectory() as name:
+        paths = [saved(Path(name) / f"log-{number}.mcap", log_of(one)) for number, one in enumerate(logs)]
+        faults = Faults()
+        (report,) = verify_logs(find_logs(paths, faults), faults, trusts)
+        assert not faults, faults.told
+        return report
+
+
+def split(samples: Sequence[Message], *places: int) -> list[Sequence[Message]]:
+    """The samples, cut before these places."""
+    begins = [0, *places, len(samples)]
+    return [samples[begin:end] for begin, end in pairwise(begins) if begin < end]
+
+
+@pytest.mark.parametrize("logs", [[SAMPLES], split(SAMPLES, 50, 101, 160)], ids=["one log", "four logs"])
+@pytest.mark.parametrize("trusts", [[ROTATED.fleet.trust], [ROTATED.next, ROTATED.fleet.trust]])
+def test_a_log_across_a_rotation_holds(logs: list[Sequence[Message]], trusts: list[Trust]) -> None:
+    """Each grant is judged under the authority of its time, and the robot's key by the grants on both sides."""
+    report = verified(logs, *trusts)
+    assert report.is_proven, report.findings
+    assert [(verb.operator, verb.holds) for verb in report.verbs] == [("ann", True), ("bob", True)]
+    assert set(report.authorities) == {ROTATED.fleet.authority.key.hex(), ROTATED.active.key.hex()}
+
+
+def test_who_is_given_the_new_authority_alone_is_told_so_once() -> None:
+    """What was before the rotation cannot be told, and is no forgery."""
+    report = verified([SAMPLES], ROTATED.next)
+    assert {one.fault for one in report.findings} == {ProofFault.UNPROVEN}
+    (own,) = (one for one in report.findings if "own grant" in one.what and "--authority" in one.what)
+    assert own.time_ns == SAMPLES[of(SAMPLES, ChainHeads)[0]].time_ns
+    assert own.until_ns is not None
+    assert own.until_ns < ROTATED.begin_ns
+    assert len(report.findings) <= 4
+
+
+def test_who_is_given_none_is_told_that_the_rotation_cannot_be_checked() -> None:
+    """And nothing else: the log names both authorities."""
+    report = verified([SAMPLES])
+    assert [one.fault for one in report.findings] == [ProofFault.UNPROVEN]
+    assert "standby" in report.findings[0].what
+
+
+def test_a_grant_of_the_former_authority_is_none_after_the_rotation() -> None:
+    """A robot that goes on under it was tampered with."""
+    rotated = Rotation()
+    rotated.run.ask("engage", rotated.fleet.operator("ann"))
+    rotated.run.show(chain_text(rotated.fleet.operator("eve").chain))
+    eve = rotated.fleet.operator("eve")
+    rotated.run.show(chain_text(eve.chain))
+    rotated.run.ask("engage", eve)
+    rotated.run.seconds(1)
+    report = verified([rotated.run.samples], rotated.fleet.trust)
+    assert {one.fault for one in report.findings} >= {ProofFault.NOT_GRANTED}
+
+
+def test_a_rotation_that_the_standby_did_not_sign_changes_nothing() -> None:
+    """It is found, and what follows is under the authority of before."""
+    fleet = Fleet()
+    run, thief = SignedRun(fleet), Party("thief")
+    run.seconds(2)
+    run.show(Party().rotate(9, thief, Party()).text())
+    run.seconds(2)
+    report = verified([run.samples], fleet.trust)
+    assert [one.fault for one in report.findings] == [ProofFault.WRONGLY_SIGNED]
+    assert report.authorities == [fleet.authority.key.hex()]
+
+
+def test_an_incident_after_the_rotation_holds() -> None:
+    """The robot repeats each minute what is in force: its grant, the rotation, the list."""
+    rotated = Rotation()
+    place, end = len(rotated.run.samples), rotated.run.time_ns
+    rotated.run.show(rotated.fleet.standby.rotate(1, rotated.active, rotated.standby).text())
+    rotated.run.show(chain_text(rotated.run.robot.chain))
+    rotated.run.seconds(3)
+    for trust in (rotated.fleet.trust, rotated.next):
+        report = verified([rotated.run.samples[place:]], trust)
+        assert not report.findings, end
+
+
+class Renewal:
+    """A robot's run in which its own grant is renewed, several times, each one behind the one before."""
+
+    def __init__(self, renewals: int = 3, seconds: int = 3) -> None:
+        self.fleet = Fleet()
+        self.run = SignedRun(self.fleet)
+        for number in range(renewals):
+            begins = self.run.time_ns // S
+            self.run.robot.chain = []
+            self.fleet.authority.grant(
+                self.run.robot,
+                role=GrantRole.ROBOT,
+                robots=[ROBOT],
+                serial=number + 2,
+                not_before=begins,
+                not_after=begins + seconds,
+            )
+            self.run.show(chain_text(self.run.robot.chain))
+            self.run.seconds(seconds)
+
+
+@given(places=st.lists(st.integers(1, 200), max_size=4).map(sorted), renewals=st.integers(1, 4))
+@settings(max_examples=8, deadline=None)
+def test_a_log_with_renewed_grants_holds_however_it_is_split(places: list[int], renewals: int) -> None:
+    """Each head is judged by the grant of its time, and not by the newest one."""
+    renewal = Renewal(renewals)
+    samples = renewal.run.samples
+    report = verified(split(samples, *(place for place in places if place < len(samples))), renewal.fleet.trust)
+    assert report.is_proven, report.findings
+
+
+@given(
+    spans=st.tuples(st.integers(1, 4), st.integers(0, 3), st.integers(1, 4)),
+    part=st.tuples(st.floats(0, 1), st.floats(0, 1)).map(sorted),
+)
+@settings(max_examples=10, deadline=None)
+def test_no_part_of_an_honest_log_is_said_to_be_forged(spans: tuple[int, int, int], part: list[float]) -> None:
+    """Wherever an incident begins and ends, and whichever authorities are given; what it lacks cannot be told."""
+    rotated = Rotation(*spans)
+    samples = rotated.run.samples
+    begin, end = (int(at * len(samples)) for at in part)
+    for trusts in ([rotated.fleet.trust], [rotated.next], [rotated.fleet.trust, rotated.next], []):
+        if end - begin < 3:
+            return
+        report = verified([samples[begin:end]], *trusts)
+        wrong = [one for one in report.findings if one.fault.is_tampering]
+        # Where the rotation is not in it, an authority that was not given is one as foreign as any other.
+        assert not wrong or (len(trusts) == 1 and rotated.text not in _texts(samples[begin:end])), trusts
+
+
+def _texts(samples: Sequence[Message]) -> set[str]:
+    return {one.text for one in samples if isinstance(one, SignedStatement)}
+
+
+def test_a_log_of_before_the_rotation_is_under_another_authority_than_the_new_one() -> None:
+    """That it was tampered with, nothing says; and it does not hold under the authority that was given."""
+    before = [one for one in SAMPLES if one.time_ns <= ROTATED.begin_ns and _is_of_before(one)]
+    report = verified([before], ROTATED.next)
+    assert [one.fault for one in report.findings] == [ProofFault.OTHER_AUTHORITY]
+    assert fingerprint(ROTATED.fleet.authority.key) in report.findings[0].what
+    assert fingerprint(ROTATED.active.key) in report.findings[0].what
+    assert report.authorities == [ROTATED.fleet.authority.key.hex()]
+    assert not report.is_vouched
+
+
+def _is_of_before(sample: Message) -> bool:
+    return not isinstance(sample, SignedStatement) or sample.text != ROTATED.text
+
+
+def test_a_log_that_ends_with_the_rotation_names_both_authorities() -> None:
+    """It leads to the one that was given: what is before it wants the other one too."""
+    place = next(n for n, one in enumerate(SAMPLES) if getattr(one, "text", "") == ROTATED.text)
+    report = verified([SAMPLES[: place + 2]], ROTATED.next)
+    assert {one.fault for one in report.findings} == {ProofFault.UNPROVEN}
+    (own,) = (one.what for one in report.findings if "own grant" in one.what)
+    assert f"rotation from it to {fingerprint(ROTATED.active.key)}" in own
+    assert fingerprint(ROTATED.fleet.authority.key) in own
+
+
+def test_a_grant_that_was_over_for_a_while_is_one_finding_with_its_span() -> None:
+    """Nobody vouches for the robot then; who it was cannot be told."""
+    fleet = Fleet()
+    run = SignedRun(fleet)
+    run.robot.chain = []
+    fleet.authority.grant(run.robot, role=GrantRole.ROBOT, robots=[ROBOT], not_after=NOW_S + 2)
+    run.samples.clear()
+    run.show(chain_text(run.robot.chain))
+    run.seconds(8)
+    run.robot.chain = []
+    fleet.authority.grant(run.robot, role=GrantRole.ROBOT, robots=[ROBOT], not_before=NOW_S + 7)
+    run.show(chain_text(run.robot.chain))
+    run.seconds(2)
+    (found,) = verified([run.samples], fleet.trust).findings
+    assert found.fault is ProofFault.UNPROVEN
+    assert (found.time_ns, found.until_ns, found.count) == ((NOW_S + 3) * S, (NOW_S + 6) * S, 4)
+
+
+def test_a_robots_grant_that_was_revoked_is_one_finding_with_its_span() -> None:
+    """Who has its key may be anybody from then on."""
+    fleet = Fleet()
+    run = SignedRun(fleet)
+    run.seconds(2)
+    run.show(fleet.authority.revoke(1, keys=(run.robot.key,)).text())
+    run.seconds(4)
+    (found,) = verified([run.samples], fleet.trust).findings
+    assert found.fault is ProofFault.NOT_GRANTED
+    assert (found.time_ns, found.until_ns, found.count) == ((NOW_S + 3) * S, (NOW_S + 6) * S, 4)
+
+
+def test_a_grant_that_a_site_signed_is_known_under_each_chain_that_it_was_shown_with() -> None:
+    """The site is granted anew, and what it signed stays as it is."""
+    fleet = Fleet()
+    run, site, ann = SignedRun(fleet), Party("depot"), Party("ann")
+    told = {"role": GrantRole.SITE, "may_delegate": 1, "override": True}
+    fleet.authority.grant(site, **told, not_after=NOW_S + 2)
+    site.grant(ann)
+    leaf = ann.chain[0]
+    for until in (NOW_S + 2, NOW_S + DAY_S):
+        site.chain = []
+        fleet.authority.grant(site, **told, not_after=until)
+        ann.chain = [leaf, *site.chain]
+        run.show(chain_text(ann.chain))
+        run.seconds(1)
+        run.ask("acquire", ann)
+        run.seconds(3)
+    report = verified([run.samples], fleet.trust)
+    assert report.is_proven, report.findings
+    assert [verb.holds for verb in report.verbs] == [True, True]
