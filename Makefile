@@ -4,13 +4,13 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# What is installed: what the product needs (113 MB), and with it what its development needs (828 MB).
+# What is installed: what the product needs (242 MB), and with it what its development needs (1,043 MB).
 DEMO := $(VENV)/demo
 STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet test test-unit nightly test-socketcan test-robot metrics-rules readers clients drive-clients lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
+.PHONY: help install demo demo-fleet demo-desk test test-unit nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -21,28 +21,63 @@ demo: $(DEMO)  ## chassis, gateway, recorder and two operators, for half a minut
 demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operator locked out; what was seen
 	$(BIN)/cruiser demo-fleet --out demo-fleet
 
-# Many tests wait for processes, so one more runs than there are processors. Those of the system come first, file by
-# file: beside tests that only reckon, their processes would come too late.
-test: $(STAMP)  ## the whole test suite
-	$(BIN)/python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist loadfile --no-loadscope-reorder
+demo-desk: $(DEMO)  ## a virtual fleet and the desk, in your browser, until Ctrl-C
+	$(BIN)/cruiser demo-desk --out demo-desk
 
-test-unit: $(STAMP)  ## what needs no process and no socket: two and a half minutes
+# As many run as there are processors (tests/support/spreading.py): with one more, robots stop by their rules now and then.
+# They come first: beside tests that only reckon, their processes would come too late. Some have the machine to themselves:
+# a browser that drives at 50 Hz stalls beside others, and the robot stops by its deadman, as it should; floods, crowds and
+# demos would make others late.
+ALONE = tests/system/gateway/test_desk.py tests/system/gateway/test_desk_crowd.py tests/system/test_floods.py tests/system/test_large_fleets.py tests/system/test_readme.py tests/system/gateway/cli/test_demo.py tests/system/gateway/cli/test_demo_fleet.py
+SPREAD = --numprocesses $$(nproc) --dist loadfile --no-loadscope-reorder
+test: $(STAMP)  ## the whole test suite
+	$(BIN)/python -m pytest $(ALONE)
+	$(BIN)/python -m pytest $(SPREAD) $(addprefix --ignore ,$(ALONE))
+
+test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
 
-nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties twelvefold, 10,000 random scenarios, the fuzzer, clients of other languages; two hours
+nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties fifteenfold, 10,000 random scenarios, the fuzzer, clients of other languages, Zenoh's own router; two hours and a half
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal -m "hypothesis or night" --hypothesis-profile nightly --timeout 600 tests/unit
+	$(BIN)/python -m pytest -m night --hypothesis-profile nightly tests/system
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
 	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs 2
 	$(MAKE) drive-clients
+	$(MAKE) test-zenohd
+	$(MAKE) test-store
+	$(MAKE) test-image
 	$(MAKE) test-robot
+	ROBOT_ZENOHD=$(ZENOHD)/bin/zenohd $(MAKE) test-robot RELEASE=trixie TESTS="tests/robot/test_power_cut.py tests/robot/test_signed.py"
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
 	tests/socketcan/run
 
-test-robot: $(STAMP)  ## the package on a Debian that boots in user-mode Linux, a chassis outside: power cuts, faults, upgrades; root
-	$(BIN)/python deploy/deb.py --release bookworm --architecture amd64
-	tests/robot/run
+test-robot: $(STAMP)  ## the package on a Debian that boots in user-mode Linux, a chassis outside: power cuts, faults, upgrades; RELEASE=trixie; root
+	$(BIN)/python deploy/deb.py --release $(or $(RELEASE),bookworm) --architecture amd64
+	RELEASE=$(or $(RELEASE),bookworm) tests/robot/run $(TESTS)
+
+# Nodes and routers of one version: the crate is of the version of the Python package.
+ZENOHD := $(CURDIR)/build/zenohd
+ZENOH_VERSION = $(shell sed -n 's/^eclipse-zenoh==\([^ ]*\).*/\1/p' constraints-run.txt)
+zenohd:  ## Zenoh's own router, of the version of constraints-run.txt, into build/zenohd; Rust; 15 to 25 minutes
+	$(ZENOHD)/bin/zenohd --version 2>/dev/null | grep --quiet --fixed-strings "v$(ZENOH_VERSION) " \
+		|| $(CARGO) install --locked --force --root $(ZENOHD) --version $(ZENOH_VERSION) zenohd
+
+test-zenohd: $(STAMP) zenohd  ## the tests of signed mode, once more with Zenoh's own router in the place of ours
+	ZENOHD=$(ZENOHD)/bin/zenohd $(BIN)/python -m pytest tests/zenohd tests/system/gateway/zenoh/test_access.py \
+		tests/system/test_self_test.py tests/system/test_transport_in_drive.py tests/system/test_rotation.py
+
+# Pinned by the checksum that Go's own database has of it.
+S3_SERVER := $(CURDIR)/build/s3/gofakes3
+store-server:  ## a server that speaks S3, for tests, into build/s3; Go 1.24; half a minute to five
+	@test -x $(S3_SERVER) || GOBIN=$(dir $(S3_SERVER)) go install github.com/johannesboyne/gofakes3/cmd/gofakes3@v1.2.0
+
+test-store: $(STAMP) store-server  ## the upload of logs against that server
+	S3_SERVER=$(S3_SERVER) $(BIN)/python -m pytest tests/s3
+
+test-image: .venv-tools/installed  ## compose.yaml, and what the Containerfile says and runs, without an engine; the package index
+	$(TOOLS)/python -m pytest tests/container
 
 metrics-rules: $(STAMP)  ## alert rules, dashboard and metrics, as promtool of Debian's prometheus sees them
 	tests/promtool/run
@@ -59,6 +94,8 @@ NPM_INSTALL := npm install --ignore-scripts --no-package-lock --no-audit --no-fu
 clients:  ## the proofs of the clients in Rust and TypeScript, by the test vectors; Rust 1.85 and Node.js 20
 	$(CARGO) test --quiet --manifest-path docs/examples/rust/proof/Cargo.toml
 	cd docs/examples/typescript && $(NPM_INSTALL) && npm test --silent
+	# The page of the desk has the same file; it is made by no step of its own.
+	cmp docs/examples/typescript/build/proof.js gateway/desk/page/proof.js
 
 drive-clients: $(STAMP) clients  ## these clients drive robots in open and in signed mode; builds Zenoh for ten minutes
 	$(CARGO) build --manifest-path docs/examples/rust/Cargo.toml
@@ -82,7 +119,7 @@ generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, the tabl
 	$(BIN)/python -m schemas.json_schema
 	$(BIN)/python -m gateway.documents
 
-pictures: $(STAMP)  ## the pictures of the README, from a run of the demo; needs Chromium
+pictures: $(STAMP)  ## the pictures of the README, from runs of the demos; needs Chromium
 	$(BIN)/python docs/pictures/make.py
 
 bench: $(STAMP)  ## the figures of docs/performance.md, in ten minutes
@@ -91,8 +128,9 @@ bench: $(STAMP)  ## the figures of docs/performance.md, in ten minutes
 bench-short: $(STAMP)  ## a little of each bench, to see that it runs; its figures say nothing
 	$(BIN)/python -m tests.bench --short
 
-bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB
+bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB and on 50,000 logs
 	$(BIN)/python -m tests.bench.review_rate
+	$(BIN)/python -m tests.bench.review_find
 	$(BIN)/python -m tests.bench.review_export
 
 bench-recorder: $(STAMP)  ## of these the recorder alone, against other writers, with five minutes of load
@@ -110,7 +148,7 @@ COMPILE = $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --fo
 	--custom-compile-command 'make constraints' $(UPGRADE)
 constraints: .venv-tools/installed  ## versions and hashes of all packages, anew from pyproject.toml
 	$(COMPILE) pyproject.toml --extra dev --group build -o constraints.txt
-	$(COMPILE) pyproject.toml --extra metrics --group build --constraints constraints.txt -o constraints-run.txt
+	$(COMPILE) pyproject.toml --extra desk --extra metrics --extra upload --group build --constraints constraints.txt -o constraints-run.txt
 	$(COMPILE) --group readers --constraints constraints.txt -o constraints-readers.txt
 	$(COMPILE) --group tools --constraints constraints.txt -o constraints-tools.txt
 

@@ -190,9 +190,17 @@ class Link {
     }
   }
 
-  async ask(verb: string, encoding: Encodings, request: object, challenge: Uint8Array): Promise<Asked> {
+  /** The lease, where it is held, proves that the verb is its holder's. */
+  async ask(
+    verb: string,
+    encoding: Encodings,
+    request: object,
+    challenge: Uint8Array,
+    lease?: Lease,
+  ): Promise<Asked> {
     const message: Message = { key: this.key(verb), encoding: encoding.request, payload: encode(request) };
-    const attachment = await this.proof?.operator.attach(message, challenge);
+    let attachment = await this.proof?.operator.attach(message, challenge);
+    if (attachment && lease) attachment = await lease.tag(message, attachment);
     const options = { payload: message.payload, encoding: message.encoding, attachment };
     return {
       key: message.key,
@@ -243,7 +251,7 @@ async function drive(session: Session, link: Link): Promise<void> {
   });
   const [lease, proof] = await link.acquire();
   const { challenge } = await link.newest();
-  let asked = await link.ask("engage", ENGAGE, { lease, challenge, deadman_s: 0.8 }, challenge);
+  let asked = await link.ask("engage", ENGAGE, { lease, challenge, deadman_s: 0.8 }, challenge, proof);
   let isUnparked = false;
   let endMs: number | undefined; // not driving yet
 
@@ -257,7 +265,7 @@ async function drive(session: Session, link: Link): Promise<void> {
         if (isUnparked) {
           endMs = performance.now() + DRIVE_MS;
         } else {
-          asked = await link.ask("unpark", UNPARK, { lease }, state.challenge);
+          asked = await link.ask("unpark", UNPARK, { lease }, state.challenge, proof);
           isUnparked = true;
         }
       }
@@ -268,7 +276,8 @@ async function drive(session: Session, link: Link): Promise<void> {
     if (endMs !== undefined && !state.engaged) throw new Error(`stopped: ${state.stop_reason}; ${state.stop_detail}`);
     if (endMs !== undefined && speed_mps === 0 && state.output_speed_mps === 0) break;
   }
-  await link.answered(await link.ask("release", RELEASE, { lease }, (await link.newest()).challenge));
+  const newest = await link.newest();
+  await link.answered(await link.ask("release", RELEASE, { lease }, newest.challenge, proof));
 }
 
 const [locator = "ws/127.0.0.1:10000", robot = "fleet/cruiser-1", directory] = process.argv.slice(2);

@@ -97,6 +97,15 @@ test("a reply is of the robot and to this request", async () => {
   }
 });
 
+test("a verb of the lease's holder has a tag", async () => {
+  const [verb, signed] = [message("verb"), bytes("verb", "attachment").slice(0, 89)];
+  const [[ours, key], [theirs]] = [await pair("lease of ann", "X25519"), await pair("lease of robot", "X25519")];
+  const lease = await Lease.agree(key, ours, theirs, bytes("reply", "attachment"), LEASE, message("drive").key);
+  const operator = await Operator.create(await privateKeyOfPem(pem("ann")), VECTORS.statement.text, "");
+  assert.deepEqual(await operator.attach(verb, utf8("challeng"), utf8("nonce-01")), signed);
+  assert.deepEqual(await lease.tag(verb, signed), bytes("verb", "attachment"));
+});
+
 test("a drive command is proven by the lease", async () => {
   const drive = message("drive");
   const [[ours, key], [theirs]] = [await pair("lease of ann", "X25519"), await pair("lease of robot", "X25519")];
@@ -131,11 +140,13 @@ test("the heads of the chains are signed", async () => {
   assert.deepEqual(await nextHead(head, utf8("second")), bytes("heads", "journal_after_second"));
   const said = decode(bytes("heads", "message"), { useBigInt64: true }) as {
     time_ns: bigint;
+    sequence: number;
     boot: Uint8Array;
     heads: { subject: string; count: number; head: Uint8Array }[];
     signature: Uint8Array;
+    former: Uint8Array;
   };
-  const text = headsText(said.boot, said.time_ns, said.heads);
+  const text = headsText(said.boot, said.time_ns, said.sequence, said.heads, said.former);
   assert.deepEqual(text, bytes("heads", "signed"));
   assert.ok(await fits(await publicHex("cruiser-1"), said.signature, text));
 });

@@ -174,12 +174,14 @@ impl Link {
         }
     }
 
+    /// The lease, where it is held, proves that the verb is its holder's.
     async fn ask(
         &self,
         verb: &str,
         encodings: (&'static str, &'static str),
         request: &impl Serialize,
         challenge: &ByteBuf,
+        lease: Option<&Lease>,
     ) -> Outcome<Asked> {
         let (key, payload) = (self.key(verb), rmp_serde::to_vec_named(request)?);
         let mut query = self
@@ -194,6 +196,9 @@ impl Link {
             getrandom::fill(&mut nonce)?;
             let message = Message { key: &key, encoding: encodings.0, payload: &payload };
             attachment = proof.operator.attach(&message, challenge.as_slice().try_into()?, &nonce);
+            if let Some(lease) = lease {
+                attachment = lease.tag(&message, &attachment);
+            }
             query = query.attachment(&attachment);
         }
         let replies = query.payload(payload).encoding(encodings.0).await?;
@@ -228,7 +233,7 @@ impl Link {
         let public = PublicKey::from(&private).as_bytes().to_vec();
         let request = Acquire { public_key: self.proof.as_ref().map(|_| public.into()) };
         let challenge = self.newest().await?.challenge;
-        let asked = self.ask("acquire", (ACQUIRE, LEASE_REPLY), &request, &challenge).await?;
+        let asked = self.ask("acquire", (ACQUIRE, LEASE_REPLY), &request, &challenge, None).await?;
         let (answer, attachment) = self.answered(asked).await?;
         if self.proof.is_none() {
             return Ok((answer.lease, None));
@@ -289,9 +294,10 @@ async fn main() -> Outcome<()> {
         .await?;
 
     let (lease, proof) = link.acquire().await?;
+    let proof = proof.as_ref();
     let challenge = link.newest().await?.challenge;
     let request = Engage { lease, challenge: &challenge, deadman_s: 0.8 };
-    let mut asked = link.ask("engage", (ENGAGE, REPLY), &request, &challenge).await?;
+    let mut asked = link.ask("engage", (ENGAGE, REPLY), &request, &challenge, proof).await?;
     let mut is_unparked = false;
     let mut end: Option<Instant> = None; // not driving yet
 
@@ -304,7 +310,8 @@ async fn main() -> Outcome<()> {
                     if is_unparked {
                         end = Some(Instant::now() + DRIVE_FOR);
                     } else {
-                        asked = link.ask("unpark", (UNPARK, REPLY), &Leased { lease }, &state.challenge).await?;
+                        let request = Leased { lease };
+                        asked = link.ask("unpark", (UNPARK, REPLY), &request, &state.challenge, proof).await?;
                         is_unparked = true;
                     }
                 }
@@ -314,7 +321,7 @@ async fn main() -> Outcome<()> {
         let drive = Drive { lease, seq, challenge: &state.challenge, speed_mps, angle_deg: 0.0 };
         let payload = rmp_serde::to_vec_named(&drive)?;
         let message = Message { key: &drive_key, encoding: DRIVE, payload: &payload };
-        let attachment = proof.as_ref().map(|lease| lease.attach(&message));
+        let attachment = proof.map(|lease| lease.attach(&message));
         drives.put(&payload).attachment(attachment).await?;
         if end.is_some() && !state.engaged {
             return Err(format!("stopped: {}; {}", state.stop_reason, state.stop_detail).into());
@@ -324,7 +331,7 @@ async fn main() -> Outcome<()> {
         }
     }
     let challenge = link.newest().await?.challenge;
-    let released = link.ask("release", (RELEASE, REPLY), &Leased { lease }, &challenge).await?;
+    let released = link.ask("release", (RELEASE, REPLY), &Leased { lease }, &challenge, proof).await?;
     link.answered(released).await?;
     link.session.close().await?;
     println!("driven");

@@ -217,6 +217,13 @@ impl Lease {
         attachment.extend(&tag[..16]);
         attachment
     }
+
+    /// The attachment of a verb of the lease's holder, 105 bytes, from the signed one: no flood keeps it waiting.
+    pub fn tag(&self, message: &Message, signed: &[u8]) -> Vec<u8> {
+        let fields = &signed[..signed.len() - SIGNATURE_BYTES];
+        let tag = self.mac.clone().chain_update(message.text(b'S', fields, None)).finalize().into_bytes();
+        [signed, &tag[..16]].concat()
+    }
 }
 
 /// The identifier of a statement, from its JSON.
@@ -249,11 +256,21 @@ impl Head {
     }
 }
 
-/// The text under the heads of all chains; each is a subject, its count and its head.
-pub fn heads_text(run: &Id, time_ns: u64, heads: &[(&str, u64, &[u8])]) -> Vec<u8> {
-    let time = time_ns.to_be_bytes();
+/// The text under the heads of all chains; each is a subject, its count and its head. `former` is empty, or names
+/// the heads of the run before.
+pub fn heads_text(
+    run: &Id,
+    time_ns: u64,
+    sequence: u64,
+    heads: &[(&str, u64, &[u8])],
+    former: &[u8],
+) -> Vec<u8> {
+    let (time, number) = (time_ns.to_be_bytes(), sequence.to_be_bytes());
     let counts: Vec<[u8; 8]> = heads.iter().map(|(_, count, _)| count.to_be_bytes()).collect();
-    let mut parts: Vec<&[u8]> = vec![run, &time];
+    let mut parts: Vec<&[u8]> = vec![run, &time, &number];
+    if !former.is_empty() {
+        parts.push(former);
+    }
     for ((subject, _, head), count) in heads.iter().zip(&counts) {
         parts.extend([subject.as_bytes(), count, head]);
     }

@@ -134,6 +134,14 @@ fn a_drive_command_is_proven_by_the_lease() {
 }
 
 #[test]
+fn a_verb_of_the_leases_holder_has_a_tag() {
+    let vectors = Vectors::read();
+    let (sent, attachment) = (Sent::of(&vectors, "verb"), vectors.bytes("verb", "attachment"));
+    let lease = Lease::with_key(LEASE, &vectors.bytes("drive", "lease_key")).expect("key");
+    assert_eq!(lease.tag(&sent.message(), &attachment[..89]), attachment);
+}
+
+#[test]
 fn a_state_is_of_the_robot() {
     let vectors = Vectors::read();
     let (sent, attachment) = (Sent::of(&vectors, "publication"), vectors.bytes("publication", "attachment"));
@@ -155,9 +163,11 @@ fn a_sequence_rises_and_begins_again() {
 #[derive(Deserialize)]
 struct SignedHeads {
     time_ns: u64,
+    sequence: u64,
     boot: ByteBuf,
     heads: Vec<SubjectHead>,
     signature: ByteBuf,
+    former: ByteBuf,
 }
 
 #[derive(Deserialize)]
@@ -176,7 +186,8 @@ fn the_heads_of_the_chains_are_signed() {
     let said: SignedHeads = rmp_serde::from_slice(&vectors.bytes("heads", "message")).expect("heads");
     let heads: Vec<(&str, u64, &[u8])> =
         said.heads.iter().map(|one| (one.subject.as_str(), one.count, one.head.as_slice())).collect();
-    let text = heads_text(said.boot.as_slice().try_into().expect("run"), said.time_ns, &heads);
+    let run = said.boot.as_slice().try_into().expect("run");
+    let text = heads_text(run, said.time_ns, said.sequence, &heads, &said.former);
     assert_eq!(text, vectors.bytes("heads", "signed"));
     assert!(fits(&vectors.key("cruiser-1").verifying_key(), &said.signature, &text));
 }
