@@ -32,6 +32,7 @@ ROOT: Final = Path(__file__).parents[2]
 PREFIX: Final = "/opt/cruiser"
 KEYS: Final = "/etc/cruiser"
 STATE: Final = "/var/lib/cruiser"
+LOGS: Final = "/var/lib/cruiser/logs"
 
 TEXT: Final = (ROOT / "deploy" / "Containerfile").read_text("utf-8")
 STAGES: Final = [
@@ -53,16 +54,18 @@ def test_every_service_is_what_compose_takes() -> None:
         assert (ROOT / "deploy" / said["build"]["context"] / said["build"]["dockerfile"]).is_file()
         assert all(isinstance(word, str) for word in said["command"]), name
         assert set(said.get("depends_on", [])) <= set(SERVICES) - {name}
-        mounted = dict(one.split(":") for one in said["volumes"])
-        assert set(mounted) <= volumes
-        assert KEYS in mounted.values()
-        assert set(mounted.values()) <= {KEYS, STATE}
+        mounted = [(volume, place) for volume, place, *_ in (one.split(":") for one in said["volumes"])]
+        assert {volume for volume, _ in mounted} <= volumes
+        assert KEYS in dict(mounted).values()
+        assert {place for _, place in mounted} <= {KEYS, STATE, LOGS}
         assert said["read_only"] is True
         assert (said["cap_drop"], said["security_opt"]) == (["ALL"], ["no-new-privileges:true"])
         assert not ("network_mode" in said and "ports" in said)
         assert re.fullmatch(r"[0-9]+s", said.get("stop_grace_period", "10s"))
-    used = [one.split(":")[0] for said in SERVICES.values() for one in said["volumes"]]
-    assert sorted(used) == sorted(volumes)
+    # Nobody but the recorder writes to its logs, and no other volume is shared.
+    written = [one.partition(":")[0] for said in SERVICES.values() for one in said["volumes"] if not one.endswith(":ro")]
+    assert sorted(written) == sorted(volumes)
+    assert [one for said in SERVICES.values() for one in said["volumes"] if one.endswith(":ro")] == [f"logs:{LOGS}:ro"]
 
 
 @pytest.fixture(scope="module")
@@ -101,12 +104,16 @@ class Container:
 
     def __init__(self, image: Path, keys: Path, state: Path, words: list[str]) -> None:
         state.mkdir()
-        for path in (keys, *keys.iterdir(), state):
+        # The volume of logs is one for all services.
+        logs = state.parent / "logs"
+        logs.mkdir(exist_ok=True)
+        for path in (keys, *keys.iterdir(), state, logs):
             if os.getuid() == 0:
                 os.chown(path, NOBODY, NOBODY)
         entry = dict(STAGES[-1])["ENTRYPOINT"]
         assert entry == '["cruiser"]'
-        given = [word.replace(KEYS, str(keys)).replace(STATE, str(state)) for word in words]
+        places = {KEYS: keys, LOGS: logs, STATE: state}
+        given = [re.sub("|".join(places), lambda found: str(places[found[0]]), word) for word in words]
         self._said = state.parent / f"{state.name}.log"
         with self._said.open("w") as said:
             self.process = subprocess.Popen(
@@ -168,6 +175,8 @@ def test_the_services_are_a_fleet(image: Path, place: Path) -> None:
         running["desk"].wait_says(r"http://")
         with urllib.request.urlopen(f"http://{page}/", timeout=10) as shown:
             assert b"<html" in shown.read()
+        with urllib.request.urlopen(f"http://{page}/logs/of/cruiser-1", timeout=10) as listed:
+            assert b"cruiser-1-" in listed.read()
         assert set(running) == set(SERVICES)
 
         def is_up() -> bool:

@@ -234,7 +234,7 @@ function keysBox(changed) {
     try {
       setText(note, (await act()) ?? "");
     } catch (error) {
-      setText(note, error.message);
+      setText(note, said(error.message));
     }
     changed();
   };

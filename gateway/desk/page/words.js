@@ -191,6 +191,13 @@ const ZH = {
     [/^it replied that it stops, but (.+)$/, "它应答会停车，但{1}"], [/^its safety\/state does not say so$/, "它的 safety/state 没有这样显示"],
     [/^its safety\/state says so too briefly$/, "它的 safety/state 这样显示的时间太短"], [/^its speed is not seen$/, "看不到它的速度"],
     [/^it is seen to stand too briefly$/, "看到它静止的时间太短"], [/^it is seen to move at ([\d.]+) m\/s$/, "看到它在以 $1 m/s 移动"],
+    [/^(\S+) does not answer (\w+)$/, "$1 没有应答 $2"], [/^(\S+): no reply$/, "$1：没有应答"], [/^given up$/, "已放弃"],
+    [/^no state to believe comes from (\S+)$/, "收不到 $1 的可信状态"], [/^the reply is not the robot's$/, "应答不是这台机器人发出的"],
+    [/^the replies contradict each other: another gateway of this name, or an impostor, is there$/, "各个应答互相矛盾：有另一个同名的网关，或有人冒充"],
+    [/^the robot's grant is not one statement of the authority$/, "机器人的授权不是授权方的一份声明"], [/^the robot's grant is of another authority$/, "机器人的授权来自另一个授权方"],
+    [/^the signature of the robot's grant does not fit$/, "机器人授权的签名不符"], [/^the grant is of (\w+) (\S+), not of robot (\S+)$/, "授权属于 $1 $2，而不是机器人 $3"],
+    [/^the robot's grant is over, or has not begun$/, "机器人的授权已过期，或尚未生效"],
+    [/^this is no bundle of an operator$/, "这不是操作员的签发文件"], [/^this bundle is for another key$/, "这份签发文件属于另一个密钥"],
   ],
   value: {
     undefined: "未定义", auto: "自动", remote: "遥控", stop: "停止", park: "驻车", reverse: "倒挡", neutral: "空挡", drive: "前进挡",

@@ -14,7 +14,8 @@ from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
 from schemas.recording import RecorderState
 from tests.support.rigs.scenarios import Scenario, acted, deadman, front_bumper, guard_acts, hand_transmitter
 
-PAGE = (Path(gateway.desk.__file__).parent / "page" / "words.js").read_text("utf-8")
+PLACE = Path(gateway.desk.__file__).parent / "page"
+PAGE = (PLACE / "words.js").read_text("utf-8")
 ENGLISH, CHINESE = re.findall(r"^const (?:EN|ZH) = \{\n(.*?)^\};$", PAGE, flags=re.DOTALL | re.MULTILINE)
 HAN = re.compile(r"[\u4e00-\u9fff]")
 
@@ -85,3 +86,13 @@ def test_every_word_and_value_is_there_in_chinese() -> None:
     kinds: list[type[Enum]] = [Mode, GearPosition, BrakingStatus, ParkingStatus, RecorderState]
     assert {one.value for kind in kinds for one in kind} <= set(re.findall(r"(\w+): \"", values))
     assert texts(CHINESE).keys() == texts(ENGLISH).keys()
+
+
+def test_each_error_of_the_page_is_a_sentence_in_chinese() -> None:
+    """Those of driving, of keys and grants, and of the proofs; whatever stands in a template's gaps."""
+    known = [re.compile(one) for one in re.findall(r"\[/(.*?)/, \"", table("said"))]
+    files = [path for path in PLACE.glob("*.js") if path.name != "words.js"]
+    thrown = [text for path in files for _, text in re.findall(r"new Error\(([\"`])(.*?)\1\)", path.read_text("utf-8"))]
+    assert len(thrown) >= 10
+    for text in thrown:
+        assert any(pattern.fullmatch(re.sub(r"\$\{.*?\}", "cruiser", text)) for pattern in known), text
