@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet demo-desk test test-unit nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
+.PHONY: help install demo demo-fleet demo-desk test test-alone test-aside test-system test-unit nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -24,15 +24,25 @@ demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operato
 demo-desk: $(DEMO)  ## a virtual fleet and the desk, in your browser, until Ctrl-C
 	$(BIN)/cruiser demo-desk --out demo-desk
 
-# As many run as there are processors (tests/support/spreading.py): with one more, robots stop by their rules now and then.
-# They come first: beside tests that only reckon, their processes would come too late. Some have the machine to themselves:
-# a browser that drives at 50 Hz stalls beside others, and the robot stops by its deadman, as it should; floods, crowds and
-# demos would make others late.
+# Two rounds. In the first, some have the machine to themselves: a browser that drives at 50 Hz stalls beside others, and
+# the robot stops by its deadman, as it should; floods, crowds and demos would make others late. Tests that only reckon
+# take the processor time that is left over. In the second, the system's other tests: they wait more than they reckon, so
+# that two run for each processor (tests/support/spreading.py hands them out).
 ALONE = tests/system/gateway/test_desk.py tests/system/gateway/test_desk_crowd.py tests/system/test_floods.py tests/system/test_large_fleets.py tests/system/test_readme.py tests/system/gateway/cli/test_demo.py tests/system/gateway/cli/test_demo_fleet.py
-SPREAD = --numprocesses $$(nproc) --dist loadfile --no-loadscope-reorder
 test: $(STAMP)  ## the whole test suite
+	@status=0; \
+	$(MAKE) --jobs 2 --keep-going --output-sync=target test-alone test-aside || status=1; \
+	$(MAKE) test-system || status=1; \
+	exit $$status
+
+test-alone: $(STAMP)
 	$(BIN)/python -m pytest $(ALONE)
-	$(BIN)/python -m pytest $(SPREAD) $(addprefix --ignore ,$(ALONE))
+
+test-aside: $(STAMP)
+	nice -n 19 $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --timeout 600 --ignore tests/system tests
+
+test-system: $(STAMP)
+	$(BIN)/python -m pytest --numprocesses $$((2 * $$(nproc))) --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE)) tests/system
 
 test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit

@@ -65,6 +65,17 @@ def _state_of_its_own(_states: Iterator[Path], monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("XDG_STATE_HOME", str(next(_states)))
 
 
+@pytest.fixture(autouse=True)
+def _scheduled_as_before() -> Iterator[None]:
+    """A test process with real-time priority would hold up the robots of all others."""
+    before = os.sched_getscheduler(0)
+    yield
+    after = os.sched_getscheduler(0)
+    if after != before:
+        os.sched_setscheduler(0, before, os.sched_param(0))
+    assert after == before
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 16 MiB."""

@@ -31,7 +31,7 @@ from schemas.dbc_files import dbc_text
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import Reason
-from schemas.settings import CanSettings, Settings, ZenohSettings
+from schemas.settings import CanSettings, GatewaySettings, Settings, ZenohSettings
 from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import chassis, gateway, run
@@ -562,6 +562,7 @@ def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
         settings = Settings(
             can=CanSettings(interface="socketcand", channel=address),
             zenoh=ZenohSettings(listen=[free_endpoint()]),
+            gateway=GatewaySettings(realtime_priority=0),
         )
         with pytest.raises(RuntimeError, match="of our own"):
             run_gateway(Namespace(seconds=None), settings, lambda: False)
