@@ -54,18 +54,18 @@ def test_every_service_is_what_compose_takes() -> None:
         assert (ROOT / "deploy" / said["build"]["context"] / said["build"]["dockerfile"]).is_file()
         assert all(isinstance(word, str) for word in said["command"]), name
         assert set(said.get("depends_on", [])) <= set(SERVICES) - {name}
-        mounted = [(volume, place) for volume, place, *_ in (one.split(":") for one in said["volumes"])]
-        assert {volume for volume, _ in mounted} <= volumes
-        assert KEYS in dict(mounted).values()
-        assert {place for _, place in mounted} <= {KEYS, STATE, LOGS}
+        named, places = zip(*(one.split(":")[:2] for one in said["volumes"]), strict=True)
+        assert set(named) <= volumes
+        assert KEYS in places
+        assert set(places) <= {KEYS, STATE, LOGS}
         assert said["read_only"] is True
         assert (said["cap_drop"], said["security_opt"]) == (["ALL"], ["no-new-privileges:true"])
         assert not ("network_mode" in said and "ports" in said)
         assert re.fullmatch(r"[0-9]+s", said.get("stop_grace_period", "10s"))
     # Nobody but the recorder writes to its logs, and no other volume is shared.
-    written = [one.partition(":")[0] for said in SERVICES.values() for one in said["volumes"] if not one.endswith(":ro")]
-    assert sorted(written) == sorted(volumes)
-    assert [one for said in SERVICES.values() for one in said["volumes"] if one.endswith(":ro")] == [f"logs:{LOGS}:ro"]
+    mounted = [one for said in SERVICES.values() for one in said["volumes"]]
+    assert sorted(one.partition(":")[0] for one in mounted if not one.endswith(":ro")) == sorted(volumes)
+    assert [one for one in mounted if one.endswith(":ro")] == [f"logs:{LOGS}:ro"]
 
 
 @pytest.fixture(scope="module")

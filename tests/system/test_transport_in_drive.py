@@ -171,6 +171,7 @@ def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_sto
 
 
 @pytest.mark.long
+@pytest.mark.night
 def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSite) -> None:
     """Under it the robot drives, or stands by its rules; afterwards it drives, engaged anew if need be."""
     host, _, port = site.network.endpoint.removeprefix("tls/").partition(":")

@@ -185,6 +185,7 @@ def _child(parent: int, command: str) -> int:
     raise AssertionError(f"{parent} has no child {command}")
 
 
+@pytest.mark.night
 def test_a_demo_that_the_machine_held_up_begins_once_more(held_up: HeldUp) -> None:
     """It says what happened, why, and where the log until then is; the next attempt shows everything."""
     assert held_up.code == 0, held_up.errors
@@ -195,17 +196,20 @@ def test_a_demo_that_the_machine_held_up_begins_once_more(held_up: HeldUp) -> No
     assert "second-operator gave the lease back" in held_up.told
 
 
+@pytest.mark.night
 def test_a_robot_that_the_guard_has_stopped_is_driven_on(held_up: HeldUp) -> None:
     """Its operator says why it was stopped, resets it, and engages it again."""
     before = held_up.told.partition("not heard any more")[0]
     assert_in_order(before, ["the guard has stopped the robot", "engages again", "reset: guard", "engaged: "])
 
 
+@pytest.mark.night
 def test_the_timeline_is_told_as_it_happens(held_up: HeldUp) -> None:
     """Its first lines come while the log is being written."""
     assert held_up.was_open
 
 
+@pytest.mark.night
 def test_a_second_demo_leaves_the_log_of_the_first_alone(held_up: HeldUp) -> None:
     """It takes the next directory that is free, and says which."""
     assert [path.name for path in held_up.out.iterdir()] == ["of-an-earlier-run"]
@@ -213,6 +217,7 @@ def test_a_second_demo_leaves_the_log_of_the_first_alone(held_up: HeldUp) -> Non
     assert str(held_up.out.parent / "log-2") in held_up.told
 
 
+@pytest.mark.night
 def test_a_success_warns_of_nothing(held_up: HeldUp) -> None:
     """The operator whose link stalls is shown on purpose."""
     assert "WARNING" not in held_up.errors

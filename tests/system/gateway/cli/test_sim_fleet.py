@@ -16,6 +16,7 @@ from schemas.exit_codes import ExitCode
 from schemas.settings import Settings, ZenohSettings
 from tests.support.desk_client import DeskClient
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes.gateway import Running, run
 from tests.support.waiting import wait_until
 
@@ -69,7 +70,7 @@ def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
     [
         (("sim", "--fleet", "1", "--endpoint", "ENDPOINT"), 3),  # a chassis, its gateway and the guard
         (("demo", "--seconds", "60"), 4),
-        (("demo-fleet", "--hold"), 6),
+        by_night(("demo-fleet", "--hold"), 6),
         (("demo-desk", "--robots", "1", "--no-browser", "--listen", "127.0.0.1:0", "--endpoint", "ENDPOINT"), 5),
     ],
     ids=["sim", "demo", "demo-fleet", "demo-desk"],

@@ -91,8 +91,8 @@ def test_every_word_and_value_is_there_in_chinese() -> None:
 def test_each_error_of_the_page_is_a_sentence_in_chinese() -> None:
     """Those of driving, of keys and grants, and of the proofs; whatever stands in a template's gaps."""
     known = [re.compile(one) for one in re.findall(r"\[/(.*?)/, \"", table("said"))]
-    files = [path for path in PLACE.glob("*.js") if path.name != "words.js"]
-    thrown = [text for path in files for _, text in re.findall(r"new Error\(([\"`])(.*?)\1\)", path.read_text("utf-8"))]
+    scripts = [path.read_text("utf-8") for path in PLACE.glob("*.js") if path.name != "words.js"]
+    thrown = [text for script in scripts for _, text in re.findall(r"new Error\(([\"`])(.*?)\1\)", script)]
     assert len(thrown) >= 10
     for text in thrown:
         assert any(pattern.fullmatch(re.sub(r"\$\{.*?\}", "cruiser", text)) for pattern in known), text

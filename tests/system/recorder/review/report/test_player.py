@@ -10,6 +10,7 @@ from schemas.exit_codes import ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, write_messages
 from tests.support.messages import SECOND, WALL_NS
+from tests.support.nights import by_night
 from tests.support.processes.browser import browser
 from tests.support.processes.desk import chromium
 from tests.support.rigs import scenarios
@@ -83,13 +84,13 @@ def pose(page: Page, number: int = 0) -> list[float]:
     ("address", "clock"),
     [
         ("#t=2027-01-15T08:00:04.500Z", "08:00:04.500"),
-        ("#t=2027-01-15T08:00:04.500", "08:00:04.500"),
-        ("#t=2027-01-15T16:00:04.500%2B08:00", "08:00:04.500"),
+        by_night("#t=2027-01-15T08:00:04.500", "08:00:04.500"),
+        by_night("#t=2027-01-15T16:00:04.500%2B08:00", "08:00:04.500"),
         ("#t=2027-01-15T16:00:04.500+08:00", "08:00:04.500"),
-        ("#t=2027-01-15 08:00:04.500 UTC", "08:00:04.500"),
-        (f"#t={WALL_NS // SECOND + 4}.5", "08:00:04.500"),
+        by_night("#t=2027-01-15 08:00:04.500 UTC", "08:00:04.500"),
+        by_night(f"#t={WALL_NS // SECOND + 4}.5", "08:00:04.500"),
         (f"#t={WALL_NS + 4 * SECOND + SECOND // 2}", "08:00:04.500"),
-        ("#robot=r-1&t=2027-01-15T08:00:04.500Z", "08:00:04.500"),
+        by_night("#robot=r-1&t=2027-01-15T08:00:04.500Z", "08:00:04.500"),
     ],
 )
 def test_an_address_with_a_time_opens_there(page: Page, drive: Path, address: str, clock: str) -> None:
@@ -114,9 +115,9 @@ def test_an_address_names_the_robot_where_there_are_several(page: Page, drive: P
 @pytest.mark.parametrize(
     ("address", "said"),
     [
-        ("#t=yesterday", "The address names no time: yesterday"),
-        ("#t=%E0%A4%A", "The address names no time: %E0%A4%A"),
-        ("#t=", "The address names no time: "),
+        by_night("#t=yesterday", "The address names no time: yesterday"),
+        by_night("#t=%E0%A4%A", "The address names no time: %E0%A4%A"),
+        by_night("#t=", "The address names no time: "),
         ("#t=2027-01-15T08:00:04Z&robot=r-9", "This report draws no drive of r-9."),
         (
             "#t=2027-01-16T00:00:00Z",
