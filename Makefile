@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet demo-desk test test-alone test-aside test-system test-unit nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
+.PHONY: help install demo demo-fleet demo-desk test test-unit test-system nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -24,28 +24,21 @@ demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operato
 demo-desk: $(DEMO)  ## a virtual fleet and the desk, in your browser, until Ctrl-C
 	$(BIN)/cruiser demo-desk --out demo-desk
 
-# Two rounds. In the first, some have the machine to themselves: a browser that drives at 50 Hz stalls beside others, and
-# the robot stops by its deadman, as it should; floods, crowds and demos would make others late. Tests that only reckon
-# take the processor time that is left over. In the second, the system's other tests: they wait more than they reckon, so
-# that two run for each processor (tests/support/spreading.py hands them out).
-ALONE = tests/system/gateway/test_desk.py tests/system/gateway/test_desk_crowd.py tests/system/test_floods.py tests/system/test_large_fleets.py tests/system/test_readme.py tests/system/gateway/cli/test_demo.py tests/system/gateway/cli/test_demo_fleet.py
+# Tests that only reckon take the processor time that the tests of processes leave over (SCHED_IDLE), so that they hold up
+# no robot.
 test: $(STAMP)  ## the whole test suite
-	@status=0; \
-	$(MAKE) --jobs 2 --keep-going --output-sync=target test-alone test-aside || status=1; \
-	$(MAKE) test-system || status=1; \
-	exit $$status
+	$(MAKE) --jobs 2 --keep-going --output-sync=target test-system test-unit ASIDE="chrt --idle 0"
 
-test-alone: $(STAMP)
+test-unit: $(STAMP)  ## what needs no process and no socket
+	$(ASIDE) $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --ignore tests/system --timeout 600 tests
+
+# Some have the machine to themselves: a browser that drives at 50 Hz stalls beside others, and the robot stops by its
+# deadman, as it should; floods, crowds and demos would make others late. The others wait more than they reckon, so that one
+# more runs than there are processors (tests/support/spreading.py hands them out).
+ALONE = tests/system/gateway/test_desk.py tests/system/gateway/test_desk_crowd.py tests/system/test_floods.py tests/system/test_large_fleets.py tests/system/test_readme.py tests/system/gateway/cli/test_demo.py tests/system/gateway/cli/test_demo_fleet.py
+test-system: $(STAMP)  ## what starts processes: gateways, recorders, browsers
 	$(BIN)/python -m pytest $(ALONE)
-
-test-aside: $(STAMP)
-	nice -n 19 $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --timeout 600 --ignore tests/system tests
-
-test-system: $(STAMP)
-	$(BIN)/python -m pytest --numprocesses $$((2 * $$(nproc))) --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE)) tests/system
-
-test-unit: $(STAMP)  ## what needs no process and no socket: two minutes
-	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/unit
+	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE)) tests/system
 
 nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties fifteenfold, 10,000 random scenarios, the fuzzer, clients of other languages, Zenoh's own router; two hours and a half
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly

@@ -160,7 +160,9 @@ class GuardProcess:
         try:
             self._process.wait(0 if self._newest.is_active else END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            log.warning("the guard (process %d) is still at work; it ends by itself", self._process.pid)
+            # One that the loop never spoke to has nothing to do; on a busy machine it is still starting.
+            if self._newest.now_ns:
+                log.warning("the guard (process %d) is still at work; it ends by itself", self._process.pid)
         self._memory.close()
 
     def _replace_if_gone(self, now_ns: int) -> None:

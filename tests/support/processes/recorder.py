@@ -46,9 +46,10 @@ class Process:
             text=True,
             env=environment(),
         )
-        self.ready = self._read_ready()
+        self.ready = self.read_line()
 
-    def _read_ready(self) -> str:
+    def read_line(self) -> str:
+        """The next line of stderr."""
         assert self._process.stderr is not None
         return self._process.stderr.readline()
 

@@ -209,7 +209,8 @@ def test_the_logs_own_root_can_be_forced_unless_a_gateway_is_there(
         run(*words, endpoint=endpoint)
     assert caught.value.code is ExitCode.REFUSED
     assert heard.samples() == []
-    assert capsys.readouterr().out == ""
+    # On a busy machine the gateway is seen a moment after the beginning, and still before the first sample.
+    assert capsys.readouterr().out in {"", "fleet/**: 0 sent in 0.0 s, 0/s\n"}
     token.undeclare()
     wait_until(lambda: not list(one.session.liveliness().get("**/gateway", timeout=1)))
     assert run(*words, endpoint=endpoint) == ExitCode.OK
