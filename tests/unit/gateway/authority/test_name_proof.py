@@ -75,6 +75,14 @@ def test_who_shows_the_robots_own_chain_without_its_key_is_none() -> None:
     assert not counts(other)
 
 
+def test_a_chain_that_cannot_be_read_proves_nothing() -> None:
+    """Behind a proof that is well made, with a key of one's own."""
+    other = granted(BENCH.fleet)
+    proof = RobotSigner(other.private, b"boot no2").reply("key", "encoding", PAYLOAD, QUESTION)
+    for chain in (b"", b"no chain", chain_text(other.chain).encode()[:-1] + b"!"):
+        assert not BENCH.authority.name_proof.is_namesake(PAYLOAD, proof + chain, QUESTION, NOW_S)
+
+
 def test_a_revoked_robot_is_none() -> None:
     """A thief of the old computer keeps the new one from nothing."""
     bench = AuthorityBench()

@@ -290,17 +290,37 @@ def test_states_of_another_run_are_not_believed_until_the_robot_says_that_it_is_
     for other in (former, later, former):
         assert not pair.proof.believes("cruiser-1", other)
         assert pair.proof.is_to_meet_again("cruiser-1")
+    # Nobody who kept a state of a former run keeps those of this one from being believed.
+    assert pair.proof.believes("cruiser-1", pair.state(2))
     # It was no restart: all is as before.
     assert pair.proof.meet("cruiser-1", pair.shown(b"again"), b"again") is None
     assert not pair.proof.is_to_meet_again("cruiser-1")
-    assert not pair.proof.believes("cruiser-1", pair.state(1))
-    assert pair.proof.believes("cruiser-1", pair.state(2))
+    assert not pair.proof.believes("cruiser-1", pair.state(2))
+    assert pair.proof.believes("cruiser-1", pair.state(3))
     # It is one: its numbers begin anew, and what it said before is over.
     pair.restart(b"boot no2")
     assert pair.proof.meet("cruiser-1", pair.shown(b"and now"), b"and now") is None
     assert pair.proof.believes("cruiser-1", later)
-    assert not pair.proof.believes("cruiser-1", pair.state(3))
+    assert not pair.proof.believes("cruiser-1", pair.state(4))
     assert not pair.proof.believes("cruiser-1", former)
+
+
+def test_a_flood_of_states_that_were_kept_costs_no_signatures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of another run is looked at, for the robot may be in it; then the robot is asked."""
+    pair = Pair()
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    assert pair.proof.believes("cruiser-1", pair.state(1))
+    looked_at: list[Received] = []
+    is_state = pair.proof.is_state
+
+    def look(robot: str, received: Received) -> bool:
+        looked_at.append(received)
+        return is_state(robot, received)
+
+    monkeypatch.setattr(pair.proof, "is_state", look)
+    for other in (pair.state(1), pair.state(500, boot=b"boot no0"), pair.state(501, boot=b"boot no0")):
+        assert not pair.proof.believes("cruiser-1", other)
+    assert len(looked_at) == 1
 
 
 def test_nobody_but_the_robot_has_it_asked_again() -> None:

@@ -47,6 +47,40 @@ def test_everything_is_denied_that_is_not_allowed(role: TransportRole) -> None:
 
 
 @every_role
+def test_a_file_has_the_rules_of_its_role(role: TransportRole) -> None:
+    """All of the table's, and no other. Its flows are the router's: at the other end of a link they are turned."""
+    access = configuration(role)["access_control"]
+    robot = "cruiser-1" if role is TransportRole.ROBOT else "*"
+    is_router = role is TransportRole.ROUTER
+    table = {row.id: row for row in access_table("fleet", robot) if is_router or role in row.roles}
+    assert {rule["id"]: rule["key_exprs"] for rule in access["rules"]} == {
+        name: list(dict.fromkeys(row.keys)) for name, row in table.items()
+    }
+    turned = {"ingress": "egress", "egress": "ingress"}
+    for rule in access["rules"]:
+        flow = table[rule["id"]].flow
+        assert rule["flows"] == [flow if is_router else turned[flow]]
+    granted = {policy["subjects"][0]: set(policy["rules"]) for policy in access["policies"]}
+    if is_router:
+        assert granted == {
+            one.value: {name for name, row in table.items() if one in row.roles}
+            for row in table.values()
+            for one in row.roles
+        }
+    else:
+        assert granted == {"router": set(table)}
+
+
+@every_role
+def test_the_files_of_a_node_are_its_own(role: TransportRole) -> None:
+    """Certificate and key have its role in their names; the authority's certificate is the same for all."""
+    tls = configuration(role)["transport"]["link"]["tls"]
+    assert tls["root_ca_certificate"] == "/etc/cruiser/ca.pem"
+    assert tls["connect_certificate"] == f"/etc/cruiser/{role.value}-tls.pem"
+    assert tls["connect_private_key"] == f"/etc/cruiser/{role.value}-tls.key"
+
+
+@every_role
 def test_the_admin_space_is_closed(role: TransportRole) -> None:
     """In so many words: Zenoh's own start value lets everybody read where somebody has it on."""
     config = zenoh.Config.from_json5(json.dumps(configuration(role)))
