@@ -15,6 +15,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Final
 
+from recorder.encoding.event_digest import EventDigest
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.mcap.writer import McapFile
 from recorder.record.actions import (
@@ -130,7 +131,7 @@ class PartFile:
         self._unkept: deque[tuple[int, WriteChunk]] = deque()
         """Those chunks, each with its end in the file: they may have to be written again."""
         with clear_errors(part):
-            self._mcap = McapFile(stream, library)
+            self._mcap = McapFile(stream, library, digest=EventDigest())
 
     @property
     def size(self) -> int:

@@ -64,6 +64,12 @@ class Chunk(msgspec.Struct, frozen=True):
         """Messages of each channel."""
         return {channel_id: len(entries) // 2 for channel_id, entries in self.index.items()}
 
+    def message_at(self, offset: int) -> tuple[int, int, int, bytes]:
+        """Return sequence, log time, publish time and data of the message at an offset of the index."""
+        _, length, _, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(self.records, offset)
+        start = offset + MESSAGE_HEADER.size
+        return sequence, log_ns, publish_ns, bytes(self.records[start : start + length - HEADER_IN_LENGTH])
+
 
 class _Index(dict[int, "array[int]"]):
     """Per channel, log time and offset of each message; a channel's begins when it is asked for."""

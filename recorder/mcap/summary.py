@@ -44,6 +44,11 @@ class Summary:
         return self._counts.total()
 
     @property
+    def end_ns(self) -> int:
+        """The latest log time; 0 if there is no message."""
+        return self._end_ns
+
+    @property
     def chunks(self) -> int:
         """Chunks in the file."""
         return self._records[Opcode.CHUNK_INDEX]

@@ -45,6 +45,25 @@ class LogStream(Protocol):
         ...
 
 
+class FileDigest(Protocol):
+    """Gathers some messages of a file, which are repeated as attachments at its end."""
+
+    name: str
+    media_type: str
+
+    def add_channel(self, channel: LogChannel) -> None:
+        """A channel of the file."""
+
+    def add_chunk(self, chunk: Chunk, offset: int) -> None:
+        """Take a chunk that was written at an offset of the file."""
+
+    def take_part(self) -> bytes:
+        """Return what is to be written before the file ends; nothing, as long as there is room in memory."""
+
+    def take_end(self) -> bytes:
+        """Return the last part, perhaps nothing."""
+
+
 class McapFile:
     """An MCAP file that is being written.
 
@@ -52,9 +71,12 @@ class McapFile:
         stream: the destination of the bytes, from its present beginning on.
         library: the writer's name, for the file's header.
         profile: the header's promise about the channels, by MCAP's registry; ours promise nothing.
+        digest: gathers what the end of the file repeats; None repeats nothing.
     """
 
-    def __init__(self, stream: LogStream, library: str, profile: str = "") -> None:
+    def __init__(
+        self, stream: LogStream, library: str, profile: str = "", digest: FileDigest | None = None
+    ) -> None:
         self._is_finished = False
         self._stream = stream
         self._size = 0
@@ -62,6 +84,7 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
         self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}
         self._summary = Summary()
+        self._digest = digest
         self._write(MAGIC + checked(encode(records.Header(profile=profile, library=library))))
 
     @property
@@ -80,6 +103,7 @@ class McapFile:
 
     def add_channels(self, channels: Iterable[LogChannel]) -> None:
         """Write channels, each with its schema unless that has been written, at once: there may be thousands."""
+        channels = list(channels)
         data: list[bytes] = []
         encoded: list[bytes] = []
         new: dict[tuple[str, str, bytes], records.Schema] = {}
@@ -110,6 +134,9 @@ class McapFile:
         for schema in new.values():
             self._summary.add_schema(schema)
         self._summary.add_channels(encoded)
+        if self._digest is not None:
+            for channel in channels:
+                self._digest.add_channel(channel)
 
     def write_chunk(self, chunk: Chunk) -> None:
         """Compress and write messages, with an index per channel."""
@@ -124,6 +151,10 @@ class McapFile:
         data, start = encode(record), self._size
         self._write(data + encode_indexes(chunk.index))
         self._summary.add_chunk(record, start, len(data), chunk.index)
+        if self._digest is not None:
+            self._digest.add_chunk(chunk, start)
+            if part := self._digest.take_part():
+                self.add_attachment(self._digest.name, self._digest.media_type, part, chunk.end_ns)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_ns: int, create_ns: int = 0) -> None:
         """Write an attachment. That its time of creation is not known MCAP says with 0."""
@@ -144,8 +175,18 @@ class McapFile:
     def finish(self) -> None:
         """Write what makes the file whole: the end of the data, the summary and the footer; but once."""
         if not self._is_finished:
+            digest, self._digest = self._digest, None
+            if digest is not None and (end := digest.take_end()):
+                self._add_digest(digest, end)
             self._write(self._summary.ending(self._size, self._data_crc))
             self._is_finished = True
+
+    def _add_digest(self, digest: FileDigest, end: bytes) -> None:
+        try:
+            self.add_attachment(digest.name, digest.media_type, end, self._summary.end_ns)
+        except OSError:
+            # On a disk with so little room the file had better be whole without it.
+            self.cut_back()
 
     def cut_back(self) -> None:
         """After a failed write: take the stream back to the end of the last whole record.

@@ -65,7 +65,7 @@ def _times_in(log: LogFile, windows: Sequence[Window]) -> list[Times]:
     """For each window the log times of what a log holds in it and can be read, in their order."""
     found: list[dict[int, array[int]]] = [{} for _ in windows]
     declared = Declared()
-    with suppress(OSError), log.path.open("rb") as stream:
+    with suppress(OSError), log.open() as stream:
         declared.take_summary(read_summary(stream))
         for piece in read_pieces(stream, log.bytes, is_verifying=False):
             if isinstance(piece, records.Schema | records.Channel):

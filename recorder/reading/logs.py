@@ -10,7 +10,7 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, Final, Protocol
 
 import msgspec
 from mcap import records
@@ -20,10 +20,13 @@ from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, is_mc
 from recorder.mcap.summary_reader import read_summary
 from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.log_file import LogFile, StoredLog
 from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
+
+END_BYTES: Final = 65_536
+"""So much of a stored log's end is read at once: the places of its parts stand there."""
 
 
 class KnownLog(Protocol):
@@ -44,6 +47,7 @@ def find_logs(
     *,
     with_covered: bool = False,
     known: Mapping[Path, KnownLog] = MappingProxyType({}),
+    stored: Sequence[LogFile] = (),
 ) -> list[LogFile]:
     """The logs at these paths, by their beginning.
 
@@ -53,6 +57,7 @@ def find_logs(
         faults: takes what is wrong with single files of several.
         with_covered: leave no incident out.
         known: logs of these directories that need not be opened.
+        stored: logs of object stores that are asked about with them.
 
     Raises:
         CommandError: there is nothing to read.
@@ -74,9 +79,9 @@ def find_logs(
         if path.is_dir() and not with_covered:
             named = {log.path: log for log in found.values() if log.path in paths}
             found = named | {log.path: log for log in _uncovered(list(found.values()), known)}
-    if not found:
+    if not found and not stored:
         raise failure or CommandError(f"there is no log in {', '.join(plain(str(path)) for path in paths)}")
-    return sorted(_with_namesakes(list(found.values())), key=lambda log: (log.start_ns, log.path))
+    return sorted(_with_namesakes([*found.values(), *stored]), key=lambda log: (log.start_ns, log.name))
 
 
 def _uncovered(logs: list[LogFile], known: Mapping[Path, KnownLog]) -> list[LogFile]:
@@ -104,9 +109,33 @@ def look_at(path: Path) -> LogFile:
     with open_log(path) as (stream, size):
         is_written = is_being_written(stream)
         start_ns, end_ns, channels = _span(stream, size)
+    return LogFile(path, size, start_ns, end_ns, _robots(channels), is_being_written=is_written)
+
+
+def look_at_stored(stored: StoredLog) -> LogFile:
+    """One log of an object store; of a whole one its end is read, and not much more.
+
+    Raises:
+        CommandError: it cannot be read, is empty, or is no MCAP file.
+    """
+    shown = plain(stored.url)
+    try:
+        if stored.size == 0:
+            raise CommandError(f"{shown} is empty")
+        # What the end says is needed for every question; the beginning holds configurations.
+        stored.fetch(max(0, stored.size - END_BYTES), stored.size)
+        with stored.open() as stream:
+            if not is_mcap(stream):
+                raise CommandError(f"{shown} is no MCAP file")
+            start_ns, end_ns, channels = _span(stream, stored.size, is_verifying=False)
+    except OSError as error:
+        raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
+    return LogFile(Path(shown.rpartition("/")[2]), stored.size, start_ns, end_ns, _robots(channels), stored=stored)
+
+
+def _robots(channels: Sequence[records.Channel]) -> frozenset[tuple[str, str]]:
     parts = [keys.parse(channel.topic) for channel in channels]
-    robots = frozenset((one.root, one.robot) for one in parts if one is not None and one.robot)
-    return LogFile(path, size, start_ns, end_ns, robots, is_being_written=is_written)
+    return frozenset((one.root, one.robot) for one in parts if one is not None and one.robot)
 
 
 @contextmanager
@@ -145,9 +174,9 @@ def is_being_written(stream: BinaryIO) -> bool:
     return False
 
 
-def _span(stream: BinaryIO, size: int) -> tuple[int, int, list[records.Channel]]:
+def _span(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> tuple[int, int, list[records.Channel]]:
     """First and last log time, and channels: by the summary if there is one, else by what is outside of chunks."""
-    summary = read_summary(stream)
+    summary = read_summary(stream, is_verifying=is_verifying)
     if summary is not None and summary.statistics is not None:
         counts = summary.statistics
         times = (counts.message_start_time, counts.message_end_time) if counts.message_count else (0, 0)

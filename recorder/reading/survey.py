@@ -9,6 +9,7 @@ from typing import BinaryIO
 import msgspec
 from mcap import records
 
+from recorder.encoding.event_digest import DIGEST_NAME
 from recorder.mcap.reader import DamagedError, record_at
 from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
@@ -23,7 +24,7 @@ class Survey(msgspec.Struct):
     Attributes:
         topics: by name.
         metadata: by name, the last of each.
-        attachments: all of them, by their log time.
+        attachments: all of them by their log time, but for the digest of events.
     """
 
     topics: dict[str, Topic]
@@ -46,22 +47,26 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
     found = Survey({}, {}, [])
     for log in logs:
         try:
-            with log.path.open("rb") as stream:
+            with log.open() as stream:
                 if not _by_summary(stream, log, found):
                     _by_records(stream, log, found, faults)
         except OSError as error:
-            faults.add(f"{log.path}: {error.strerror or error}")
+            faults.add(f"{log.name}: {error.strerror or error}")
     found.attachments.sort(key=lambda one: one.log_time)
     return found
 
 
 def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
     """Return True if the file's end gave all."""
-    summary = read_summary(stream)
+    summary = read_summary(stream, is_verifying=log.stored is None)
     if summary is None:
         return False
     with suppress(DamagedError):
-        attachments = [record_at(stream, one.offset, records.Attachment) for one in summary.attachments]
+        attachments = [
+            record_at(stream, one.offset, records.Attachment)
+            for one in summary.attachments
+            if one.name != DIGEST_NAME
+        ]
         metadata = [record_at(stream, one.offset, records.Metadata) for one in summary.metadata]
         if None not in [*attachments, *metadata]:
             for _, topic in Declared(log.namesakes).take_summary(summary):
@@ -78,5 +83,5 @@ def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -
         pass
     for topic in reader.topics.values():
         found.topics.setdefault(topic.name, topic)
-    found.attachments += reader.attachments
+    found.attachments += [one for one in reader.attachments if one.name != DIGEST_NAME]
     found.metadata.update(reader.metadata)

@@ -16,12 +16,15 @@ import msgspec
 
 from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.reading.contents import Contents, read_contents, walk_contents
+from recorder.reading.log_file import StoredLog
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.record.robots import METADATA_NAME
 from schemas import keys
+from schemas.exit_codes import CommandError
+from schemas.printable import plain
 
 CUT_NAME: Final = "cruiser.cut"
 """The metadata record of a part of a log: which time and topics it is, and of which files."""
@@ -150,7 +153,20 @@ def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
         CommandError: there is no such file, or it is no MCAP file.
     """
     with open_log(path) as (stream, size):
-        return _read(stream, size, str(path), progress)
+        return _read(stream, size, str(path), progress, is_written=is_being_written(stream))
+
+
+def read_stored_info(stored: StoredLog, progress: Progress = lambda _: None) -> LogInfo:
+    """Read what a log of an object store holds. The checksum of its end is not verified.
+
+    Raises:
+        CommandError: it cannot be read.
+    """
+    try:
+        with stored.open() as stream:
+            return _read(stream, stored.size, stored.url, progress, is_verifying=False)
+    except OSError as error:
+        raise CommandError(f"cannot read {plain(stored.url)}: {error.strerror or error}") from error
 
 
 def brief(info: LogInfo) -> LogBrief:
@@ -190,9 +206,16 @@ def total(infos: Sequence[LogInfo | LogBrief]) -> SetInfo:
     )
 
 
-def _read(stream: BinaryIO, size: int, path: str, progress: Progress) -> LogInfo:
-    is_written = is_being_written(stream)
-    source, contents = LogSourceInfo.SUMMARY, read_contents(stream)
+def _read(
+    stream: BinaryIO,
+    size: int,
+    path: str,
+    progress: Progress,
+    *,
+    is_written: bool = False,
+    is_verifying: bool = True,
+) -> LogInfo:
+    source, contents = LogSourceInfo.SUMMARY, read_contents(stream, is_verifying=is_verifying)
     if contents is None:
         source = LogSourceInfo.RECORDS
         contents = walk_contents(stream, size, progress, is_being_written=is_written)

@@ -7,14 +7,13 @@ from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any, Final, Protocol
 
-import msgspec
 import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
-from obstore.store import ObjectStore, from_url
+from obstore.store import ObjectStore
 
+from recorder.objects.interface import StoredObject, StoreError
+from recorder.objects.store import line_of, open_store
 from recorder.upload.finished import PART_BYTES
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain, short
 
 READ_BACK_BYTES: Final = 4 * 1024 * 1024
 """A log is read back in ranges of this length: of a link that breaks no more is asked again."""
@@ -27,21 +26,6 @@ REQUEST_S: Final = timedelta(minutes=3)
 
 LOCAL: Final = ("file://", "memory://")
 """Stores that no network is between."""
-
-
-class StoreError(Exception):
-    """The store did not do what was asked: in a line. It may do it later."""
-
-
-class StoredObject(msgspec.Struct, frozen=True):
-    """An object, as the store has it.
-
-    Attributes:
-        e_tag: the store's own mark of its content, without quotes; empty if it has none.
-    """
-
-    bytes: int
-    e_tag: str
 
 
 class LogStore(Protocol):
@@ -81,25 +65,10 @@ class ObstoreLogs:
 
     def __init__(self, url: str, options: Mapping[str, Any], bytes_per_s: int, proxy: str) -> None:
         slowest_s = PART_BYTES / bytes_per_s if bytes_per_s else 0.0
-        config = dict(options)
-        client: dict[str, Any] = {
-            "timeout": timedelta(seconds=SILENCE_S + 2 * slowest_s),
-            "allow_http": bool(config.pop("allow_http", False)),
-        }
+        client: dict[str, Any] = {"timeout": timedelta(seconds=SILENCE_S + 2 * slowest_s)}
         if proxy:
             client["proxy_url"] = proxy
-        # Options of S3, GCS and Azure have different types.
-        opened: Any = from_url
-        try:
-            if url.startswith(LOCAL):
-                self._store: ObjectStore = (
-                    opened(url, mkdir=True, **config) if url.startswith("file:") else opened(url)
-                )
-            else:
-                retries = {"retry_timeout": REQUEST_S}
-                self._store = opened(url, config=config, client_options=client, retry_config=retries)
-        except (BaseError, ValueError, TypeError, OSError) as error:
-            raise CommandError(f"cannot use the store {plain(url)}: {_line(error)}", ExitCode.USAGE) from error
+        self._store: ObjectStore = open_store(url, options, client, {"retry_timeout": REQUEST_S}, may_make=True)
 
     async def create(self, name: str, data: bytes) -> bool:
         """Put a small object where none is. False if there is one."""
@@ -157,9 +126,4 @@ def _store_errors() -> Generator[None, None, None]:
     try:
         yield
     except (BaseError, OSError) as error:
-        raise StoreError(_line(error)) from error
-
-
-def _line(error: Exception) -> str:
-    # Behind the first line the library shows its own insides.
-    return short(plain(str(error).partition("\n")[0] or type(error).__name__))
+        raise StoreError(line_of(error)) from error

@@ -20,11 +20,12 @@ import msgspec
 from recorder.disk.keeper import read_entries
 from recorder.disk.log_directory import SUFFIX
 from recorder.disk.upload_note import UploadedLog, UploadNote
+from recorder.objects.interface import StoreError
 from recorder.record.retention import LogEntry
 from recorder.upload.finished import LogDigest, UnfitLogError, digest, finished_log, read_facts, read_slowly
 from recorder.upload.manifest import MANIFEST_SUFFIX, UploadManifest, UploadState, object_names, read_manifest
 from recorder.upload.pace import RateLimit
-from recorder.upload.store import LogStore, StoreError
+from recorder.upload.store import LogStore
 from schemas.printable import plain
 
 log = logging.getLogger(__name__)

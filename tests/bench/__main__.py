@@ -30,6 +30,7 @@ from tests.bench import (
     review_export,
     review_find,
     review_rate,
+    review_stored,
     signed_latency,
 )
 from tests.bench.loads import Row, beside, load_rows, print_table
@@ -54,6 +55,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         presses, desk_kills, crowd_s: of a pointer and of the browser on the desk; of its crowd.
         review_mb, review_minutes, export_messages: sizes of the logs.
         cataloged_logs: number of the logs that are searched.
+        stored_minutes: of driving, in the log in a store.
     """
 
     seconds: float = 20.0
@@ -78,6 +80,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     export_messages: int = review_export.MESSAGES
     export_rounds: int = 3
     cataloged_logs: int = review_find.LOGS
+    stored_minutes: float = 2.0
 
 
 SHORT: Final = Extent(
@@ -102,6 +105,7 @@ SHORT: Final = Extent(
     export_messages=20_000,
     export_rounds=1,
     cataloged_logs=500,
+    stored_minutes=0.2,
 )
 """Enough to see that each bench runs; its figures say nothing."""
 
@@ -159,6 +163,7 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
         ),
         ("the review", lambda: review_rate.rows(extent.review_mb, extent.review_minutes)),
         ("the search", lambda: review_find.rows(extent.cataloged_logs)),
+        ("a log in a store", lambda: review_stored.rows(extent.stored_minutes)),
         ("the export", lambda: review_export.rows(extent.export_messages, extent.export_rounds)),
     ]
     begun_s = time.monotonic()

@@ -13,6 +13,7 @@ from typing import Final
 import msgspec
 
 from recorder.cli.missing_extra import missing_extra
+from recorder.objects.address import StoreAddress, is_address
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
@@ -21,6 +22,7 @@ from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
+from schemas.settings import Settings
 
 JSON_HELP: Final = "print JSON"
 
@@ -65,10 +67,35 @@ class Asked(msgspec.Struct):
         return sum(log.bytes for log in self.logs)
 
 
-def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> None:
-    """Files and directories, and --json."""
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="a file, or a directory of logs")
+def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP, is_stored: bool = False) -> None:
+    """Files and directories, and --json; ``is_stored``: addresses in object stores, too."""
+    where = ", here or in an object store (s3://BUCKET/PLACE, ...)" if is_stored else ""
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        type=log_place if is_stored else local_path,
+        metavar="LOG",
+        help=f"a file, or a directory of logs{where}",
+    )
     parser.add_argument("--json", action="store_true", help=json_help)
+
+
+def log_place(text: str) -> Path | StoreAddress:
+    """A path of this machine, or an address in an object store."""
+    return StoreAddress(text) if is_address(text) else Path(text)
+
+
+def local_path(text: str) -> Path:
+    """A path of this machine.
+
+    Raises:
+        argparse.ArgumentTypeError: it is an address.
+    """
+    if is_address(text):
+        raise argparse.ArgumentTypeError(
+            "find, info, events and why read object stores; for this, copy the logs here"
+        )
+    return Path(text)
 
 
 def add_period(parser: argparse.ArgumentParser) -> None:
@@ -77,15 +104,20 @@ def add_period(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
 
 
-def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
+def find(arguments: argparse.Namespace, *, with_covered: bool = False, settings: Settings | None = None) -> Asked:
     """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
+
+    With the settings logs of object stores are found too.
 
     Raises:
         CommandError: there is nothing to read, a time is of no known form, or the logs hold nothing of the time.
     """
     faults = Faults()
-    known = cataloged(arguments.logs)
-    logs = find_logs(arguments.logs, faults, with_covered=with_covered, known=known)
+    paths = [one for one in arguments.logs if isinstance(one, Path)]
+    addresses = [one for one in arguments.logs if isinstance(one, StoreAddress)]
+    known = cataloged(paths)
+    stored = stored_logs(addresses, settings or Settings(), faults) if addresses else []
+    logs = find_logs(paths, faults, with_covered=with_covered, known=known, stored=stored)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
     begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)
@@ -97,6 +129,21 @@ def find(arguments: argparse.Namespace, *, with_covered: bool = False) -> Asked:
         period = f"{in_words(start_ns)} to {in_words(end_ns)}"
         raise CommandError(f"the logs hold nothing of that time: they go from {period}", ExitCode.USAGE)
     return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns, known)
+
+
+def stored_logs(addresses: Sequence[StoreAddress], settings: Settings, faults: Faults) -> list[LogFile]:
+    """The logs at addresses in object stores.
+
+    Raises:
+        CommandError: there are none, or the library that reads stores is missing.
+    """
+    try:
+        from recorder.cli.review.stored import find_stored  # noqa: PLC0415 - it needs an extra
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "obstore":
+            raise
+        raise missing_extra("obstore", "upload") from None
+    return find_stored(addresses, settings.upload, faults)
 
 
 def cataloged(paths: Sequence[Path]) -> dict[Path, CatalogedLog]:

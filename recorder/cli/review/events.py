@@ -34,7 +34,7 @@ DESCRIPTION: Final = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    add_logs(parser, json_help="print a JSON object a line")
+    add_logs(parser, json_help="print a JSON object a line", is_stored=True)
     add_period(parser)
     parser.add_argument(
         "--robot", action="append", default=[], metavar="NAME", help="of this robot; several times"
@@ -49,9 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Print the timeline as it is read."""
-    asked = find(arguments)
+    asked = find(arguments, settings=settings)
     _check_robots(arguments.robot, asked)
     robots, kinds = frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
     show = _as_json if arguments.json else _as_table

@@ -8,9 +8,19 @@ from typing import Final
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.cli.show import show
+from recorder.objects.address import StoreAddress
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport
-from recorder.review.info import LogBrief, LogInfo, LogSourceInfo, SetInfo, brief, read_info, total
+from recorder.review.info import (
+    LogBrief,
+    LogInfo,
+    LogSourceInfo,
+    SetInfo,
+    brief,
+    read_info,
+    read_stored_info,
+    total,
+)
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
@@ -29,25 +39,29 @@ _LOSSES: Final = ("lost_source", "lost_link", "lost_queue", "lost_size", "lost_f
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    add_logs(parser, json_help=JSON_HELP)
+    add_logs(parser, json_help=JSON_HELP, is_stored=True)
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Show all logs; of a broken file the part that can be read."""
-    asked = find(arguments)
+    asked = find(arguments, settings=settings)
     infos: list[LogInfo | LogBrief] = []
     is_fine = True
     with progress_bar("looking", asked.bytes, stopped, prints=True) as progress:
         for log in asked.logs:
             if stopped():
                 break
-            is_named = log.path in arguments.logs
+            is_named = log.path in arguments.logs or (
+                log.stored is not None and StoreAddress(log.stored.url) in arguments.logs
+            )
             if not is_named and log.path in asked.known:
                 infos.append(asked.known[log.path].brief)
                 is_fine &= infos[-1].whole
                 continue
             try:
-                info = read_info(log.path, progress)
+                info = (
+                    read_info(log.path, progress) if log.stored is None else read_stored_info(log.stored, progress)
+                )
             except CommandError as error:
                 asked.faults.add(str(error))
                 continue

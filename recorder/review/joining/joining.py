@@ -12,6 +12,7 @@ import msgspec
 from mcap import records
 
 from recorder.disk.new_file import new_file
+from recorder.encoding.event_digest import DIGEST_NAME, EventDigest
 from recorder.encoding.protobuf_schema import schema_name
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
@@ -115,7 +116,7 @@ def join(
                 faults.add(f"{log.path}: {error.strerror or error}")
         profiles = {source.profile for source in sources}
         profile = profiles.pop() if len(profiles) == 1 else ""
-        file = McapFile(out, f"cruiser-gateway {version('cruiser-gateway')}", profile)
+        file = McapFile(out, f"cruiser-gateway {version('cruiser-gateway')}", profile, EventDigest())
         joining.begin(file, drops_duplicates=len(sources) > 1)
         _copy_metadata(file, sources, about)
         _copy_attachments(file, sources)
@@ -290,11 +291,11 @@ def _one_completeness(several: Sequence[dict[str, str]]) -> dict[str, str]:
 
 
 def _copy_attachments(file: McapFile, sources: Sequence[JoinSource]) -> None:
-    """Each once, by name, type and content."""
+    """Each once, by name, type and content. Digests are of one file alone: this one gets its own."""
     seen: set[tuple[str, str, int, int]] = set()
     for one in _attachments(sources):
         identity = one.name, one.media_type, len(one.data), hash(one.data)
-        if identity not in seen:
+        if identity not in seen and one.name != DIGEST_NAME:
             seen.add(identity)
             file.add_attachment(one.name, one.media_type, one.data, one.log_time, one.create_time)
 

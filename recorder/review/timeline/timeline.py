@@ -82,6 +82,7 @@ def read_events(
         lambda topic: topic.kind in _TAKES and is_of(topic.robot) and selection.wants(topic),
         max(0, selection.from_ns - BEFORE_NS),
         selection.to_ns + LATER_NS,
+        is_digested=True,
     )
     timeline = Timeline(faults)
     for row in read_rows(logs, looked_at, faults, progress):

@@ -81,6 +81,7 @@ class RecordedRig(GatewayRig):
         recorder_says: Sequence[RecorderEvent] = (),
         lag_ns: int = RECEIVED_NS,
         journal: Callable[[Journal], Journal] = lambda one: one,
+        tick_ns: int = 0,
     ) -> bytes:
         """The log of all that was said, as a recorder writes it.
 
@@ -91,8 +92,10 @@ class RecordedRig(GatewayRig):
             recorder_says: the recorder's own events, at the end.
             lag_ns: a sample is received so much later than it was published.
             journal: what becomes of each message of the journal before it is recorded.
+            tick_ns: the recorder ticks so often, and then writes chunks in time; 0: only full ones.
         """
         log = Log()
+        began_ns = ticked_ns = self.recorded[0][0] if self.recorded else 0
         root = self.settings.robot.root
         answer = msgspec.structs.replace(info(), configuration=to_toml(self.settings))
         for number, (at_ns, sample) in enumerate(self.recorded):
@@ -108,7 +111,10 @@ class RecordedRig(GatewayRig):
                 message = codec.decode(subject, payload)
                 assert isinstance(message, Journal)
                 payload = codec.encode(journal(message))
-            log.receive(FakeSample(key, subject.encoding, payload), wall_ns=log_ns)
+            log.receive(FakeSample(key, subject.encoding, payload), now_ns=at_ns - began_ns, wall_ns=log_ns)
+            if tick_ns and at_ns - ticked_ns >= tick_ns:
+                ticked_ns = at_ns
+                log.tick(at_ns - began_ns)
         for said in recorder_says:
             log.add_own(keys.of_recorder(root, "bench", "event"), said, 0)
         return log.close()

@@ -1,0 +1,48 @@
+"""Addresses of objects: ``s3://BUCKET/PLACE`` and the like. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+SCHEMES: Final = ("s3://", "gs://", "az://", "file://", "https://", "http://")
+"""The stores that can be read."""
+
+UNLISTED: Final = ("https://", "http://")
+"""Those that tell of one object at a time."""
+
+
+class StoreAddress(msgspec.Struct, frozen=True):
+    """An address of an object, or of a place that holds several."""
+
+    url: str
+
+    @property
+    def scheme(self) -> str:
+        """The kind of the store, ``s3://`` for example."""
+        return next(one for one in SCHEMES if self.url.startswith(one))
+
+    @property
+    def has_list(self) -> bool:
+        """True if its store says what a place holds."""
+        return self.scheme not in UNLISTED
+
+    @property
+    def parent(self) -> StoreAddress:
+        """The place that an object lies in."""
+        return StoreAddress(self.url.rpartition("/")[0])
+
+    @property
+    def name(self) -> str:
+        """The last part of it."""
+        return self.url.rpartition("/")[2]
+
+    def join(self, name: str) -> StoreAddress:
+        """The address of an object of this place."""
+        return StoreAddress(f"{self.url.rstrip('/')}/{name}")
+
+
+def is_address(text: str) -> bool:
+    """True of what names an object of a store, and no file."""
+    return text.startswith(SCHEMES)

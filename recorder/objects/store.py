@@ -1,0 +1,195 @@
+"""The objects of any store that obstore knows: S3, GCS, Azure, a directory, a server of HTTPS.
+
+Nothing waits for ever: a request is given up after ``REQUEST_S``, and asked again once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import obstore
+from obstore.exceptions import (
+    BaseError,
+    GenericError,
+    NotFoundError,
+    NotSupportedError,
+    PermissionDeniedError,
+    PreconditionError,
+    UnauthenticatedError,
+)
+from obstore.store import ObjectStore, from_url
+
+from recorder.objects.address import StoreAddress
+from recorder.objects.interface import ListedObject, StoredObject, StoreError
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain, short
+
+REQUEST_S: Final = 30.0
+"""A request, with all that it carries, takes no longer; at most 4 MiB are asked for at once."""
+
+CONNECT_S: Final = 5.0
+
+RETRIES: Final = 1
+"""So often the library asks again within ``REQUEST_S``..."""
+
+TRIES: Final = 2
+"""...and so often a range is asked for: a link may break in its middle."""
+
+LISTED_MAX: Final = 1_000_000
+"""Objects of a place that are looked at."""
+
+if TYPE_CHECKING:
+    from obstore import GetOptions
+
+_CREDENTIALS: Final = {
+    "s3://": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
+    "gs://": "GOOGLE_APPLICATION_CREDENTIALS",
+    "az://": "AZURE_STORAGE_ACCOUNT_KEY",
+}
+
+
+class ObstoreObjects:
+    """The objects of a place that obstore reads.
+
+    Args:
+        place: their address.
+        options: of this store, by obstore's names; credentials come from the environment.
+
+    Raises:
+        CommandError: no store is called so, or an option is none of it.
+    """
+
+    def __init__(self, place: StoreAddress, options: Mapping[str, Any]) -> None:
+        self._place = place
+        client: dict[str, Any] = {
+            "timeout": timedelta(seconds=REQUEST_S),
+            "connect_timeout": timedelta(seconds=CONNECT_S),
+        }
+        retries = {"max_retries": RETRIES, "retry_timeout": timedelta(seconds=REQUEST_S)}
+        self._store = open_store(place.url, options, client, retries, may_make=False)
+
+    def look(self, name: str) -> StoredObject | None:
+        """Return length and mark of an object; None if there is none."""
+        with self._errors():
+            try:
+                found = obstore.head(self._store, name)
+            except (FileNotFoundError, NotFoundError):
+                return None
+        return StoredObject(found["size"], _mark(found["e_tag"]))
+
+    def read(self, name: str, start: int, end: int, e_tag: str) -> bytes:
+        """Return a range of an object that still has this mark; any, where the mark is empty."""
+        with self._errors():
+            for tried in range(1, TRIES + 1):
+                try:
+                    return self._range(name, start, end, e_tag)
+                except (GenericError, OSError):
+                    if tried == TRIES:
+                        raise
+        raise AssertionError("unreachable")
+
+    def names(self) -> Iterator[ListedObject]:
+        """Return all objects of the place, and of those within it."""
+        count = 0
+        with self._errors():
+            for page in obstore.list(self._store):
+                for one in page:
+                    count += 1
+                    if count > LISTED_MAX:
+                        raise StoreError(f"it holds more than {LISTED_MAX} objects: name a place within it")
+                    yield ListedObject(one["path"], one["size"])
+
+    def write(self, name: str, data: bytes) -> None:
+        """Put a small object in the place of what is there."""
+        with self._errors():
+            obstore.put(self._store, name, data)
+
+    def _range(self, name: str, start: int, end: int, e_tag: str) -> bytes:
+        options: GetOptions = {"range": (start, end)}
+        if e_tag and self._place.has_list:
+            # A plain server of files may know no conditions: its answer is looked at all the same.
+            options["if_match"] = f'"{e_tag}"'
+        try:
+            found = obstore.get(self._store, name, options=options)
+            data = bytes(found.bytes())
+        except (PreconditionError, NotFoundError, FileNotFoundError):
+            raise StoreError("it was changed or removed while it was read: ask again") from None
+        if e_tag and _mark(found.meta["e_tag"]) not in {"", e_tag}:
+            raise StoreError("it was changed or removed while it was read: ask again")
+        if len(data) != end - start:
+            raise StoreError(f"the store sent {len(data)} bytes where {end - start} were asked for: ask again")
+        return data
+
+    @contextmanager
+    def _errors(self) -> Generator[None, None, None]:
+        """Raise one StoreError, with the cure, for whatever the library reports."""
+        try:
+            yield
+        except (PermissionDeniedError, UnauthenticatedError, PermissionError) as error:
+            names = _CREDENTIALS.get(self._place.scheme, "")
+            cure = f"give credentials that may read it, {names}" if names else "this user may not read it"
+            raise StoreError(f"the store refuses it: {cure}") from error
+        except NotSupportedError as error:
+            raise StoreError(f"the store cannot do that: {line_of(error)}") from error
+        except (BaseError, OSError) as error:
+            raise StoreError(_with_cure(line_of(error))) from error
+
+
+def _with_cure(line: str) -> str:
+    lowered = line.lower()
+    if "403" in lowered or "401" in lowered or "credential" in lowered or "imds" in lowered:
+        return f"{line}: give credentials that may read it"
+    if any(word in lowered for word in ("timed out", "timeout", "connect", "sending request", "dns")):
+        return f"{line}: is the store's endpoint right, and the network there?"
+    return line
+
+
+def _mark(e_tag: str | None) -> str:
+    return (e_tag or "").removeprefix("W/").strip('"')
+
+
+def open_store(
+    url: str,
+    options: Mapping[str, Any],
+    client: dict[str, Any],
+    retries: dict[str, Any],
+    *,
+    may_make: bool,
+) -> ObjectStore:
+    """Open the store at a URL; the network is not asked for that.
+
+    Args:
+        url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY, https://.
+        options: of this store, by obstore's names; ``allow_http`` of ours.
+        client: how its connections are made.
+        retries: how often it asks again.
+        may_make: a directory is made where there is none.
+
+    Raises:
+        CommandError: no store is called so, or an option is none of it.
+    """
+    config = dict(options)
+    client["allow_http"] = bool(config.pop("allow_http", False))
+    # Options of S3, GCS and Azure have different types.
+    opened: Any = from_url
+    try:
+        if url.startswith("memory://"):
+            store: ObjectStore = opened(url)
+        elif url.startswith("file://"):
+            if not may_make and not Path(url.removeprefix("file://")).is_dir():
+                raise CommandError(f"cannot use the store {plain(url)}: no such directory")
+            store = opened(url, mkdir=may_make, **config)
+        else:
+            store = opened(url, config=config, client_options=client, retry_config=retries)
+    except (BaseError, ValueError, TypeError, OSError) as error:
+        raise CommandError(f"cannot use the store {plain(url)}: {line_of(error)}", ExitCode.USAGE) from error
+    return store
+
+
+def line_of(error: Exception) -> str:
+    """The first line of an error of the library: behind it stand its own insides."""
+    return short(plain(str(error).partition("\n")[0] or type(error).__name__))

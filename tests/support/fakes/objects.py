@@ -1,0 +1,98 @@
+"""Objects of a store in memory, which counts what it is asked for, and fails as it is told to."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from recorder.objects.interface import ListedObject, StoredObject, StoreError
+from recorder.objects.ranged import RangedObject
+
+
+class FakeObjects:
+    """A store that answers by ranges.
+
+    Attributes:
+        objects: what it holds.
+        ranges: name, beginning and end of each range that was asked for, in order.
+        looks: names that were looked at.
+        fetched: bytes that were sent.
+        is_gone: it answers nothing.
+        refused: objects that nobody may read.
+        breaks_after: so many ranges are answered, and then its connection is lost.
+        old_names: the list that it answers instead of the present one.
+    """
+
+    def __init__(self, **objects: bytes) -> None:
+        self.objects: dict[str, bytes] = dict(objects)
+        self.ranges: list[tuple[str, int, int]] = []
+        self.looks: list[str] = []
+        self.fetched = 0
+        self.is_gone = False
+        self.refused: set[str] = set()
+        self.breaks_after: int | None = None
+        self.old_names: list[ListedObject] | None = None
+
+    @property
+    def requests(self) -> int:
+        """Number of requests, those for lists not counted."""
+        return len(self.ranges) + len(self.looks)
+
+    def look(self, name: str) -> StoredObject | None:
+        self.looks.append(name)
+        self._answer(name)
+        data = self.objects.get(name)
+        return None if data is None else StoredObject(len(data), mark_of(data))
+
+    def read(self, name: str, start: int, end: int, e_tag: str) -> bytes:
+        self.ranges.append((name, start, end))
+        self._answer(name)
+        if self.breaks_after is not None:
+            self.breaks_after -= 1
+            if self.breaks_after < 0:
+                raise StoreError("connection reset by peer")
+        data = self.objects.get(name)
+        if data is None or (e_tag and mark_of(data) != e_tag):
+            raise StoreError("it was changed or removed while it was read: ask again")
+        self.fetched += end - start
+        return data[start:end]
+
+    def names(self) -> Iterator[ListedObject]:
+        self._answer("")
+        if self.old_names is not None:
+            yield from self.old_names
+            return
+        yield from [ListedObject(name, len(data)) for name, data in sorted(self.objects.items())]
+
+    def write(self, name: str, data: bytes) -> None:
+        self._answer(name)
+        self.objects[name] = data
+
+    def _answer(self, name: str) -> None:
+        if self.is_gone:
+            raise StoreError("nobody answers: is the store's endpoint right, and the network there?")
+        if name in self.refused:
+            raise StoreError("the store refuses it: give credentials that may read it")
+
+
+def mark_of(data: bytes) -> str:
+    """The mark of an object with this content."""
+    return hashlib.md5(data, usedforsecurity=False).hexdigest()
+
+
+class FakeStoredLog:
+    """A log in a store of its own.
+
+    Attributes:
+        objects: the store, which counts.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.objects = FakeObjects()
+        self.objects.objects["a.mcap"] = path.read_bytes()
+        self.url = "s3://logs/a.mcap"
+        self.size = path.stat().st_size
+        self._ranged = RangedObject(self.objects, "a.mcap", self.size, mark_of(path.read_bytes()))
+        self.open = self._ranged.open
+        self.fetch = self._ranged.fetch

@@ -1,0 +1,140 @@
+"""What obstore says of a store becomes bytes, or one line with its cure."""
+
+from pathlib import Path
+
+import obstore
+import pytest
+from obstore.exceptions import GenericError, PermissionDeniedError, UnauthenticatedError
+
+from recorder.objects import store as stores
+from recorder.objects.address import StoreAddress, is_address
+from recorder.objects.interface import ListedObject, StoredObject, StoreError
+from recorder.objects.store import ObstoreObjects
+from schemas.exit_codes import CommandError
+
+DATA = bytes(range(200))
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> StoreAddress:
+    """A directory with an object in it, and one below it."""
+    (tmp_path / "cruiser-1").mkdir()
+    (tmp_path / "a.mcap").write_bytes(DATA)
+    (tmp_path / "cruiser-1/b.mcap").write_bytes(b"b")
+    return StoreAddress(f"file://{tmp_path}")
+
+
+def test_an_object_is_looked_at_listed_and_read_by_ranges(place: StoreAddress) -> None:
+    """Names are those within the place."""
+    objects = ObstoreObjects(place, {})
+    found = objects.look("a.mcap")
+    assert isinstance(found, StoredObject)
+    assert found.bytes == len(DATA)
+    assert objects.read("a.mcap", 10, 20, found.e_tag) == DATA[10:20]
+    assert objects.look("c.mcap") is None
+    names = sorted(objects.names(), key=lambda one: one.name)
+    assert names == [ListedObject("a.mcap", len(DATA)), ListedObject("cruiser-1/b.mcap", 1)]
+
+
+def test_an_object_that_was_changed_is_not_read_on(place: StoreAddress) -> None:
+    """Parts of two contents would be an answer about neither."""
+    objects = ObstoreObjects(place, {})
+    found = objects.look("a.mcap")
+    assert found is not None
+    path = Path(place.url.removeprefix("file://")) / "a.mcap"
+    path.write_bytes(DATA + b"more")
+    with pytest.raises(StoreError, match="changed or removed"):
+        objects.read("a.mcap", 0, 10, found.e_tag)
+    path.unlink()
+    with pytest.raises(StoreError, match="changed or removed"):
+        objects.read("a.mcap", 0, 10, "")
+
+
+def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
+    place: StoreAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mark in the answer that is another is a change, too; and so are too few bytes."""
+    objects = ObstoreObjects(place, {})
+    honest = obstore.get
+    monkeypatch.setattr(
+        obstore, "get", lambda store, name, options: honest(store, name, options={"range": options["range"]})
+    )
+    with pytest.raises(StoreError, match="changed or removed"):
+        objects.read("a.mcap", 0, 10, "another")
+    with pytest.raises(StoreError, match="sent 100 bytes where 110 were asked for"):
+        objects.read("a.mcap", 100, 210, "")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (PermissionDeniedError("no"), "the store refuses it: "),
+        (UnauthenticatedError("who?"), "the store refuses it: "),
+        (PermissionError(13, "no"), "the store refuses it: "),
+        (
+            GenericError("error sending request\n\nDebug: insides"),
+            "error sending request: is the store's endpoint",
+        ),
+        (GenericError("Server returned 403 Forbidden"), "403 Forbidden: give credentials"),
+        (GenericError("strange"), "strange"),
+    ],
+)
+def test_what_goes_wrong_is_a_line_with_its_cure(
+    place: StoreAddress, monkeypatch: pytest.MonkeyPatch, error: Exception, line: str
+) -> None:
+    """The library's insides are not shown."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    objects = ObstoreObjects(place, {})
+    for name in ("head", "get", "list"):
+        monkeypatch.setattr(obstore, name, refuse)
+    for ask in (lambda: objects.look("a"), lambda: objects.read("a", 0, 1, ""), lambda: list(objects.names())):
+        with pytest.raises(StoreError) as raised:
+            ask()
+        assert line in str(raised.value)
+        assert "\n" not in str(raised.value)
+
+
+def test_a_link_that_breaks_once_costs_one_request_more(
+    place: StoreAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in the middle of a range."""
+    objects = ObstoreObjects(place, {})
+    whole, faults = obstore.get, [GenericError("connection reset by peer")]
+
+    def get(*words: object, **options: object) -> object:
+        if faults:
+            raise faults.pop()
+        return whole(*words, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(obstore, "get", get)
+    assert objects.read("a.mcap", 0, 10, "") == DATA[:10]
+
+
+def test_a_place_of_too_many_objects_is_not_listed(place: StoreAddress, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for a bucket of millions."""
+    monkeypatch.setattr(stores, "LISTED_MAX", 1)
+    with pytest.raises(StoreError, match="name a place within it"):
+        list(ObstoreObjects(place, {}).names())
+
+
+def test_a_directory_that_is_not_there_is_no_store(tmp_path: Path) -> None:
+    """Reading makes none."""
+    with pytest.raises(CommandError, match="no such directory"):
+        ObstoreObjects(StoreAddress(f"file://{tmp_path}/none"), {})
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(CommandError, match="cannot use the store"):
+        ObstoreObjects(StoreAddress("s3://logs"), {"colour": "red"})
+
+
+def test_addresses_are_told_from_paths() -> None:
+    """By their scheme alone."""
+    assert is_address("s3://logs/a.mcap")
+    assert not is_address("logs/s3:/a.mcap")
+    assert not is_address("memory:///a")
+    one = StoreAddress("s3://logs/plant-1/a.mcap")
+    assert (one.parent.url, one.name, one.has_list) == ("s3://logs/plant-1", "a.mcap", True)
+    assert one.parent.join("b").url == "s3://logs/plant-1/b"
+    assert not StoreAddress("https://example.com/a.mcap").has_list
