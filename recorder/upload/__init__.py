@@ -6,5 +6,6 @@
 - ``store``       the questions to a store, and any that obstore knows
 - ``relay``       the way to a store over the network, at a bounded rate
 - ``background``  processor and disk only where nobody else wants them
+- ``row``         a log's row for the catalog, made by another process
 - ``uploader``    one log after the other, incidents first
 """

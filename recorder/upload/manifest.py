@@ -17,6 +17,9 @@ FORMAT: Final = "cruiser.upload/1"
 MANIFEST_SUFFIX: Final = ".json"
 """Follows the log's own name."""
 
+ROW_SUFFIX: Final = ".parquet"
+"""Follows the log's own name: its row of the catalog."""
+
 NAMESAKES_MAX: Final = 20
 """Different logs of one name that a store takes, each with a number."""
 

@@ -7,10 +7,12 @@ shows an object whole or not at all.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import logging
 import os
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -23,8 +25,16 @@ from recorder.disk.upload_note import UploadedLog, UploadNote
 from recorder.objects.interface import StoreError
 from recorder.record.retention import LogEntry
 from recorder.upload.finished import LogDigest, UnfitLogError, digest, finished_log, read_facts, read_slowly
-from recorder.upload.manifest import MANIFEST_SUFFIX, UploadManifest, UploadState, object_names, read_manifest
+from recorder.upload.manifest import (
+    MANIFEST_SUFFIX,
+    ROW_SUFFIX,
+    UploadManifest,
+    UploadState,
+    object_names,
+    read_manifest,
+)
 from recorder.upload.pace import RateLimit
+from recorder.upload.row import RowError, Summarize
 from recorder.upload.store import LogStore
 from schemas.printable import plain
 
@@ -64,17 +74,26 @@ class UploadPlan(msgspec.Struct, frozen=True):
     version: str
 
 
+ROW_LOOK_S: Final = 5.0
+"""While a row is made, the directory is looked at so often for a log that goes first."""
+
+ROW_TRIES: Final = 3
+"""A row is tried so often; then whoever looks for it makes it from the log."""
+
+
 class UploadTotals(msgspec.Struct):
     """The result of an upload.
 
     Attributes:
         uploaded: logs that are safe now; ``bytes`` in all.
+        rows: logs beside which a row of the catalog lies now.
         waiting: names of those that are not, yet.
         faults: why; a line each.
     """
 
     uploaded: int = 0
     bytes: int = 0
+    rows: int = 0
     waiting: list[str] = []
     faults: dict[str, str] = {}
 
@@ -87,9 +106,17 @@ class Uploader:
         store: the place.
         note: what is safe already.
         pace: the rate at which a log is read while it is sent.
+        summarize: makes a log's row for the catalog; None makes none.
     """
 
-    def __init__(self, plan: UploadPlan, store: LogStore, note: UploadNote, pace: RateLimit) -> None:
+    def __init__(
+        self,
+        plan: UploadPlan,
+        store: LogStore,
+        note: UploadNote,
+        pace: RateLimit,
+        summarize: Summarize | None = None,
+    ) -> None:
         self._plan = plan
         self._store = store
         self._note = note
@@ -98,6 +125,9 @@ class Uploader:
         """Logs that could not be uploaded, and when to try again."""
         self._failures = 0
         """Logs in a row that the store did not take."""
+        self._summarize = summarize
+        self._rowless: deque[tuple[str, str, int]] = deque()
+        """Logs that are safe and have no row yet: file, object, and how often it was tried."""
         self.totals = UploadTotals()
 
     async def upload_all(self, may_go_on: Callable[[], bool]) -> bool:
@@ -118,11 +148,19 @@ class Uploader:
             # Some have gone since, or are safe.
             faults = self.totals.faults
             self.totals.faults = {name: faults[name] for name in self.totals.waiting if name in faults}
-            now_s = time.monotonic()
-            due = [entry for entry in entries if self._retry_s.get(entry.name, now_s) <= now_s]
-            if not due or self._failures == AWAY_AFTER or not may_go_on():
-                return self._failures < AWAY_AFTER
-            await self._upload_one(due[0])
+            due = self._due(entries)
+            is_away = self._failures == AWAY_AFTER
+            if is_away or not may_go_on() or not (due or self._rowless):
+                return not is_away
+            if due:
+                await self._upload_one(due[0])
+            else:
+                # Only when every log is safe: a row can be made again, from the log in the store.
+                await self._add_row(*self._rowless.popleft())
+
+    def _due(self, entries: list[LogEntry]) -> list[LogEntry]:
+        now_s = time.monotonic()
+        return [entry for entry in entries if self._retry_s.get(entry.name, now_s) <= now_s]
 
     def waiting(self) -> list[LogEntry]:
         """Return what is finished, and not safe yet; incidents first, of each kind the oldest first.
@@ -156,9 +194,48 @@ class Uploader:
         self._failures = 0
         self._note.add(UploadedLog(entry.name, found.bytes, found.modified_ns, found.sha256, self._plan.url, name))
         log.info("%s is safe as %s, %d bytes, verified: %s", plain(entry.name), plain(name), found.bytes, how)
+        if self._summarize is not None:
+            self._rowless.append((entry.name, name, 1))
         self._retry_s.pop(entry.name, None)
         self.totals.uploaded += 1
         self.totals.bytes += found.bytes
+
+    async def _add_row(self, file: str, name: str, tried: int) -> None:
+        """Put the row of a log beside it. That there is none is no fault of the upload."""
+        try:
+            row = await self._row_of(file)
+            if row is None:
+                self._rowless.append((file, name, tried))
+                return
+            await self._store.replace(name + ROW_SUFFIX, row)
+        except FileNotFoundError:
+            return  # Retention was faster.
+        except StoreError as error:
+            self._failures += 1
+            log.debug("%s has no row yet: %s", plain(name), error)
+            if tried < ROW_TRIES:
+                self._rowless.append((file, name, tried + 1))
+        except (RowError, OSError) as error:
+            log.warning("%s has no row of the catalog: %s", plain(name), error)
+        else:
+            self._failures = 0
+            self.totals.rows += 1
+
+    async def _row_of(self, file: str) -> bytes | None:
+        """Make the row of a log; None if a log came that goes first."""
+        if self._summarize is None:
+            raise RowError("nobody makes it")
+        making = asyncio.ensure_future(self._summarize(self._plan.directory / file))
+        try:
+            while not making.done():
+                await asyncio.wait([making], timeout=ROW_LOOK_S)
+                if not making.done() and self._due(self.waiting()):
+                    return None
+            return making.result()
+        finally:
+            if not making.done():
+                making.cancel()
+                await asyncio.wait([making])
 
     def _put_off(self, name: str, fault: str, pause_s: float) -> None:
         is_new = self.totals.faults.get(name) != fault

@@ -272,8 +272,22 @@ def _as_text(name: str) -> str:
 
 
 def _row(directory: Path, one: _Status, progress: Progress) -> CatalogRow:
-    path = directory / one.name
-    return summarize(look_at(path), _as_text(one.name), one.modified_ns, _summary_crc(path), progress)
+    return row_of(directory / one.name, _as_text(one.name), one.modified_ns, progress)
+
+
+def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda _: None) -> CatalogRow:
+    """Make the row of a log, which is read from its beginning to its end.
+
+    Args:
+        path: the file.
+        file: the log's name, as the row has it.
+        modified_ns: the time of its last change.
+        progress: receives the number of bytes that were read.
+
+    Raises:
+        CommandError: it cannot be opened.
+    """
+    return summarize(look_at(path), file, modified_ns, _summary_crc(path), progress)
 
 
 def _summary_crc(path: Path) -> int | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import pyarrow as pa
@@ -87,7 +87,26 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
         CatalogUnreadableError: it cannot be read.
     """
     try:
-        with path.open("rb") as stream, pq.ParquetFile(stream, page_checksum_verification=True) as file:
+        with path.open("rb") as stream:
+            return read_stream(stream, columns)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise CatalogUnreadableError("is damaged") from error
+
+
+def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.Table:
+    """Read a catalog from an open file.
+
+    Args:
+        stream: the file.
+        columns: these alone; all unless told otherwise.
+
+    Raises:
+        CatalogUnreadableError: it cannot be read.
+    """
+    try:
+        with pq.ParquetFile(stream, page_checksum_verification=True) as file:
             schema = file.schema_arrow
             told: dict[bytes, bytes] = schema.metadata or {}
             version = told.get(b"version", b"").decode(errors="replace")
@@ -96,8 +115,6 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
             if version != str(VERSION) or not schema.equals(SCHEMA):
                 raise CatalogUnreadableError("is of another version")
             return file.read(columns=None if columns is None else list(columns)).combine_chunks()
-    except FileNotFoundError:
-        raise
     except (pa.ArrowException, OSError, ValueError) as error:
         raise CatalogUnreadableError("is damaged") from error
 
@@ -111,15 +128,24 @@ def write_table(path: Path, table: pa.Table) -> None:
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with beside.open("wb") as stream:
-            pq.write_table(
-                table.replace_schema_metadata(SCHEMA.metadata),
-                stream,
-                row_group_size=ROWS_IN_GROUP,
-                compression="zstd",
-                write_page_checksum=True,
-            )
+            write_stream(stream, table)
             stream.flush()
             os.fsync(stream.fileno())
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def write_stream(stream: BinaryIO, table: pa.Table) -> None:
+    """Write a catalog into an open file.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    pq.write_table(
+        table.replace_schema_metadata(SCHEMA.metadata),
+        stream,
+        row_group_size=ROWS_IN_GROUP,
+        compression="zstd",
+        write_page_checksum=True,
+    )

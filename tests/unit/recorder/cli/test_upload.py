@@ -7,6 +7,9 @@ import pytest
 
 from recorder.cli import upload as command
 from recorder.disk.upload_note import SafeLogReader
+from recorder.review.catalog.single import read_row, write_row
+from recorder.review.catalog.table import to_rows
+from recorder.upload.row import Summarize
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import RecorderSettings, UploadSettings
 from schemas.settings import Settings
@@ -19,8 +22,18 @@ LOG = "cruiser-1-20270115T080000Z.mcap"
 
 @pytest.fixture(autouse=True)
 def _as_urgent_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What runs the tests stays so."""
+    """What runs the tests stays so, and starts no process."""
     monkeypatch.setattr(command, "enter_background", lambda: None)
+
+    def row_maker(_module: str) -> Summarize:
+        """One that needs no process."""
+
+        async def make(path: Path) -> bytes:
+            return write_row(path, path.name, path.stat().st_mtime_ns)  # noqa: ASYNC240 - a disk of a test
+
+        return make
+
+    monkeypatch.setattr(command, "row_maker", row_maker)
 
 
 def settings(tmp_path: Path, **upload: object) -> Settings:
@@ -90,3 +103,19 @@ def test_without_a_directory_there_is_nothing_to_upload(tmp_path: Path) -> None:
     """It makes none: the recorder does."""
     with pytest.raises(CommandError, match="is no directory"):
         run_command(command, "--once", settings=settings(tmp_path))
+
+
+def test_the_row_of_a_log_lies_beside_it_in_the_store(tmp_path: Path) -> None:
+    """It is what the catalog of a directory would hold."""
+    saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
+    assert run_command(command, "--once", settings=settings(tmp_path)) == ExitCode.OK
+    row = (tmp_path / "store/cruiser-1" / f"{LOG}.parquet").read_bytes()
+    [found] = to_rows(read_row(row, (tmp_path / "logs" / LOG).stat().st_size))
+    assert (found.file, found.messages) == (LOG, 3)
+
+
+def test_without_rows_no_log_is_read_for_them(tmp_path: Path) -> None:
+    """The setting says so."""
+    saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
+    assert run_command(command, "--once", settings=settings(tmp_path, catalog=False)) == ExitCode.OK
+    assert not (tmp_path / "store/cruiser-1" / f"{LOG}.parquet").exists()

@@ -4,7 +4,7 @@ import asyncio
 import fcntl
 import hashlib
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import msgspec
@@ -14,6 +14,7 @@ from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
 from recorder.upload import uploader as uploading
 from recorder.upload.manifest import NAMESAKES_MAX, UploadManifest, UploadState
 from recorder.upload.pace import RateLimit
+from recorder.upload.row import RowError
 from recorder.upload.store import LogStore, ObstoreLogs
 from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
 from schemas.exit_codes import CommandError, ExitCode
@@ -414,3 +415,84 @@ def test_a_store_that_nothing_is_called_is_a_clear_error(url: str) -> None:
     with pytest.raises(CommandError, match="cannot use the store") as error:
         ObstoreLogs(url, {}, 0, "")
     assert error.value.code is ExitCode.USAGE
+
+
+class Rows:
+    """Makes rows; or waits, or fails."""
+
+    def __init__(self) -> None:
+        self.made: list[str] = []
+        self.fault: Exception | None = None
+        self.meanwhile: Callable[[], None] = lambda: None
+        self.waits = 0
+
+    async def __call__(self, path: Path) -> bytes:
+        self.made.append(path.name)
+        self.meanwhile()
+        if self.waits:
+            self.waits -= 1
+            await asyncio.sleep(3600)
+        if self.fault is not None:
+            raise self.fault
+        return b"row of " + path.name.encode()
+
+
+def upload_with_rows(directory: Path, store: LogStore, rows: Rows) -> UploadTotals:
+    """Upload all that is there, each log with its row."""
+    with UploadNote(directory) as note:
+        uploader = Uploader(plan_of(directory), store, note, RateLimit(0), rows)
+        asyncio.run(uploader.upload_all(lambda: True))
+        return uploader.totals
+
+
+def test_a_row_of_the_catalog_lies_beside_each_log_when_all_are_safe(tmp_path: Path, store: FakeLogStore) -> None:
+    """Logs go first: a row can be made again from the log."""
+    saved(tmp_path / LOG, log_of(2))
+    saved(tmp_path / LATER, log_of(3))
+    rows = Rows()
+    rows.meanwhile = lambda: pytest.fail("a log still waits") if safe(tmp_path) != {LOG, LATER} else None
+    assert upload_with_rows(tmp_path, store, rows).rows == 2
+    assert store.objects[f"cruiser-1/{LOG}.parquet"] == b"row of " + LOG.encode()
+    assert rows.made == [LOG, LATER]
+
+
+def test_a_row_that_is_being_made_gives_way_to_a_new_log(
+    tmp_path: Path, store: FakeLogStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is made from its beginning when the log is safe."""
+    monkeypatch.setattr(uploading, "ROW_LOOK_S", 0.01)
+    saved(tmp_path / LOG, log_of(2))
+    rows = Rows()
+    rows.waits = 1
+
+    def save_once() -> None:
+        if not (tmp_path / LATER).exists():
+            saved(tmp_path / LATER, log_of(3))
+
+    rows.meanwhile = save_once
+    assert upload_with_rows(tmp_path, store, rows).rows == 2
+    assert rows.made == [LOG, LOG, LATER]
+
+
+@pytest.mark.parametrize("fault", [RowError("given up after 600 s"), FileNotFoundError()])
+def test_a_log_is_safe_without_its_row(
+    tmp_path: Path, store: FakeLogStore, fault: Exception, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A row that cannot be made is named, and no fault of the upload; of a log that is gone nothing is said."""
+    saved(tmp_path / LOG, log_of())
+    rows = Rows()
+    rows.fault = fault
+    totals = upload_with_rows(tmp_path, store, rows)
+    assert (totals.uploaded, totals.rows, totals.faults) == (1, 0, {})
+    assert safe(tmp_path) == {LOG}
+    assert ("given up" in caplog.text) == isinstance(fault, RowError)
+
+
+def test_a_store_that_takes_no_rows_is_asked_a_few_times(tmp_path: Path, store: FakeLogStore) -> None:
+    """Then whoever looks for the row makes it."""
+    saved(tmp_path / LOG, log_of())
+    store.refused.add(f"cruiser-1/{LOG}.parquet")
+    rows = Rows()
+    assert upload_with_rows(tmp_path, store, rows).rows == 0
+    assert safe(tmp_path) == {LOG}
+    assert 1 <= len(rows.made) <= uploading.ROW_TRIES
