@@ -18,6 +18,7 @@ from obstore.store import S3Store
 
 from recorder.cli import upload as command
 from recorder.disk.upload_note import NAME, SafeLogReader
+from recorder.review.catalog.single import read_row
 from schemas.exit_codes import ExitCode
 from schemas.recorder_settings import RecorderSettings, UploadSettings
 from schemas.settings import Settings
@@ -81,13 +82,14 @@ def held(port: int) -> dict[str, bytes]:
 
 
 def check_all_there(logs: Path, port: int, verified: str) -> None:
-    """Each log byte for byte, with a manifest, and marked."""
+    """Each log byte for byte, with a manifest and a row, and marked."""
     objects = held(port)
-    assert len(objects) == 6
+    assert len(objects) == 9
     for name in (SMALL, LARGE, INCIDENT):
         assert objects[f"plant-1/cruiser-1/{name}"] == (logs / name).read_bytes()
         found = json.loads(objects[f"plant-1/cruiser-1/{name}.json"])
         assert (found["state"], found["verified"]) == ("verified", verified)
+        read_row(objects[f"plant-1/cruiser-1/{name}.parquet"], found["bytes"])
     assert set(SafeLogReader(logs).read()) == {SMALL, LARGE, INCIDENT}
 
 
@@ -114,7 +116,7 @@ def test_another_log_of_the_same_name_is_not_overwritten(logs: Path, port: int, 
     after = held(port)
     assert before.items() <= after.items()
     second = "plant-1/cruiser-1/" + SMALL.replace(".mcap", "-2.mcap")
-    assert after.keys() - before.keys() == {second, f"{second}.json"}
+    assert after.keys() - before.keys() == {second, f"{second}.json", f"{second}.parquet"}
 
 
 @pytest.mark.parametrize("after_bytes", [100, 6_000_000, 11_500_000, 18_000_000])

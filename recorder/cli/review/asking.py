@@ -137,12 +137,8 @@ def stored_logs(addresses: Sequence[StoreAddress], settings: Settings, faults: F
     Raises:
         CommandError: there are none, or the library that reads stores is missing.
     """
-    try:
+    with needing_store():
         from recorder.cli.review.stored import find_stored  # noqa: PLC0415 - it needs an extra
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "obstore":
-            raise
-        raise missing_extra("obstore", "upload") from None
     return find_stored(addresses, settings.upload, faults)
 
 
@@ -231,6 +227,21 @@ def needing_extra() -> Generator[None, None, None]:
         if name not in _EXTRA:
             raise
         raise missing_extra(name, "review") from None
+
+
+@contextmanager
+def needing_store() -> Generator[None, None, None]:
+    """Surround an import of what the extra 'upload' brings.
+
+    Raises:
+        CommandError: it is missing; one line says what to install.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "obstore":
+            raise
+        raise missing_extra("obstore", "upload") from None
 
 
 def end_with(faults: Faults) -> int:

@@ -13,8 +13,17 @@ from urllib.parse import quote
 
 import msgspec
 
-from recorder.cli.review.asking import JSON_HELP, end_with, needing_extra, progress_bar, table
+from recorder.cli.review.asking import (
+    JSON_HELP,
+    end_with,
+    log_place,
+    needing_extra,
+    needing_store,
+    progress_bar,
+    table,
+)
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
+from recorder.objects.address import StoreAddress, is_address
 from recorder.reading.faults import Faults
 from recorder.reading.times import in_words
 from recorder.review.report.links import iso
@@ -27,6 +36,7 @@ with needing_extra():
     import pyarrow as pa
 
     from recorder.review.catalog.directory import Catalog
+    from recorder.review.catalog.place import PlaceCatalog
     from recorder.review.catalog.rows import CatalogRow, LoggedMoment
     from recorder.review.find import FindAnswer, FoundDrive, FoundMoment, columns_of, find, read_words
 
@@ -45,18 +55,25 @@ DESCRIPTION: Final = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     parser.add_argument("words", metavar="WORDS", help="what to look for, as one argument")
-    parser.add_argument("logs", nargs="+", type=Path, metavar="DIRECTORY", help="a directory of logs")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        type=log_place,
+        metavar="DIRECTORY",
+        help="a directory of logs, here or in an object store (s3://BUCKET/PLACE, ...)",
+    )
     parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
     parser.add_argument("--rebuild", action="store_true", help="make the catalog anew from the logs")
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Bring the catalogs up to date, and answer from them."""
     query = read_words(arguments.words, time.time_ns())
     columns = columns_of(query)
     faults = Faults()
     catalogs = [
-        (path, Catalog(path, columns, is_anew=arguments.rebuild)) for path in dict.fromkeys(arguments.logs)
+        (place, _catalog(place, columns, settings, is_anew=arguments.rebuild))
+        for place in dict.fromkeys(arguments.logs)
     ]
     total = sum(catalog.stale_bytes for _, catalog in catalogs)
     with progress_bar("cataloguing", total, stopped) as progress:
@@ -65,7 +82,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     rows = pa.concat_tables([_with_paths(path, catalog.table) for path, catalog in catalogs])
     if not rows.num_rows and not faults:
         _tell(catalogs)
-        raise CommandError(f"there is no log in {', '.join(plain(str(path)) for path, _ in catalogs)}")
+        raise CommandError(f"there is no log in {', '.join(_shown(place) for place, _ in catalogs)}")
     found = find(rows, query)
     for line in _as_json(found) if arguments.json else _as_table(found):
         sys.stdout.write(f"{line}\n")
@@ -76,13 +93,31 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     return end_with(faults)
 
 
-def _with_paths(directory: Path, rows: pa.Table) -> pa.Table:
-    """The same, with each file as a path."""
-    paths = [str(directory / name) for name in rows.column("file").to_pylist()]
+def _catalog(
+    place: Path | StoreAddress, columns: Sequence[str], settings: Settings, *, is_anew: bool
+) -> Catalog | PlaceCatalog:
+    if isinstance(place, Path):
+        return Catalog(place, columns, is_anew=is_anew)
+    with needing_store():
+        from recorder.cli.review.stored import open_objects  # noqa: PLC0415 - it needs an extra
+    return PlaceCatalog(open_objects(place, settings.upload), place, columns, is_anew=is_anew)
+
+
+def _shown(place: Path | StoreAddress) -> str:
+    return plain(str(place) if isinstance(place, Path) else place.url)
+
+
+def _with_paths(place: Path | StoreAddress, rows: pa.Table) -> pa.Table:
+    """The same, with each file as a path or an address."""
+    names = rows.column("file").to_pylist()
+    if isinstance(place, Path):
+        paths = [str(place / name) for name in names]
+    else:
+        paths = [place.join(name).url for name in names]
     return rows.set_column(rows.schema.get_field_index("file"), "file", pa.array(paths, pa.string()))
 
 
-def _tell(catalogs: Sequence[tuple[Path, Catalog]]) -> None:
+def _tell(catalogs: Sequence[tuple[Path | StoreAddress, Catalog | PlaceCatalog]]) -> None:
     """Print on stderr what is no fault of a log, and yet ought to be known."""
     for _, catalog in catalogs:
         for note in catalog.notes:
@@ -92,7 +127,12 @@ def _tell(catalogs: Sequence[tuple[Path, Catalog]]) -> None:
 
 
 def link(file: str, robot: str, time_ns: int) -> str:
-    """Return the address of a moment in the report of a log, which ``report_command`` writes."""
+    """Return the address of a moment in the report of a log, which ``report_command`` writes.
+
+    A report lies beside its log, so of a log in a store it is the log itself.
+    """
+    if is_address(file):
+        return file
     named = f"&robot={quote(robot, safe='')}" if robot else ""
     return f"{page_of(file)}#t={iso(time_ns)}{named}"
 
@@ -103,7 +143,9 @@ def page_of(file: str) -> str:
 
 
 def report_command(file: str) -> str:
-    """Return the command that writes the report of a log beside it."""
+    """Return the command that writes the report of a log beside it; empty for a log in a store."""
+    if is_address(file):
+        return ""
     return shlex.join(["cruiser", "review", "report", file, "-o", page_of(file)])
 
 
@@ -154,7 +196,7 @@ def _as_table(found: Sequence[FindAnswer]) -> Iterator[str]:
         yield "nothing of that is in the logs"
         return
     yield from table(head, rows, words=len(head))
-    if not isinstance(one, CatalogRow):
+    if not isinstance(one, CatalogRow) and report_command(one.file):
         yield f"The page of a link is written by: {plain(report_command(one.file))}"
 
 

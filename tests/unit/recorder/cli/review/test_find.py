@@ -167,3 +167,25 @@ def test_a_logs_words_do_not_reach_the_terminal_as_commands(
 def test_a_page_is_called_after_its_log(name: str) -> None:
     """Whole or not."""
     assert page_of(f"logs/{name}") == "logs/a.html"
+
+
+def test_a_place_in_a_store_is_searched_as_a_directory_is(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its answers name the logs by their addresses, and tell how to go on there."""
+    assert review("find", "stop reason=front_bumper", logs, "--json") == ExitCode.OK
+    here = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    (logs / CATALOG_NAME).unlink()
+    assert review("find", "stop reason=front_bumper", f"file://{logs}", "--json") == ExitCode.OK
+    told = capsys.readouterr()
+    there = [json.loads(line) for line in told.out.splitlines()]
+    assert "2 logs of" in told.err
+    assert [one["file"] for one in there] == [f"file://{one['file']}" for one in here]
+    own = ("file", "link", "report", "why")
+    assert [{key: one[key] for key in one if key not in own} for one in there] == [
+        {key: one[key] for key in one if key not in own} for one in here
+    ]
+    assert review(*shlex.split(there[0]["why"])[2:]) == ExitCode.OK
+    capsys.readouterr()
+    assert review("find", "stop", f"file://{logs}") == ExitCode.OK
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1 + len(here)
+    assert lines[1].endswith(there[0]["file"])

@@ -1,0 +1,172 @@
+"""The catalog of a place in an object store: rows beside logs, and what becomes of those that do not hold."""
+
+from pathlib import Path
+
+import pytest
+
+from recorder.objects.address import StoreAddress
+from recorder.objects.interface import ListedObject
+from recorder.reading.faults import Faults
+from recorder.review.catalog import place as places
+from recorder.review.catalog.place import PlaceCatalog
+from recorder.review.catalog.single import write_row
+from recorder.review.find import columns_of, read_words
+from schemas.exit_codes import CommandError, ExitCode
+from tests.support.drives import drive_messages, write_messages
+from tests.support.fakes.objects import FakeObjects
+from tests.support.logs import foreign_log
+
+PLACE = StoreAddress("s3://logs/plant-1")
+NAME = "cruiser-1/a.mcap"
+OTHER = "cruiser-1/b.mcap"
+COLUMNS = columns_of(read_words("log", 0))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> FakeObjects:
+    """A store with two logs, each with its row, and what else an upload leaves."""
+    objects = FakeObjects()
+    for name, count in ((NAME, 60), (OTHER, 30)):
+        path = write_messages(tmp_path / Path(name).name, drive_messages(count))
+        objects.objects[name] = path.read_bytes()
+        objects.objects[f"{name}.parquet"] = write_row(path, path.name, 5)
+        objects.objects[f"{name}.json"] = b"{}"
+    return objects
+
+
+def files(catalog: PlaceCatalog) -> dict[str, int]:
+    """The messages of each log, by its name."""
+    return dict(zip(*(catalog.table.column(name).to_pylist() for name in ("file", "messages")), strict=True))
+
+
+def brought_up(store: FakeObjects, *, is_anew: bool = False) -> tuple[PlaceCatalog, Faults]:
+    """The catalog, complete, and what could not be read."""
+    faults = Faults()
+    catalog = PlaceCatalog(store, PLACE, COLUMNS, is_anew=is_anew)
+    catalog.refresh(faults)
+    return catalog, faults
+
+
+def logs_read(store: FakeObjects) -> set[str]:
+    """The logs of which anything was asked for."""
+    return {name for name, _, _ in store.ranges if name.endswith(".mcap")}
+
+
+def test_rows_tell_of_a_place_and_no_log_is_read(store: FakeObjects) -> None:
+    """Each under the name that its log has in the store."""
+    catalog, faults = brought_up(store)
+    assert files(catalog) == {NAME: 124, OTHER: 64}
+    assert (logs_read(store), faults.told, catalog.notes) == (set(), [], [])
+
+
+@pytest.mark.parametrize("trouble", ["lost", "damaged", "of another log", "huge", "older than its log"])
+def test_a_row_that_does_not_hold_is_made_again_from_its_log(
+    store: FakeObjects, monkeypatch: pytest.MonkeyPatch, trouble: str
+) -> None:
+    """And gathered with the others, so that it is there the next time."""
+    row = f"{NAME}.parquet"
+    match trouble:
+        case "lost":
+            del store.objects[row]
+        case "damaged":
+            store.objects[row] = store.objects[row][:-20]
+        case "of another log":
+            store.objects[row] = store.objects[f"{OTHER}.parquet"]
+        case "huge":
+            monkeypatch.setattr(places, "ROW_MAX", len(store.objects[row]) - 1)
+            monkeypatch.setitem(store.objects, f"{OTHER}.parquet", store.objects[f"{OTHER}.parquet"])
+        case _:
+            store.objects[NAME] += b"more"
+    catalog, _ = brought_up(store)
+    assert files(catalog) == {NAME: 124, OTHER: 64}
+    assert NAME in logs_read(store)
+    assert catalog.notes[0].endswith("they were read")
+    store.ranges.clear()
+    again, _ = brought_up(store)
+    assert files(again) == files(catalog)
+    assert logs_read(store) == set()
+
+
+def test_anew_believes_no_row(store: FakeObjects) -> None:
+    """Whatever they say."""
+    store.objects[f"{NAME}.parquet"] = store.objects[f"{OTHER}.parquet"]
+    catalog, _ = brought_up(store, is_anew=True)
+    assert logs_read(store) == {NAME, OTHER}
+    assert files(catalog) == {NAME: 124, OTHER: 64}
+
+
+def test_many_rows_are_gathered_once(store: FakeObjects, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then a place is two requests, whatever it holds; a log that comes later is asked for its own row."""
+    monkeypatch.setattr(places, "GATHERED_FROM", 2)
+    new = store.objects.pop(NAME), store.objects.pop(f"{NAME}.parquet")
+    store.objects |= {"c.mcap": store.objects[OTHER], "c.mcap.parquet": store.objects[f"{OTHER}.parquet"]}
+    brought_up(store)
+    store.objects[NAME], store.objects[f"{NAME}.parquet"] = new
+    store.ranges.clear()
+    catalog, _ = brought_up(store)
+    assert files(catalog) == {NAME: 124, OTHER: 64, "c.mcap": 64}
+    assert [name for name, _, _ in store.ranges] == ["catalog.parquet", f"{NAME}.parquet"]
+
+
+def test_a_gathered_catalog_that_is_damaged_is_passed_over(store: FakeObjects) -> None:
+    """A line says so; the rows beside the logs are there still. Rows of logs that are gone do not count."""
+    store.objects["catalog.parquet"] = b"PAR1 nonsense"
+    catalog, _ = brought_up(store)
+    assert files(catalog) == {NAME: 124, OTHER: 64}
+    assert catalog.notes == [
+        "s3://logs/plant-1/catalog.parquet: is damaged: the rows beside the logs are read instead"
+    ]
+    del store.objects["catalog.parquet"], store.objects[f"{NAME}.parquet"]
+    brought_up(store)
+    del store.objects[OTHER]
+    assert files(brought_up(store)[0]) == {NAME: 124}
+
+
+def test_who_may_only_read_is_answered_all_the_same(store: FakeObjects, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line says that nothing could be kept."""
+    monkeypatch.setattr(places, "GATHERED_FROM", 1)
+    store.refused.add("catalog.parquet")
+    catalog, faults = brought_up(store)
+    assert files(catalog) == {NAME: 124, OTHER: 64}
+    assert not faults
+    [note] = catalog.notes
+    assert note.startswith("cannot write s3://logs/plant-1/catalog.parquet: the store refuses it")
+
+
+def test_logs_of_other_makers_and_what_is_no_log_are_told_apart(store: FakeObjects) -> None:
+    """The ones have a row of little, the others are named; an old list may name what is gone."""
+    store.objects |= {"theirs.mcap": foreign_log(), "none.mcap": b"no log", "empty.mcap": b""}
+    store.old_names = [
+        *(ListedObject(name, len(data)) for name, data in store.objects.items()),
+        ListedObject("gone.mcap", 5),
+        ListedObject("gone.mcap.parquet", 5),
+    ]
+    catalog, faults = brought_up(store)
+    assert files(catalog) == {NAME: 124, OTHER: 64, "theirs.mcap": 10}
+    assert sorted(faults.told) == [
+        "cannot read s3://logs/plant-1/gone.mcap: there is no such object",
+        "s3://logs/plant-1/empty.mcap is empty",
+        "s3://logs/plant-1/none.mcap is no MCAP file",
+    ]
+
+
+@pytest.mark.parametrize("step", ["list", "rows", "log"])
+def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, step: str) -> None:
+    """It is not asked for every row, and no half of the logs is taken for all."""
+    match step:
+        case "list":
+            store.is_gone = True
+        case "rows":
+            store.breaks_after = 0
+        case _:
+            del store.objects[f"{NAME}.parquet"]
+            store.breaks_after = 1
+    with pytest.raises(CommandError, match=r"cannot read s3://.*: (nobody answers|connection reset)") as raised:
+        brought_up(store)
+    assert raised.value.code is ExitCode.UNREACHABLE
+
+
+def test_a_server_that_lists_nothing_cannot_be_searched(store: FakeObjects) -> None:
+    """HTTP knows no directories."""
+    with pytest.raises(CommandError, match="does not list what it holds"):
+        PlaceCatalog(store, StoreAddress("https://logs.example.com/plant-1"), COLUMNS)
