@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import BinaryIO, Final
 
 from recorder.mcap.framing import FIRST_RECORD, DamagedError
@@ -44,14 +44,15 @@ def stretches(
             found.append((chunk.offset, chunk.offset + chunk.length + chunk.indexes_length))
     except DamagedError:
         return iter(whole)
-    return iter(_joined(found)) if chunks == statistics.chunk_count else iter(whole)
+    return iter(joined(found)) if chunks == statistics.chunk_count else iter(whole)
 
 
-def _joined(found: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    joined: list[tuple[int, int]] = []
-    for start, end in sorted(found):
-        if joined and start - joined[-1][1] <= GAP_BYTES:
-            joined[-1] = joined[-1][0], max(end, joined[-1][1])
+def joined(parts: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return parts of a file, each from an offset to another, in order; those that lie close together as one."""
+    found: list[tuple[int, int]] = []
+    for start, end in sorted(parts):
+        if found and start - found[-1][1] <= GAP_BYTES:
+            found[-1] = found[-1][0], max(end, found[-1][1])
         else:
-            joined.append((start, end))
-    return joined
+            found.append((start, end))
+    return found

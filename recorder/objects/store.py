@@ -5,6 +5,7 @@ Nothing waits for ever: a request is given up after ``REQUEST_S``, and asked aga
 
 from __future__ import annotations
 
+import re
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
@@ -44,6 +45,8 @@ LISTED_MAX: Final = 1_000_000
 
 if TYPE_CHECKING:
     from obstore import GetOptions
+
+_RETRIES: Final = re.compile(r" in [\d.]+\S*s(, after [^-]*retry_timeout: \S+)? *- ")
 
 _CREDENTIALS: Final = {
     "s3://": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
@@ -191,5 +194,6 @@ def open_store(
 
 
 def line_of(error: Exception) -> str:
-    """The first line of an error of the library: behind it stand its own insides."""
-    return short(plain(str(error).partition("\n")[0] or type(error).__name__))
+    """The first line of an error of the library, without its count of retries: behind it stand its own insides."""
+    line = _RETRIES.sub(": ", str(error).partition("\n")[0]).rstrip(": ")
+    return short(plain(line or type(error).__name__))

@@ -11,6 +11,7 @@ from mcap import records
 
 from recorder.encoding.event_digest import DIGEST_NAME
 from recorder.mcap.reader import DamagedError, record_at
+from recorder.mcap.stretches import joined
 from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -61,6 +62,11 @@ def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
     summary = read_summary(stream, is_verifying=log.stored is None)
     if summary is None:
         return False
+    if log.stored is not None:
+        # The digest is read with what lies beside it: the next question is for that.
+        places = [*summary.attachments, *summary.metadata]
+        for start, end in joined((one.offset, one.offset + one.length) for one in places):
+            log.stored.fetch(start, end)
     with suppress(DamagedError):
         attachments = [
             record_at(stream, one.offset, records.Attachment)

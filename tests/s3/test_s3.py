@@ -17,15 +17,18 @@ import pytest
 from obstore.store import S3Store
 
 from recorder.cli import upload as command
+from recorder.cli.review import command as review
 from recorder.disk.upload_note import NAME, SafeLogReader
 from recorder.review.catalog.single import read_row
-from schemas.exit_codes import ExitCode
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import RecorderSettings, UploadSettings
 from schemas.settings import Settings
 from tests.support.commands import run_command
 from tests.support.fakes.peer import free_endpoint
 from tests.support.logs import gears, own_log, saved
 from tests.support.processes.s3_server import BUCKET, s3_server
+from tests.support.rigs import scenarios
+from tests.support.rigs.scenarios import recorded
 
 SMALL = "cruiser-1-20270115T080000Z.mcap"
 LARGE = "cruiser-1-20270115T090000Z.mcap"
@@ -128,6 +131,38 @@ def test_a_connection_that_is_lost_in_the_middle_only_holds_the_upload_up(
         assert upload(logs, other_port) == ExitCode.OK
         assert has_cut.is_set()
     check_all_there(logs, port, "read back")
+
+
+@pytest.mark.parametrize("after_bytes", [None, 2_000, 40_000])
+def test_what_was_uploaded_is_found_and_asked_in_the_store(
+    tmp_path: Path, port: int, after_bytes: int | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the file is, and also where a connection is lost in the middle."""
+    log = saved(tmp_path / "logs" / SMALL, recorded(scenarios.stale_commands))
+    assert upload(log.parent, port) == ExitCode.OK
+    with cut_link(port, after_bytes or 10**9) as (other_port, has_cut):
+        settings = Settings(upload=UploadSettings(f"s3://{BUCKET}", options_of(other_port)))
+        answers = []
+        for place in (log, f"s3://{BUCKET}/plant-1/cruiser-1/{SMALL}"):
+            capsys.readouterr()
+            assert run_command(review, "why", place, "--json", settings=settings) == ExitCode.OK
+            assert run_command(review, "events", place, "--json", settings=settings) == ExitCode.OK
+            answers.append(capsys.readouterr().out)
+        assert answers[0] == answers[1]
+        words = ("find", "stop reason=deadman", f"s3://{BUCKET}/plant-1", "--json")
+        assert run_command(review, *words, settings=settings) == ExitCode.OK
+        [found] = capsys.readouterr().out.splitlines()
+        assert json.loads(found)["file"] == f"s3://{BUCKET}/plant-1/cruiser-1/{SMALL}"
+        assert has_cut.is_set() == (after_bytes is not None)
+
+
+def test_a_bucket_that_nobody_may_read_or_that_is_not_there_is_said(port: int) -> None:
+    """In a line."""
+    settings = Settings(upload=UploadSettings("", options_of(port)))
+    with pytest.raises(CommandError, match="cannot list s3://none"):
+        run_command(review, "events", "s3://none/plant-1", settings=settings)
+    with pytest.raises(CommandError, match="there is no such object"):
+        run_command(review, "events", f"s3://{BUCKET}/none.mcap", settings=settings)
 
 
 def test_a_server_that_is_not_there_is_said(logs: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> None:

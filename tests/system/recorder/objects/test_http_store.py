@@ -1,0 +1,180 @@
+"""Logs behind a server of HTTP that is slow, refuses, breaks off, or changes what it has."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+
+from recorder.objects import store as stores
+from recorder.objects.address import StoreAddress
+from recorder.objects.interface import StoreError
+from recorder.objects.store import ObstoreObjects
+
+DATA = bytes(range(250)) * 1000
+
+Answer = Callable[[BaseHTTPRequestHandler], bool]
+"""Answers a request otherwise than a good server would; False if it is to be answered well."""
+
+
+def well(_: BaseHTTPRequestHandler) -> bool:
+    """Let it be answered well."""
+    return False
+
+
+@contextmanager
+def served(
+    answer: Answer = well, mark: Callable[[], str] = lambda: "one"
+) -> Iterator[tuple[ObstoreObjects, list[str]]]:
+    """A server with one object, which answers ranges; and the ranges that it is asked for."""
+    asked: list[str] = []
+    is_over = threading.Event()
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def log_message(self, *_: object) -> None:
+            """Nobody reads it."""
+
+        def do_HEAD(self) -> None:
+            self.head(200, len(DATA))
+
+        def do_GET(self) -> None:
+            asked.append(self.headers.get("Range", ""))
+            if answer(self):
+                return
+            start, _, last = asked[-1].removeprefix("bytes=").partition("-")
+            part = DATA[int(start) : int(last) + 1]
+            self.head(206, len(part), f"bytes {start}-{last}/{len(DATA)}")
+            self.wfile.write(part)
+
+        def head(self, status: int, length: int, content_range: str = "") -> None:
+            self.send_response(status)
+            self.send_header("Content-Length", str(length))
+            self.send_header("ETag", f'"{mark()}"')
+            self.send_header("Last-Modified", "Mon, 23 Nov 2026 12:00:00 GMT")
+            if content_range:
+                self.send_header("Content-Range", content_range)
+            self.end_headers()
+
+        def wait(self) -> None:
+            """Say nothing until the test is over."""
+            is_over.wait(60)
+            self.close_connection = True
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        place = StoreAddress(f"http://127.0.0.1:{server.server_address[1]}/logs")
+        yield ObstoreObjects(place, {"allow_http": True}), asked
+    finally:
+        is_over.set()
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for half a minute here."""
+    monkeypatch.setattr(stores, "REQUEST_S", 1.0)
+
+
+def test_a_log_is_looked_at_and_read_by_ranges() -> None:
+    """With the mark that the server gives it."""
+    with served() as (objects, asked):
+        found = objects.look("a.mcap")
+        assert found is not None
+        assert (found.bytes, found.e_tag) == (len(DATA), "one")
+        assert objects.read("a.mcap", 1000, 2000, found.e_tag) == DATA[1000:2000]
+        assert asked == ["bytes=1000-1999"]
+
+
+def test_a_server_that_says_nothing_is_given_up() -> None:
+    """In a bounded time, whatever it does: before its answer, and in the middle of one."""
+
+    def silent(handler: BaseHTTPRequestHandler) -> bool:
+        handler.wait()  # type: ignore[attr-defined]
+        return True
+
+    def stalled(handler: BaseHTTPRequestHandler) -> bool:
+        handler.head(206, 1000, f"bytes 0-999/{len(DATA)}")  # type: ignore[attr-defined]
+        handler.wfile.write(DATA[:500])
+        handler.wait()  # type: ignore[attr-defined]
+        return True
+
+    for answer in (silent, stalled):
+        with served(answer) as (objects, _):
+            began_s = time.monotonic()
+            with pytest.raises(StoreError) as raised:
+                objects.read("a.mcap", 0, 1000, "one")
+            assert "\n" not in str(raised.value)
+            # Four requests of a second, and their pauses; ten times that on a machine with other things to do.
+            assert time.monotonic() - began_s < 60
+
+
+def test_a_connection_that_breaks_off_once_costs_another_request() -> None:
+    """In the middle of a range."""
+    cuts = [True]
+
+    def cut(handler: BaseHTTPRequestHandler) -> bool:
+        if not cuts:
+            return False
+        cuts.pop()
+        handler.head(206, 1000, f"bytes 0-999/{len(DATA)}")  # type: ignore[attr-defined]
+        handler.wfile.write(DATA[:500])
+        handler.close_connection = True
+        return True
+
+    with served(cut) as (objects, asked):
+        assert objects.read("a.mcap", 0, 1000, "one") == DATA[:1000]
+        assert len(asked) >= 2
+
+
+@pytest.mark.parametrize(
+    ("status", "line"),
+    [(403, "refuses it"), (401, "refuses it"), (404, "changed or removed"), (500, "500 Internal Server Error$")],
+)
+def test_what_a_server_refuses_is_a_line(status: int, line: str) -> None:
+    """With its cure, if there is one."""
+
+    def refuse(handler: BaseHTTPRequestHandler) -> bool:
+        handler.head(status, 0)  # type: ignore[attr-defined]
+        return True
+
+    with served(refuse) as (objects, _), pytest.raises(StoreError, match=line) as raised:
+        objects.read("a.mcap", 0, 1000, "one")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_server_that_knows_no_ranges_is_said() -> None:
+    """And nothing of its answer is taken for one."""
+
+    def whole(handler: BaseHTTPRequestHandler) -> bool:
+        handler.head(200, len(DATA))  # type: ignore[attr-defined]
+        handler.wfile.write(DATA)
+        return True
+
+    with served(whole) as (objects, _), pytest.raises(StoreError):
+        objects.read("a.mcap", 1000, 2000, "one")
+
+
+def test_an_object_that_is_replaced_is_seen_by_its_mark() -> None:
+    """Though the server knows no conditions."""
+    marks = ["one"]
+    with served(mark=lambda: marks[-1]) as (objects, _):
+        found = objects.look("a.mcap")
+        assert found is not None
+        marks.append("two")
+        with pytest.raises(StoreError, match="changed or removed"):
+            objects.read("a.mcap", 0, 1000, found.e_tag)
+
+
+def test_nobody_is_there() -> None:
+    """The line says where to look."""
+    with served() as (objects, _):
+        pass
+    with pytest.raises(StoreError, match="is the store's endpoint right"):
+        objects.look("a.mcap")
