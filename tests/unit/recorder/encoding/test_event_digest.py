@@ -173,7 +173,7 @@ def test_a_long_log_has_its_digest_in_several_parts(monkeypatch: pytest.MonkeyPa
     st.integers(0, 101),
     st.sampled_from([STEP, STEP // 3]),
 )
-@settings(deadline=None)
+@settings(max_examples=200)
 def test_a_time_is_where_the_digest_says_whatever_the_order_of_the_chunks(
     chunks: list[list[int]], from_ns: int, to_ns: int, step: int
 ) -> None:
