@@ -64,8 +64,9 @@ def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
         return False
     if log.stored is not None:
         # The digest is read with what lies beside it: the next question is for that.
-        places = [*summary.attachments, *summary.metadata]
-        for start, end in joined((one.offset, one.offset + one.length) for one in places):
+        places = [(one.offset, one.offset + one.length) for one in summary.attachments]
+        places += [(one.offset, one.offset + one.length) for one in summary.metadata]
+        for start, end in joined(places):
             log.stored.fetch(start, end)
     with suppress(DamagedError):
         attachments = [

@@ -106,6 +106,8 @@ class PlaceCatalog:
     def refresh(self, faults: Faults, progress: Progress = lambda _: None) -> None:
         """Read the logs that have no row, and gather the rows if that is worth it.
 
+        What was found is gathered also where the reading is interrupted.
+
         Args:
             faults: takes the logs that cannot be read.
             progress: receives the number of bytes that were read.
@@ -114,18 +116,20 @@ class PlaceCatalog:
         if self.stale:
             url = plain(self._place.url)
             self.notes.append(f"{len(self.stale)} logs of {url} had no row that holds: they were read")
-        for name in self.stale:
-            try:
-                made.append(self._made(name, progress))
-            except CommandError as error:
-                if error.code in {ExitCode.PARTIAL, ExitCode.UNREACHABLE}:
-                    raise
-                faults.add(str(error))
-        self.stale = []
-        if made:
-            self._tables.append(to_table(made))
-        if made or self._read_singly >= GATHERED_FROM:
-            self._gather()
+        try:
+            while self.stale:
+                try:
+                    made.append(self._made(self.stale[0], progress))
+                except CommandError as error:
+                    if error.code in {ExitCode.PARTIAL, ExitCode.UNREACHABLE}:
+                        raise
+                    faults.add(str(error))
+                self.stale.pop(0)
+        finally:
+            if made:
+                self._tables.append(to_table(made))
+            if made or self._read_singly >= GATHERED_FROM:
+                self._gather()
 
     def _whole(self) -> pa.Table:
         table = pa.concat_tables([SCHEMA.empty_table(), *self._tables])

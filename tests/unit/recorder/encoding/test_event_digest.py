@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from recorder.encoding import event_digest
@@ -173,6 +173,8 @@ def test_a_long_log_has_its_digest_in_several_parts(monkeypatch: pytest.MonkeyPa
     st.integers(0, 101),
     st.sampled_from([STEP, STEP // 3]),
 )
+@example([[90], [10]], 50, 100, STEP // 3)
+@example([[90], [10]], 0, 50, STEP // 3)
 @settings(max_examples=200)
 def test_a_time_is_where_the_digest_says_whatever_the_order_of_the_chunks(
     chunks: list[list[int]], from_ns: int, to_ns: int, step: int

@@ -40,10 +40,10 @@ def minute(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def events(log: LogFile, **period: int) -> list[Entry]:
+def events(log: LogFile) -> list[Entry]:
     """What happened, without faults."""
     faults = Faults()
-    found = list(read_events([log], Selection(**period), faults))
+    found = list(read_events([log], Selection(), faults))
     assert faults.told == []
     return found
 

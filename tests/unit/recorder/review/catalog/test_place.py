@@ -166,6 +166,23 @@ def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, st
     assert raised.value.code is ExitCode.UNREACHABLE
 
 
+def test_rows_that_were_made_are_kept_where_the_reading_is_interrupted(store: FakeObjects) -> None:
+    """The next search goes on from there."""
+    for name in (NAME, OTHER):
+        del store.objects[f"{name}.parquet"]
+    catalog = PlaceCatalog(store, PLACE, COLUMNS)
+    read: list[int] = []
+
+    def stop_at_the_second(count: int) -> None:
+        read.append(count)
+        if len(read) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        catalog.refresh(Faults(), stop_at_the_second)
+    assert PlaceCatalog(store, PLACE, COLUMNS).stale == [OTHER]
+
+
 def test_a_server_that_lists_nothing_cannot_be_searched(store: FakeObjects) -> None:
     """HTTP knows no directories."""
     with pytest.raises(CommandError, match="does not list what it holds"):
