@@ -174,19 +174,27 @@ class McapFile:
 
     def finish(self) -> None:
         """Write what makes the file whole: the end of the data, the summary and the footer; but once."""
-        if not self._is_finished:
-            digest, self._digest = self._digest, None
-            if digest is not None and (end := digest.take_end()):
-                self._add_digest(digest, end)
+        if self._is_finished:
+            return
+        digest, self._digest = self._digest, None
+        end = b"" if digest is None else digest.take_end()
+        if digest is None or not end or not self._finish_with(digest, end):
             self._write(self._summary.ending(self._size, self._data_crc))
-            self._is_finished = True
+        self._is_finished = True
 
-    def _add_digest(self, digest: FileDigest, end: bytes) -> None:
+    def _finish_with(self, digest: FileDigest, end: bytes) -> bool:
+        """Write the end with a digest. False if there is no room for it: the file had better be whole without."""
+        size, crc = self._size, self._data_crc
         try:
             self.add_attachment(digest.name, digest.media_type, end, self._summary.end_ns)
+            self._write(self._summary.ending(self._size, self._data_crc))
         except OSError:
-            # On a disk with so little room the file had better be whole without it.
+            if self._size > size:
+                self._summary.forget_attachment()
+            self._size, self._data_crc = size, crc
             self.cut_back()
+            return False
+        return True
 
     def cut_back(self) -> None:
         """After a failed write: take the stream back to the end of the last whole record.

@@ -447,7 +447,7 @@ def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
 ) -> None:
     """The disk takes no header, and is read-only from then on: what is told is the first of it."""
 
-    def fail(*_arguments: object) -> None:
+    def fail(*_arguments: object, **_named: object) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     def refuse(_path: Path) -> None:
