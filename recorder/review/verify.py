@@ -26,13 +26,14 @@ from recorder.review.verifying.chains import (
     RobotChains,
     RunChains,
     SubjectChain,
+    signed_text,
 )
 from recorder.review.verifying.commands import CommandRecord, Holder, RefusedProof, SignedVerb
 from recorder.review.verifying.file_statements import file_statements
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from recorder.review.verifying.links import LinkEncoder, link_encoder
 from schemas import codec, keys
-from schemas.authority.chain import CHAINED, heads_text
+from schemas.authority.chain import CHAINED
 from schemas.authority.trust import Trust, fits
 from schemas.decisions import ChainHeads, Decision, Journal, SafetyEvent, SignedStatement, is_same_run
 from schemas.messages import Message
@@ -252,9 +253,8 @@ class _Verification:
         signed = []
         times: dict[bytes, list[int]] = {}
         for one in heads:
-            said = {entry.subject: (entry.count, entry.head) for entry in one.heads}
-            text = heads_text(one.boot, one.time_ns, one.sequence, said, one.former)
-            signer = next((key for key in robot_keys if fits(key, one.signature, text)), None)
+            text = signed_text(one)
+            signer = next((key for key in robot_keys if text and fits(key, one.signature, text)), None)
             if signer is None:
                 self._find(ProofFault.WRONGLY_SIGNED, "chain heads that the robot did not sign", one.time_ns)
                 continue

@@ -473,10 +473,16 @@ def _cut_off(run: RunChains, kept: FormerHeads) -> Iterator[ProofFinding]:
         yield ProofFinding(ProofFault.CHANGED, what, run.last_ns)
 
 
-def _heads_digest(one: ChainHeads) -> bytes:
+def signed_text(one: ChainHeads) -> bytes | None:
+    """The text under the signature of heads; None if they name a subject twice: one of the two is not in it."""
     said = {entry.subject: (entry.count, entry.head) for entry in one.heads}
-    text = heads_text(one.boot, one.time_ns, one.sequence, said, one.former)
-    return FormerHeads.of(one.boot, one.sequence, text).digest
+    if len(said) < len(one.heads):
+        return None
+    return heads_text(one.boot, one.time_ns, one.sequence, said, one.former)
+
+
+def _heads_digest(one: ChainHeads) -> bytes:
+    return FormerHeads.of(one.boot, one.sequence, signed_text(one) or b"").digest
 
 
 FAR_NS: Final = 60_000_000_000

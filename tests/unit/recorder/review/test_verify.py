@@ -22,12 +22,12 @@ from recorder.review.merge import merge
 from recorder.review.verify import RobotProofReport, shown_statements, verify_logs
 from recorder.review.verifying.commands import STOPS_WAITING
 from recorder.review.verifying.findings import ProofFault
-from schemas import keys
-from schemas.authority.chain import heads_text
+from schemas import codec, keys
+from schemas.authority.chain import first_link, heads_text, next_link
 from schemas.authority.fingerprint import fingerprint
 from schemas.authority.statement import GrantRole, chain_text
 from schemas.authority.trust import Trust
-from schemas.decisions import ChainHeads, Decision, Journal, SafetyEvent, SignedStatement
+from schemas.decisions import ChainHead, ChainHeads, Decision, Journal, SafetyEvent, SignedStatement
 from schemas.exit_codes import CommandError
 from schemas.messages import Message
 from schemas.reasons import Reason
@@ -204,6 +204,28 @@ def test_a_forged_head_beside_that_of_the_robot_displaces_nothing(
     assert faults_of(report) == {ProofFault.WRONGLY_SIGNED}
     assert words_of(report) == "chain heads that the robot did not sign"
     assert report.runs == verified(tmp_path / "alone", log_of(SAMPLES)).runs
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_heads_that_name_a_subject_twice_prove_nothing(tmp_path: Path, is_first: bool) -> None:  # noqa: FBT001
+    """The robot signed one of each: a second one could be anybody's, with chains made up for it."""
+    count, chain = 0, first_link(RUN.signer.boot, "safety/decision")
+    forged: list[Message] = []
+    for one in SAMPLES:
+        if isinstance(one, Decision):
+            other: Message = msgspec.structs.replace(one, operator="bob")
+            count, chain = count + 1, next_link(chain, codec.encode(other))
+        elif isinstance(one, ChainHeads):
+            made_up = ChainHead("safety/decision", count, chain)
+            heads = [made_up, *one.heads] if is_first else [*one.heads, made_up]
+            other = msgspec.structs.replace(one, heads=heads)
+        else:
+            other = one
+        forged.append(other)
+    report = verified(tmp_path, log_of(forged))
+    assert ProofFault.WRONGLY_SIGNED in faults_of(report)
+    assert not report.runs
+    assert not any(one.is_proven for one in report.holders)
 
 
 @pytest.mark.parametrize(
