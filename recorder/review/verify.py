@@ -199,6 +199,7 @@ class _Verification:
             for subject, chain in run.subjects.items():
                 self._take_strangers(subject, chain)
         self._judge_unsigned()
+        self._judge_bare(chains.runs)
         return RobotProofReport(
             robot=self._robot,
             authorities=[key.hex() for key in authority.roots],
@@ -316,6 +317,11 @@ class _Verification:
             for (subject, _), (time_ns, _) in self._unsigned.items():
                 what = f"{subject}: samples of a run that has no chain heads and no journal"
                 self._find(ProofFault.UNPROVEN, what, time_ns)
+
+    def _judge_bare(self, runs: Sequence[RunChains]) -> None:
+        """Find logs with heads of which nothing stands between two: a single one proves no sample beside it."""
+        if runs and not any(chain.counts.proven for run in runs for chain in run.subjects.values()):
+            self._find(ProofFault.UNPROVEN, "no sample stands between two chain heads", runs[0].first_ns)
 
     def _find(self, fault: ProofFault, what: str, time_ns: int) -> None:
         self._findings.append(ProofFinding(fault, what, time_ns))

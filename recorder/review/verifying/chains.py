@@ -256,19 +256,23 @@ class SubjectChain:
                 segment.keep(run)
         tails = [tail for of, tail in self._tails.items() if run in (None, of)]
         self.counts.after = sum(map(len, tails))
-        before, hanging = 0, []
+        before, hanging, has_begun = 0, [], False
         for number, segment in enumerate(self.segments):
             segment.judge_again()
             if segment.digests:
                 self.counts.proven += segment.end - segment.first
                 if self.counts.from_ns is None:
                     self.counts.from_ns = segment.from_ns if segment.first else 0
-            elif may_begin_later and number == before and self._is_before(segment):
+            elif may_begin_later and number == before and not has_begun and self._is_before(segment):
                 # The log begins in mid-run: what is there hangs on nothing. Two heads that follow each other later
                 # say what lies between them, whatever the log holds of it.
                 held = segment.best()
+                absent = segment.end - segment.first - len(held)
+                has_begun = bool(self._near(segment))
                 self.counts.before += len(held)
-                self.counts.absent += segment.end - segment.first - len(held)
+                self.counts.absent += absent
+                if segment.first:
+                    self._judge_late(segment, absent)
                 since_ns, until_ns = self._first_ns - BARE_NS, segment.to_ns + BARE_NS
                 hanging += [at for at in _times(held) if not since_ns <= at <= until_ns]
                 before = number + 1
@@ -292,6 +296,12 @@ class SubjectChain:
             far = [at for at in times_ns if abs(at - self.last_ns) > BARE_NS]
             self._judge_bare("after the last head, which proves none of them", far)
 
+    def _judge_late(self, segment: _Segment, absent: int) -> None:
+        """Find samples that are absent between the first heads: nothing tells why the logs begin behind them."""
+        what = f"{self.subject}: samples behind the first head, before those with which the logs begin"
+        found = ProofFinding(ProofFault.UNPROVEN, what, segment.from_ns, absent, segment.to_ns)
+        self.findings.append(found)
+
     def _judge_bare(self, where: str, times_ns: Sequence[int]) -> None:
         """Find what nothing proves, and what is not of the moment before the first head or after the last."""
         if times_ns:
@@ -306,11 +316,17 @@ class SubjectChain:
             return False
         if segment.first and segment.from_ns >= self._first_ns + LINKING_NS:
             return False
-        held = segment.best()
-        # What came late, from a robot's memory, may lie in a cut without its neighbours: it hangs on nothing, and
-        # is told as such. Of the moment before the first head, nothing may be left out.
-        near = [place for place, link in held.items() if link.time_ns >= self._first_ns - BARE_NS]
-        return segment.first not in held and len(near) == segment.end - min(near, default=segment.end)
+        near = self._near(segment)
+        return segment.first not in segment.best() and len(near) == segment.end - min(near, default=segment.end)
+
+    def _near(self, segment: _Segment) -> list[int]:
+        """Return the places held of a segment from right before the first head on: there may be no gap in them.
+
+        What came late, from a robot's memory, may lie in a cut without its neighbours: it hangs on nothing, and is
+        told as such.
+        """
+        since_ns = self._first_ns - BARE_NS
+        return [place for place, link in segment.best().items() if segment.first or link.time_ns >= since_ns]
 
     def _judge_broken(self, segments: Iterable[_Segment]) -> None:
         """Find what is missing or changed; what lies next to each other is one finding."""

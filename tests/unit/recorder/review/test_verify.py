@@ -31,7 +31,7 @@ from schemas.decisions import ChainHead, ChainHeads, Decision, Journal, SafetyEv
 from schemas.exit_codes import CommandError
 from schemas.messages import Message
 from schemas.reasons import Reason
-from schemas.subjects import BY_VERB
+from schemas.subjects import BY_TYPE, BY_VERB
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party, S
 from tests.support.commands import review
 from tests.support.logs import Disk, channel_of, foreign_log, saved, sealed
@@ -434,6 +434,53 @@ def test_a_log_without_the_first_sample_after_each_head_does_not_pass_for_one_th
     firsts = {next((place for place in journal if place > head), -1) for head in (-1, *heads)}
     kept = [one for place, one in enumerate(SAMPLES) if place not in firsts]
     assert ProofFault.MISSING in faults_of(verified(tmp_path, log_of(kept)))
+
+
+@pytest.mark.parametrize("kind", CHAINED_KINDS)
+@pytest.mark.parametrize("gone", [slice(0, 1), slice(0, None)])
+def test_behind_the_first_head_nothing_is_left_out_of_what_was_there_before_it(
+    tmp_path: Path, kind: type[Message], gone: slice
+) -> None:
+    """A log that begins in mid-run, with samples of before its first head, lacks none until the second."""
+    heads = of(SAMPLES, ChainHeads)
+    told = [SAMPLES[place] for place in of(SAMPLES, SignedStatement)]
+    begin = heads[3] - 9
+    dropped = [place - begin for place in of(SAMPLES, kind) if heads[3] < place < heads[4]][gone]
+    assert verified(tmp_path / "whole", log_of([*told, *SAMPLES[begin:]])).is_proven
+    report = verified(tmp_path, log_of([*told, *without(SAMPLES[begin:], *dropped)]))
+    assert faults_of(report) == {ProofFault.MISSING}
+    assert report.runs[0].subjects[BY_TYPE[kind].name].missing == len(dropped)
+
+
+@pytest.mark.parametrize("kind", CHAINED_KINDS)
+@pytest.mark.parametrize("seconds", [1, 2])
+def test_a_subject_that_begins_behind_the_first_head_cannot_be_told_to_be_whole(
+    tmp_path: Path, kind: type[Message], seconds: int
+) -> None:
+    """A recorder may have been linked with it so late, or somebody took the first ones out."""
+    heads = of(SAMPLES, ChainHeads)
+    told = [SAMPLES[place] for place in of(SAMPLES, SignedStatement)]
+    kept = [
+        one
+        for place, one in enumerate(SAMPLES)
+        if place >= heads[2] and not (isinstance(one, kind) and place < heads[2 + seconds])
+    ]
+    report = verified(tmp_path, log_of([*told, *kept]))
+    assert faults_of(report) == {ProofFault.UNPROVEN}
+    assert "behind the first head" in words_of(report)
+    assert not report.is_proven
+
+
+def test_a_head_alone_proves_nothing_of_what_stands_beside_it(tmp_path: Path) -> None:
+    """Anybody who has one could put samples around it."""
+    head = of(SAMPLES, ChainHeads)[3]
+    last = [one for one in SAMPLES[:head] if isinstance(one, Decision)][-1]
+    place = {"sequence": last.sequence + 1, "time_ns": SAMPLES[head].time_ns}
+    forged = msgspec.structs.replace(last, operator="bob", **place)
+    told = [SAMPLES[place] for place in of(SAMPLES, SignedStatement)]
+    report = verified(tmp_path, log_of([*told, SAMPLES[head], forged]))
+    assert faults_of(report) == {ProofFault.UNPROVEN}
+    assert "no sample stands between two chain heads" in words_of(report)
 
 
 def test_a_log_that_ends_in_mid_run_has_no_proof_of_its_end_yet(tmp_path: Path) -> None:
