@@ -136,9 +136,13 @@ def verify_logs(
         statements: grants and revocations that are not in the logs.
         progress: receives the count of bytes that were read, for each robot anew.
     """
-    for robot in survey(logs, faults).robots:
+    robots, verified = set(survey(logs, faults).robots), set[str]()
+    # What the summaries leave out, a verification comes upon.
+    while left := robots - verified:
+        robot = min(left)
         own = [one for one in statements if one.robot == robot]
-        yield _Verification(robot, logs, faults, trusts, own).run(progress)
+        yield _Verification(robot, logs, faults, trusts, own, robots).run(progress)
+        verified.add(robot)
 
 
 def shown_statements(
@@ -164,8 +168,10 @@ class _Verification:
         faults: Faults,
         trusts: Sequence[Trust],
         statements: Sequence[ShownStatement],
+        robots: set[str],
     ) -> None:
-        self._robot, self._logs, self._faults = robot, logs, faults
+        """Of this robot; others are added to ``robots`` as they are met."""
+        self._robot, self._logs, self._faults, self._robots = robot, logs, faults, robots
         self._trusts, self._statements = trusts, list(statements)
         self._statements += [one for one in file_statements(logs, faults) if one.robot == robot]
         self._findings: list[ProofFinding] = []
@@ -218,7 +224,12 @@ class _Verification:
         )
 
     def _rows(self, subjects: Sequence[str], progress: Progress) -> Iterator[tuple[Row, Message]]:
-        wanted = Selection(lambda topic: topic.robot == self._robot and topic.subject in subjects)
+        def wants(topic: Topic) -> bool:
+            self._robots.update(filter(None, [topic.robot]))
+            return topic.robot == self._robot and topic.subject in subjects
+
+        # Others may read what a wrong index hides.
+        wanted = Selection(wants, checks_indexes=subjects is CHAINED)
         for row, message in _messages(read_rows(self._logs, wanted, self._faults, progress), self._faults):
             parts = keys.parse(row.topic.name)
             self._root = self._root or ("" if parts is None else parts.root)

@@ -10,6 +10,8 @@ from typing import Any
 
 import msgspec
 import pytest
+from mcap import records
+from mcap.opcode import Opcode
 
 from gateway.command.request import Credentials
 from recorder.encoding.transcode import compile_encoder
@@ -17,6 +19,7 @@ from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection
+from recorder.reading.survey import survey
 from recorder.review.cut import cut
 from recorder.review.merge import merge
 from recorder.review.verify import RobotProofReport, shown_statements, verify_logs
@@ -29,12 +32,12 @@ from schemas.authority.statement import GrantRole, chain_text
 from schemas.authority.trust import Trust
 from schemas.decisions import ChainHead, ChainHeads, Decision, Journal, SafetyEvent, SignedStatement
 from schemas.exit_codes import CommandError
-from schemas.messages import Message
+from schemas.messages import Message, RobotState
 from schemas.reasons import Reason
 from schemas.subjects import BY_TYPE, BY_VERB
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party, S
 from tests.support.commands import review
-from tests.support.logs import Disk, channel_of, foreign_log, saved, sealed
+from tests.support.logs import Disk, channel_of, foreign_log, saved, sealed, with_record_replaced
 from tests.support.messages import ROBOT, key_of
 from tests.support.signed_run import (
     CHAINED_KINDS,
@@ -303,6 +306,65 @@ def log_of_shifted(samples: Sequence[Message], place: int) -> bytes:
     file.write_chunk(sealed(rows))
     file.finish()
     return disk.getvalue()
+
+
+KINDS = list(dict.fromkeys(type(one) for one in SAMPLES))
+OTHERS_CHANNEL = len(KINDS) + 1
+
+
+def log_with(kind: type[Message], topic: str, message: Message, channel: int) -> bytes:
+    """The log of all samples, one more channel, and in a chunk of its own this message, on a channel of these."""
+    disk = Disk()
+    file = McapFile(disk, "test")
+    for number, one in enumerate(KINDS, start=1):
+        file.add_channel(channel_of(one, number, key_of(one)))
+    file.add_channel(channel_of(kind, OTHERS_CHANNEL, topic))
+    file.write_chunk(sealed((KINDS.index(type(one)) + 1, *row_of(one)) for one in SAMPLES))
+    file.write_chunk(sealed([(channel, *row_of(message))]))
+    file.finish()
+    return disk.getvalue()
+
+
+def row_of(message: Message) -> tuple[int, int, int, bytes]:
+    """Sequence, log time, publish time and data of a record."""
+    return message.sequence, message.time_ns, message.time_ns, compile_encoder(type(message))(message)
+
+
+def test_a_message_that_no_index_has_is_held_against_the_chain(tmp_path: Path) -> None:
+    """Message indexes may say that a chunk has nothing of what is verified, and others read it all the same."""
+    place = of(SAMPLES, SafetyEvent)[2]
+    forged = msgspec.structs.replace(SAMPLES[place], text="otherwise")
+    number = KINDS.index(SafetyEvent) + 1
+    data = log_with(RobotState, key_of(RobotState), forged, number)
+    hidden = with_record_replaced(
+        data,
+        records.MessageIndex(number, [(forged.time_ns, 0)]),
+        records.MessageIndex(OTHERS_CHANNEL, [(forged.time_ns, 0)]),
+    )
+    faults = Faults()
+    (report,) = verify_logs(find_logs([saved(tmp_path / "log.mcap", hidden)], faults), faults, [FLEET.trust])
+    assert faults_of(report) == {ProofFault.CHANGED}
+    assert report.unread
+
+
+def test_a_robot_that_the_summary_leaves_out_is_verified(tmp_path: Path) -> None:
+    """Other questions show what it said, and nothing proves that."""
+    forged = SAMPLES[of(SAMPLES, SafetyEvent)[2]]
+    topic = key_of(SafetyEvent).replace(ROBOT, "cruiser-2")
+    data = bytearray(log_with(SafetyEvent, topic, forged, OTHERS_CHANNEL))
+    # A record that nobody knows in the place of the channel's, and a summary without a checksum.
+    begin = data.rfind(topic.encode()) - 17
+    assert data[begin] == Opcode.CHANNEL
+    data[begin] = 0x80
+    data[-12:-8] = bytes(4)
+    faults = Faults()
+    logs = find_logs([saved(tmp_path / "log.mcap", bytes(data))], faults)
+    assert survey(logs, faults).robots == [ROBOT]
+    assert [(one.robot, one.is_proven) for one in verify_logs(logs, faults, [FLEET.trust])] == [
+        (ROBOT, True),
+        ("cruiser-2", False),
+    ]
+    assert not faults
 
 
 # A log may begin and end anywhere.
