@@ -20,7 +20,7 @@ WORLD = {
 }
 """Rooms that touch the world: clocks, threads, the bus, Zenoh. Whoever adds one says so here."""
 
-PACKAGES = ("gateway", "recorder", "schemas")
+PACKAGES = ("gateway", "recorder", "schemas", "web")
 
 FRAMING = {"recorder.mcap.framing", "recorder.mcap.proof"}
 """Opcodes, record headers and checksums of MCAP files: for the room of the format alone."""
@@ -109,7 +109,7 @@ def test_no_docstring_begins_as_a_question() -> None:
 def test_no_public_class_has_the_name_of_another() -> None:
     """A name in a traceback or a search means one thing."""
     places: dict[str, list[str]] = {}
-    for package in ("gateway", "recorder", "schemas"):
+    for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             for node in ast.parse(path.read_text(encoding="utf-8")).body:
                 if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):

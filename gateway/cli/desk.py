@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import socket
-import ssl
 import sys
 import time
 from collections.abc import Callable
@@ -18,17 +16,14 @@ from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.listen_address import address, certificate_files, shown_address
+from schemas.listen_address import address, shown_address
 from schemas.settings import DeskSettings, Settings
+from web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
 
 EXAMPLE: Final = """\
   cruiser desk
   cruiser desk --config ~/.config/cruiser/desk.toml
   cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --key desk.key --name desk.example"""
-
-PACKAGES: Final = frozenset({"starlette", "uvicorn", "websockets"})
-
-LOCAL_NAMES: Final = ("127.0.0.1", "localhost", "::1", "[::1]")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +74,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     try:
         from gateway.cli.desk_hub import Hub  # noqa: PLC0415 - needs the extra 'desk'
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
-        from gateway.cli.desk_server import make_app, serve  # noqa: PLC0415 - the same
+        from gateway.cli.desk_server import make_app  # noqa: PLC0415 - the same
+        from gateway.desk.words import FROM_BROWSER_BYTES  # noqa: PLC0415 - the same
+        from web.server import serve  # noqa: PLC0415 - the same
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in PACKAGES:
             raise
@@ -92,7 +89,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     sites = [_site(text) for text in desk.sites]
     with (
         contextlib.nullcontext() if not desk.logs else contextlib.closing(DeskLogs.open(desk.logs)) as logs,
-        _listening(host, port) as listening,
+        listening_socket(host, port) as listening,
         DeskListener.open(settings) as listener,
         CommandPort.open(settings, keys.ALL, "desk") as commands,
     ):
@@ -107,7 +104,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         async def work() -> None:
             async with asyncio.TaskGroup() as group:
                 group.create_task(hub.run(ends))
-                group.create_task(serve(app, listening, ends, certificate))
+                group.create_task(serve(app, listening, ends, certificate, FROM_BROWSER_BYTES))
 
         asyncio.run(work())
     return int(ExitCode.OK)
@@ -144,28 +141,6 @@ def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
         CommandError: one of them is missing where it is needed, or cannot be used.
     """
     try:
-        files = certificate_files(settings.certificate, settings.key, host, "browsers")
+        return usable_certificate(settings.certificate, settings.key, host)
     except CommandError as error:
         raise CommandError(f"{error} (desk.certificate, desk.key)", error.code) from None
-    if files is None:
-        return None
-    chain, key = files
-    try:
-        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(chain, key)
-    except (OSError, ValueError) as error:
-        raise CommandError(f"{chain} and {key} are no certificate with its key: {error}", ExitCode.USAGE) from None
-    return files
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    """A socket that listens.
-
-    Raises:
-        CommandError: the address is taken, or not one of this machine.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except OSError as error:
-        text = f"cannot listen on {shown_address(host, port)}: {error.strerror or error}"
-        raise CommandError(text, ExitCode.UNREACHABLE) from error

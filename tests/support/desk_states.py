@@ -12,9 +12,10 @@ import msgspec
 
 from gateway.cli.desk_hub import Hub
 from gateway.cli.desk_logs import DeskLogs
-from gateway.cli.desk_server import make_app, serve
+from gateway.cli.desk_server import make_app
 from gateway.client.remote_stop import StopReport
 from gateway.desk.overview import WORDS
+from gateway.desk.words import FROM_BROWSER_BYTES
 from gateway.telemetry.received import Arrival
 from schemas import keys
 from schemas.decisions import ArbiterState, Severity, StopPhase
@@ -24,6 +25,7 @@ from schemas.settings import Settings
 from tests.support.fakes.desk import FakeCommandPort, FakeDeskListener
 from tests.support.messages import HEALTH, STANDBY, STATE, event, recorder_health
 from tests.support.metrics import received
+from web.server import serve
 
 HOST: Final = "127.0.0.1"
 
@@ -110,7 +112,7 @@ def desk_of_all_states(logs: Path) -> Iterator[str]:
         async def work() -> None:
             async with asyncio.TaskGroup() as group:
                 group.create_task(hub.run(ended.is_set))
-                group.create_task(serve(app, listening, ended.is_set))
+                group.create_task(serve(app, listening, ended.is_set, socket_bytes=FROM_BROWSER_BYTES))
 
         serving = threading.Thread(target=asyncio.run, args=(work(),))
         stack.callback(serving.join)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli import desk_logs
 from gateway.cli.desk_logs import DeskLogs
 from tests.support.rigs.scenarios import front_bumper, recorded
+from web import jobs
+from web.jobs import ask_review
 
 LOG = "cruiser-1-20260102T030405Z.mcap"
 
@@ -18,11 +19,12 @@ def test_a_report_takes_so_much_memory_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mib: int, *, is_made: bool
 ) -> None:
     """One that would take more ends, and not the machine; there is a word about it, and no half report."""
-    monkeypatch.setattr(desk_logs, "REPORT_BYTES", mib << 20)
+    monkeypatch.setattr(jobs, "JOB_BYTES", mib << 20)
     log, report = tmp_path / LOG, tmp_path / "report.html"
     log.write_bytes(recorded(front_bumper))
-    said = asyncio.run(desk_logs._make_report(log, report))
-    assert said
+    done = asyncio.run(ask_review(["report", str(log), "-o", str(report)]))
+    assert (done.code == 0) is is_made
+    assert done.output or done.fault
     assert report.is_file() is is_made
 
 

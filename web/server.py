@@ -1,0 +1,137 @@
+"""The HTTP server of a page for browsers, and the headers that keep other pages out. Needs the extra 'desk'."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.routing import BaseRoute, Mount
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+HEADERS: Final = {
+    # Nothing but this server's own files, and no script in the page itself.
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-cache",
+}
+
+PING_S: Final = 2.0
+"""A browser that is not heard for this time after a ping is gone."""
+
+
+class SecurityHeaders:
+    """Adds the headers to each response that has no others of these names."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+
+def make_site(routes: Sequence[BaseRoute], hosts: Sequence[str], pages: Path) -> Starlette:
+    """Make an application: its routes, and below them the files of its page and those that all pages share.
+
+    Args:
+        routes: those that come first.
+        hosts: names under which it is reached. A request with another Host header is refused: it comes from a page
+            whose name was made to point here (DNS rebinding).
+        pages: the directory of its page.
+    """
+    return Starlette(
+        routes=[*routes, Mount("/", StaticFiles(directory=pages, packages=[("web", "page")], html=True))],
+        middleware=[
+            Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False),
+            Middleware(SecurityHeaders),
+        ],
+    )
+
+
+def is_own(scheme: str, headers: Headers) -> bool:
+    """Return True if the page that asks comes from this very server. Browsers say so truly, and always.
+
+    Args:
+        scheme: of the request, http or https.
+        headers: of the request.
+    """
+    return headers.get("origin") == f"{scheme}://{headers.get('host')}"
+
+
+class _Server(uvicorn.Server):
+    """A server that leaves the signals to the command."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Take no signals."""
+        yield
+
+
+async def serve(
+    app: Starlette,
+    listening: socket.socket,
+    ends: Callable[[], bool],
+    certificate: tuple[Path, Path] | None = None,
+    socket_bytes: int = 0,
+) -> None:
+    """Serve on a socket until the end.
+
+    Args:
+        app: the application.
+        listening: the socket, bound.
+        ends: looked at a few times a second.
+        certificate: files of the chain and its private key, PEM; without it HTTP is not encrypted.
+        socket_bytes: the longest message over a WebSocket; 0 is for a page that opens none.
+    """
+    chain, key = certificate if certificate is not None else (None, None)
+    server = _Server(
+        uvicorn.Config(
+            app,
+            ws="websockets-sansio" if socket_bytes else "none",
+            ws_max_size=socket_bytes,
+            ws_ping_interval=PING_S,
+            ws_ping_timeout=PING_S,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            access_log=False,
+            log_config=None,
+            server_header=False,
+            date_header=False,
+            timeout_graceful_shutdown=1,
+            ssl_certfile=chain,
+            ssl_keyfile=key,
+        )
+    )
+
+    async def end() -> None:
+        while not ends():  # noqa: ASYNC110 - a signal sets it, not this loop
+            await asyncio.sleep(0.1)
+        server.should_exit = True
+
+    async with asyncio.TaskGroup() as group:
+        group.create_task(end())
+        await server.serve([listening])
