@@ -331,21 +331,51 @@ def find(table: pa.Table, query: FindQuery) -> list[FindAnswer]:
     Raises:
         CommandError: no log is of a robot that is asked for.
     """
+    return _answers(matching(table, query), query)
+
+
+def newest(table: pa.Table, query: FindQuery, most: int) -> tuple[list[FindAnswer], int]:
+    """Return the last answers by their time, and the number of all; see ``find``.
+
+    Args:
+        table: the rows of catalogs.
+        query: what is looked for.
+        most: from so many rows answers are made. What several logs hold is a row for each of them.
+
+    Raises:
+        CommandError: no log is of a robot that is asked for.
+    """
+    rows = matching(table, query)
+    return _answers(rows.slice(max(0, rows.num_rows - most)), query), rows.num_rows
+
+
+def matching(table: pa.Table, query: FindQuery) -> pa.Table:
+    """Return the moments, drives or logs of which all conditions hold, by their time, each with its file.
+
+    Raises:
+        CommandError: no log is of a robot that is asked for.
+    """
     table = table.filter(pc.invert(table.column("is_covered")))
     _check_robots(table, query)
     if query.subject is FindSubject.LOGS:
-        kept = _kept(table, query, "start_ns", "end_ns").sort_by("start_ns")
-        return list(msgspec.convert(kept.to_pylist(maps_as_pydicts="strict"), list[CatalogRow]))
+        return _kept(table, query, "start_ns", "end_ns").sort_by("start_ns")
     if query.subject is FindSubject.DRIVES:
-        rows = _kept(_flat(table, "drives"), query, "start_ns", "end_ns").sort_by("start_ns").to_pylist()
-        drives = [FoundDrive(row.pop("file"), msgspec.convert(row, LoggedDrive)) for row in rows]
-        return _once(drives, lambda one: one.drive)
+        return _kept(_flat(table, "drives"), query, "start_ns", "end_ns").sort_by("start_ns")
     flat = _flat(table, "moments")
     if query.only_stops:
         flat = flat.filter(flat.column("is_stop"))
     if query.kinds:
         flat = flat.filter(pc.is_in(flat.column("kind"), pa.array(sorted(query.kinds))))
-    rows = _kept(flat, query, "time_ns", "last_ns").sort_by("time_ns").to_pylist()
+    return _kept(flat, query, "time_ns", "last_ns").sort_by("time_ns")
+
+
+def _answers(found: pa.Table, query: FindQuery) -> list[FindAnswer]:
+    rows = found.to_pylist(maps_as_pydicts="strict")
+    if query.subject is FindSubject.LOGS:
+        return list(msgspec.convert(rows, list[CatalogRow]))
+    if query.subject is FindSubject.DRIVES:
+        drives = [FoundDrive(row.pop("file"), msgspec.convert(row, LoggedDrive)) for row in rows]
+        return _once(drives, lambda one: one.drive)
     moments = [FoundMoment(row.pop("file"), msgspec.convert(row, LoggedMoment)) for row in rows]
     return _once(moments, lambda one: one.moment)
 

@@ -27,7 +27,7 @@ from recorder.objects.address import StoreAddress, is_address
 from recorder.reading.faults import Faults
 from recorder.reading.times import in_words
 from recorder.review.report.links import iso
-from schemas.exit_codes import CommandError
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
@@ -63,6 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a directory of logs, here or in an object store (s3://BUCKET/PLACE, ...)",
     )
     parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
+    parser.add_argument(
+        "--catalog",
+        type=Path,
+        metavar="FILE",
+        help="keep the catalog there, not beside the logs; of one directory",
+    )
     parser.add_argument("--rebuild", action="store_true", help="make the catalog anew from the logs")
 
 
@@ -71,9 +77,11 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     query = read_words(arguments.words, time.time_ns())
     columns = columns_of(query)
     faults = Faults()
+    directories = list(dict.fromkeys(arguments.logs))
+    if arguments.catalog is not None and len(directories) > 1:
+        raise CommandError("--catalog keeps the logs of one directory", ExitCode.USAGE)
     catalogs = [
-        (place, _catalog(place, columns, settings, is_anew=arguments.rebuild))
-        for place in dict.fromkeys(arguments.logs)
+        (place, _catalog(place, columns, settings, arguments.catalog, is_anew=arguments.rebuild)) for place in directories
     ]
     total = sum(catalog.stale_bytes for _, catalog in catalogs)
     with progress_bar("cataloguing", total, stopped) as progress:
@@ -94,10 +102,12 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _catalog(
-    place: Path | StoreAddress, columns: Sequence[str], settings: Settings, *, is_anew: bool
+    place: Path | StoreAddress, columns: Sequence[str], settings: Settings, kept: Path | None, *, is_anew: bool
 ) -> Catalog | PlaceCatalog:
     if isinstance(place, Path):
-        return Catalog(place, columns, is_anew=is_anew)
+        return Catalog(place, columns, kept, is_anew=is_anew)
+    if kept is not None:
+        raise CommandError("--catalog keeps the logs of a directory here", ExitCode.USAGE)
     with needing_store():
         from recorder.cli.review.stored import open_objects  # noqa: PLC0415 - it needs an extra
     return PlaceCatalog(open_objects(place, settings.upload), place, columns, is_anew=is_anew)

@@ -58,6 +58,7 @@ class Catalog:
     Args:
         directory: of the logs.
         columns: those of ``CatalogRow`` that are wanted.
+        path: where the catalog is kept; beside the logs unless told otherwise.
         is_anew: believe no row that is there.
 
     Attributes:
@@ -69,8 +70,10 @@ class Catalog:
         CommandError: the directory cannot be read.
     """
 
-    def __init__(self, directory: Path, columns: Sequence[str], *, is_anew: bool = False) -> None:
-        self._path = directory / CATALOG_NAME
+    def __init__(
+        self, directory: Path, columns: Sequence[str], path: Path | None = None, *, is_anew: bool = False
+    ) -> None:
+        self._path = path or directory / CATALOG_NAME
         self._columns = list(columns)
         self.notes: list[str] = []
         self.being_written: list[Path] = []
@@ -176,7 +179,7 @@ class Catalog:
 
     def _with_coverage(self, table: pa.Table, new: set[str]) -> pa.Table:
         """Find out anew which incidents the other logs hold, where any of these has come, changed or gone."""
-        logs = {str(row["file"]): log for row, log in _log_files(self._path.parent, table)}
+        logs = {str(row["file"]): log for row, log in _log_files(self._directory, table)}
         spans = self._spans
         doubtful = {
             name

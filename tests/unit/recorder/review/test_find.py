@@ -21,6 +21,7 @@ from recorder.review.find import (
     FoundMoment,
     columns_of,
     find,
+    newest,
     read_words,
 )
 from schemas.exit_codes import CommandError, ExitCode
@@ -298,6 +299,16 @@ def test_drives() -> None:
     ]
     assert not found("drive to 2026-01-02", rows)
     assert len(found("drive from 2026-01-02 to 2099-01-02T03:04:05Z", rows)) == 2
+
+
+def test_the_newest_of_many_are_the_last_ones_and_all_are_counted() -> None:
+    """What two logs hold is one answer, and a row for each of them."""
+    rows = [row(file=file, moments=[moment(time_ns=WALL_NS + at) for at in range(5)]) for file in ("a", "b")]
+    query = read_words("event", NOW_NS)
+    table = to_table(rows).select(columns_of(query))
+    assert newest(table, query, 4) == (find(table, query)[-2:], 10)
+    assert newest(table, query, 100) == (find(table, query), 10)
+    assert newest(table.slice(0, 0), query, 4) == ([], 0)
 
 
 def test_without_a_subject_it_is_logs() -> None:

@@ -107,6 +107,22 @@ def test_it_is_made_anew_when_told_to(logs: Path, capsys: pytest.CaptureFixture[
     assert not capsys.readouterr().err
 
 
+def test_the_catalog_is_kept_elsewhere_when_told_to(
+    logs: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is written beside the logs, and only what is new is read; of several directories it cannot be."""
+    catalog = tmp_path_factory.mktemp("elsewhere") / "catalog.parquet"
+    before = sorted(logs.iterdir())
+    assert review("find", "stop", logs, "--catalog", catalog) == ExitCode.OK
+    first = capsys.readouterr().out
+    written = catalog.stat().st_mtime_ns
+    assert review("find", "stop", logs, "--catalog", catalog) == ExitCode.OK
+    assert (capsys.readouterr().out, catalog.stat().st_mtime_ns) == (first, written)
+    assert sorted(logs.iterdir()) == before
+    with pytest.raises(CommandError, match="one directory"):
+        review("find", "stop", logs, logs.parent, "--catalog", catalog)
+
+
 def test_a_log_that_cannot_be_read_is_told_and_costs_no_other(
     logs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
