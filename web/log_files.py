@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Final
@@ -86,8 +87,10 @@ class LogFiles:
         """
         for one in (name, name.removesuffix(PART)):
             path = self.directory / one
-            if "/" not in one and self._is_log(one) and path.is_file() and not path.is_symlink():
-                return path
+            # A name may be longer than any file's.
+            with suppress(OSError):
+                if "/" not in one and self._is_log(one) and path.is_file() and not path.is_symlink():
+                    return path
         return None
 
     async def download(self, request: Request) -> Response:

@@ -31,6 +31,14 @@ const EN = {
   save_request: "Save request", load_bundle: "Load bundle", forget: "Forget the grant", insecure: "Keys need a page from this machine or over HTTPS.",
   needs_key: "This robot obeys signed commands alone: save a request under Keys, have it signed, and load the bundle.",
   you_drive: "You drive.", ended: "You no longer drive", working: "…",
+  report: "Report", open_in: "Open in", find_logs: "Find drives, stops and logs", find_it: "Find", for_example: "For example:", found: "Found", calendar: "Calendar",
+  newest_drives: "The newest drives", newest: "the newest", nothing_found: "Nothing of that is in the logs.", earlier: "Earlier", drives: "Drives", stops: "Stops", incidents: "Incidents",
+  begin: "Begin", time: "Time", lasted: "Lasted", distance: "Distance", kind: "Kind", operator_of: "Operator", tags: "Tags", tag: "Tag", reading_logs: "reading logs:", logs_found: "logs",
+  no_server: "no connection to the server", not_cataloged: "This log has not been read yet.", this_moment: "This moment", why_then: "Why then?", facts_of_log: "About this log",
+  refused_requests: "Refused requests", highest_speed: "Highest speed", size: "Size", damage: "Damage", not_whole: "it was not closed properly", cut: "A part of it", cut_out: "Cut it out", from_time: "From", to_time: "To",
+  cut_help: "Dates and times in UTC, at most ten minutes apart. All topics of that time, as a log.", notes: "Tags and comments", no_tags: "no tags", no_notes: "no comments", take_off: "Take off",
+  tag_on: "put on the tag", tag_off: "took off the tag", unread_notes: "Lines in the file of the notes that cannot be read:", comment: "Comment", names_unchecked: "Nobody checks this name.",
+  put_on: "Put on", add_comment: "Comment", name_first: "Say who you are first.",
   close: "Close", stop_mark: ". ", use_button: "Where a robot is not known to stand, use the button on it.",
   word: {
     silent: "silent", latched: "latched", bus_down: "bus down", stopping: "stopping", transmitter: "remote control", blocked: "blocked",
@@ -71,6 +79,14 @@ const ZH = {
   save_request: "保存请求", load_bundle: "载入签发文件", forget: "删除授权", insecure: "密钥功能需要本机页面或 HTTPS。",
   needs_key: "此机器人只接受签名指令：请在“密钥”中保存请求，签发后载入。",
   you_drive: "您正在驾驶。", ended: "您已不再驾驶", working: "…",
+  report: "报告", open_in: "打开方式：", find_logs: "查找行驶、停车和日志", find_it: "查找", for_example: "例如：", found: "结果", calendar: "日历",
+  newest_drives: "最近的行驶", newest: "最近", nothing_found: "日志中没有。", earlier: "更早", drives: "行驶", stops: "停车", incidents: "事故记录",
+  begin: "开始", time: "时间", lasted: "时长", distance: "距离", kind: "种类", operator_of: "操作员", tags: "标签", tag: "标签", reading_logs: "正在读取日志：", logs_found: "个日志",
+  no_server: "与服务器的连接已断开", not_cataloged: "这个日志还没有读取。", this_moment: "这一时刻", why_then: "当时为什么？", facts_of_log: "关于这个日志",
+  refused_requests: "被拒绝的请求", highest_speed: "最高速度", size: "大小", damage: "损坏", not_whole: "没有正常关闭", cut: "截取一段", cut_out: "截取", from_time: "从", to_time: "到",
+  cut_help: "日期和时间为 UTC，最长十分钟。截取这段时间的全部主题，存为日志。", notes: "标签和评论", no_tags: "没有标签", no_notes: "没有评论", take_off: "取下",
+  tag_on: "加上标签", tag_off: "取下标签", unread_notes: "评论文件中无法读取的行数：", comment: "评论", names_unchecked: "没有人核实这个名字。",
+  put_on: "加上", add_comment: "评论", name_first: "请先填写您的名字。",
   close: "关闭", stop_mark: "。", use_button: "不能确认停稳的机器人，请按下车身上的急停按钮。",
   word: {
     silent: "失联", latched: "已锁定", bus_down: "总线断开", stopping: "停车中", transmitter: "遥控器控制", blocked: "受阻",
@@ -205,6 +221,8 @@ const ZH = {
     standby: "待命", engaging: "正在接合", engaged: "已接合", ramp: "减速", brake: "制动", hold: "保持制动", disable: "停止输出",
     unknown: "未知", active: "正常", warning: "警告", passive: "被动", bus_off: "离线（bus-off）", recording: "记录中", stopped: "已停止", full: "空间用完",
     operator: "操作员", supervisor: "主管", program: "程序",
+    lease: "控制权", latch: "锁定", reset: "复位", takeover: "接管", fault: "故障", guard: "看护", refusal: "拒绝", request: "请求",
+    gateway: "网关", recorder: "记录器", gap: "缺失", clock: "时钟", incident: "事故记录",
   },
 };
 
