@@ -34,6 +34,7 @@ from recorder.serve.notes import (
     read_notes,
     tags_of,
 )
+from recorder.serve.parts import FORMS, LOG, PART_S, make_part, name_of_part
 from recorder.serve.viewers import EXPOSED, Viewer, manifest
 from schemas.exit_codes import CommandError
 from schemas.reasons import TEXTS
@@ -42,12 +43,6 @@ from web.log_files import LogFiles, busy, forbidden, is_foreign, is_readable, mi
 from web.server import is_own, make_site
 
 PAGE: Final = Path(recorder.serve.__file__).parent / "page"
-
-CUT_S: Final = 600.0
-"""The longest part of a log that is cut out; ``cruiser review cut`` cuts any."""
-
-CUT_BYTES: Final = 1 << 30
-"""The largest one."""
 
 WHYS_KEPT: Final = 200
 
@@ -126,15 +121,19 @@ class ServedLogs:
                 "tags": self._library.all_tags(),
                 "can_write": self._can_write,
                 "viewers": [{"url": one.url, "name": one.name} for one in self._viewers],
-                "cut_s": CUT_S,
+                "forms": FORMS,
                 "reasons": {reason.value: [text.means, text.cure] for reason, text in TEXTS.items()},
             }
         )
 
-    def _days(self, _request: Request) -> Response:
+    def _days(self, request: Request) -> Response:
+        if is_foreign(request):
+            return missing()
         return JSONResponse([msgspec.structs.asdict(one) for one in self._library.days()])
 
     def _find(self, request: Request) -> Response:
+        if is_foreign(request):
+            return missing()
         try:
             return JSONResponse(self._library.find(request.query_params.get("words", ""), self._wall_ns()))
         except CommandError as error:
@@ -142,7 +141,7 @@ class ServedLogs:
 
     def _log(self, request: Request) -> Response:
         path = self._files.path(request.path_params["name"])
-        if path is None:
+        if path is None or is_foreign(request):
             return missing()
         notes, unread = read_notes(notes_path(path))
         found = {
@@ -187,21 +186,24 @@ class ServedLogs:
             return missing()
         if not is_readable(path):
             return forbidden(path)
-        from_ns, to_ns = (date_of(request.query_params.get(one, "")[:TEXT_MAX]) for one in ("from", "to"))
-        if from_ns is None or to_ns is None or not 0 < to_ns - from_ns <= CUT_S * 1e9:
-            return PlainTextResponse(f"give 'from' and 'to', dates and times at most {CUT_S:.0f} s apart", 400)
-        part = self._files.scratch / f"cut-{next(self._numbers)}{SUFFIX}"
-        words = ["cut", str(path), f"--from={iso(from_ns)}", f"--to={iso(to_ns)}", "-o", str(part)]
+        asked = request.query_params
+        from_ns, to_ns = (date_of(asked.get(one, "")[:TEXT_MAX]) for one in ("from", "to"))
+        form = asked.get("as", LOG)
+        if from_ns is None or to_ns is None or not 0 < to_ns - from_ns <= PART_S * 1e9 or form not in FORMS:
+            forms = ", ".join(FORMS)
+            text = f"give 'from' and 'to', dates and times at most {PART_S:.0f} s apart, and 'as', one of {forms}"
+            return PlainTextResponse(text, 400)
+        part = self._files.scratch / f"part-{next(self._numbers)}"
         try:
             async with self._files.jobs:
-                done = await ask_review(words, file_bytes=CUT_BYTES)
+                fault = await make_part(path, from_ns, to_ns, form, part)
         except JobsBusyError:
             return busy()
-        if not part.is_file():
-            return PlainTextResponse(done.fault or "nothing was cut", 500)
-        stem = path.name.removesuffix(PART_SUFFIX).removesuffix(SUFFIX)
-        name = f"{stem}-{iso(from_ns)[11:19].replace(':', '')}{SUFFIX}"
-        return FileResponse(part, filename=name, background=BackgroundTask(part.unlink, missing_ok=True))
+        if fault:
+            return PlainTextResponse(fault, 500)
+        gone = BackgroundTask(part.unlink, missing_ok=True)
+        media = "application/octet-stream" if form == LOG else "application/zip"
+        return FileResponse(part, filename=name_of_part(path, from_ns, form), media_type=media, background=gone)
 
     async def _note(self, request: Request) -> Response:
         path = self._files.path(request.path_params["name"])

@@ -34,7 +34,7 @@ from recorder.review.find import (
 from recorder.review.timeline.entries import STOPS, EntryKind
 from recorder.serve.answers import BEGINS, NearDrives, answer, whole
 from recorder.serve.notes import NOTES_SUFFIX, notes_path, read_notes, tags_of
-from schemas.exit_codes import ExitCode
+from schemas.exit_codes import CommandError, ExitCode
 from web.jobs import ask_review
 
 ANSWERS: Final = 200
@@ -112,6 +112,7 @@ class Library:
             before_s = time.monotonic()
             logs, notes = await asyncio.to_thread(_look, self._directory)
             await asyncio.to_thread(self._learn_tags, notes)
+            pause_s = max(LOOK_S, 10 * (time.monotonic() - before_s))
             if logs != known:
                 self.state = msgspec.structs.replace(self.state, logs=len(logs), is_reading=True)
                 had = self.state.cataloged
@@ -121,8 +122,7 @@ class Library:
                 known = logs if is_done else None
                 round_s = ROUND_S[0] if is_done or has != had else min(2 * round_s, ROUND_S[1])
                 self.state = LibraryState(len(logs), has, not is_done, fault if logs or has else "")
-            pause_s = max(LOOK_S, 10 * (time.monotonic() - before_s)) if known is not None else 0.0
-            until_s = time.monotonic() + pause_s
+            until_s = time.monotonic() + (pause_s if known is not None else 0.0)
             while time.monotonic() < until_s and not ends():  # noqa: ASYNC110 - a signal sets it, not this loop
                 await asyncio.sleep(0.2)
 
@@ -163,7 +163,9 @@ class Library:
         Raises:
             CommandError: the words cannot be understood; the text says what can.
         """
-        rest, tags = _split_tags(words[:WORDS])
+        if len(words) > WORDS:
+            raise CommandError(f"the search is longer than {WORDS} letters", ExitCode.USAGE)
+        rest, tags = _split_tags(words)
         query = read_words(rest, now_ns)
         with self._reading:
             table = self._rows(columns_of(query))

@@ -23,7 +23,7 @@ export const placeOf = {
   log: (file, time = "", robot = "") => `#/log/${part(file)}${time && `?t=${time}${robot && `&robot=${part(robot)}`}`}`,
   report: (file, time = "", robot = "") => `reports/${part(file)}${time && `#t=${time}${robot && `&robot=${part(robot)}`}`}`,
   download: (file) => `logs/${part(file)}`,
-  cut: (file, from, to) => `cut/${part(file)}?from=${part(from)}&to=${part(to)}`,
+  cut: (file, from, to, form) => `cut/${part(file)}?from=${part(from)}&to=${part(to)}&as=${part(form)}`,
 };
 
 /** Where a viewer opens a log, at a moment. One with a source of its own is told the log's name, the others its address. */

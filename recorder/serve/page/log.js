@@ -90,11 +90,12 @@ export class LogPage {
     const end = this.moment.t ? shifted(this.moment.t, AROUND_S) : begin && shifted(begin, 2 * AROUND_S);
     const input = (name, value) => h("input", { type: "text", name, value, maxlength: 40, oninput: () => aim() });
     const [from, to] = [input("from", begin), input("to", end)];
+    const form = h("select", { name: "as", "aria-label": t("as_what"), onchange: () => aim() }, (this.state().forms ?? ["mcap"]).map((one) => h("option", { value: one }, one === "mcap" ? "MCAP" : one)));
     const link = h("a", { class: "button", ...NEW_PAGE }, t("cut_out"));
-    const aim = () => link.setAttribute("href", placeOf.cut(this.file, from.value.trim(), to.value.trim()));
+    const aim = () => link.setAttribute("href", placeOf.cut(this.file, from.value.trim(), to.value.trim(), form.value));
     aim();
     return h("section", { class: "card", "aria-label": t("cut") }, h("h2", {}, t("cut")),
-      h("p", { class: "tools" }, h("label", {}, t("from_time"), from), h("label", {}, t("to_time"), to), link),
+      h("p", { class: "tools" }, h("label", {}, t("from_time"), from), h("label", {}, t("to_time"), to), form, link),
       h("p", { class: "soft" }, t("cut_help")));
   }
 }

@@ -22,48 +22,63 @@ function searchForm(words) {
     h("p", { class: "soft examples" }, t("for_example"), " ", EXAMPLES.map((one) => [h("a", { href: placeOf.find(one) }, one), " "])));
 }
 
-/** A part of the page that fills itself; it says so where it cannot. */
-function filled(promise, show) {
-  const place = h("div", {}, h("p", { class: "soft" }, t("working")));
-  promise.then((answer) => place.replaceChildren(show(answer)), (error) => place.replaceChildren(h("p", { class: "fault", role: "alert", lang: "en" }, error.message)));
-  return place;
+/** A part of the page that fills itself. What is shown already stays as it is: somebody may be about to press it. */
+class Filled {
+  constructor(path, show) {
+    this.path = path;
+    this.show = show;
+    this.element = h("div", {}, h("p", { class: "soft" }, t("working")));
+    this.update();
+  }
+
+  async update() {
+    const shown = await ask(this.path).then((answer) => [JSON.stringify(answer), () => this.show(answer)],
+      (error) => [error.message, () => h("p", { class: "fault", role: "alert", lang: "en" }, error.message)]);
+    if (shown[0] === this.shown) return;
+    this.shown = shown[0];
+    this.element.replaceChildren(shown[1]());
+  }
 }
 
-const find = (words) => filled(ask(`api/find?words=${encodeURIComponent(words)}`), foundTable);
+const find = (words) => new Filled(`api/find?words=${encodeURIComponent(words)}`, foundTable);
 
 export class SearchPage {
   constructor(words) {
     this.words = words;
-    this.shown = MONTHS;
+    this.months = MONTHS;
     this.calendar = h("div", { class: "calendar" });
-    this.found = h("section", { "aria-label": t("found") });
-    this.element = h("div", {}, h("h1", { class: "heard" }, t("logs")), searchForm(words), words ? null : h("section", { class: "card", "aria-label": t("calendar") }, h("h2", {}, t("calendar")), this.calendar), this.found);
-    this.update();
+    const days = words ? null : new Filled("api/days", (answer) => this.calendarOf(answer));
+    const found = find(words || "drive");
+    this.parts = [days, found].filter(Boolean);
+    this.element = h("div", {}, h("h1", { class: "heard" }, t("logs")), searchForm(words),
+      days && h("section", { class: "card", "aria-label": t("calendar") }, h("h2", {}, t("calendar")), days.element),
+      h("section", { "aria-label": t("found") }, h("h2", {}, words || t("newest_drives")), found.element));
   }
 
   get title() {
     return this.words;
   }
 
-  /** Ask again: at first, and whenever the catalog has changed. */
+  /** Ask again, because the catalog has changed. */
   update() {
-    this.found.replaceChildren(h("h2", {}, this.words || t("newest_drives")), find(this.words || "drive"));
-    if (this.words) return;
-    ask("api/days").then((days) => {
-      this.days = new Map(days.map((one) => [one.day, one]));
-      this.showCalendar();
-    }, () => {});
+    for (const one of this.parts) one.update();
+  }
+
+  calendarOf(days) {
+    this.days = new Map(days.map((one) => [one.day, one]));
+    this.showCalendar();
+    return this.calendar;
   }
 
   showCalendar() {
     const months = [...new Set([...this.days.keys()].map((day) => day.slice(0, 7)))].reverse();
     const more = () => {
-      this.shown += 4 * MONTHS;
+      this.months += 4 * MONTHS;
       this.showCalendar();
     };
     this.calendar.replaceChildren(
-      ...(months.length ? months.slice(0, this.shown).map((month) => this.month(month)) : [h("p", { class: "soft" }, t("nothing_found"))]),
-      ...(months.length > this.shown ? [h("button", { type: "button", onclick: more }, t("earlier"))] : []),
+      ...(months.length ? months.slice(0, this.months).map((month) => this.month(month)) : [h("p", { class: "soft" }, t("nothing_found"))]),
+      ...(months.length > this.months ? [h("button", { type: "button", onclick: more }, t("earlier"))] : []),
       h("p", { class: "soft legend" }, h("b", {}, "1"), " ", t("drives"), " · ", h("b", { class: "level1" }, "1"), " ", t("stops"), " · ", h("b", { class: "level2" }, "1"), " ", t("incidents"), " · UTC"));
   }
 
@@ -95,8 +110,11 @@ export class SearchPage {
 export class DayPage {
   constructor(day) {
     this.day = day;
-    this.element = h("div", {});
-    this.update();
+    const period = `from ${day} to ${dayAfter(day)}`;
+    const named = [["incidents", "incident"], ["drives", "drive"], ["stops", "stop"]].map(([name, words]) => [name, find(`${words} ${period}`)]);
+    this.parts = named.map(([, part]) => part);
+    this.element = h("div", {}, searchForm(`drive ${period}`), h("h1", {}, day),
+      named.map(([name, part]) => h("section", { "aria-label": t(name) }, h("h2", {}, t(name)), part.element)));
   }
 
   get title() {
@@ -104,8 +122,6 @@ export class DayPage {
   }
 
   update() {
-    const period = `from ${this.day} to ${dayAfter(this.day)}`;
-    const part = (name, words) => h("section", { "aria-label": t(name) }, h("h2", {}, t(name)), find(`${words} ${period}`));
-    this.element.replaceChildren(searchForm(`drive ${period}`), h("h1", {}, this.day), part("incidents", "incident"), part("drives", "drive"), part("stops", "stop"));
+    for (const one of this.parts) one.update();
   }
 }

@@ -33,7 +33,7 @@ LOG = "cruiser-1-20231114T221320Z.mcap"
 STRANGE = 'a b#%3C"&<img src=x>.mcap'
 """A name that somebody has made up."""
 
-ANSWER_MS = 100_000
+ANSWER_MS = 60_000
 """A report or a reason is looked for when it is asked for; a busy machine takes its time."""
 
 
@@ -95,7 +95,7 @@ def test_a_stop_is_found_explained_and_reported(address: str, context: BrowserCo
     """From the calendar to the drive, its stop, the reason, the report at that moment, and a part of the log."""
     page = context.new_page()
     page.goto(address)
-    page.get_by_role("link", name="2023-11-14").click()
+    page.locator(".month").get_by_role("link", name="2023-11-14").click()
     page.locator("h1", has_text="2023-11-14").wait_for()
     drive = page.locator("section[aria-label=Drives] tbody tr", has_text="cruiser-1")
     assert "operator-1" in drive.inner_text()
@@ -117,6 +117,8 @@ def test_a_stop_is_found_explained_and_reported(address: str, context: BrowserCo
     assert cutting.value.suggested_filename == "cruiser-1-20231114T221320Z-221317.mcap"
     times = [one.log_time_ns for one in read_log(str(cutting.value.path()))]
     assert len(times) > 100
+    page.get_by_label("Format").select_option("csv")
+    assert (page.get_by_role("link", name="Cut it out").get_attribute("href") or "").endswith("&as=csv")
 
 
 def test_words_are_searched_for_and_mistakes_explained(address: str, context: BrowserContext) -> None:

@@ -1,7 +1,9 @@
 """The HTTP interface: who gets what, who may write, and what viewers of other sites see."""
 
 import asyncio
+import io
 import json
+import zipfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -12,6 +14,7 @@ from starlette.applications import Starlette
 from recorder.review.catalog.known import CATALOG_NAME
 from recorder.review.catalog.table import to_table, write_table
 from recorder.serve import app as app_module
+from recorder.serve import parts
 from recorder.serve.app import ServedLogs, is_log
 from recorder.serve.library import Library
 from recorder.serve.viewers import viewer
@@ -163,6 +166,7 @@ def test_a_remote_data_loader_is_told_where_a_log_is(tmp_path: Path) -> None:
         "?from=2026-01-02&to=2026-01-03",
         "?from=2026-01-02T00:01:00Z&to=2026-01-02",
         "?from=-o&to=--help",
+        "?from=2026-01-02&to=2026-01-02T00:01:00Z&as=../x",
     ],
 )
 def test_a_part_has_an_end_and_is_not_long(app: Starlette, asked_for: str) -> None:
@@ -176,8 +180,11 @@ def test_no_other_site_makes_it_work(app: Starlette) -> None:
     """A picture or a frame of another page would: reports, reasons and parts take a processor."""
     fetched = {"sec-fetch-site": "cross-site", "sec-fetch-dest": "image"}
     period = "from=2026-01-02&to=2026-01-02T00:01:00Z&at=2026-01-02"
-    for kind in ("reports", "cut", "api/why"):
+    for kind in ("reports", "cut", "api/why", "api/logs"):
         assert ask(app, f"/{kind}/a.mcap?{period}", fetched).status == 404
+    for path in ("/api/find?words=drive", "/api/days"):
+        assert ask(app, path, fetched).status == 404
+        assert ask(app, path, {"sec-fetch-site": "same-origin", "sec-fetch-dest": "empty"}).status == 200
 
 
 def test_questions_wait_in_a_line_that_is_not_endless(app: Starlette, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,7 +259,7 @@ def test_a_part_is_given_out_once_and_kept_nowhere(
             places[-1].write_bytes(b"part")
         return JobDone(0 if is_cut else 2, b"", "" if is_cut else "the logs hold nothing of that time")
 
-    monkeypatch.setattr(app_module, "ask_review", answered)
+    monkeypatch.setattr(parts, "ask_review", answered)
     answer = ask(app, "/cut/a.mcap?from=2026-01-02T03:04:05Z&to=2026-01-02T03:04:06Z")
     assert (answer.status, answer.body) == (
         (200, b"part") if is_cut else (500, b"the logs hold nothing of that time")
@@ -260,3 +267,38 @@ def test_a_part_is_given_out_once_and_kept_nowhere(
     assert ("a-030405.mcap" in answer.headers.get("content-disposition", "")) is is_cut
     assert not places[0].exists()
     assert tmp_path not in places[0].parents
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ({"a.csv": b"1" * 900, "topic=x/b.csv": b"2"}, ""),
+        ({}, "nothing of that time"),
+        ({"a.csv": b"1" * 1001}, "give a shorter time"),
+        (None, "no answer within 120 s"),
+    ],
+)
+def test_tables_of_a_part_are_packed(
+    app: Starlette, monkeypatch: pytest.MonkeyPatch, files: dict[str, bytes] | None, said: str
+) -> None:
+    """To a bound, and nothing is left behind; what was given up is not given out, half as it may be."""
+    places: list[Path] = []
+
+    async def answered(words: list[str], **_: object) -> JobDone:
+        places.append(Path(words[-1]))
+        for name, content in (files or {"half.csv": b"1"}).items() if files != {} else ():
+            (places[0] / name).parent.mkdir(parents=True, exist_ok=True)
+            (places[0] / name).write_bytes(content)
+        places[0].mkdir(exist_ok=True)
+        return JobDone(0, b"", "") if files is not None else JobDone(None, b"", said)
+
+    monkeypatch.setattr(parts, "ask_review", answered)
+    monkeypatch.setattr(parts, "PART_BYTES", 1000)
+    answer = ask(app, "/cut/a.mcap?from=2026-01-02T03:04:05Z&to=2026-01-02T03:04:06Z&as=csv")
+    if said:
+        assert (answer.status, said in answer.text) == (500, True)
+    else:
+        assert "a-030405.csv.zip" in answer.headers["content-disposition"]
+        with zipfile.ZipFile(io.BytesIO(answer.body)) as packed:
+            assert {name: packed.read(name) for name in packed.namelist()} == files
+    assert list(places[0].parent.iterdir()) == []

@@ -95,7 +95,7 @@ def test_logs_are_found_by_their_tags(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "words", ["drive robot='", "what", "drive robot=nobody", "tag=x nonsense>3", "log lost>many"]
+    "words", ["drive robot='", "what", "drive robot=nobody", "tag=x nonsense>3", "log lost>many", "stop " * 999]
 )
 def test_words_that_mean_nothing_are_one_line(tmp_path: Path, words: str) -> None:
     """As on the command line."""
