@@ -41,6 +41,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "upload": ("recorder.cli.upload", "finished logs to an object store, incidents first"),
     "watch": ("gateway.cli.watch", "a live view of a robot"),
     "view": ("recorder.cli.view", "robots live in Foxglove and Lichtblick"),
+    "shadow": ("recorder.cli.shadow", "what a robot would decide with other settings, while it drives"),
     "list": ("gateway.cli.list_robots", "the robots that are connected, and their health"),
     "setup": ("gateway.cli.setup", "make a robot of a computer: settings, keys, services"),
     "doctor": ("gateway.cli.doctor", "what is wrong with a robot, and what cures it"),

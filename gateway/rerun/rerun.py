@@ -29,6 +29,9 @@ from schemas.settings import Settings
 WARM_UP_NS: Final = 3_000_000_000
 """Before a place of rest the core sees so much of what was seen: nothing that it knows of frames is older."""
 
+MADE_UP: Final = "a checkpoint that no core has taken"
+"""Somebody made it up: it may name any of the core's classes anywhere, and then attributes are missing."""
+
 
 class Run(msgspec.Struct, frozen=True):
     """A recorded run, or the part of it that can be run again.
@@ -85,8 +88,7 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
         except AttributeError as error:
             if not run.state:
                 raise
-            # A checkpoint that somebody made up may name any of the core's classes anywhere.
-            raise BrokenJournalError(f"a checkpoint that no core has taken: {error}") from error
+            raise BrokenJournalError(f"{MADE_UP}: {error}") from error
         # Where one ends depends on when the core was made.
         yield from core.last_batches(0)
 

@@ -16,7 +16,7 @@ from gateway.command.actuation import Actuation
 from gateway.core import Core, TickEffects
 from gateway.journal import BrokenJournalError
 from gateway.rerun.other_settings import OtherSettings, without_observed
-from gateway.rerun.rerun import Run, run_of
+from gateway.rerun.rerun import MADE_UP, Run, run_of
 from gateway.rerun.what_if import RunPair, samples_of
 from gateway.telemetry.sample import Sample
 from schemas.decisions import Journal
@@ -66,6 +66,15 @@ def run_pair(
     run = run_of(journals)
     if run is None:
         return
+    try:
+        yield from _run_both(settings, other, run, listener)
+    except AttributeError as error:
+        if not run.state:
+            raise
+        raise BrokenJournalError(f"{MADE_UP}: {error}") from error
+
+
+def _run_both(settings: Settings, other: Settings, run: Run, listener: PairListener) -> Iterator[None]:
     translation = OtherSettings(settings, other, run.run)
     try:
         counterpart, is_certain = _other_core(run, other, translation)

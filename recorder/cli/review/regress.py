@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         raise CommandError("there is no journal in it, so nothing can be run again", ExitCode.PARTIAL)
     for minute in regress.otherwise:
         show(minute, _describe(minute, arguments), as_json=arguments.json)
-    show(summary, _sum(summary), as_json=arguments.json)
+    show(summary, describe_sum(summary), as_json=arguments.json)
     ending = ExitCode(end_with(asked.faults))
     if summary.otherwise:
         return int(ExitCode.FAILURE)
@@ -95,7 +95,8 @@ def _describe(minute: OtherwiseMinute, arguments: argparse.Namespace) -> Iterato
         yield "  " + shlex.join(["cruiser", "review", "why", *logs, "--robot", minute.robot, "--at", at])
 
 
-def _sum(summary: RegressSummary) -> Iterator[str]:
+def describe_sum(summary: RegressSummary) -> Iterator[str]:
+    """Yield lines for people about how many minutes decide otherwise, and how many were not run, and why."""
     left_out = sum(summary.not_run.values())
     of = "minutes" if not left_out else "minutes that were run"
     yield f"{summary.otherwise:,} of {summary.run:,} {of} decide otherwise"

@@ -263,12 +263,16 @@ class _Side:
 class RunsCompared:
     """Both runs, as they were and as they would have been.
 
+    Args:
+        on_change: called with each two decisions that differ, the recorded one first.
+
     Attributes:
         changes: the decisions that differ, alike ones together.
         start_ns, end_ns: of the states that were taken; 0 before the first.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_change: Callable[[Decision, Decision], None] = lambda *_: None) -> None:
+        self._on_change = on_change
         self.changes: dict[tuple[object, ...], DecisionChange] = {}
         self.start_ns = self.end_ns = 0
         self._sides = {False: _Side(), True: _Side()}
@@ -338,9 +342,10 @@ class RunsCompared:
             return
         self._decisions += 1
         recorded, other = (counterpart, decision) if is_other else (decision, counterpart)
-        was, would_be = _verdict(recorded), _verdict(other)
+        was, would_be = verdict_of(recorded), verdict_of(other)
         if was == would_be:
             return
+        self._on_change(recorded, other)
         key = (recorded.operator, recorded.request, was, would_be)
         change = self.changes.get(key)
         if change is None:
@@ -355,7 +360,8 @@ class RunsCompared:
 _TAKEN: Final = frozenset({"state", "safety/decision", "safety/event"})
 
 
-def _verdict(decision: Decision) -> CounterfactualVerdict:
+def verdict_of(decision: Decision) -> CounterfactualVerdict:
+    """The part of a decision that is compared."""
     return CounterfactualVerdict(
         decision.verdict.value, decision.reason.value, tuple(bound.value for bound in decision.bound_by)
     )

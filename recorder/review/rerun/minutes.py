@@ -41,6 +41,9 @@ UNCERTAIN: Final = (
     "it begins at a checkpoint, and nothing before it in the logs shows that the other settings come to that state"
 )
 
+COMMANDS: Final = "the commands to the chassis"
+"""A thing that differs, beside decisions and events."""
+
 PairRunner = Callable[..., Iterator[None]]
 """The run's settings, the other ones, its journals and a listener: see ``gateway.rerun.run_pair.run_pair``."""
 
@@ -216,8 +219,8 @@ class _Minute:
         if not self.start_ns:
             self._begins_alike = False
         elif self._commanded is None:
-            words = _commanded(recorded), _commanded(other)
-            self._commanded = FirstDifference(time_ns, "the commands to the chassis", *words)
+            words = commanded_in_words(recorded), commanded_in_words(other)
+            self._commanded = FirstDifference(time_ns, COMMANDS, *words)
 
     def run(self, run: RerunResult, changed: dict[str, tuple[object, object]], recorded_ns: int) -> MinuteRun:
         first = min(self._differences(), key=lambda one: one.time_ns, default=None)
@@ -253,7 +256,8 @@ def verdict_in_words(verdict: CounterfactualVerdict) -> str:
     return f"{text}, bound by {' and '.join(verdict.bound_by)}" if verdict.bound_by else text
 
 
-def _commanded(told: Commanded) -> str:
+def commanded_in_words(told: Commanded) -> str:
+    """The speed, the angle and the parking brake that the chassis is told."""
     if told is None:
         return "nothing is sent"
     speed_mps, angle_deg, parking = told
