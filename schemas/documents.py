@@ -20,6 +20,7 @@ import msgspec
 from schemas import json_schema, keys
 from schemas.dbc_files import DBC_FILES, dbc_text, signal_comments
 from schemas.docstrings import summary
+from schemas.egress import FULL, PROFILES, PUBLISHED, rate_in_words
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.reasons import TEXTS
 from schemas.requests import Leased
@@ -131,6 +132,21 @@ def settings_table() -> str:
         for setting in SETTINGS.values()
     ]
     return table(("setting", "environment variable", "value", "start value", "meaning"), rows)
+
+
+def profile_table() -> str:
+    """The rates at which each subject leaves a robot, by profile."""
+    profiles = [profile for profile in PROFILES if profile != FULL]
+    rows = [
+        (
+            f"`{subject.name}`",
+            subject.rate,
+            _qos(subject.qos).partition(",")[0],
+            *(rate_in_words(profile, subject.name) for profile in profiles),
+        )
+        for subject in PUBLISHED
+    ]
+    return table(("key", f"`{FULL}`", "priority", *(f"`{profile}`" for profile in profiles)), rows)
 
 
 def message_tables() -> str:
@@ -397,6 +413,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 PARTS: Final[dict[str, Part]] = {
     "keys": key_table,
     "settings": settings_table,
+    "profiles": profile_table,
     "messages": message_tables,
     "commands": command_table,
     "requests": request_tables,

@@ -85,7 +85,10 @@ def _words(kind: Kind) -> str:
             return "one of " + ", ".join(str(value) for value in kind.values)
         case inspect.ListType(item_type=inspect.LiteralType(values=values)):
             return "a list of some of " + ", ".join(str(value) for value in values)
-        case inspect.StrType(pattern=str(pattern)):
+        case (
+            inspect.ListType(item_type=inspect.StrType(pattern=str(pattern)))
+            | inspect.StrType(pattern=str(pattern))
+        ):
             bounds = f" of the form {pattern.removeprefix('^').removesuffix('$')}"
         case inspect.StrType(min_length=int()):
             bounds = " that is not empty"

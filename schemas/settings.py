@@ -16,6 +16,7 @@ from msgspec import Meta
 
 from schemas import keys
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
+from schemas.egress import PROFILE_PATTERN
 from schemas.messages import BUS_MAX_LENGTH
 from schemas.recorder_settings import RecorderSettings, UploadSettings
 
@@ -360,6 +361,8 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             listens on for all else, each one port on
         config: a Zenoh configuration file (JSON5); what it says holds, unless a setting of this table is given too
         lease_ms: a link without a sign of life for this long is lost
+        profiles: INTERFACE=PROFILE, as wwan0=operator: what leaves the gateway over links on this network
+            interface, or * for all: full, operator or thin; see docs/operate.md
         given: no setting: the names of those that a source gave, which may also be their start values
     """
 
@@ -369,6 +372,7 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     command_listen: list[str] = []
     config: str = ""
     lease_ms: Annotated[int, Meta(ge=200, le=60_000)] = 1000
+    profiles: list[Annotated[str, Meta(pattern=PROFILE_PATTERN)]] = []
     given: frozenset[str] = frozenset()
 
 

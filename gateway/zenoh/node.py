@@ -33,9 +33,10 @@ from gateway.zenoh.client import (
 from schemas import keys
 from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED
 from schemas.authority.statement import TEXT_MAX_BYTES
+from schemas.egress import zenoh_rules
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.settings import DEFAULT_ENDPOINT, Settings, ZenohSettings
+from schemas.settings import DEFAULT_ENDPOINT, Settings
 from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
 from schemas.zenoh_link import ANY_LOCAL_PORT, is_loopback, next_ports
 
@@ -447,13 +448,13 @@ def _open_session(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
     mode, connect, listen, _ = said_of(given)
     if mode == "client":
         place = client_place(settings)
-        session = open_session(given, place.connect, [], BLOCK_MAX_US)
+        session = open_session(given, place.connect, [], BLOCK_MAX_US, _rules(settings))
         return session, msgspec.structs.replace(place, node=str(session.zid()))
     if not connect and not listen:
         return _open_default(settings)
     commands = _command_listen(settings, listen)
     listen = with_free_ports(listen)
-    session = open_session(given, connect, listen, BLOCK_MAX_US)
+    session = open_session(given, connect, listen, BLOCK_MAX_US, _rules(settings))
     return session, ZenohPlace(str(session.zid()), connect, listen, with_free_ports(commands))
 
 
@@ -467,13 +468,13 @@ def _open_default(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
         )
     commands = _command_listen(settings, [DEFAULT_ENDPOINT])
     try:
-        session = open_session(given, [], [DEFAULT_ENDPOINT], BLOCK_MAX_US)
+        session = open_session(given, [], [DEFAULT_ENDPOINT], BLOCK_MAX_US, _rules(settings))
         return session, ZenohPlace(str(session.zid()), [], [DEFAULT_ENDPOINT], commands)
     except CommandError as error:
         if error.code is ExitCode.USAGE:
             raise
     listen = with_free_ports([ANY_LOCAL_PORT])
-    session = _join_neighbour(given, listen)
+    session = _join_neighbour(settings, listen)
     commands = with_free_ports(_command_listen(settings, [ANY_LOCAL_PORT]))
     return session, ZenohPlace(str(session.zid()), [DEFAULT_ENDPOINT], listen, commands)
 
@@ -490,9 +491,14 @@ def _command_listen(settings: Settings, listen: list[str]) -> list[str]:
         ) from error
 
 
-def _join_neighbour(zenoh_settings: ZenohSettings, listen: list[str]) -> zenoh.Session:
+def _rules(settings: Settings) -> dict[str, Any]:
+    """Rules by which Zenoh leaves out some of what this session publishes, by the interface of a link."""
+    return zenoh_rules(settings.zenoh.profiles, settings.robot.root, settings.robot.name)
+
+
+def _join_neighbour(settings: Settings, listen: list[str]) -> zenoh.Session:
     """Another Zenoh node holds our port: several robots on one bench. Connect to it."""
-    session = open_session(zenoh_settings, [DEFAULT_ENDPOINT], listen, BLOCK_MAX_US)
+    session = open_session(settings.zenoh, [DEFAULT_ENDPOINT], listen, BLOCK_MAX_US, _rules(settings))
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while time.monotonic() < deadline_s:
         if session.info.peers_zid() or session.info.routers_zid():
