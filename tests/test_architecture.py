@@ -20,7 +20,7 @@ WORLD = {
 }
 """Rooms that touch the world: clocks, threads, the bus, Zenoh. Whoever adds one says so here."""
 
-PACKAGES = ("gateway", "recorder", "schemas", "web")
+PACKAGES = ("gateway", "recorder", "schemas")
 
 FRAMING = {"recorder.mcap.framing", "recorder.mcap.proof"}
 """Opcodes, record headers and checksums of MCAP files: for the room of the format alone."""

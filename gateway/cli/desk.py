@@ -18,7 +18,7 @@ from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import address, shown_address
 from schemas.settings import DeskSettings, Settings
-from web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
+from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
 
 EXAMPLE: Final = """\
   cruiser desk
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
         from gateway.cli.desk_server import make_app  # noqa: PLC0415 - the same
         from gateway.desk.words import FROM_BROWSER_BYTES  # noqa: PLC0415 - the same
-        from web.server import serve  # noqa: PLC0415 - the same
+        from schemas.web.server import serve  # noqa: PLC0415 - the same
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in PACKAGES:
             raise

@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from schemas.keys import ROBOT_PATTERN
-from web.log_files import LogFiles, readable_directory
+from schemas.web.log_files import LogFiles, readable_directory
 
 LOG_NAME: Final = re.compile(
     rf"(?P<robot>{ROBOT_PATTERN})-[0-9]{{8}}T[0-9]{{6}}Z[A-Za-z0-9._-]{{0,32}}\.mcap(\.part)?"

@@ -17,7 +17,7 @@ import gateway.desk
 from gateway.cli.desk_hub import Browser, Hub
 from gateway.cli.desk_logs import DeskLogs
 from gateway.desk.words import encode
-from web.server import is_own, make_site
+from schemas.web.server import is_own, make_site
 
 log = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ from schemas.arguments import ending_after, seconds
 from schemas.exit_codes import ExitCode
 from schemas.listen_address import add_certificate_arguments, address, shown_address
 from schemas.settings import Settings
-from web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
+from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
 
 EXAMPLE: Final = """\
   cruiser serve logs                                    http://127.0.0.1:8081/
@@ -73,8 +73,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         with needing_extra():
             from recorder.serve.app import ServedLogs, is_log  # noqa: PLC0415 - needs the extras
             from recorder.serve.library import Library  # noqa: PLC0415 - the same
-            from web.log_files import LogFiles, readable_directory  # noqa: PLC0415 - the same
-            from web.server import serve  # noqa: PLC0415 - the same
+            from schemas.web.log_files import LogFiles, readable_directory  # noqa: PLC0415 - the same
+            from schemas.web.server import serve  # noqa: PLC0415 - the same
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in PACKAGES:
             raise

@@ -38,9 +38,9 @@ from recorder.serve.parts import FORMS, LOG, PART_S, make_part, name_of_part
 from recorder.serve.viewers import EXPOSED, Viewer, manifest
 from schemas.exit_codes import CommandError
 from schemas.reasons import TEXTS
-from web.jobs import JobsBusyError, ask_review
-from web.log_files import LogFiles, busy, forbidden, is_foreign, is_readable, missing, version
-from web.server import is_own, make_site
+from schemas.web.jobs import JobsBusyError, ask_review
+from schemas.web.log_files import LogFiles, busy, forbidden, is_foreign, is_readable, missing, version
+from schemas.web.server import is_own, make_site
 
 PAGE: Final = Path(recorder.serve.__file__).parent / "page"
 

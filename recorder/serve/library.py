@@ -35,7 +35,7 @@ from recorder.review.timeline.entries import STOPS, EntryKind
 from recorder.serve.answers import BEGINS, NearDrives, answer, whole
 from recorder.serve.notes import NOTES_SUFFIX, notes_path, read_notes, tags_of
 from schemas.exit_codes import CommandError, ExitCode
-from web.jobs import ask_review
+from schemas.web.jobs import ask_review
 
 ANSWERS: Final = 200
 """Answers to a search that are shown, the newest."""

@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
 from recorder.review.report.links import iso
-from web.jobs import ask_review
+from schemas.web.jobs import ask_review
 
 PART_S: Final = 600.0
 """The longest part of a log; ``cruiser review cut`` and ``export`` make any."""

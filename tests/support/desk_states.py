@@ -22,10 +22,10 @@ from schemas.decisions import ArbiterState, Severity, StopPhase
 from schemas.messages import Message, Mode
 from schemas.reasons import Reason
 from schemas.settings import Settings
+from schemas.web.server import serve
 from tests.support.fakes.desk import FakeCommandPort, FakeDeskListener
 from tests.support.messages import HEALTH, STANDBY, STATE, event, recorder_health
 from tests.support.metrics import received
-from web.server import serve
 
 HOST: Final = "127.0.0.1"
 

@@ -81,7 +81,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if arguments.catalog is not None and len(directories) > 1:
         raise CommandError("--catalog keeps the logs of one directory", ExitCode.USAGE)
     catalogs = [
-        (place, _catalog(place, columns, settings, arguments.catalog, is_anew=arguments.rebuild)) for place in directories
+        (place, _catalog(place, columns, settings, arguments.catalog, is_anew=arguments.rebuild))
+        for place in directories
     ]
     total = sum(catalog.stale_bytes for _, catalog in catalogs)
     with progress_bar("cataloguing", total, stopped) as progress:

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.desk_logs import DeskLogs
+from schemas.web import jobs
+from schemas.web.jobs import ask_review
 from tests.support.rigs.scenarios import front_bumper, recorded
-from web import jobs
-from web.jobs import ask_review
 
 LOG = "cruiser-1-20260102T030405Z.mcap"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gateway.desk
-import web
+import schemas.web
 from gateway.desk.overview import WORDS, reasons_in_words
 from schemas.decisions import EventKind
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus
@@ -16,7 +16,7 @@ from schemas.recording import RecorderState
 from tests.support.rigs.scenarios import Scenario, acted, deadman, front_bumper, guard_acts, hand_transmitter
 
 PLACE = Path(gateway.desk.__file__).parent / "page"
-PAGE = (Path(web.__file__).parent / "page" / "words.js").read_text("utf-8")
+PAGE = (Path(schemas.web.__file__).parent / "page" / "words.js").read_text("utf-8")
 ENGLISH, CHINESE = re.findall(r"^const (?:EN|ZH) = \{\n(.*?)^\};$", PAGE, flags=re.DOTALL | re.MULTILINE)
 HAN = re.compile(r"[\u4e00-\u9fff]")
 

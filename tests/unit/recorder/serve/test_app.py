@@ -18,11 +18,11 @@ from recorder.serve import parts
 from recorder.serve.app import ServedLogs, is_log
 from recorder.serve.library import Library
 from recorder.serve.viewers import viewer
+from schemas.web.jobs import WAITING_MAX, JobDone
+from schemas.web.log_files import LogFiles
 from tests.support.asgi import HOST, ask, asked
 from tests.support.catalog import DRIVE, STOP, row
 from tests.support.messages import WALL_NS
-from web.jobs import WAITING_MAX, JobDone
-from web.log_files import LogFiles
 
 OWN = {"origin": f"http://{HOST}"}
 FOXGLOVE = "https://app.foxglove.dev"

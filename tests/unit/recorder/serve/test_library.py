@@ -15,9 +15,9 @@ from recorder.serve.answers import DRIVE_STOPS
 from recorder.serve.library import ANSWERS, Library, LibraryState, _look
 from recorder.serve.notes import TagNote, add_note
 from schemas.exit_codes import CommandError
+from schemas.web.jobs import JobDone
 from tests.support.catalog import DRIVE, STOP, row
 from tests.support.messages import SECOND, WALL_NS
-from web.jobs import JobDone
 
 
 def library(directory: Path, *rows: CatalogRow) -> Library:

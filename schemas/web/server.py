@@ -64,7 +64,7 @@ def make_site(routes: Sequence[BaseRoute], hosts: Sequence[str], pages: Path) ->
         pages: the directory of its page.
     """
     return Starlette(
-        routes=[*routes, Mount("/", StaticFiles(directory=pages, packages=[("web", "page")], html=True))],
+        routes=[*routes, Mount("/", StaticFiles(directory=pages, packages=[("schemas.web", "page")], html=True))],
         middleware=[
             Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False),
             Middleware(SecurityHeaders),

@@ -15,7 +15,7 @@ from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from schemas.exit_codes import CommandError, ExitCode
-from web.jobs import Jobs, JobsBusyError, ask_review
+from schemas.web.jobs import Jobs, JobsBusyError, ask_review
 
 PART: Final = ".part"
 """So the name of a log ends that is being written."""

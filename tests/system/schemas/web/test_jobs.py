@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from recorder.cli.review.command import QUESTIONS
+from schemas.web import jobs
+from schemas.web.jobs import ask_review
 from tests.support.rigs.scenarios import front_bumper, recorded
-from web import jobs
-from web.jobs import ask_review
 
 
 def children() -> list[str]:
