@@ -86,6 +86,17 @@ def test_while_the_robot_moves_nothing_is_changed(machine: Machine, action: str,
     assert machine.stopped == []
 
 
+def test_what_was_refused_is_not_done_a_moment_later(machine: Machine) -> None:
+    """dpkg asks the new package's script too, when the robot may stand. The next upgrade is one like any other."""
+    machine.set(look=MOVES)
+    assert machine.run("prerm", "upgrade", "1.0").returncode == 1
+    machine.set()
+    done = machine.run("prerm", "failed-upgrade", "0.9", "1.0")
+    assert (done.returncode, done.stderr, machine.stopped) == (1, "", [])
+    assert machine.run("prerm", "failed-upgrade", "0.9", "1.0").returncode == 0, "an old script that is broken"
+    assert machine.stopped
+
+
 @pytest.mark.parametrize(
     "state", [{}, {"status": ""}, {"look": FAILS}, {"status": "listening only, bus up"}], ids=str
 )
