@@ -158,7 +158,7 @@ class Timeline:
         for robot in list(self._robots.values()):
             found = _ending_of(robot, logs, to_ns)
             if found is not None and found.is_silent:
-                behind = Selection(_states_of(robot.name), to_ns)
+                behind = Selection(_states_of(robot.name), to_ns, is_digested=True)
                 row = next(read_rows(logs, behind, self._faults), None)
                 if row is not None:
                     self.take(row)

@@ -16,9 +16,9 @@ from recorder.objects.ranged import BLOCK_BYTES
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import look_at, look_at_stored
-from recorder.reading.rows import LogReader, Selection, read_rows
+from recorder.reading.rows import END_OF_TIME_NS, LogReader, Selection, read_rows
 from recorder.reading.survey import survey
-from recorder.review.timeline.entries import Entry
+from recorder.review.timeline.entries import Entry, EntryKind
 from recorder.review.timeline.timeline import read_events
 from recorder.review.why import Explainer
 from schemas.messages import Variant
@@ -40,10 +40,10 @@ def minute(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def events(log: LogFile) -> list[Entry]:
+def events(log: LogFile, from_ns: int = 0, to_ns: int = END_OF_TIME_NS) -> list[Entry]:
     """What happened, without faults."""
     faults = Faults()
-    found = list(read_events([log], Selection(), faults))
+    found = list(read_events([log], Selection(from_ns=from_ns, to_ns=to_ns), faults))
     assert faults.told == []
     return found
 
@@ -55,6 +55,17 @@ def test_the_events_of_a_stored_log_are_those_of_the_file(minute: Path) -> None:
     assert events(there) == events(here)
     assert len(events(here)) > 50
     assert stored.objects.fetched < minute.stat().st_size / 3
+
+
+def test_the_events_of_a_part_of_a_stored_log_are_those_of_the_file(minute: Path) -> None:
+    """But for the words on the state at its end, which is that of half a second before at most."""
+    here, there = look_at(minute), look_at_stored(FakeStoredLog(minute))
+    for from_ns in range(here.start_ns, here.end_ns, 7 * SECOND):
+        found = [
+            [one for one in events(log, from_ns, from_ns + 10 * SECOND) if one.kind is not EntryKind.GAP]
+            for log in (here, there)
+        ]
+        assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("seed", [1, 2])
