@@ -41,6 +41,9 @@ DIGESTED: Final[frozenset[type[msgspec.Struct]]] = frozenset(
 )
 """The classes of the messages in it."""
 
+SPARED: Final[frozenset[type[msgspec.Struct]]] = frozenset({SafetyState, Decision})
+"""Those of them that are left out where they say what their neighbours say."""
+
 KEPT_NS: Final = 500_000_000
 """Of states that say the same one is kept in so much time..."""
 
@@ -82,6 +85,11 @@ _STREAMED: Final = frozenset({"drive", "renew"})
 _BY_SCHEMA: Final[Mapping[str, type[msgspec.Struct]]] = {schema_name(kind): kind for kind in DIGESTED}
 
 
+def digested_kind(schema: str) -> type[msgspec.Struct] | None:
+    """Return the class of the messages of a schema, by its name; None if the digest does not hold such."""
+    return _BY_SCHEMA.get(schema)
+
+
 class DigestedMessage(msgspec.Struct, frozen=True, gc=False):
     """A message in the digest.
 
@@ -116,7 +124,7 @@ class EventDigest:
 
     def add_channel(self, channel: LogChannel) -> None:
         """A channel of the file."""
-        kind = _BY_SCHEMA.get(channel.schema_name)
+        kind = digested_kind(channel.schema_name)
         # The schema of another version may give its numbers another meaning.
         if kind is not None and channel.schema_data == descriptor_set(kind):
             self._channels.setdefault(channel.channel_id, _Channel(channel.channel_id, kind))
