@@ -1,7 +1,6 @@
 """Logs behind a server of HTTP that is slow, refuses, breaks off, or changes what it has."""
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -61,7 +60,7 @@ def served(
 
         def wait(self) -> None:
             """Say nothing until the test is over."""
-            is_over.wait(60)
+            is_over.wait()
             self.close_connection = True
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
@@ -93,7 +92,7 @@ def test_a_log_is_looked_at_and_read_by_ranges() -> None:
 
 
 def test_a_server_that_says_nothing_is_given_up() -> None:
-    """In a bounded time, whatever it does: before its answer, and in the middle of one."""
+    """Before its answer, and in the middle of one: it would say nothing for ever."""
 
     def silent(handler: BaseHTTPRequestHandler) -> bool:
         handler.wait()  # type: ignore[attr-defined]
@@ -107,12 +106,9 @@ def test_a_server_that_says_nothing_is_given_up() -> None:
 
     for answer in (silent, stalled):
         with served(answer) as (objects, _):
-            began_s = time.monotonic()
             with pytest.raises(StoreError) as raised:
                 objects.read("a.mcap", 0, 1000, "one")
             assert "\n" not in str(raised.value)
-            # Four requests of a second, and their pauses; ten times that on a machine with other things to do.
-            assert time.monotonic() - began_s < 60
 
 
 def test_a_connection_that_breaks_off_once_costs_another_request() -> None:
