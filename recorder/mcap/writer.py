@@ -140,6 +140,8 @@ class McapFile:
 
     def write_chunk(self, chunk: Chunk) -> None:
         """Compress and write messages, with an index per channel."""
+        # Before the chunk: one that was written is not to count as failed, and be written again.
+        self._write_part()
         record = records.Chunk(
             compression=COMPRESSION,
             data=self._compressor.compress(chunk.records),
@@ -153,8 +155,6 @@ class McapFile:
         self._summary.add_chunk(record, start, len(data), chunk.index)
         if self._digest is not None:
             self._digest.add_chunk(chunk, start)
-            if part := self._digest.take_part():
-                self.add_attachment(self._digest.name, self._digest.media_type, part, chunk.end_ns)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_ns: int, create_ns: int = 0) -> None:
         """Write an attachment. That its time of creation is not known MCAP says with 0."""
@@ -181,6 +181,15 @@ class McapFile:
         if digest is None or not end or not self._finish_with(digest, end):
             self._write(self._summary.ending(self._size, self._data_crc))
         self._is_finished = True
+
+    def _write_part(self) -> None:
+        digest = self._digest
+        if digest is None or not (part := digest.take_part()):
+            return
+        # Where this fails, the file ends without a digest.
+        self._digest = None
+        self.add_attachment(digest.name, digest.media_type, part, self._summary.end_ns)
+        self._digest = digest
 
     def _finish_with(self, digest: FileDigest, end: bytes) -> bool:
         """Write the end with a digest. False if there is no room for it: the file had better be whole without."""

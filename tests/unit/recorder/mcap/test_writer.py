@@ -274,8 +274,8 @@ class Digested:
         self.offsets.append(offset)
 
     def take_part(self) -> bytes:
-        self._parts -= 1
-        return b"part" if self._parts >= 0 else b""
+        self._parts -= bool(self.offsets)
+        return b"part" if self.offsets and self._parts >= 0 else b""
 
     def take_end(self) -> bytes:
         return bytes(self._size)
@@ -313,3 +313,21 @@ def test_a_digest_for_which_there_is_no_room_costs_the_file_nothing(missing: int
         return
     data = write_digested(Digested(), Disk(room=room))
     assert data == without
+
+
+def test_a_part_of_a_digest_that_fails_costs_no_chunk_before_it() -> None:
+    """What was written is not said to have failed: it would be written once more. No half digest is left."""
+    room = len(write_digested(Digested(size=0)))
+    disk = Disk()
+    file = McapFile(disk, "test", digest=Digested(parts=1))
+    file.add_channels(CHANNELS)
+    file.write_chunk(sealed([(1, 1, 1, 1, b"x")]))
+    disk.room = disk.tell() + 20
+    with pytest.raises(OSError, match="No space"):
+        file.write_chunk(sealed([(1, 2, 2, 2, b"x")]))
+    disk.room = room
+    file.cut_back()
+    file.finish()
+    reader = make_reader(BytesIO(disk.getvalue()), validate_crcs=True)
+    assert [one.sequence for _, _, one in reader.iter_messages()] == [1]
+    assert list(reader.iter_attachments()) == []
