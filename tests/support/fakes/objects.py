@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 from recorder.objects.interface import ListedObject, StoredObject, StoreError
@@ -76,6 +77,7 @@ class FakeObjects:
             raise StoreError("the store refuses it: give credentials that may read it")
 
 
+@lru_cache(64)
 def mark_of(data: bytes) -> str:
     """The mark of an object with this content."""
     return hashlib.md5(data, usedforsecurity=False).hexdigest()
