@@ -54,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Gather."""
     private = None if arguments.key is None else read_private_key(arguments.key)
-    asked = find(arguments)
+    # Nobody has signed a catalog.
+    asked = find(arguments, with_catalog=False)
     at_ns = time_of(arguments.at, asked.start_ns, asked.end_ns)
     if not asked.start_ns <= at_ns <= asked.end_ns:
         period = f"{in_words(asked.start_ns)} to {in_words(asked.end_ns)}"

@@ -20,7 +20,14 @@ from recorder.reading.logs import is_being_written, look_at
 from recorder.reading.rows import Progress
 from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
 from recorder.review.catalog.rows import NEVER_NS, CatalogRow, summarize
-from recorder.review.catalog.table import SCHEMA, CatalogUnreadableError, read_table, to_table, write_table
+from recorder.review.catalog.table import (
+    SCHEMA,
+    CatalogUnreadableError,
+    bounded_memory,
+    read_table,
+    to_table,
+    write_table,
+)
 from recorder.review.info import LogBrief
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -212,13 +219,14 @@ def known_logs(directory: Path) -> dict[Path, CatalogedLog]:
     None where there is no catalog, or none that can be read.
     """
     try:
-        table = read_table(directory / CATALOG_NAME, _BRIEF)
+        with bounded_memory():
+            rows = _log_files(directory, read_table(directory / CATALOG_NAME, _BRIEF))
         files = _files(directory)
-    except (FileNotFoundError, CatalogUnreadableError, CommandError):
+    except (FileNotFoundError, CatalogUnreadableError, CommandError, MemoryError):
         return {}
     found = {}
     has_all = True
-    for row, log in _log_files(directory, table):
+    for row, log in rows:
         one = files.get(row["file"])
         if one is None or (one.bytes, one.modified_ns) != (row["bytes"], row["modified_ns"]):
             has_all = False

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable
+import resource
+from collections.abc import Collection, Generator, Iterable
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from msgspec import inspect
 
 from recorder.review.catalog.rows import NEVER_NS, CatalogRow
+from schemas.file_kinds import other_kind
 
 FORMAT: Final = "cruiser-catalog"
 VERSION: Final = 1
@@ -20,20 +24,29 @@ VERSION: Final = 1
 
 ROWS_IN_GROUP: Final = 8192
 
+READ_MAX_BYTES: Final = 2 << 30
+"""The memory that reading a catalog may take: one of a few megabytes can be made that unpacks to any size."""
+
 
 class CatalogUnreadableError(Exception):
     """The catalog is damaged, or of another version; the text is for people."""
 
 
-def _arrow_type(kind: inspect.Type) -> pa.DataType:
+def _field(name: str, kind: inspect.Type) -> pa.Field:
+    """The column or part of one; null is no value but where the row's class has None."""
     if isinstance(kind, inspect.UnionType):
-        [kind] = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
+        [known] = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
+        return pa.field(name, _arrow_type(known))
+    return pa.field(name, _arrow_type(kind), nullable=False)
+
+
+def _arrow_type(kind: inspect.Type) -> pa.DataType:
     if isinstance(kind, inspect.ListType):
-        return pa.list_(_arrow_type(kind.item_type))
+        return pa.list_(_field("element", kind.item_type))
     if isinstance(kind, inspect.DictType):
-        return pa.map_(_arrow_type(kind.key_type), _arrow_type(kind.value_type))
+        return pa.map_(_arrow_type(kind.key_type), _field("value", kind.value_type))
     if isinstance(kind, inspect.StructType):
-        return pa.struct([(field.encode_name, _arrow_type(field.type)) for field in kind.fields])
+        return pa.struct([_field(field.encode_name, field.type) for field in kind.fields])
     return _PLAIN[type(kind)]
 
 
@@ -45,7 +58,8 @@ _PLAIN: Final = {
 }
 
 SCHEMA: Final = pa.schema(
-    list(_arrow_type(inspect.type_info(CatalogRow))), metadata={"format": FORMAT, "version": str(VERSION)}
+    list(_arrow_type(inspect.type_info(CatalogRow))),
+    metadata={"format": FORMAT, "version": str(VERSION)},
 )
 """The columns, made of the fields of ``CatalogRow``."""
 
@@ -80,7 +94,7 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
 
     Args:
         path: the file.
-        columns: these alone; all unless told otherwise.
+        columns: these alone, ``file`` among them; all unless told otherwise.
 
     Raises:
         FileNotFoundError: there is none.
@@ -107,6 +121,13 @@ def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.
     """
     try:
         with pq.ParquetFile(stream, page_checksum_verification=True) as file:
+        if kind := other_kind(path.stat().st_mode):
+            raise CatalogUnreadableError(f"is {kind}")
+        with (
+            bounded_memory(),
+            path.open("rb") as stream,
+            pq.ParquetFile(stream, page_checksum_verification=True) as file,
+        ):
             schema = file.schema_arrow
             told: dict[bytes, bytes] = schema.metadata or {}
             version = told.get(b"version", b"").decode(errors="replace")
@@ -115,8 +136,29 @@ def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.
             if version != str(VERSION) or not schema.equals(SCHEMA):
                 raise CatalogUnreadableError("is of another version")
             return file.read(columns=None if columns is None else list(columns)).combine_chunks()
+            table = file.read(columns=None if columns is None else list(columns)).combine_chunks()
+            if pc.count_distinct(table.column("file")).as_py() < table.num_rows:
+                raise CatalogUnreadableError("names a log twice")
+            return table
+    except FileNotFoundError:
+        raise
+    except MemoryError as error:
+        raise CatalogUnreadableError("unpacks to too much") from error
     except (pa.ArrowException, OSError, ValueError) as error:
         raise CatalogUnreadableError("is damaged") from error
+
+
+@contextmanager
+def bounded_memory() -> Generator[None, None, None]:
+    """Let this process take ``READ_MAX_BYTES`` more than it has. Whoever asks for more gets a MemoryError."""
+    before, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    taken = int(Path("/proc/self/statm").read_text("ascii").split()[5]) * resource.getpagesize()
+    bounds = [one for one in (taken + READ_MAX_BYTES, before, hard) if one != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, hard))
 
 
 def write_table(path: Path, table: pa.Table) -> None:
@@ -126,9 +168,19 @@ def write_table(path: Path, table: pa.Table) -> None:
         OSError: the disk does not take it.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
+    # A link of that name may lead to anywhere.
+    beside.unlink(missing_ok=True)
     try:
         with beside.open("wb") as stream:
             write_stream(stream, table)
+        with beside.open("xb") as stream:
+            pq.write_table(
+                table.replace_schema_metadata(SCHEMA.metadata),
+                stream,
+                row_group_size=ROWS_IN_GROUP,
+                compression="zstd",
+                write_page_checksum=True,
+            )
             stream.flush()
             os.fsync(stream.fileno())
         beside.replace(path)

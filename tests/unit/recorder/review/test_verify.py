@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import pyarrow as pa
 import pytest
 from mcap import records
 from mcap.opcode import Opcode
@@ -20,6 +21,9 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection
 from recorder.reading.survey import survey
+from recorder.review.catalog.directory import Catalog, known_logs
+from recorder.review.catalog.known import CATALOG_NAME
+from recorder.review.catalog.table import SCHEMA, write_table
 from recorder.review.cut import cut
 from recorder.review.merge import merge
 from recorder.review.verify import RobotProofReport, shown_statements, verify_logs
@@ -365,6 +369,21 @@ def test_a_robot_that_the_summary_leaves_out_is_verified(tmp_path: Path) -> None
         ("cruiser-2", False),
     ]
     assert not faults
+
+
+def test_no_catalog_hides_a_log_from_the_command(tmp_path: Path) -> None:
+    """It says when logs begin and end, and what lies at no time is not read."""
+    place = of(SAMPLES, SafetyEvent)[2]
+    logs = tmp_path / "logs"
+    saved(logs / "a.mcap", log_of(SAMPLES))
+    saved(logs / "b.mcap", log_of([msgspec.structs.replace(SAMPLES[place], text="otherwise")]))
+    catalog = Catalog(logs, SCHEMA.names)
+    catalog.refresh(Faults())
+    ends = [-1 if file == "b.mcap" else 2**62 for file in catalog.table.column("file").to_pylist()]
+    number = SCHEMA.get_field_index("end_ns")
+    write_table(logs / CATALOG_NAME, catalog.table.set_column(number, SCHEMA.field(number), pa.array(ends)))
+    assert known_logs(logs)
+    assert review("verify", str(logs), "--authority", str(authority_file(tmp_path))) == 1
 
 
 # A log may begin and end anywhere.

@@ -2,11 +2,13 @@
 
 import fcntl
 import os
+import resource
 from contextlib import suppress
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -341,3 +343,67 @@ def test_a_log_that_has_changed_is_not_known(tmp_path: Path) -> None:
     put(tmp_path / "a.mcap", contents()[1])
     assert not known_logs(tmp_path)
     assert find_logs([tmp_path], Faults(), known=known_logs(tmp_path)) == find_logs([tmp_path], Faults())
+
+
+# A catalog of somebody else's making may lie in the directory.
+
+
+def test_what_a_catalog_unpacks_to_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond that it is none. What the process may take afterwards is as before."""
+    put(tmp_path / "a.mcap", contents()[0])
+    refreshed(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    monkeypatch.setattr(catalog_table, "READ_MAX_BYTES", 64 << 20)
+    whole = pq.ParquetFile.read
+    bomb: list[bytearray] = []
+
+    def unpack(*asked: Any, **columns: Any) -> pa.Table:  # noqa: ANN401 - of the library
+        bomb.append(bytearray(1 << 30))
+        return whole(*asked, **columns)
+
+    monkeypatch.setattr(pq.ParquetFile, "read", unpack)
+    with pytest.raises(CatalogUnreadableError, match="unpacks to too much"):
+        read_table(tmp_path / CATALOG_NAME)
+    assert not known_logs(tmp_path)
+    assert not bomb
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_what_no_catalog_of_ours_holds_makes_it_none(tmp_path: Path) -> None:
+    """A log twice, or null where no row has it: it is made anew, and no command ends in a fault of ours."""
+    put(tmp_path / "a.mcap", contents()[0])
+    refreshed(tmp_path)
+    path = tmp_path / CATALOG_NAME
+    table = pq.read_table(path)
+    for other in (
+        pa.concat_tables([table, table]),
+        *(
+            table.set_column(place, pa.field(field.name, field.type), pa.nulls(table.num_rows, field.type))
+            for place, field in enumerate(table.schema)
+            if not field.nullable
+        ),
+    ):
+        pq.write_table(other, path)
+        assert not known_logs(tmp_path)
+        assert refreshed(tmp_path).notes
+        assert known_logs(tmp_path)
+
+
+def test_what_is_no_regular_file_is_no_catalog(tmp_path: Path) -> None:
+    """A FIFO would be waited for."""
+    put(tmp_path / "a.mcap", contents()[0])
+    os.mkfifo(tmp_path / CATALOG_NAME)
+    assert not known_logs(tmp_path)
+    assert refreshed(tmp_path).notes
+    assert known_logs(tmp_path)
+
+
+def test_no_link_beside_a_catalog_leads_its_writing_elsewhere(tmp_path: Path) -> None:
+    """Whoever made the directory may know the name under which it is written first."""
+    precious = saved(tmp_path / "elsewhere" / "precious", b"as it was")
+    logs = tmp_path / "logs"
+    put(logs / "a.mcap", contents()[0])
+    (logs / f".{CATALOG_NAME}.{os.getpid()}").symlink_to(precious)
+    refreshed(logs)
+    assert precious.read_bytes() == b"as it was"
+    assert known_logs(logs)
