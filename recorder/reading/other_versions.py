@@ -35,16 +35,17 @@ def means_the_same(kind: type[msgspec.Struct], descriptors: bytes) -> bool:
         theirs = FileDescriptorSet.FromString(descriptors)
     except DecodeError:
         return False
-    ours = FileDescriptorSet.FromString(descriptor_set(kind))
-    messages = {name: one for file in theirs.file for name, one in _by_name(file.package, file.message_type)}
-    enums = {one.name: one for file in theirs.file for one in file.enum_type}
+    files = FileDescriptorSet.FromString(descriptor_set(kind)).file
+    messages = {name: one for file in files for name, one in _by_name(file.package, file.message_type)}
+    enums = {(file.package, one.name): one for file in files for one in file.enum_type}
+    # All of theirs: one that fits, of the same name, may stand beside one by which others read.
     return all(
-        (name not in messages or _fits(one, messages[name]))
-        for file in ours.file
+        name not in messages or _fits(messages[name], one)
+        for file in theirs.file
         for name, one in _by_name(file.package, file.message_type)
     ) and all(
-        (one.name not in enums or _numbers_fit(one, enums[one.name]))
-        for file in ours.file
+        (file.package, one.name) not in enums or _numbers_fit(enums[file.package, one.name], one)
+        for file in theirs.file
         for one in file.enum_type
     )
 

@@ -134,6 +134,10 @@ def changed(what: str) -> bytes:
             reason.value[1].name, reason.value[2].name = reason.value[2].name, reason.value[1].name
         case "a value in place of another":
             reason.value[3].name = "REASON_ICE"
+        case "two values in each other's place, and right ones elsewhere":
+            elsewhere = files.file.add(name="elsewhere.proto", package="elsewhere", syntax="proto3")
+            elsewhere.enum_type.add().CopyFrom(reason)
+            reason.value[1].name, reason.value[2].name = reason.value[2].name, reason.value[1].name
     return files.SerializeToString()
 
 
@@ -145,6 +149,7 @@ def changed(what: str) -> bytes:
         "a field renamed",
         "two values in each other's place",
         "a value in place of another",
+        "two values in each other's place, and right ones elsewhere",
     ],
 )
 def test_a_number_that_means_something_else_is_never_taken_for_ours(what: str) -> None:
