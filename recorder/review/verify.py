@@ -79,7 +79,7 @@ class RobotProofReport(msgspec.Struct, frozen=True):
         holders: the lease's holders.
         verbs: signed verbs that the robot accepted the proof of; ``verbs_untold`` more.
         refused: requests that it refused for their proof.
-        unproven_stops: stops that nobody signed, not even right after. A stop is served in any case.
+        unproven_stops: stops that nobody signed right before or after. A stop is served in any case.
         findings: faults, and facts that cannot be decided.
         unread: parts of the logs that cannot be read. Whose they are is not known.
     """

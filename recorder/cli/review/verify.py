@@ -212,6 +212,7 @@ def _verdict(verb: SignedVerb) -> str:
         return verb.detail
     before = verb.unsigned_before
     text = f"holds, and proves {before} right before it" if before else "holds"
+    text += f"; {verb.unsigned_after} more in this name right after it, unsigned" if verb.unsigned_after else ""
     return text if verb.is_proven else f"{text}{NOTHING_PROVES}"
 
 
@@ -245,6 +246,7 @@ def _grant(one: GrantInfo) -> str:
     by = " < ".join([*one.signers, "authority"])
     until = f"{in_words(one.not_before * 1_000_000_000)} to {in_words(one.not_after * 1_000_000_000)}"
     fault = f"; DOES NOT HOLD: {one.objection}" if one.objection else ""
+    fault += f"; held then, and ended later: {one.revoked_later}" if one.revoked_later else ""
     return f"{one.id}: {one.name}, {one.role}, serial {one.serial}, by {by}, {until}{fault}"
 
 

@@ -58,6 +58,8 @@ class GrantInfo(msgspec.Struct, frozen=True):
         signers: names of those above it in the chain, the nearest first.
         root: the key of the authority at which the chain ends, hexadecimal.
         objection: why it did not hold when it was first used; empty if it did.
+        revoked_later: the reason for which it was revoked, or its authority replaced, by the end of the logs;
+            empty if it was not, or did not hold from the first.
     """
 
     id: str
@@ -70,6 +72,7 @@ class GrantInfo(msgspec.Struct, frozen=True):
     signers: list[str]
     root: str
     objection: str
+    revoked_later: str = ""
 
 
 class _InForce(msgspec.Struct, frozen=True):
@@ -147,7 +150,21 @@ class LogAuthority:
     @property
     def grants(self) -> list[GrantInfo]:
         """The grants that were judged."""
-        return list(self._judged.values())
+        judged = self._judged.values()
+        return [msgspec.structs.replace(one, revoked_later=self._revoked_later(one)) for one in judged]
+
+    def _revoked_later(self, info: GrantInfo) -> str:
+        """Return why no authority of the end of the logs counts a grant that held once; empty if one does."""
+        if info.objection:
+            return ""
+        objection: Objection | None = None
+        for chain in self._grants[bytes.fromhex(info.id)]:
+            for trust in self._in_force[-1].trusts:
+                held = self._held(chain, trust, info.not_before)
+                if isinstance(held, HeldGrant):
+                    return ""
+                objection = objection or held
+        return "" if objection is None else objection.text
 
     def judge(self, identifier: bytes, at_ns: int) -> HeldGrant | Objection | None:
         """Judge a grant as the robot had to at a time, nanoseconds since 1970; None if it is not in the log."""

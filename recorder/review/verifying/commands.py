@@ -59,6 +59,8 @@ class SignedVerb(msgspec.Struct, frozen=True):
         unsigned_before: stops of the same operator that came without a proof, and for which this one is it: a stop
             waits for no proof, which follows as soon as the robot has said what to sign.
         is_proven: chain heads prove that the robot accepted it then; else anybody may have put it into the log.
+        unsigned_after: stops in the same name that came without a proof right after this one: who stops says it
+            again until the robot is seen to stand, and anybody may say it in that name. They stop what is stopped.
     """
 
     time_ns: int
@@ -69,6 +71,7 @@ class SignedVerb(msgspec.Struct, frozen=True):
     detail: str = ""
     unsigned_before: int = 0
     is_proven: bool = True
+    unsigned_after: int = 0
 
 
 class RefusedProof(msgspec.Struct):
@@ -135,6 +138,8 @@ class CommandRecord:
         self.findings: list[ProofFinding] = []
         self._refused: dict[tuple[str, str, str, bool], RefusedProof] = {}
         self._stops: dict[tuple[str, bool], deque[int]] = {}
+        self._signed_stops: dict[tuple[str, bool], int] = {}
+        """The place of the last one of each operator among the verbs."""
         self._holders: dict[tuple[Hashable, int, bool], Holder] = {}
 
     @property
@@ -144,7 +149,7 @@ class CommandRecord:
 
     @property
     def unproven_stops(self) -> list[RefusedProof]:
-        """Stops that nobody signed, not even right after."""
+        """Stops that nobody signed, neither right before nor right after."""
         for (operator, is_proven), stops in self._stops.items():
             while stops:
                 at_ns = stops.popleft()
@@ -215,6 +220,8 @@ class CommandRecord:
         _, _, _, verb, operator, payload, _, _, attachment, credentials = one
         reason = Reason(credentials[0])
         if verb == STOP_VERB and reason is Reason.PROOF_MISSING:
+            if self._repeats((operator, is_proven), at_ns):
+                return
             stops = self._stops.setdefault((operator, is_proven), deque())
             stops.append(at_ns)
             if len(stops) > STOPS_WAITING:
@@ -231,7 +238,10 @@ class CommandRecord:
                 return
             grant = "" if proof is None else proof.grant.hex()
             detail = found.what if isinstance(found, ProofFinding) else ""
-            before = self._proven_by_it((operator, is_proven), at_ns) if verb == STOP_VERB and not detail else 0
+            before = 0
+            if verb == STOP_VERB and not detail:
+                before = self._proven_by_it((operator, is_proven), at_ns)
+                self._signed_stops[operator, is_proven] = len(self.verbs)
             self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail, before, is_proven))
 
     def _refuse(self, operator: str, verb: str, reason: str, at_ns: int, *, is_proven: bool) -> None:
@@ -246,6 +256,15 @@ class CommandRecord:
         proven = [one for one in stops if at_ns - PROOF_OF_STOP_NS <= one <= at_ns]
         self._stops[place] = deque(one for one in stops if one not in proven)
         return len(proven)
+
+    def _repeats(self, place: tuple[str, bool], at_ns: int) -> bool:
+        """Return True if an unsigned stop came right after a signed one in the same name, and count it there."""
+        number = self._signed_stops.get(place)
+        if number is None or not 0 <= at_ns - self.verbs[number].time_ns <= PROOF_OF_STOP_NS:
+            return False
+        signed = self.verbs[number]
+        self.verbs[number] = msgspec.structs.replace(signed, unsigned_after=signed.unsigned_after + 1)
+        return True
 
     def _judge(
         self,

@@ -690,13 +690,21 @@ def test_a_robot_that_allowed_more_than_the_grant_is_found(tmp_path: Path, chang
     assert faults_of(asked(tmp_path, credentials=credentials_of(ANN, **changes))) == {ProofFault.NOT_GRANTED}
 
 
-def test_a_verb_after_its_grant_was_revoked_is_found(tmp_path: Path) -> None:
-    """One before it holds, in the same log."""
+def test_a_verb_after_its_grant_was_revoked_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One before it holds, in the same log, which says that the grant was revoked later."""
     fleet = Fleet()
     run, ann = driven(fleet)
     run.show(fleet.authority.revoke(1, keys=(ann.key,)).text())
     run.seconds(1)
-    assert verified(tmp_path, log_of(run.samples), trust=fleet.trust).is_proven
+    report = verified(tmp_path, log_of(run.samples), trust=fleet.trust)
+    assert report.is_proven
+    assert {one.name: (one.objection, "by list 1" in one.revoked_later) for one in report.grants} == {
+        "ann": ("", True),
+        ROBOT: ("", False),
+    }
+    log = str(tmp_path / "log-0.mcap")
+    assert review("verify", log, "--authority", str(authority_file(tmp_path, fleet))) == 0
+    assert "held then, and ended later" in capsys.readouterr().out
     run.ask("engage", ann)
     run.seconds(1)
     report = verified(tmp_path, log_of(run.samples), trust=fleet.trust)
@@ -775,6 +783,28 @@ def test_a_stop_that_is_signed_right_after_is_its_operators(
     assert report.is_proven
     assert sum(one.count for one in report.unproven_stops) == left
     assert (report.verbs[-1].verb, report.verbs[-1].unsigned_before) == ("stop", proven)
+
+
+@pytest.mark.parametrize(
+    ("after_s", "by", "repeats"), [(0, "ann", 3), (4, "ann", 3), (6, "ann", 0), (1, "zoe", 0)]
+)
+def test_a_stop_that_is_said_again_right_after_it_was_signed_is_counted_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], after_s: int, by: str, repeats: int
+) -> None:
+    """It is said until the robot is seen to stand. Later ones, and those in another name, are unproven."""
+    run, ann = driven(FLEET, robot=RUN.robot)
+    run.ask("stop", ann)
+    run.seconds(1)
+    run.seconds(after_s)
+    for _ in range(3):
+        run.ask("stop", ann, operator=by, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples))
+    assert report.is_proven
+    assert (report.verbs[-1].verb, report.verbs[-1].unsigned_after) == ("stop", repeats)
+    assert sum(one.count for one in report.unproven_stops) == 3 - repeats
+    assert review("verify", str(tmp_path / "log-0.mcap"), "--authority", str(authority_file(tmp_path))) == 0
+    assert ("3 more in this name right after it, unsigned" in capsys.readouterr().out) == bool(repeats)
 
 
 def test_a_flood_of_unsigned_stops_is_counted(tmp_path: Path) -> None:
