@@ -18,6 +18,9 @@ from recorder.upload.finished import PART_BYTES
 READ_BACK_BYTES: Final = 4 * 1024 * 1024
 """A log is read back in ranges of this length: of a link that breaks no more is asked again."""
 
+SMALL_MAX_BYTES: Final = 4 * 1024 * 1024
+"""A manifest is no larger: whatever else a store answers would fill the robot's memory."""
+
 SILENCE_S: Final = 60.0
 """A request may take so long, and what it carries as long again as its rate says."""
 
@@ -89,9 +92,14 @@ class ObstoreLogs:
         with _store_errors():
             try:
                 found = await obstore.get_async(self._store, name)
-                return bytes(await found.bytes_async())
             except FileNotFoundError:
                 return None
+            data = b""
+            async for piece in found.stream(SMALL_MAX_BYTES):
+                data += piece
+                if len(data) > SMALL_MAX_BYTES:
+                    raise StoreError(f"{plain(name)} is larger than {SMALL_MAX_BYTES} bytes")
+        return data
 
     async def write(self, name: str, pieces: AsyncIterator[bytes], size: int) -> None:
         """Put a log there. It appears when all of it has come, and not before."""

@@ -251,7 +251,9 @@ class Uploader:
             before = claim if is_new else await self._manifest_of(name)
             if before is None or (before.sha256, before.bytes) != (found.sha256, found.bytes):
                 continue  # The name is another log's.
-            how = "" if is_new else await self._found_there(name, before, found)
+            # What is there need not be sent again. But nobody signed its manifest, and retention may delete what
+            # is safe: so the log itself is held against the disk.
+            how = "" if is_new else await self._verify(name, found)
             if not how:
                 how = await self._write(name, stream, found)
             if not before.verified:
@@ -285,16 +287,6 @@ class Uploader:
         if data is None:
             raise StoreError(f"{plain(name)} has a manifest, which cannot be read yet")
         return read_manifest(data)
-
-    async def _found_there(self, name: str, manifest: UploadManifest, found: LogDigest) -> str:
-        """Return in which way the store is known to hold it already; empty if it does not."""
-        held = await self._store.look(name)
-        if held is None or held.bytes != found.bytes:
-            return ""
-        if manifest.state is UploadState.VERIFIED and manifest.verified:
-            return manifest.verified
-        # One that was broken off between the log and its manifest need not be sent again.
-        return await self._verify(name, found)
 
     async def _write(self, name: str, stream: BinaryIO, found: LogDigest) -> str:
         for _ in range(TRIES):

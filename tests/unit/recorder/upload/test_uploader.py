@@ -11,11 +11,13 @@ import msgspec
 import pytest
 
 from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
+from recorder.upload import store as stores
 from recorder.upload import uploader as uploading
 from recorder.upload.manifest import NAMESAKES_MAX, UploadManifest, UploadState
 from recorder.upload.pace import RateLimit
 from recorder.upload.row import RowError
 from recorder.upload.store import LogStore, ObstoreLogs
+from recorder.upload.store import LogStore, ObstoreLogs, StoreError
 from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.fakes.log_store import FakeLogStore
@@ -253,6 +255,31 @@ def test_a_store_that_answers_as_of_a_while_ago_takes_no_log_twice_and_loses_non
     store.is_old = False
     assert upload(tmp_path, store).uploaded == 1
     assert set(store.objects) == {f"cruiser-1/{LOG}", f"cruiser-1/{LOG}.json"}
+
+
+def test_no_manifest_makes_a_log_safe_that_the_store_does_not_hold(tmp_path: Path, store: FakeLogStore) -> None:
+    """Whoever may write there can say of anything that it was verified, and retention would delete the log."""
+    data = log_of()
+    saved(tmp_path / "first" / LOG, data)
+    saved(tmp_path / "second" / LOG, data)
+    upload(tmp_path / "first", store)
+    assert manifest(store, LOG).state is UploadState.VERIFIED
+    store.objects[f"cruiser-1/{LOG}"] = bytes(len(data))
+    assert upload(tmp_path / "second", store).uploaded == 1
+    assert store.objects[f"cruiser-1/{LOG}"] == data
+
+
+def test_a_store_that_answers_with_very_much_fills_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A manifest that is no manifest is read up to a bound."""
+    monkeypatch.setattr(stores, "SMALL_MAX_BYTES", 1000)
+    logs = ObstoreLogs(f"file://{tmp_path}/store", {}, 0, "")
+    for size in (1000, 1001):
+        asyncio.run(logs.replace(f"r/{size}.json", bytes(size)))
+    assert asyncio.run(logs.read("r/1000.json")) == bytes(1000)
+    with pytest.raises(StoreError, match="larger than 1000"):
+        asyncio.run(logs.read("r/1001.json"))
 
 
 def test_another_log_of_the_same_name_is_never_overwritten(tmp_path: Path, store: FakeLogStore) -> None:
