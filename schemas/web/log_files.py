@@ -8,13 +8,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
 
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.file_kinds import other_kind
 from schemas.web.jobs import Jobs, JobsBusyError, ask_review
 
 PART: Final = ".part"
@@ -99,7 +101,9 @@ class LogFiles:
         # The length of one that still grows cannot be said before.
         if path is None or path.name.endswith(PART):
             return missing()
-        return FileResponse(path, filename=path.name) if is_readable(path) else forbidden(path)
+        if not is_readable(path):
+            return forbidden(path)
+        return _Download.open(path) or missing()
 
     async def _report(self, request: Request) -> Response:
         path = self.path(request.path_params["name"])
@@ -126,6 +130,33 @@ class LogFiles:
         self._made[key] = report
         while len(self._made) > REPORTS_KEPT:
             self._made.pop(next(iter(self._made))).unlink(missing_ok=True)
+
+
+class _Download(FileResponse):
+    """A file that was opened before anything is said of it: its name may lead elsewhere by now."""
+
+    @classmethod
+    def open(cls, path: Path) -> Self | None:
+        """Open a log; None if it is a link, or no regular file."""
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError:
+            return None
+        if other_kind(os.fstat(descriptor).st_mode):
+            os.close(descriptor)
+            return None
+        return cls(descriptor, path.name)
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        super().__init__(f"/proc/self/fd/{descriptor}", filename=name)
+        self._descriptor = descriptor
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it, and close it."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            os.close(self._descriptor)
 
 
 def version(path: Path) -> tuple[str, int, int]:

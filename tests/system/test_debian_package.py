@@ -87,7 +87,7 @@ def test_while_the_robot_moves_nothing_is_changed(machine: Machine, action: str,
 
 
 def test_what_was_refused_is_not_done_a_moment_later(machine: Machine) -> None:
-    """dpkg asks the new package's script too, when the robot may stand. The next upgrade is one like any other."""
+    """Dpkg asks the new package's script too, when the robot may stand. The next upgrade is one like any other."""
     machine.set(look=MOVES)
     assert machine.run("prerm", "upgrade", "1.0").returncode == 1
     machine.set()

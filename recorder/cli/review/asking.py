@@ -104,17 +104,20 @@ def add_period(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
 
 
-def find(arguments: argparse.Namespace, *, with_covered: bool = False, settings: Settings | None = None) -> Asked:
-    """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
-
-    With the settings logs of object stores are found too.
-def find(arguments: argparse.Namespace, *, with_covered: bool = False, with_catalog: bool = True) -> Asked:
+def find(
+    arguments: argparse.Namespace,
+    *,
+    with_covered: bool = False,
+    with_catalog: bool = True,
+    settings: Settings | None = None,
+) -> Asked:
     """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
 
     Args:
         arguments: the paths, and the time.
         with_covered: leave no incident out.
         with_catalog: believe what the catalogs of directories say of logs; else each log is opened.
+        settings: with them logs of object stores are found too.
 
     Raises:
         CommandError: there is nothing to read, a time is of no known form, or the logs hold nothing of the time.
@@ -122,11 +125,9 @@ def find(arguments: argparse.Namespace, *, with_covered: bool = False, with_cata
     faults = Faults()
     paths = [one for one in arguments.logs if isinstance(one, Path)]
     addresses = [one for one in arguments.logs if isinstance(one, StoreAddress)]
-    known = cataloged(paths)
+    known = cataloged(paths) if with_catalog else {}
     stored = stored_logs(addresses, settings or Settings(), faults) if addresses else []
     logs = find_logs(paths, faults, with_covered=with_covered, known=known, stored=stored)
-    known = cataloged(arguments.logs) if with_catalog else {}
-    logs = find_logs(arguments.logs, faults, with_covered=with_covered, known=known)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
     begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)

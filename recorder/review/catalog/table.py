@@ -101,6 +101,8 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
         CatalogUnreadableError: it cannot be read.
     """
     try:
+        if kind := other_kind(path.stat().st_mode):
+            raise CatalogUnreadableError(f"is {kind}")
         with path.open("rb") as stream:
             return read_stream(stream, columns)
     except FileNotFoundError:
@@ -114,20 +116,13 @@ def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.
 
     Args:
         stream: the file.
-        columns: these alone; all unless told otherwise.
+        columns: these alone, ``file`` among them; all unless told otherwise.
 
     Raises:
         CatalogUnreadableError: it cannot be read.
     """
     try:
-        with pq.ParquetFile(stream, page_checksum_verification=True) as file:
-        if kind := other_kind(path.stat().st_mode):
-            raise CatalogUnreadableError(f"is {kind}")
-        with (
-            bounded_memory(),
-            path.open("rb") as stream,
-            pq.ParquetFile(stream, page_checksum_verification=True) as file,
-        ):
+        with bounded_memory(), pq.ParquetFile(stream, page_checksum_verification=True) as file:
             schema = file.schema_arrow
             told: dict[bytes, bytes] = schema.metadata or {}
             version = told.get(b"version", b"").decode(errors="replace")
@@ -135,13 +130,10 @@ def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.
                 raise CatalogUnreadableError("is no catalog")
             if version != str(VERSION) or not schema.equals(SCHEMA):
                 raise CatalogUnreadableError("is of another version")
-            return file.read(columns=None if columns is None else list(columns)).combine_chunks()
             table = file.read(columns=None if columns is None else list(columns)).combine_chunks()
             if pc.count_distinct(table.column("file")).as_py() < table.num_rows:
                 raise CatalogUnreadableError("names a log twice")
             return table
-    except FileNotFoundError:
-        raise
     except MemoryError as error:
         raise CatalogUnreadableError("unpacks to too much") from error
     except (pa.ArrowException, OSError, ValueError) as error:

@@ -11,13 +11,13 @@ import msgspec
 import pytest
 
 from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
+from recorder.objects.interface import StoreError
 from recorder.upload import store as stores
 from recorder.upload import uploader as uploading
 from recorder.upload.manifest import NAMESAKES_MAX, UploadManifest, UploadState
 from recorder.upload.pace import RateLimit
 from recorder.upload.row import RowError
 from recorder.upload.store import LogStore, ObstoreLogs
-from recorder.upload.store import LogStore, ObstoreLogs, StoreError
 from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.fakes.log_store import FakeLogStore
