@@ -153,7 +153,10 @@ def test_a_remote_data_loader_is_told_where_a_log_is(tmp_path: Path) -> None:
         (source,) = said["sources"]
         assert source == {"url": "/logs/a%20b.mcap", "supportsRangeRequests": True}
         assert ask(app, source["url"]).body == b"x"
-        assert ask(app, "/manifest?log=..%2Fa.mcap").status == ask(app, "/manifest").status == 404
+        outside = tmp_path.parent / "outside.mcap"
+        outside.write_bytes(b"x")
+        for name in ("", "..%2Foutside.mcap", str(outside), f"sub%2F..%2F..%2F{outside.name}"):
+            assert ask(app, f"/manifest?log={name}").status == 404
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """Tags and comments beside a log."""
 
+import fcntl
 import json
+import os
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,6 +25,7 @@ from recorder.serve.notes import (
     tags_of,
 )
 from schemas.exit_codes import CommandError
+from tests.support.waiting import wait_until
 
 NOW = "2026-01-02T03:04:05Z"
 
@@ -46,6 +49,24 @@ def test_of_what_several_write_at_once_nothing_is_lost(tmp_path: Path) -> None:
     for who in ("ann", "other"):
         texts = [note.text for note in notes if isinstance(note, CommentNote) and note.who == who]
         assert [int(text.split()[0]) for text in texts] == list(range(50))
+
+
+def test_whoever_writes_waits_for_the_one_who_does(tmp_path: Path) -> None:
+    """The room in a file is looked at by one at a time: else two would take the last of it."""
+    path = tmp_path / "a.notes.jsonl"
+    with path.open("wb") as stream, ThreadPoolExecutor(1) as pool:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        inode = f":{os.fstat(stream.fileno()).st_ino} "
+        writing = pool.submit(add_note, path, CommentNote(who="ann", text="x"))
+        # The kernel marks who waits for a lock.
+        wait_until(
+            lambda: any("->" in line and inode in line for line in Path("/proc/locks").read_text().splitlines())
+        )
+        stream.write(b"\n" * (NOTES_BYTES - 1))
+        stream.flush()
+        fcntl.flock(stream, fcntl.LOCK_UN)
+        with pytest.raises(CommandError, match="is full"):
+            writing.result()
 
 
 def test_a_line_that_was_cut_off_costs_no_other(tmp_path: Path) -> None:
