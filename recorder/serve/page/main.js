@@ -47,7 +47,7 @@ function write() {
 function showState() {
   const element = byId("state");
   const { fault, is_reading: reading, cataloged, logs } = state;
-  element.className = `pill level${fault ? 2 : reading ? 1 : 0}`;
+  element.className = `pill level${state.lost ? 2 : fault || reading ? 1 : 0}`;
   element.title = fault ?? "";
   const count = `${cataloged ?? 0}`;
   setText(element, fault ? (state.lost ? fault : `${count} · ${fault.replace(/^cruiser review: /, "")}`) : reading ? `${t("reading_logs")} ${count} / ${logs}` : `${count} ${t("logs_found")}`);
