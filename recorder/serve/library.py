@@ -114,8 +114,8 @@ class Library:
             await asyncio.to_thread(self._learn_tags, notes)
             pause_s = max(LOOK_S, 10 * (time.monotonic() - before_s))
             if logs != known:
-                self.state = msgspec.structs.replace(self.state, logs=len(logs), is_reading=True)
-                had = self.state.cataloged
+                had = await asyncio.to_thread(self._count)
+                self.state = msgspec.structs.replace(self.state, logs=len(logs), cataloged=had, is_reading=True)
                 is_done, fault = await self._refresh(round_s)
                 has = await asyncio.to_thread(self._count)
                 # What took too long is read on in the next round; a log that takes longer by itself gets the time.

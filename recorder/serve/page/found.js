@@ -38,7 +38,7 @@ function driveRow(one) {
 function momentRow(one) {
   return h("tr", { class: `row${LEVELS[one.severity] ?? 0}` },
     when(one.file, one.time, one.robot), cell("robot", "name", one.robot || "--"), cell("kind", "", valueOf(one.kind)),
-    cell("driver", "", one.operator || "--"), cell("what", "what", words(one.text), one.count > 1 ? ` × ${one.count}` : ""), cell("tags", "", tagsOf(one.tags)));
+    cell("driver", "", one.operator || "--"), cell("what", "what", words(one.text)), cell("tags", "", tagsOf(one.tags)));
 }
 
 function logRow(one) {
@@ -46,13 +46,13 @@ function logRow(one) {
   return h("tr", { class: `row${one.faults ? 2 : one.lost ? 1 : 0}` },
     when(one.file, one.start), cell("robot", "name", one.robots.join(", ")), cell("lasted", "number", one.start ? lastedOf(one.start, one.end) : "--"),
     cell("distance", "number", metersOf(one.distance_m)), cell("driver", "", one.operators.join(", ") || "--"),
-    cell("stops", "number", stops), cell("lost_samples", "number", one.lost ?? "--"), cell("tags", "", tagsOf(one.tags)));
+    cell("stops", "number", stops), cell("samples_lost", "number", one.lost ?? "--"), cell("tags", "", tagsOf(one.tags)));
 }
 
 const KINDS = {
   drives: [driveRow, [["begin"], ["robot"], ["lasted", "number"], ["distance", "number"], ["driver"], ["what", "what"], ["tags"]]],
   moments: [momentRow, [["time"], ["robot"], ["kind"], ["operator_of"], ["what", "what"], ["tags"]]],
-  logs: [logRow, [["begin"], ["robot"], ["lasted", "number"], ["distance", "number"], ["driver"], ["stops", "number"], ["lost_samples", "number"], ["tags"]]],
+  logs: [logRow, [["begin"], ["robot"], ["lasted", "number"], ["distance", "number"], ["driver"], ["stops", "number"], ["samples_lost", "number"], ["tags"]]],
 };
 
 /** An answer as a table; what is left out is said. */

@@ -3,7 +3,7 @@
 import { ask, lastedOf, metersOf, placeOf, shifted, timeOf, viewerOf } from "./ask.js";
 import { tagsOf, words } from "./found.js";
 import { h, number, setText } from "./elements.js";
-import { meaningOf, t, valueOf } from "./words.js";
+import { meaningOf, said, t, valueOf } from "./words.js";
 
 const AROUND_S = 5;
 const NEW_PAGE = { target: "_blank", rel: "noopener" };
@@ -68,7 +68,7 @@ export class LogPage {
       h("dl", { class: "facts" },
         fact("begin", log.start ? `${timeOf(log.start)} UTC` : "--"), fact("lasted", log.start ? lastedOf(log.start, log.end) : "--"),
         fact("robot", log.robots.join(", ") || "--"), fact("driver", drivers || t("nobody")), fact("distance", metersOf(log.distance_m)),
-        fact("highest_speed", number(log.top_mps, 2, "m/s")), fact("lost_samples", log.lost ?? "--"), fact("refused_requests", log.refused),
+        fact("highest_speed", number(log.top_mps, 2, "m/s")), fact("samples_lost", log.lost ?? "--"), fact("refused_requests", log.refused),
         fact("size", `${(log.bytes / 1e6).toFixed(1)} MB`), log.damage.length ? fact("damage", h("span", { lang: "en" }, log.damage.join("; "))) : null,
         log.is_whole ? null : fact("damage", t("not_whole"))));
   }
@@ -78,7 +78,7 @@ export class LogPage {
     const time = (one, robot) => h("a", { href: placeOf.log(this.file, one, robot) }, timeOf(one).slice(11));
     const drive = (one) => h("li", {}, time(one.start, one.robot), ` ${one.robot} · ${lastedOf(one.start, one.end)} · ${metersOf(one.distance_m)} · ${one.drivers.join(", ") || "--"} · ${t("stops")}: ${one.stops}`);
     const moment = (one) => h("li", { class: one.kind === "incident" ? "error" : one.severity }, time(one.time, one.robot), ` ${one.robot} `, h("span", { class: "soft" }, valueOf(one.kind)), " ",
-      words(one.text), one.reason === "none" || one.is_stop ? "" : ` (${meaningOf(one.reason)})`, one.count > 1 ? ` × ${one.count}` : "", one.operator ? ` · ${one.operator}` : "");
+      words(one.text), one.reason === "none" || said(one.text).includes(meaningOf(one.reason)) ? "" : ` (${meaningOf(one.reason)})`, one.operator ? ` · ${one.operator}` : "");
     return h("section", { class: "card", "aria-label": t("events") },
       h("h2", {}, t("drives")), h("ul", { class: "events", tabindex: "0", "aria-label": t("drives") }, log.all_drives.map(drive)),
       h("h2", {}, t("events")), h("ul", { class: "events", tabindex: "0", "aria-label": t("events") }, log.moments.map(moment)),
@@ -110,9 +110,9 @@ class Why {
   async ask(time, robot) {
     this.element.replaceChildren(h("p", { class: "soft" }, t("working")));
     try {
-      const said = await ask(`api/why/${encodeURIComponent(this.file)}?at=${encodeURIComponent(time)}&robot=${encodeURIComponent(robot)}`);
-      this.element.replaceChildren(h("div", { class: "chain", lang: "en" }, h("p", {}, h("b", {}, said.headline)),
-        h("dl", { class: "facts" }, said.chain.map((one) => [h("dt", {}, one.from_at_s === null ? one.step : `${one.from_at_s.toFixed(3)} s ${one.step}`), h("dd", {}, one.text)]))));
+      const answer = await ask(`api/why/${encodeURIComponent(this.file)}?at=${encodeURIComponent(time)}&robot=${encodeURIComponent(robot)}`);
+      this.element.replaceChildren(h("div", { class: "chain", lang: "en" }, h("p", {}, h("b", {}, answer.headline)),
+        h("dl", { class: "facts" }, answer.chain.map((one) => [h("dt", {}, one.from_at_s === null ? one.step : `${one.from_at_s.toFixed(3)} s ${one.step}`), h("dd", {}, one.text)]))));
     } catch (error) {
       this.element.replaceChildren(h("p", { class: "fault", role: "alert", lang: "en" }, error.message));
     }
