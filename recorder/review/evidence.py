@@ -46,6 +46,9 @@ RERUN_TOPICS: Final = ("*/journal", "*/safety/*", "*/can/*/tx", "*/authority/*",
 UNPACKED_MAX_BYTES: Final = 64_000_000
 """A file of an archive that is compressed is no larger: logs are compressed in themselves."""
 
+ALL_UNPACKED_MAX_BYTES: Final = 4 * UNPACKED_MAX_BYTES
+"""All that is compressed in an archive, together."""
+
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 """The same logs give the same archive: its files have no time of their own."""
 
@@ -227,6 +230,8 @@ def read_evidence(path: Path, directory: Path) -> EvidenceCheck:
             names = {one.filename: one for one in archive.infolist()}
             if len(names) != len(archive.infolist()):
                 raise CommandError(f"{shown} holds two files of one name")
+            if _unpacks_to_too_much(archive.infolist(), path.stat().st_size):
+                raise CommandError(f"{shown} unpacks to much more than an archive of evidence holds")
             content = _small(archive, names, MANIFEST)
             manifest = _decoded(content, EvidenceManifest)
             if manifest is None or manifest.format != FORMAT:
@@ -247,6 +252,13 @@ def read_evidence(path: Path, directory: Path) -> EvidenceCheck:
     said = directory / STATEMENTS
     statements = _decoded(said.read_bytes() if said.exists() else b"", list[ShownStatement])
     return EvidenceCheck(manifest, signer, statements or [], findings)
+
+
+def _unpacks_to_too_much(entries: Sequence[zipfile.ZipInfo], size: int) -> bool:
+    """Return True if the files of an archive of this length are many bombs, or lie one over the other."""
+    stored = sum(one.file_size for one in entries if one.compress_type == zipfile.ZIP_STORED)
+    packed = sum(one.file_size for one in entries if one.compress_type != zipfile.ZIP_STORED)
+    return stored > size or packed > ALL_UNPACKED_MAX_BYTES
 
 
 def _signer(manifest: bytes, signature: bytes) -> tuple[str, list[ProofFinding]]:

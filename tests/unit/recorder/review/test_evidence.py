@@ -6,6 +6,7 @@ import fcntl
 import json
 import zipfile
 from collections.abc import Callable
+from copy import copy
 from pathlib import Path
 
 import msgspec
@@ -17,6 +18,7 @@ from recorder.review.evidence import (
     MANIFEST,
     PROOF,
     SIGNATURE,
+    UNPACKED_MAX_BYTES,
     STATEMENTS,
     EvidenceCheck,
     EvidenceManifest,
@@ -254,6 +256,24 @@ def test_what_is_no_archive_is_said_to_be_none(tmp_path: Path, content: bytes) -
     """In a line that names it."""
     with pytest.raises(CommandError, match=r"some\.zip"):
         review("verify", str(saved(tmp_path / "some.zip", content)))
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED])
+def test_no_archive_fills_the_disk(tmp_path: Path, packing: int) -> None:
+    """Neither by many files of zeros, nor by files that lie one over the other."""
+    path = tmp_path / "incident.zip"
+    zeros = bytes(UNPACKED_MAX_BYTES if packing == zipfile.ZIP_DEFLATED else 1000)
+    with zipfile.ZipFile(path, "w", packing) as archive:
+        archive.writestr(MANIFEST, "{}")
+        archive.writestr("0.mcap", zeros)
+        for number in range(1, 5):
+            entry = copy(archive.getinfo("0.mcap"))
+            entry.filename = f"{number}.mcap"
+            archive.filelist.append(entry)
+            archive.NameToInfo[entry.filename] = entry
+    with pytest.raises(CommandError, match="unpacks to much more"):
+        read(path)
+    assert not list(path.with_suffix(".d").iterdir())
 
 
 def test_nothing_is_overwritten_and_no_time_of_elsewhere_is_taken(tmp_path: Path) -> None:
