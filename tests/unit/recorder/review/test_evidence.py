@@ -20,6 +20,7 @@ from recorder.review.evidence import (
     SIGNATURE,
     UNPACKED_MAX_BYTES,
     STATEMENTS,
+    UNPACKED_MAX_BYTES,
     EvidenceCheck,
     EvidenceManifest,
     read_evidence,
