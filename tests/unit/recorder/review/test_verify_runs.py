@@ -24,7 +24,7 @@ from schemas.messages import Message
 from tests.support.authority import NOW_S, Fleet, Party, S
 from tests.support.logs import saved
 from tests.support.messages import ROBOT
-from tests.support.signed_run import CHAINED_KINDS, SignedRun, log_of, of, replaced, without
+from tests.support.signed_run import CHAINED_KINDS, SignedRun, driven, log_of, of, replaced, without
 
 FLEET = Fleet()
 ROBOT_PARTY = Party(ROBOT)
@@ -157,6 +157,35 @@ def test_no_decision_that_was_made_up_makes_a_proven_holder(since: int, count: i
     assert not any(one.is_proven for one in his)
     if report.is_proven:
         assert all(one.to_ns - one.from_ns <= 2 * S for one in his)
+
+
+DRIVEN, _ = driven(FLEET, 8)
+CHANGES = {Journal: {"inputs": b"\x90"}, Decision: {"operator": "bob"}, SafetyEvent: {"text": "otherwise"}}
+
+
+@given(begin=st.integers(0, 100), place=st.integers(0, 400), is_left_out=st.booleans(), more=st.integers(0, 3))
+@settings(max_examples=60, deadline=None)
+def test_between_two_heads_of_a_log_nothing_is_left_out_or_changed(
+    begin: int,
+    place: int,
+    is_left_out: bool,  # noqa: FBT001 - a parameter
+    more: int,
+) -> None:
+    """Wherever the log begins, whichever sample it is, and if more of them before or behind it are missing."""
+    statements = [one for one in DRIVEN.samples[:begin] if isinstance(one, SignedStatement)]
+    samples = [*statements, *DRIVEN.samples[begin:]]
+    heads = of(samples, ChainHeads)
+    between = [at for at in range(heads[0], heads[-1]) if type(samples[at]) in CHAINED_KINDS]
+    first = place % len(between)
+    if is_left_out:
+        changed = without(samples, *between[first : first + 1 + more])
+    else:
+        at = between[first]
+        changed = replaced(samples, at, **CHANGES[type(samples[at])])
+    assert verified(samples).is_proven
+    report = verified(changed)
+    assert not report.is_proven
+    assert report.findings
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
