@@ -42,14 +42,22 @@ SEND_BUFFER_BYTES: Final = 16_384
 No priority overtakes what is in it, and by itself Linux lets it grow to seven seconds of a link of 0.5 Mbit/s.
 """
 
-SEND_BATCH_BYTES: Final = 8_192
+SEND_BATCH_BYTES: Final = 16_384
 """Such a robot's Zenoh sends so much at a time. No priority overtakes a batch that is being sent, and Zenoh's own
 64 KiB take a second of that link."""
+
+SEND_BATCHES: Final = 16
+"""So many of them, the most that Zenoh allows, wait in the queues of replies that nobody hurries for.
+
+Who a gateway is takes 100 kB, and a reply that does not fit into its queue is dropped.
+"""
 
 LINK_SETTINGS: Final = {
     "transport/link/tcp/so_sndbuf": SEND_BUFFER_BYTES,
     "transport/link/tls/so_sndbuf": SEND_BUFFER_BYTES,
     "transport/link/tx/batch_size": SEND_BATCH_BYTES,
+    "transport/link/tx/queue/size/data": SEND_BATCHES,
+    "transport/link/tx/queue/size/data_low": SEND_BATCHES,
 }
 """By their paths in Zenoh's configuration."""
 

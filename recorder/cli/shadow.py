@@ -293,7 +293,9 @@ class _Shadowing:
         is_silent = now_s - self._received_s > SILENT_S
         if is_silent is not self._is_silent:
             self._is_silent = is_silent
-            self._tell(f"nothing comes from {self._robot}" if is_silent else f"{self._robot} is back")
+            self._tell(
+                f"nothing comes from {self._robot}{self._cure()}" if is_silent else f"{self._robot} is back"
+            )
         if self._waits_for and not self._is_late_told and now_s - self._waits_s > NO_CHECKPOINT_S:
             self._is_late_told = True
             self._tell(f"still no checkpoint that this version can begin at{self._versions()}")
@@ -302,6 +304,13 @@ class _Shadowing:
         journal = codec.decode(_JOURNAL, sample.payload)
         if isinstance(journal, Journal):
             self._feed.receive(journal, is_reply=sample.is_reply)
+
+    def _cure(self) -> str:
+        """Words about profiles of thin links, which leave the journal out, where none has come yet."""
+        if self._info is None or self._feed.run is not None:
+            return ""
+        profiles = settings_from(self._info.configuration).zenoh.profiles
+        return f"; over this link its journal may be left out: zenoh.profiles is {profiles}" if profiles else ""
 
     def _versions(self) -> str:
         theirs = "" if self._info is None else self._info.versions.get("cruiser-gateway", "")

@@ -33,6 +33,7 @@ STATE, DECISION = "safety/state", "safety/decision"
 REPLIES: Final = "replies of the journal"
 STATE_BYTES: Final = 780
 FLOOD_BYTES: Final = 1500
+INFO_BYTES: Final = 120_000
 FLOOD: Final = 20
 """Samples beside each state: some thirty times what the link takes at 50 ms."""
 
@@ -48,6 +49,7 @@ class Thin(NamedTuple):
     node: ZenohNode
     inbox: CommandInbox
     operator: CommandPort
+    listening: zenoh.Session
     late_s: dict[str, list[tuple[float, float]]]
 
     def publish(self, subject: str, size: int) -> None:
@@ -84,7 +86,7 @@ def thin() -> Iterator[Thin]:
         subscribers = [listening.declare_subscriber(f"fleet/*/{name}", note) for name in (STATE, DECISION)]
         operator = stack.enter_context(closing(CommandPort.open(settings(endpoint), "cruiser-1", "alice")))
         wait_until(operator.reaches)
-        made = Thin(link, node, inbox, operator, late_s)
+        made = Thin(link, node, inbox, operator, listening, late_s)
         wait_until(lambda: late_s.keys() == {STATE, DECISION}, lambda: publish_all(made))
         late_s.clear()
         yield made
@@ -146,6 +148,29 @@ def test_a_stop_and_its_reply_wait_for_nothing_that_fills_the_link(thin: Thin) -
     newest_s = max(published_s for published_s, _ in thin.late_s[DECISION])
     assert newest_s < asked_s, "telemetry of before the stop was on its way when the reply had come"
     assert len(came_s) == 1
+
+
+@pytest.mark.parametrize("priority", [zenoh.Priority.DATA, zenoh.Priority.DATA_LOW])
+def test_who_the_gateway_is_still_fits_through(thin: Thin, priority: zenoh.Priority) -> None:
+    """Its reply is the largest, and comes whole; the small buffers hold it, and drop nothing of it."""
+    channel: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(4)
+    replies = thin.listening.get(
+        "fleet/cruiser-1/gateway/info",
+        channel,
+        timeout=50,
+        priority=priority,
+        congestion_control=zenoh.CongestionControl.DROP,
+    )
+    came: list[zenoh.Reply] = []
+
+    def is_there() -> bool:
+        thin.node.answer(lambda: bytes(INFO_BYTES))
+        came.extend(filter(None, [replies.try_recv()]))
+        return bool(came)
+
+    wait_until(is_there)
+    assert came[0].ok is not None
+    assert len(came[0].ok.payload) == INFO_BYTES
 
 
 def counts(endpoint: str, *profiles: str) -> Counter[str]:
