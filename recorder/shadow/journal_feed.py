@@ -10,7 +10,7 @@ from schemas.decisions import Journal
 ANSWER_NS: Final = 1_000_000_000
 """A piece of the past that has not come after this time is asked for again."""
 
-TRIES: Final = 5
+TRIES: Final = 15
 """Queries for one piece in a row; then the gateway counts as one that does not keep it."""
 
 WAITING_MAX: Final = 20_000
