@@ -136,7 +136,7 @@ def test_the_stop_of_a_drive_is_explained_with_few_requests_and_bytes(drive: Pat
     stored = FakeStoredLog(drive)
     log = look_at_stored(stored)
     assert explainer(log).last().reason is Reason.REMOTE_STOP
-    assert stored.objects.requests <= 9
+    assert stored.objects.requests <= 8
     size = drive.stat().st_size
     seconds = (log.end_ns - log.start_ns) / SECOND
     window = size * 24 / seconds
