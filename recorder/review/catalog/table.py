@@ -163,16 +163,8 @@ def write_table(path: Path, table: pa.Table) -> None:
     # A link of that name may lead to anywhere.
     beside.unlink(missing_ok=True)
     try:
-        with beside.open("wb") as stream:
-            write_stream(stream, table)
         with beside.open("xb") as stream:
-            pq.write_table(
-                table.replace_schema_metadata(SCHEMA.metadata),
-                stream,
-                row_group_size=ROWS_IN_GROUP,
-                compression="zstd",
-                write_page_checksum=True,
-            )
+            write_stream(stream, table)
             stream.flush()
             os.fsync(stream.fileno())
         beside.replace(path)

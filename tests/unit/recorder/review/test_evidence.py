@@ -18,7 +18,6 @@ from recorder.review.evidence import (
     MANIFEST,
     PROOF,
     SIGNATURE,
-    UNPACKED_MAX_BYTES,
     STATEMENTS,
     UNPACKED_MAX_BYTES,
     EvidenceCheck,
