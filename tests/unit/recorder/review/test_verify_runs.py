@@ -7,6 +7,7 @@ from functools import partial
 from itertools import pairwise, permutations
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import msgspec
 import pytest
@@ -160,7 +161,11 @@ def test_no_decision_that_was_made_up_makes_a_proven_holder(since: int, count: i
 
 
 DRIVEN, _ = driven(FLEET, 8)
-CHANGES = {Journal: {"inputs": b"\x90"}, Decision: {"operator": "bob"}, SafetyEvent: {"text": "otherwise"}}
+CHANGES: dict[type[Message], dict[str, Any]] = {
+    Journal: {"inputs": b"\x90"},
+    Decision: {"operator": "bob"},
+    SafetyEvent: {"text": "otherwise"},
+}
 
 
 @given(begin=st.integers(0, 100), place=st.integers(0, 400), is_left_out=st.booleans(), more=st.integers(0, 3))
