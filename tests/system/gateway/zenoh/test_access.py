@@ -24,120 +24,31 @@ from gateway.provisioning.certificates import LEAF_DAYS, issue, issue_site, new_
 from gateway.zenoh.client import open_session
 from schemas.exit_codes import CommandError
 from schemas.settings import ZenohSettings
+from tests.support.access import (
+    COMMANDING,
+    DRIVE,
+    IMPOSTORS,
+    KEPT,
+    OPERATOR,
+    PEOPLE,
+    PUTS,
+    PUTS_REACHED,
+    QUERIES,
+    RECORDER,
+    ROBOT,
+    ROBOTS,
+    ROLES,
+    STOP,
+    STOP_ALL,
+    SUBSCRIPTIONS,
+    TELEMETRY,
+    TOKENS,
+    VERB,
+    R,
+)
 from tests.support.routers import EVERYTHING, WatchedRouter, routing
 from tests.support.secured import Network, pem, write
 from tests.support.waiting import wait_until
-
-ROBOT, OTHER, OPERATOR, VIEWER, RECORDER, DESK = "robot", "other", "operator", "viewer", "recorder", "desk"
-ROLES: Final = {
-    ROBOT: TransportRole.ROBOT,
-    OTHER: TransportRole.ROBOT,
-    OPERATOR: TransportRole.OPERATOR,
-    VIEWER: TransportRole.VIEWER,
-    RECORDER: TransportRole.RECORDER,
-    DESK: TransportRole.DESK,
-}
-PEOPLE: Final = {OPERATOR, VIEWER, DESK}
-COMMANDING: Final = {OPERATOR, DESK}
-ROBOTS: Final = {ROBOT, OTHER}
-NOBODY: Final[set[str]] = set()
-
-R: Final = "fleet/cruiser-1"
-TELEMETRY: Final = (
-    "state",
-    "chassis/gear",
-    "can/can0/rx",
-    "safety/state",
-    "safety/decision",
-    "journal",
-    "authority/heads",
-    "authority/statement",
-    "gateway/health",
-)
-KEPT: Final = ("journal", "safety/decision", "gateway/info", "safety/event/@adv/pub/1/2/_")
-VERB: Final = f"{R}/@cmd/ann/acquire"
-DRIVE: Final = f"{R}/@cmd/ann/drive"
-STOP: Final = f"{R}/@cmd/ann/stop"
-STOP_ALL: Final = "fleet/*/@cmd/ann/stop"
-STOP_MANY: Final = "fleet/c$*/@cmd/ann/stop"
-"""Of all robots whose name begins so: Zenoh's rules cannot tell a pattern from the names in it."""
-ORDER: Final = "fleet/@recorder/depot/@cmd/ann/split"
-BACKFILL: Final = "fleet/@recorder/depot/@cmd/ann/backfill"
-
-# A robot's certificate says that it is a robot, not which: forged telemetry of another shows in the signed chains.
-PUTS: Final = {f"{R}/{name}": ROBOTS for name in TELEMETRY} | {
-    DRIVE: COMMANDING,
-    VERB: NOBODY,
-    f"{R}/@cmd/ann/engage": NOBODY,
-    f"{R}/@cmd/*/*": NOBODY,
-    f"{R}/@cmd/ann/*": NOBODY,
-    f"{R}/@cmd/**": NOBODY,
-    f"{R}/@cmd/ann/stop/further": NOBODY,
-    f"{R}/@auth": NOBODY,
-    "fleet/*/state": ROBOTS,
-    "fleet/**": NOBODY,
-    "fleet/cruiser-1": NOBODY,
-    f"{R}/other": NOBODY,
-    "other/cruiser-1/state": NOBODY,
-    f"{R}/gateway": NOBODY,
-    "fleet/@recorder/depot/health": {RECORDER},
-    ORDER: NOBODY,
-    STOP: PEOPLE,
-    STOP_ALL: COMMANDING,
-    STOP_MANY: PEOPLE,
-}
-"""Who may put on which key; ``PUTS_REACHED`` are those of them that a robot subscribes to."""
-
-PUTS_REACHED: Final = {DRIVE, STOP, STOP_ALL, STOP_MANY}
-
-QUERIES: Final = {f"{R}/{name}": PEOPLE | {RECORDER} for name in KEPT} | {
-    "fleet/*/gateway/info": PEOPLE | {RECORDER, OTHER},
-    f"{R}/gateway/info": PEOPLE | {RECORDER, OTHER},
-    VERB: COMMANDING,
-    f"{R}/@cmd/ann/reset": COMMANDING,
-    f"{R}/@cmd/*/*": NOBODY,
-    f"{R}/@cmd/**": NOBODY,
-    f"{R}/**": NOBODY,
-    "fleet/**": NOBODY,
-    "fleet/*/@cmd/ann/acquire": NOBODY,
-    DRIVE: NOBODY,
-    STOP: PEOPLE,
-    STOP_ALL: COMMANDING,
-    STOP_MANY: PEOPLE,
-    f"{R}/@auth": PEOPLE,
-    "fleet/*/@auth": PEOPLE,
-}
-"""Whose query on which key reaches the robot, and is answered."""
-
-SUBSCRIPTIONS: Final = {f"fleet/*/{name}": PEOPLE | {RECORDER} for name in TELEMETRY} | {
-    f"{R}/chassis/*": PEOPLE | {RECORDER},
-    "fleet/**": {RECORDER},
-    f"{R}/**": {RECORDER},
-    "**": NOBODY,
-    f"{R}/@cmd/*/*": ROBOTS,
-    f"{R}/@cmd/**": NOBODY,
-    "fleet/*/@cmd/*/*": ROBOTS,
-    "fleet/@recorder/*/health": PEOPLE | {RECORDER},
-}
-"""Who receives anything under which subscription."""
-
-IMPOSTORS: Final = {
-    f"{R}/gateway/info": ROBOTS,
-    VERB: ROBOTS,
-    f"{R}/@cmd/*/*": ROBOTS,
-    f"{R}/@auth": ROBOTS,
-    ORDER: {RECORDER},
-}
-"""Whose replies on which key reach an operator."""
-
-TOKENS: Final = {
-    "fleet/ghost/gateway": ROBOTS,
-    "fleet/@recorder/ghost": {RECORDER},
-    "fleet/ghost": NOBODY,
-    "operators/ghost": NOBODY,
-}
-"""Whose liveliness tokens are seen."""
-
 
 MODES: Final = ("client", "peer")
 """Of the sessions that attack: their files are their owners'. Who should be there is a client, as provisioned."""
