@@ -52,8 +52,8 @@ LOOK_S: Final = 3.0
 ROUND_S: Final = (30.0, 3600.0)
 """Time in which logs are read before those that are done are shown: at first, and for a log that takes longer."""
 
-AT_ONCE: Final = 2
-"""Answers that are read from the catalog at once: each may take as much memory as the catalog unpacks to."""
+AT_ONCE: Final = 1
+"""Answers that are read from the catalog at once: the bound on what it unpacks to is the process's."""
 
 NEAR: Final = frozenset({*BEGINS, *(kind.value for kind in STOPS), EntryKind.GATEWAY.value, INCIDENT})
 """Kinds of moments that are shown with a drive: who began, what ended it, and incidents."""

@@ -152,18 +152,29 @@ class PlaceCatalog:
         """The rows beside logs, each of this length; some at a time, for each is a request or two."""
         pool = ThreadPoolExecutor(AT_ONCE)
         try:
-            return list(pool.map(lambda one: self._single(*one), rows))
+            fetched = pool.map(lambda one: self._fetched(*one), rows)
+            # Read one after the other: the bound on what one unpacks to is the process's.
+            return [self._single(name, data) for (name, _), data in zip(rows, fetched, strict=True)]
         finally:
             # A store that is gone is not asked for each.
             pool.shutdown(cancel_futures=True)
 
-    def _single(self, name: str, size: int) -> pa.Table | None:
-        """The row beside a log, under the log's name; None if it does not hold."""
+    def _fetched(self, name: str, size: int) -> bytes | None:
+        """The file of the row beside a log; None if it is gone, or longer than any row."""
         if size > ROW_MAX:
             return None
         try:
-            table = read_row(self._bytes(name + ROW_SUFFIX), self._logs[name])
-        except (_GoneError, CatalogUnreadableError):
+            return self._bytes(name + ROW_SUFFIX)
+        except _GoneError:
+            return None
+
+    def _single(self, name: str, data: bytes | None) -> pa.Table | None:
+        """The row beside a log, under the log's name; None if it does not hold."""
+        if data is None:
+            return None
+        try:
+            table = read_row(data, self._logs[name])
+        except CatalogUnreadableError:
             return None
         return table.set_column(table.schema.get_field_index("file"), SCHEMA.field("file"), pa.array([name]))
 
