@@ -135,7 +135,8 @@ class Library:
         return True, "" if done.code == ExitCode.OK and self.catalog.exists() else done.fault.rpartition("\n")[2]
 
     def _count(self) -> int:
-        return int(self._rows(["file"]).num_rows)
+        with self._reading:
+            return int(self._rows(["file"]).num_rows)
 
     def _learn_tags(self, notes: Signature) -> None:
         if notes == self._notes:
