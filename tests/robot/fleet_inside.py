@@ -51,8 +51,10 @@ def metrics() -> str:
 
 
 def log() -> str:
-    """A log from the desk, and its report."""
+    """A log from the desk, and its report; one that is being written is listed, but cannot be downloaded."""
     for name in json.loads(get(f"http://{DESK}/logs/of/{ROBOT}")):
+        if name.endswith(".part"):
+            continue
         content, report = get(f"http://{DESK}/logs/{name}"), get(f"http://{DESK}/reports/{name}")
         if content.startswith(b"\x89MCAP") and b"Plotly" in report:
             return f"log of {len(content)} bytes, report of {len(report)}"
