@@ -42,7 +42,7 @@ def open_again(context: BrowserContext, scene: DeskScene) -> Page:
     why = page.locator(".why")
     wait_until(lambda: waits.is_visible() or why.get_by_role("button", name="Reset").is_visible())
     if not waits.is_visible():
-        print(why.inner_text())  # noqa: T201 - it belongs to the figures
+        print(why.inner_text(), page.locator(".events").inner_text())  # noqa: T201 - they belong to the figures
         reset(page, page.locator(".drive"))
     return page
 

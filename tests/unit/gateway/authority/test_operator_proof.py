@@ -245,6 +245,18 @@ def test_no_state_is_believed_twice_nor_an_older_one(subject: str) -> None:
     assert pair.proof.believes("cruiser-1", pair.state(6, subject))
 
 
+def test_what_is_not_signed_of_a_robot_that_is_not_known_or_not_numbered_is_not_believed() -> None:
+    """Each of these alone is enough: a proof, a robot that was met, a number."""
+    pair = Pair()
+    good = pair.state(1)
+    assert not pair.proof.believes("cruiser-1", good)
+    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    for changed in ({"attachment": b""}, {"payload": b"\x80"}):
+        assert not pair.proof.believes("cruiser-1", msgspec.structs.replace(good, **changed))
+    assert not pair.proof.believes("cruiser-2", msgspec.structs.replace(good, key=good.key.replace("-1", "-2")))
+    assert pair.proof.believes("cruiser-1", good)
+
+
 def test_each_subject_has_numbers_of_its_own() -> None:
     """A robot's state is no older for what its arbiter says."""
     pair = Pair()

@@ -168,6 +168,7 @@ def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
         assert bench.show(text).ok
         said = bench.show(text)
         assert (said.ok, said.reason) == (False, Reason.REPLAYED)
+        assert "was taken over before" in said.detail
     assert bench.show(first).reason is Reason.REPLAYED
     third = bench.fleet.standby.rotate(3, new.authority, new.standby).text()
     assert bench.show(third).reason is Reason.PROOF_WRONG
@@ -235,6 +236,64 @@ def test_nobody_engages_before_the_self_test_has_passed() -> None:
     assert bench.bars() == {Reason.SELF_TEST: "it is under way"}
     bench.authority.self_test = ""
     assert bench.bars() == {}
+
+
+def test_what_cannot_be_saved_bars_at_once_and_until_it_is() -> None:
+    """A robot that is switched off and on would forget what was revoked."""
+    bench = AuthorityBench()
+    assert bench.bars() == {}
+    bench.authority.unsaved = "the disk is full"
+    effects = bench.tick(10_000_000)
+    assert effects.bars == {Reason.SELF_TEST: "the disk is full: a restart would forget what was revoked"}
+    assert bench.tick(10_000_000).bars is None
+    bench.authority.unsaved = ""
+    assert bench.tick(10_000_000).bars == {}
+
+
+def test_a_grant_of_another_robot_or_of_a_person_is_not_its_own() -> None:
+    """However long it holds, and also for the robot's own key."""
+    bench = AuthorityBench()
+    own = chain_text(bench.robot.chain)
+    other, long = Party("cruiser-2"), NOW_S + 9 * DAY_S
+    bench.fleet.authority.grant(other, role=GrantRole.ROBOT, robots=["cruiser-2"], not_after=long)
+    bench.robot.chain = []
+    bench.fleet.authority.grant(bench.robot, role=GrantRole.OPERATOR, robots=["*"], not_after=long)
+    for chain in (other.chain, bench.robot.chain):
+        assert bench.show(chain_text(chain)).own == own
+
+
+def test_a_list_counts_with_its_epoch_where_the_note_has_a_lower_one() -> None:
+    """No grant of a former epoch comes back by it."""
+    fleet = Fleet()
+    trust = trust_of(fleet.trust, Kept(revocations=fleet.authority.revoke(1, epoch=3).text()))
+    assert not isinstance(trust, Objection)
+    assert trust.epoch == 3
+
+
+def test_a_time_that_was_attested_is_saved_at_once() -> None:
+    """A robot that is switched off right after it revives no grant."""
+    bench = AuthorityBench()
+    bench.tick()
+    assert bench.tick().kept is None
+    said = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S + HOUR // S)
+    assert bench.show(bench.fleet.authority.sign(said).text()).ok
+    kept = bench.tick().kept
+    assert kept is not None
+    assert kept.newest_s >= NOW_S + HOUR // S
+
+
+def test_an_answer_for_the_name_holds_the_grant_of_now() -> None:
+    """A gateway that asks for the name judges by it."""
+    bench = AuthorityBench()
+    answer = bench.authority.name_proof.attachment(b"info", b"question")
+    assert answer.endswith(chain_text(bench.robot.chain).encode())
+    bench.robot.chain = []
+    bench.fleet.authority.grant(
+        bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"], serial=2, not_after=NOW_S + 9 * DAY_S
+    )
+    assert bench.show(chain_text(bench.robot.chain)).ok
+    answer = bench.authority.name_proof.attachment(b"info", b"question")
+    assert answer.endswith(chain_text(bench.robot.chain).encode())
 
 
 def test_a_robot_without_a_grant_of_its_own_does_not_arm() -> None:
