@@ -327,3 +327,14 @@ def test_a_pattern_covers_whole_names(pattern: str, robot: str, *, is_covered: b
     """The star stands for any letters, nothing else for any other."""
     fields = {"serial": 1, "name": "a", "key": "", "role": GrantRole.OPERATOR, "not_before": 0, "not_after": 0}
     assert Grant(robots=[pattern], **fields).covers(robot) is is_covered  # type: ignore[arg-type]
+
+
+def test_a_statement_is_the_authority_s_if_it_or_its_standby_signed_it() -> None:
+    """Also one that is over; that of a stranger, or one that was changed, is not."""
+    fleet, stranger = Fleet(), Fleet()
+    ann = fleet.operator(not_after=NOW_S - DAY_S)
+    rotation = fleet.standby.rotate(1, Party(), Party())
+    for chain in ([fleet.authority.revoke(1)], [fleet.standby.revoke(1)], [rotation], ann.chain):
+        assert fleet.trust.has_signed(chain)
+        assert not stranger.trust.has_signed(chain)
+        assert not fleet.trust.has_signed([msgspec.structs.replace(chain[0], signature=bytes(64)), *chain[1:]])
