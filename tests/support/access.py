@@ -110,6 +110,7 @@ IMPOSTORS: Final = {
 
 TOKENS: Final = {
     "fleet/ghost/gateway": ROBOTS,
+    "fleet/ghost/safety/event/@adv/pub/1/2/_": ROBOTS,
     "fleet/@recorder/ghost": {RECORDER},
     "fleet/ghost": NOBODY,
     "operators/ghost": NOBODY,

@@ -293,7 +293,14 @@ def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
             declared.append(session.liveliness().declare_token(own))
 
     def look() -> None:
-        for expression in ("fleet/*/gateway", "fleet/@recorder/*", "fleet/*", "operators/*"):
+        expressions = (
+            "fleet/*/gateway",
+            "fleet/*/safety/*/@adv/**",
+            "fleet/@recorder/*",
+            "fleet/*",
+            "operators/*",
+        )
+        for expression in expressions:
             for reply in secured.router.session.liveliness().get(expression, timeout=2):
                 if reply.ok is not None and "ghost-" in (key := str(reply.ok.key_expr)):
                     name = next(one for one in ROLES if f"ghost-{one}" in key)
