@@ -32,7 +32,7 @@ from tests.support.processes.desk import (
     texts,
 )
 from tests.support.processes.gateway import run
-from tests.support.processes.letting_go import WAYS, lose_the_focus
+from tests.support.processes.letting_go import hide_the_page, let_go_of_the_pointer, lose_the_focus, shut_the_lid
 from tests.support.provisioning import ProvisionedFleet
 from tests.support.rigs.scenarios import front_bumper, recorded
 from tests.support.waiting import wait_until
@@ -108,7 +108,10 @@ def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserCo
     assert page.get_by_role("button", name="全部停车").is_visible()
 
 
-@pytest.mark.parametrize("let_go", WAYS, ids=lambda way: way.__name__)
+# All ways, each of them twenty times over, by night: tests/nightly/test_desk.py.
+@pytest.mark.parametrize(
+    "let_go", [let_go_of_the_pointer, hide_the_page, shut_the_lid], ids=lambda way: way.__name__
+)
 def test_whatever_takes_the_pointer_away_stops_the_robot(
     scene: DeskScene, running_browser: Browser, let_go: Callable[[Page], None]
 ) -> None:
