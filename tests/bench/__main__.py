@@ -6,18 +6,15 @@ Usage: python -m tests.bench [--seconds N] [--kills N] [--short]
 from __future__ import annotations
 
 import argparse
-import os
-import platform
-import subprocess
 import sys
 import time
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
 import msgspec
 
+from schemas.egress import OPERATOR, PROFILES
 from tests.bench import (
     authority,
     command_latency,
@@ -32,12 +29,12 @@ from tests.bench import (
     review_rate,
     review_stored,
     signed_latency,
+    thin_link,
 )
 from tests.bench.loads import Row, beside, load_rows, print_table
 from tests.bench.on_vcan import vcan
+from tests.bench.origin import heading
 from tests.bench.processes import quantile
-
-ROOT: Final = Path(__file__).parents[2]
 
 
 class Extent(msgspec.Struct, frozen=True, kw_only=True):
@@ -56,6 +53,8 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         review_mb, review_minutes, export_messages: sizes of the logs.
         cataloged_logs: number of the logs that are searched.
         stored_minutes: of driving, in the log in a store.
+        thin_profiles: of what leaves a robot.
+        thin_s: standing, and driven, in each of them.
     """
 
     seconds: float = 20.0
@@ -81,6 +80,8 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     export_rounds: int = 3
     cataloged_logs: int = review_find.LOGS
     stored_minutes: float = 2.0
+    thin_profiles: tuple[str, ...] = tuple(PROFILES)
+    thin_s: float = 5.0
 
 
 SHORT: Final = Extent(
@@ -106,6 +107,8 @@ SHORT: Final = Extent(
     export_rounds=1,
     cataloged_logs=500,
     stored_minutes=0.2,
+    thin_profiles=(OPERATOR,),
+    thin_s=1.0,
 )
 """Enough to see that each bench runs; its figures say nothing."""
 
@@ -125,21 +128,6 @@ def main() -> None:
         sys.exit(f"bench: not measured: {', '.join(failed)}")
 
 
-def heading(words: list[str], seconds: float) -> str:
-    """Where the figures come from: command, commit and machine."""
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    return f"{' '.join(['python -m tests.bench', *words])} at {commit()}; {machine}; each load {seconds:g} s"
-
-
-def commit(root: Path = ROOT) -> str:
-    """The commit of the checkout, "-dirty" where files differ from it; words where there is no checkout."""
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "no commit"
-
-
 def measure(extent: Extent) -> tuple[list[Row], list[str]]:
     """Every figure, and the benches that failed. Says on stderr what is being measured: it takes its time."""
     seconds = extent.seconds
@@ -156,6 +144,7 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
         ("floods", lambda: flood_rows(flood.measure(extent.floods))),
         ("the guard", lambda: [row for one in guard_latency.measure(extent.kills) for row in guard_rows(one)]),
         ("bad links", lambda: links.rows(extent.link_s, extent.goal_s)),
+        ("thin links", lambda: thin_link.rows(extent.thin_profiles, extent.thin_s)),
         ("the desk", lambda: desk.rows(extent.presses, extent.desk_kills, extent.crowd_s)),
         (
             "the recorder",

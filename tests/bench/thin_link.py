@@ -13,7 +13,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Final
 from unittest.mock import patch
@@ -29,9 +29,9 @@ from gateway.zenoh.router import open_local_router
 from schemas.configuration import TomlSource, merge
 from schemas.egress import PROFILES
 from schemas.settings import Settings, ZenohSettings
-from tests.bench.__main__ import heading
 from tests.bench.command_latency import DRIVE_ID, SPEED_RAW, Witness
 from tests.bench.loads import Row, print_table
+from tests.bench.origin import heading
 from tests.bench.processes import quantile, start
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.paced_link import PacedLink, paced_link
@@ -66,10 +66,10 @@ class ThinLinkRun(msgspec.Struct, frozen=True):
     stop_s: float
 
 
-def rows(seconds: float = SECONDS) -> list[Row]:
-    """Every profile, over a wide link and over the thin one."""
+def rows(profiles: Sequence[str], seconds: float) -> list[Row]:
+    """These profiles, over a wide link and over the thin one."""
     found: list[Row] = []
-    for profile in PROFILES:
+    for profile in profiles:
         wide = run(profile, WIDE, WIDE_BYTES_PER_S, seconds)
         thin = run(profile, LTE, THIN_BYTES_PER_S, seconds)
         found += [
@@ -178,7 +178,7 @@ def main() -> None:
     print(
         heading(sys.argv[1:], arguments.seconds).replace("tests.bench ", "tests.bench.thin_link ", 1), flush=True
     )
-    print_table(rows(arguments.seconds))
+    print_table(rows(tuple(PROFILES), arguments.seconds))
 
 
 if __name__ == "__main__":

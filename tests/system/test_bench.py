@@ -3,8 +3,8 @@
 import subprocess
 from pathlib import Path
 
-from tests.bench.__main__ import ROOT, commit, heading
 from tests.bench.loads import beside
+from tests.bench.origin import ROOT, commit, heading
 from tests.bench.processes import empty_loop
 from tests.support.waiting import wait_until
 
