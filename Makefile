@@ -133,6 +133,7 @@ bench-short: $(STAMP)  ## a little of each bench, to see that it runs; its figur
 
 bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB and on 50,000 logs
 	$(BIN)/python -m tests.bench.review_rate
+	$(BIN)/python -m tests.bench.review_rerun
 	$(BIN)/python -m tests.bench.review_find
 	$(BIN)/python -m tests.bench.review_stored
 	$(BIN)/python -m tests.bench.review_export

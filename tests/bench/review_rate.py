@@ -1,15 +1,14 @@
-"""The review on a large log: seconds and memory of the questions, and the arbiter's speed when it is run again.
+"""The review on a large log: seconds and memory of the questions.
 
 The log is a minute in which much happens (two operators, faults, stops), written again and again behind itself,
-each time a minute later. Each question is a process of its own. What runs again is a drive of some minutes.
+each time a minute later. Each question is a process of its own.
 
-Usage: python -m tests.bench.review_rate [--megabytes N] [--minutes N]. Not a test: machines differ.
+Usage: python -m tests.bench.review_rate [--megabytes N]. Not a test: machines differ.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
 import tempfile
@@ -17,6 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
 from typing import Final
 
 import msgspec
@@ -31,10 +31,8 @@ from recorder.reading.rows import Selection, read_rows
 from schemas.messages import Variant
 from tests.bench.loads import Row, print_table
 from tests.support.rigs.day import Day
-from tests.support.rigs.gateway import Operator
 
 MEGABYTES: Final = 1000
-MINUTES: Final = 10
 CHUNK_BYTES: Final = 1 << 20
 MINUTE_NS: Final = 60_000_000_000
 LAG_NS: Final = 1_000_000
@@ -50,9 +48,10 @@ QUESTIONS: Final[dict[str, list[str]]] = {
 
 
 class Asked(msgspec.Struct, frozen=True):
-    """What a question cost: seconds, and the most memory that its process had."""
+    """What a question cost: seconds, processor time, and the most memory that its processes had."""
 
     seconds: float
+    cpu_s: float
     peak_mb: float
 
 
@@ -60,12 +59,11 @@ def main() -> None:
     """Measure everything and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--megabytes", type=int, default=MEGABYTES, help=f"of the log (default {MEGABYTES})")
-    parser.add_argument("--minutes", type=float, default=MINUTES, help=f"that run again (default {MINUTES})")
     arguments = parser.parse_args()
-    print_table(rows(arguments.megabytes, arguments.minutes))
+    print_table(rows(arguments.megabytes))
 
 
-def rows(megabytes: int, minutes: float) -> list[Row]:
+def rows(megabytes: int) -> list[Row]:
     """The table of the review."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
@@ -76,12 +74,12 @@ def rows(megabytes: int, minutes: float) -> list[Row]:
             asked = ask([*words, str(path)])
             figure = f"{asked.seconds:.1f} s, {messages / asked.seconds:,.0f} messages/s, {asked.peak_mb:.0f} MB"
             found.append((f"review {name}", figure, f"under {MEMORY_MB} MB"))
-    return found + [rerun_row(kind, minutes) for kind in DRIVES]
+    return found
 
 
 def ask(words: list[str]) -> Asked:
     """A question to a log, in a process of its own."""
-    begun, peak_kb = time.perf_counter(), 0
+    begun, before_s, peak_kb = time.perf_counter(), _children_cpu_s(), 0
     with subprocess.Popen([CRUISER, "review", *words], stdout=subprocess.DEVNULL) as process:
         # What the kernel tells at the end counts this process's own memory too, which the child was begun with.
         while process.poll() is None:
@@ -90,7 +88,13 @@ def ask(words: list[str]) -> Asked:
     # Findings are an answer too: much happens in these logs.
     if process.returncode not in {0, 1}:
         raise SystemExit(f"cruiser review {' '.join(words)} ended with {process.returncode}")
-    return Asked(time.perf_counter() - begun, peak_kb / 1000)
+    return Asked(time.perf_counter() - begun, _children_cpu_s() - before_s, peak_kb / 1000)
+
+
+def _children_cpu_s() -> float:
+    """The processor time of all processes that this one has begun and waited for, and of those that these have."""
+    used = getrusage(RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _peak_kb(pid: int) -> int:
@@ -111,58 +115,6 @@ def _children(pid: int) -> list[int]:
             if int(stat.read_text(encoding="utf-8").rpartition(")")[2].split()[1]) == pid:
                 found.append(int(stat.parent.name))
     return found
-
-
-def rerun_row(kind: str, minutes: float) -> Row:
-    """How many times faster than real time a run is run again, reading and comparing included."""
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
-        path.write_bytes(DRIVES[kind](minutes))
-        alone = ask(["rerun", "--jobs", "1", str(path)])
-        asked = ask(["rerun", str(path)])
-    processors = len(os.sched_getaffinity(0))
-    figures = [f"{minutes * 60 / one.seconds:.0f} x, {one.peak_mb:.0f} MB" for one in (alone, asked)]
-    return (
-        f"review rerun, a robot {kind}",
-        f"{figures[0]}; in {processors} processes {figures[1]}",
-        "100 x real time",
-    )
-
-
-def driven(minutes: float) -> bytes:
-    """The log of a robot that is driven all the time, in bends and with a stop every minute."""
-    return drive(round(minutes), 4)
-
-
-def alternating(minutes: float) -> bytes:
-    """The log of a robot that is driven for one minute, and stands by for the next."""
-    return drive(round(minutes / 2), 66)
-
-
-def drive(times: int, pause_s: float) -> bytes:
-    """The log of a robot that is driven some times, each for a minute and with a pause behind it."""
-    day = Day(1, Variant.FINE, ticks=0)
-    rig = day.rig
-    rig.run(0.6)
-    operator = Operator(rig)
-    for _ in range(times):
-        operator.take_lease("take", override=True)
-        operator.engage()
-        for step in range(54):
-            operator.drive(1.0, 10.0 * (-1) ** (step // 9), 1.0)
-        operator.ask("disengage")
-        rig.run(pause_s)
-    return day.rig.log(lag_ns=LAG_NS)
-
-
-def standing(minutes: float) -> bytes:
-    """The log of a robot that nobody commands."""
-    day = Day(1, Variant.FINE, ticks=0)
-    day.rig.run(60 * minutes)
-    return day.rig.log(lag_ns=LAG_NS)
-
-
-DRIVES: Final = {"driven": driven, "driven every other minute": alternating, "standing by": standing}
 
 
 def write_log(path: Path, size: int) -> int:

@@ -1,0 +1,102 @@
+"""The speed at which a log is run again, reading and comparing included: in one process, and in one a processor.
+
+Wall time says what somebody waits, and depends on what else the machine does; processor time much less so.
+
+Usage: python -m tests.bench.review_rerun [--minutes N] [--robot driven|alternating|standing]
+
+Not a test: machines differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from schemas.messages import Variant
+from tests.bench.loads import Row, print_table
+from tests.bench.review_rate import LAG_NS, Asked, ask
+from tests.support.rigs.day import Day
+from tests.support.rigs.gateway import Operator
+
+MINUTES: Final = 10
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=MINUTES, help=f"that run again (default {MINUTES})")
+    parser.add_argument("--robot", choices=DRIVES, action="append", help="of this alone; may be given again")
+    arguments = parser.parse_args()
+    print_table(rows(arguments.minutes, arguments.robot or list(DRIVES)))
+
+
+def rows(minutes: float, robots: Sequence[str]) -> list[Row]:
+    """How many times faster than real time the logs of these robots are run again."""
+    return [row for robot in robots for row in rerun_rows(robot, minutes)]
+
+
+def rerun_rows(robot: str, minutes: float) -> list[Row]:
+    """The same log in one process, and in one for each processor."""
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
+        path.write_bytes(DRIVES[robot](minutes))
+        alone = ask(["rerun", "--jobs", "1", str(path)])
+        spread = ask(["rerun", str(path)])
+    processors = len(os.sched_getaffinity(0))
+    return [
+        (f"review rerun, a robot {robot}, {minutes:g} minutes, one process", _figures(alone, minutes), ""),
+        (f"  {processors} processes", _figures(spread, minutes), "60 x"),
+        ("  times as fast", f"{alone.seconds / spread.seconds:.2f}", f"{processors}"),
+    ]
+
+
+def _figures(asked: Asked, minutes: float) -> str:
+    length_s = minutes * 60
+    return (
+        f"{length_s / asked.seconds:.0f} x real time, {length_s / asked.cpu_s:.0f} x processor time, "
+        f"{asked.peak_mb:.0f} MB"
+    )
+
+
+def driven(minutes: float) -> bytes:
+    """The log of a robot that is driven all the time, in bends and with a stop every minute."""
+    return drive(round(minutes), 4)
+
+
+def alternating(minutes: float) -> bytes:
+    """The log of a robot that is driven for one minute, and stands by for the next."""
+    return drive(round(minutes / 2), 66)
+
+
+def drive(times: int, pause_s: float) -> bytes:
+    """The log of a robot that is driven some times, each for a minute and with a pause behind it."""
+    day = Day(1, Variant.FINE, ticks=0)
+    rig = day.rig
+    rig.run(0.6)
+    operator = Operator(rig)
+    for _ in range(times):
+        operator.take_lease("take", override=True)
+        operator.engage()
+        for step in range(54):
+            operator.drive(1.0, 10.0 * (-1) ** (step // 9), 1.0)
+        operator.ask("disengage")
+        rig.run(pause_s)
+    return day.rig.log(lag_ns=LAG_NS)
+
+
+def standing(minutes: float) -> bytes:
+    """The log of a robot that nobody commands."""
+    day = Day(1, Variant.FINE, ticks=0)
+    day.rig.run(60 * minutes)
+    return day.rig.log(lag_ns=LAG_NS)
+
+
+DRIVES: Final = {"driven": driven, "alternating": alternating, "standing": standing}
+
+
+if __name__ == "__main__":
+    main()
