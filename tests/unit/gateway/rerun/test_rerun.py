@@ -1,6 +1,7 @@
 """A recorded minute, run again from its log."""
 
 from collections.abc import Iterator
+from functools import cache
 from io import BytesIO
 from typing import Any
 
@@ -46,18 +47,18 @@ class ReadBack:
             if attachment.name.endswith("configuration.toml")
         )
         self.settings = merge(TomlSource("configuration.toml", configuration.decode()), {}, {})
-        self.journals: list[Journal] = []
         self.records: dict[str, list[bytes]] = {}
-        self.sent: list[tuple[int, int, bytes]] = []
         prefix = f"{self.settings.robot.root}/{self.settings.robot.name}/"
-        for _, channel, message, content in reader.iter_decoded_messages(log_time_order=False):
-            name = channel.topic.removeprefix(prefix)
-            self.records.setdefault(name, []).append(message.data)
-            if name == "journal":
-                fields = {field: getattr(content, field) for field in Journal.__struct_fields__}
-                self.journals.append(Journal(**fields))
-            elif name == "can/can0/tx":
-                self.sent.append((content.time_ns, content.identifier, content.data))
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            self.records.setdefault(channel.topic.removeprefix(prefix), []).append(message.data)
+        self.journals = [
+            Journal(**{field: getattr(one.decoded_message, field) for field in Journal.__struct_fields__})
+            for one in reader.iter_decoded_messages([f"{prefix}journal"], log_time_order=False)
+        ]
+        self.sent = [
+            (one.decoded_message.time_ns, one.decoded_message.identifier, one.decoded_message.data)
+            for one in reader.iter_decoded_messages([f"{prefix}can/can0/tx"], log_time_order=False)
+        ]
 
     def run_again(self) -> Iterator[tuple[list[Frame], list[Sample]]]:
         """The core, run again."""
@@ -77,11 +78,18 @@ def frames_of(samples: list[Sample]) -> list[tuple[int, int, bytes]]:
     return frames
 
 
+@cache
+def lived(seed: int, variant: Variant) -> Day:
+    """Such a minute."""
+    day = Day(seed, variant)
+    day.live()
+    return day
+
+
 @pytest.mark.parametrize(("seed", "variant"), [(1, Variant.COARSE), by_night(2, Variant.FINE)])
 def test_a_recorded_minute_run_again_comes_out_the_same(seed: int, variant: Variant) -> None:
     """From the log alone: every decision, event and state byte for byte, and every frame offered and sent."""
-    day = Day(seed, variant)
-    day.live()
+    day = lived(seed, variant)
     log = ReadBack(day.rig.log())
     offered: list[list[Frame]] = []
     samples: list[Sample] = []
@@ -93,10 +101,10 @@ def test_a_recorded_minute_run_again_comes_out_the_same(seed: int, variant: Vari
         again = [
             encode(codec.decode(BY_NAME[name], sample.payload)) for sample in samples if sample.subject == name
         ]
-        lived = log.records[name]
+        recorded = log.records[name]
         # The last batch of the journal, and so the last ticks of the quiet end, is not in the log.
-        assert 0 <= len(lived) - len(again) <= (2 if name == "safety/state" else 0)
-        assert again == lived[: len(again)], name
+        assert 0 <= len(recorded) - len(again) <= (2 if name == "safety/state" else 0)
+        assert again == recorded[: len(again)], name
     assert frames_of(samples) == log.sent
     bursts = [frames for frames in offered if frames]
     assert bursts == [frames for frames in day.rig.offered if frames]
@@ -106,8 +114,7 @@ def test_a_recorded_minute_run_again_comes_out_the_same(seed: int, variant: Vari
 
 def test_the_minute_is_worth_running_again() -> None:
     """In it the robot drives, is refused, stopped and latched, loses bus and guard, and comes to rest."""
-    day = Day(1, Variant.COARSE)
-    day.live()
+    day = lived(1, Variant.COARSE)
     rig = day.rig
     assert rig.now_ns - STARTED_NS >= 60_000_000_000
     assert len(rig.bursts) > 1500

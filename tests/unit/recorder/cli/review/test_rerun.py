@@ -144,7 +144,7 @@ def test_a_part_of_a_run_under_other_rules_has_no_place_to_begin(
     """What a gateway at rest is remembered by is another thing under each; so it says, and compares nothing."""
     path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
     first = 3000
-    path.write_bytes(restful_day(1).rig.log(journal=lambda one: _from(first, under_rules_1(one))))
+    path.write_bytes(restful_day(1, rounds=2).rig.log(journal=lambda one: _from(first, under_rules_1(one))))
     assert run(path) == ExitCode.FAILURE
     out = capsys.readouterr().out
     assert out.startswith(f"cruiser-1, run {RUN}: {rules_notice(0)}\n")

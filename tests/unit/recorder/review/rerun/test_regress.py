@@ -1,4 +1,4 @@
-"""Every minute of a log run again, each alone. A minute has five seconds here."""
+"""Every minute of a log run again, each alone. A minute has two seconds and a half here."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -15,6 +15,7 @@ from gateway.rerun import run_pair as pair_module
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.review.rerun import regress as module
+from recorder.review.rerun import segments as segments_module
 from recorder.review.rerun.minutes import UNCERTAIN
 from recorder.review.rerun.parallel import InThisProcess
 from recorder.review.rerun.player import NO_PLACE
@@ -30,32 +31,33 @@ from tests.support.rigs.day import COMMAND
 from tests.support.rigs.gateway import Operator
 from tests.support.rigs.recorded import RecordedRig
 
-PERIOD_NS = 5 * SECOND
+PERIOD_NS = 5 * SECOND // 2
 OWN = TriedSettings(None, "", {})
 NAME = "cruiser-1-20260102T030405Z.mcap"
 
 
 @pytest.fixture(autouse=True)
 def short_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What takes a minute in a robot takes five seconds."""
+    """What takes a minute in a robot takes three seconds."""
     monkeypatch.setattr(module, "SHORTEST_NS", PERIOD_NS - SECOND // 10)
+    monkeypatch.setattr(segments_module, "BEFORE_NS", SECOND)
     monkeypatch.setattr(pair_module, "ALIKE_NS", SECOND)
 
 
 @cache
 def driven() -> RecordedRig:
-    """Half a minute without a pause: slow, fast for four seconds, slow, a stop by the deadman, slow."""
+    """Thirteen seconds without a pause: slow, fast for two and a half, slow, a stop by a short deadman, slow."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(core_module, "CHECKPOINT_PERIOD_NS", PERIOD_NS)
         rig = RecordedRig(Variant.COARSE, COMMAND)
         rig.run(0.6)
         operator = Operator(rig)
         operator.engage()
-        operator.drive(0.5, 2.0, 11.0)
-        operator.drive(1.2, 2.0, 4.0)
-        operator.drive(0.5, 2.0, 9.0)
+        operator.drive(0.5, 2.0, 3.5)
+        operator.drive(1.2, 2.0, 2.5)
+        operator.drive(0.5, 2.0, 2.7)
         rig.run(0.2)
-        operator.drive(0.5, 2.0, 6.0)
+        operator.drive(0.5, 2.0, 3.7)
     return rig
 
 
@@ -93,7 +95,7 @@ def test_the_runs_own_settings_and_code_decide_the_same(tmp_path: Path) -> None:
     """In every minute, also when the same settings are given as others."""
     own = regress(tmp_path / NAME, driven_log()).summary
     assert (own.otherwise, own.not_run) == (0, {})
-    assert own.run >= 6
+    assert own.run >= 5
     assert regress(tmp_path / NAME, driven_log(), speed_limit(COMMAND.speed_limit_mps)).summary == own
 
 
@@ -155,10 +157,10 @@ def test_checkpoints_of_another_version_are_counted_as_not_run(
 ) -> None:
     """With the reason."""
     monkeypatch.setattr(checkpoint_module, "_HOMES", ("gateway.elsewhere",))
-    summary = regress(tmp_path / NAME, _from(driven().wall_ns - 15 * SECOND)).summary
+    summary = regress(tmp_path / NAME, _from(driven().wall_ns - 6 * SECOND)).summary
     assert summary.run == 0
     assert any(NO_PLACE in reason for reason in summary.not_run)
-    assert sum(summary.not_run.values()) == pytest.approx(0.25, abs=0.1)
+    assert sum(summary.not_run.values()) == pytest.approx(0.1, abs=0.05)
 
 
 def _from(time_ns: int) -> bytes:
