@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from typing import Final
 
-from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN
+from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROBOTS_PATTERN
 
 
 def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +66,7 @@ def _name_of(what: str, pattern: str, form: str) -> Callable[[str], str]:
 
 
 robot_name: Final = _name_of("a robot", ROBOT_PATTERN, "its name")
+robot_names: Final = _name_of("a robot, or several", ROBOTS_PATTERN, "its name")
 operator_name: Final = _name_of("an operator", OPERATOR_PATTERN, "the name")
 recorder_name: Final = _name_of("a recorder", ROBOT_PATTERN, "its name")
 """Readers of a name on the command line. They raise argparse.ArgumentTypeError where it is not of its form."""

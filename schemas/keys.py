@@ -23,6 +23,8 @@ from schemas.subjects import (
 )
 
 ROBOT_PATTERN: Final = r"[a-z0-9-]+"
+ROBOTS_PATTERN: Final = r"[a-z0-9*-]+"
+"""Of a robot's name, or of several with ``*`` for any part of them."""
 BUS_PATTERN: Final = r"[A-Za-z0-9_.-]+"
 OPERATOR_PATTERN: Final = r"[A-Za-z0-9_.-]{1,64}"
 ROOT_PATTERN: Final = r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*"
@@ -127,6 +129,16 @@ def recorder_command(root: str, recorder: str, operator: str, verb: str) -> str:
     if operator != ALL:
         _check("operator", operator, OPERATOR_PATTERN)
     return of_recorder(root, recorder, f"{COMMAND_CHUNK}/{operator}/{verb}")
+
+
+def chunk_of(robots: str) -> str:
+    """The chunk of a key expression for a robot's name, or for several: ``cruiser-*`` is ``cruiser-$*`` there."""
+    return re.sub(r"\*+", "$*", robots) if robots.strip("*") else ALL
+
+
+def in_order(name: str) -> list[str | int]:
+    """Key for sorting names as people do: ``cruiser-2`` before ``cruiser-10``."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"([0-9]+)", name)]
 
 
 def liveliness(root: str, robot: str = "*") -> str:

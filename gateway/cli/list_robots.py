@@ -13,17 +13,19 @@ import msgspec
 
 from gateway.client import view
 from gateway.client.fleet import Fleet, RobotStatus
+from gateway.client.robot_word import summary
 from gateway.client.roll import RollCall
 from gateway.telemetry.received import TokenChange
 from gateway.zenoh.client import RobotListener, place
 from schemas import keys
-from schemas.arguments import add_zenoh_arguments, seconds
+from schemas.arguments import add_zenoh_arguments, robot_names, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE = """\
   cruiser list
+  cruiser list 'cruiser-1*'
   cruiser list --json --connect tcp/10.0.0.5:7447 | jq -r .robot"""
 
 BLIND_ROLES: Final = frozenset({"robot", "router"})
@@ -36,6 +38,14 @@ POLL_S: Final = 0.02
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     parser.add_argument(
+        "robots",
+        nargs="?",
+        default=keys.ALL,
+        type=robot_names,
+        metavar="ROBOT",
+        help="the robot, or several by '*', as 'cruiser-1*'; all of them if left out",
+    )
+    parser.add_argument(
         "--timeout",
         type=seconds,
         default=3.0,
@@ -47,13 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """List the robots. Exit code 0 if there are any, 1 if there are none, 3 if not all may be in the list.
+    """List the robots, several after a line on all of them.
+
+    Exit code 0 if there are any, 1 if there are none, 3 if not all may be in the list.
 
     Raises:
         CommandError: no Zenoh node answers, or it does not say in time who is connected.
     """
     where = place(settings.zenoh)
-    with RobotListener.open(settings) as listener:
+    with RobotListener.open(settings, arguments.robots) as listener:
         search = _Search(listener, settings.robot.root)
         reports = search.run(time.monotonic() + arguments.timeout, stopped)
     if not reports and settings.zenoh.config:
@@ -64,13 +76,16 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if not reports and not search.is_complete:
         text = f"the Zenoh node at {where} did not say within {arguments.timeout:g} s which robots are connected"
         raise CommandError(text, ExitCode.UNREACHABLE)
+    if len(reports) > 1 and not arguments.json:
+        sys.stdout.write(f"{summary(reports)}\n")
     for report in reports:
         text = msgspec.json.encode(report).decode() if arguments.json else view.health_line(report)
         notes = [] if arguments.json else _notes(report)
         sys.stdout.write("\n  see to: ".join([text, *map(plain, notes)]) + "\n")
     sys.stdout.flush()
     if not reports:
-        sys.stderr.write(f"no robot is connected at {where}\n")
+        called = f" called {arguments.robots}" if arguments.robots != keys.ALL else ""
+        sys.stderr.write(f"no robot{called} is connected at {where}\n")
         return int(ExitCode.FAILURE)
     if not search.is_complete:
         sys.stderr.write(f"there may be more: not everybody answered within {arguments.timeout:g} s at {where}\n")

@@ -19,13 +19,14 @@ from gateway.client.roll import who_is_there
 from gateway.zenoh.client import RobotListener, place
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.keys import ROBOT_PATTERN
+from schemas.keys import ALL, ROBOTS_PATTERN
 from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE = """\
   cruiser watch                                   all robots, one a row
   cruiser watch cruiser-1                         one robot
+  cruiser watch 'cruiser-1*'                      several
   cruiser watch --connect tcp/10.0.0.5:7447 --json | jq .state.speed_mps"""
 
 POLL_S: Final = 0.02
@@ -42,7 +43,13 @@ Show = Callable[[list[RobotStatus]], None]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    parser.add_argument("robot", nargs="?", default="", metavar="ROBOT", help="the robot; all of them if left out")
+    parser.add_argument(
+        "robot",
+        nargs="?",
+        default="",
+        metavar="ROBOT",
+        help="the robot, or several by '*', as 'cruiser-1*'; all of them if left out",
+    )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this time")
     parser.add_argument(
         "--timeout", type=seconds, default=5.0, metavar="S", help="how long to wait for the robot (5)"
@@ -58,12 +65,12 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         CommandError: no Zenoh node answers, or the robot does not appear.
     """
     robot: str = arguments.robot
-    if robot and re.fullmatch(ROBOT_PATTERN, robot) is None:
-        raise CommandError(f"{plain(robot)!r} cannot be a robot: its name is {ROBOT_PATTERN}", ExitCode.USAGE)
+    if robot and re.fullmatch(ROBOTS_PATTERN, robot) is None:
+        raise CommandError(f"{plain(robot)!r} cannot be a robot: its name is {ROBOTS_PATTERN}", ExitCode.USAGE)
     end_s = time.monotonic() + arguments.seconds if arguments.seconds else float("inf")
     fleet = Fleet(settings.robot.root)
     with RobotListener.open(settings, robot) as listener:
-        watching = _Watching(listener, fleet, robot)
+        watching = _Watching(listener, fleet, "" if ALL in robot else robot)
         problem = watching.wait(min(end_s, time.monotonic() + arguments.timeout), stopped)
         if problem and not stopped():
             text = f"{problem} within {arguments.timeout:g} s at {place(settings.zenoh)}"
@@ -74,7 +81,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         elif console.is_terminal and not console.is_dumb_terminal:
             _live(watching, console, end_s, stopped)
         else:
-            watching.show(lambda reports: _write(map(view.line, reports)), LINE_S, end_s, stopped)
+            watching.show(lambda reports: _write(view.lines(reports)), LINE_S, end_s, stopped)
     return int(ExitCode.OK)
 
 

@@ -113,13 +113,13 @@ class Fleet:
         self._linked = connected
 
     def robots(self, now_ns: int) -> list[str]:
-        """The names of the robots that are there or were there a short while ago."""
+        """The names of the robots that are there or were there a short while ago, as people order them."""
         self._known = {
             robot: known
             for robot, known in self._known.items()
             if known.connected or now_ns - known.heard_ns < FORGOTTEN_NS
         }
-        return sorted(self._known)
+        return sorted(self._known, key=keys.in_order)
 
     def report(self, robot: str, now_ns: int) -> RobotStatus:
         """A robot at this moment; one that was never heard of has an empty report."""

@@ -83,6 +83,6 @@ def who_is_there(settings: Settings, robot: str) -> str:
             time.sleep(POLL_S)
         if robot in roll.robots or not port.connected():
             return ""
-    names = sorted(roll.robots)
+    names = sorted(roll.robots, key=keys.in_order)
     more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
     return f"; connected: {', '.join(names[:NAMES_SHOWN])}{more}" if names else "; no robot is connected"

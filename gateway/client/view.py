@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import msgspec
@@ -13,6 +13,7 @@ from rich.text import Text
 
 from gateway.client.fleet import RobotStatus, alarm
 from gateway.client.reasons_text import is_idle, last_stop, link_line
+from gateway.client.robot_word import summary
 from schemas.decisions import COMMANDING
 from schemas.messages import GatewayHealth, RobotState
 from schemas.printable import plain
@@ -91,6 +92,13 @@ def line(report: RobotStatus) -> str:
     return "  ".join(words)
 
 
+def lines(reports: Sequence[RobotStatus]) -> Iterator[str]:
+    """Robots, one a line; several after a line on all of them."""
+    if len(reports) > 1:
+        yield summary(reports)
+    yield from map(line, reports)
+
+
 def safety_facts(report: RobotStatus) -> list[Fact]:
     """Return the arbiter's facts: operator, latches, blockers, last stop, limit, the commands' age."""
     safety = report.safety
@@ -142,7 +150,7 @@ def panel(report: RobotStatus) -> RenderableType:
 
 def table(reports: Sequence[RobotStatus]) -> RenderableType:
     """Robots, one a row: what each does, and whatever is wrong with it."""
-    shown = Table(expand=False)
+    shown = Table(expand=False, title=summary(reports) if len(reports) > 1 else None)
     for label in ("robot", *_TABLE_LABELS, "age"):
         shown.add_column(label, no_wrap=True)
     shown.add_column("wrong")

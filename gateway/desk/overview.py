@@ -6,34 +6,13 @@ from typing import Final
 
 from gateway.client.fleet import RobotStatus, alarm
 from gateway.client.reasons_text import is_idle, link_line, state_line, text_of
+from gateway.client.robot_word import FINE, LOOK, WORDS, word_of
 from gateway.desk.words import RecorderRow, RobotRow
-from schemas.decisions import COMMANDING, ArbiterState, SafetyEvent, SafetyState
-from schemas.messages import GatewayHealth, Mode, RobotState
+from schemas.decisions import SafetyEvent, SafetyState
+from schemas.messages import GatewayHealth
 from schemas.printable import plain, short
 from schemas.reasons import ACQUIRE, ENGAGE, RESET, TEXTS, Reason, cure_of
 from schemas.recording import RecorderHealth
-from schemas.settings import STANDSTILL_MPS
-
-FINE: Final = 0
-LOOK: Final = 1
-ALARM: Final = 2
-"""The levels: nothing is wrong; somebody should look; it needs a person."""
-
-WORDS: Final = {
-    "silent": ALARM,
-    "latched": ALARM,
-    "bus_down": ALARM,
-    "stopping": LOOK,
-    "transmitter": LOOK,
-    "blocked": LOOK,
-    "driving": FINE,
-    "engaged": FINE,
-    "held": FINE,
-    "ready": FINE,
-    "telemetry": FINE,
-}
-"""A word for all that a robot does or suffers, and its level. ``telemetry``: it has no arbiter."""
-
 
 COUNT_MAX: Final = 2**53 - 1
 
@@ -49,11 +28,11 @@ BUTTONS: Final = {
 def row_of(report: RobotStatus, event: SafetyEvent | None) -> RobotRow:
     """Return a robot's row."""
     state, safety = report.state, report.safety
-    word, text, reasons = _word(report)
+    word, reasons = word_of(report)
     return RobotRow(
         level=max(WORDS[word], LOOK if report.newer or report.health is None else FINE),
         word=word,
-        text=short(plain(text)),
+        text=short(plain(_text_of(report, word, reasons))),
         driver=short(plain(safety.lease_holder)) if safety is not None else "",
         speed_mps=_rounded(state.speed_mps if state is not None else None),
         limit_mps=_rounded(safety.speed_limit_mps if safety is not None else None),
@@ -105,32 +84,16 @@ def _with_buttons(cure: str, robot: str) -> str:
     return cure
 
 
-def _word(report: RobotStatus) -> tuple[str, str, list[Reason]]:
-    """Return one of the words, what it means here, and the reasons for it."""
+def _text_of(report: RobotStatus, word: str, reasons: list[Reason]) -> str:
+    """A robot's word in a sentence."""
     state, safety = report.state, report.safety
     if state is None:
-        return "silent", alarm(report), []
-    if not state.bus_up:
-        return "bus_down", "its CAN bus is down", [Reason.BUS_DOWN]
+        return alarm(report)
+    if word == "bus_down":
+        return "its CAN bus is down"
     if safety is None:
-        return "telemetry", f"mode {state.mode.value}; it takes no commands", []
-    return _word_of_arbiter(state, safety, report.robot)
-
-
-def _word_of_arbiter(state: RobotState, safety: SafetyState, robot: str) -> tuple[str, str, list[Reason]]:
-    if safety.latched:
-        return "latched", _meanings(safety.latched, robot), safety.latched
-    if safety.state is ArbiterState.STOPPING:
-        return "stopping", state_line(safety), [safety.stop_reason]
-    if state.mode is Mode.REMOTE:
-        return "transmitter", _meanings([Reason.HAND_TRANSMITTER], robot), [Reason.HAND_TRANSMITTER]
-    if safety.state in COMMANDING:
-        moves = state.speed_mps is not None and abs(state.speed_mps) >= STANDSTILL_MPS
-        return "driving" if moves else "engaged", state_line(safety), []
-    blocked = [one for one in safety.blocked_by if not is_idle([one])]
-    if blocked:
-        return "blocked", _meanings(blocked, robot), blocked
-    return "held" if safety.lease_holder else "ready", state_line(safety), []
+        return f"mode {state.mode.value}; it takes no commands"
+    return state_line(safety) if word == "stopping" or not reasons else _meanings(reasons, report.robot)
 
 
 def _meanings(reasons: list[Reason], robot: str) -> str:

@@ -188,7 +188,7 @@ class RobotRow(msgspec.Struct, frozen=True):
 
     Attributes:
         level: 0 nothing is wrong, 1 somebody should look, 2 it needs a person.
-        word: what it does or suffers, one of the words of ``overview.WORDS``.
+        word: what it does or suffers, one of the words of ``robot_word.WORDS``.
         text: the same with figures, in English.
         driver: who holds its lease; empty if nobody does.
         speed_mps, limit_mps: measured, and the limit in force; null if not known.

@@ -378,10 +378,10 @@ class RobotListener(SessionOwner):
         Args:
             session: an open session.
             robot: where the root is.
-            name: the robot; empty for all of them.
+            name: the robot, or several by ``*``; empty for all of them.
         """
         super().__init__(session)
-        chunk = name or "*"
+        chunk = keys.chunk_of(name)
         # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
         self._samples: tuple[Any, ...] = tuple(
             session.declare_subscriber(

@@ -14,7 +14,7 @@ from gateway.cli.desk_hub import Hub
 from gateway.cli.desk_logs import DeskLogs
 from gateway.cli.desk_server import make_app
 from gateway.client.remote_stop import StopReport
-from gateway.desk.overview import WORDS
+from gateway.client.robot_word import WORDS
 from gateway.desk.words import FROM_BROWSER_BYTES
 from gateway.telemetry.received import Arrival
 from schemas import keys

@@ -44,8 +44,10 @@ def test_a_stop_of_a_large_fleet_is_seen_while_the_machine_is_busy() -> None:
 
 
 def test_a_large_fleet_is_listed_whole() -> None:
-    """Every robot that is connected has its line."""
+    """Every robot that is connected has its line, after one on all of them."""
     with FakeFleet(1000) as fleet:
         ended = cruiser("list", "--timeout", "8", "--connect", fleet.listen)
-    assert [line.split()[0] for line in ended.stdout.splitlines()] == fleet.names
+    told, *lines = ended.stdout.splitlines()
+    assert told == "1000 robots: 1000 silent"
+    assert [line.split()[0] for line in lines] == fleet.names
     assert (ended.returncode, ended.stderr) == (0, "")

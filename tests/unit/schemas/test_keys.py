@@ -1,4 +1,7 @@
+from fnmatch import fnmatchcase
+
 import pytest
+import zenoh
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -146,3 +149,22 @@ def test_a_part_that_does_not_fit_is_not_built_into_a_command_key(root: str, rob
     """The one wildcard is ALL, in place of a whole chunk; no root is ever left open."""
     with pytest.raises(ValueError, match="form"):
         keys.command(root, robot, operator, "stop")
+
+
+@given(pattern=st.from_regex(keys.ROBOTS_PATTERN, fullmatch=True), robot=ROBOTS)
+@example(pattern="cruiser-*", robot="cruiser-10")
+@example(pattern="**", robot="a")
+@example(pattern="a**b*", robot="ab")
+def test_zenoh_finds_the_robots_of_a_pattern(pattern: str, robot: str) -> None:
+    """As a shell would; the expression is one that Zenoh takes without a change."""
+    expression = f"fleet/{keys.chunk_of(pattern)}/state"
+    assert str(zenoh.KeyExpr.autocanonize(expression)) == expression
+    found = zenoh.KeyExpr(expression).intersects(zenoh.KeyExpr(f"fleet/{robot}/state"))
+    assert found == fnmatchcase(robot, pattern)
+
+
+@given(st.sets(st.integers(0, 2000)))
+def test_names_are_in_the_order_of_their_numbers(numbers: set[int]) -> None:
+    """Whatever stands around them."""
+    names = [f"plant-3-cruiser-{number}" for number in sorted(numbers)]
+    assert sorted(sorted(names), key=keys.in_order) == names

@@ -37,9 +37,29 @@ def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
             second.say(HEALTH)
 
         assert list_robots(first.listen, "--timeout", "20", meanwhile=speak) == 0
-    lines = capsys.readouterr().out.splitlines()
+    told, *lines = capsys.readouterr().out.splitlines()
+    assert told == "2 robots: 2 connected"
     assert [line.split()[0] for line in lines] == ["cruiser-1", "cruiser-2"]
     assert all("connected" in line and "630/s" in line for line in lines)
+
+
+def test_some_robots_are_listed_by_a_pattern_in_the_order_of_their_numbers(capsys: Capture) -> None:
+    """2 comes before 10; of a name that nobody has there is none, and it is named."""
+    with (
+        FakeGateway("cruiser-10") as first,
+        FakeGateway("cruiser-2", connect=first.listen) as second,
+        FakeGateway("other-1", connect=first.listen) as other,
+    ):
+
+        def speak() -> None:
+            for one in (first, second, other):
+                one.say(HEALTH)
+
+        assert list_robots(first.listen, "cruiser-*", "--timeout", "20", meanwhile=speak) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert [line.split()[0] for line in lines] == ["2", "cruiser-2", "cruiser-10"]
+        assert list_robots(first.listen, "cruiser-3", "--timeout", "20", meanwhile=speak) == 1
+    assert capsys.readouterr().err == f"no robot called cruiser-3 is connected at {first.listen}\n"
 
 
 def test_what_is_latched_is_listed(capsys: Capture) -> None:

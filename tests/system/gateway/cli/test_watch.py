@@ -147,10 +147,31 @@ def test_nobody_there_is_unreachable(words: list[str]) -> None:
 
 
 def test_a_name_that_no_robot_can_have_is_a_usage_error() -> None:
-    """A wildcard or a capital letter is not sent out as a key."""
-    with pytest.raises(CommandError, match="cannot be a robot") as caught:
-        watch(free_endpoint(), "*", stopped=StopWhen(lambda: False))
-    assert caught.value.code is ExitCode.USAGE
+    """A wildcard of Zenoh's or a capital letter is not sent out as a key."""
+    for name in ("cruiser-$*", "Cruiser-1"):
+        with pytest.raises(CommandError, match="cannot be a robot") as caught:
+            watch(free_endpoint(), name, stopped=StopWhen(lambda: False))
+        assert caught.value.code is ExitCode.USAGE
+
+
+def test_some_robots_are_shown_by_a_pattern(capsys: Capture) -> None:
+    """In the order of their numbers, after a line on all of them; others are not heard."""
+    output = Output(capsys)
+    with (
+        FakeGateway("cruiser-10") as first,
+        FakeGateway("cruiser-2", connect=first.listen) as second,
+        FakeGateway("other-1", connect=first.listen) as other,
+    ):
+
+        def speak() -> None:
+            for one in (first, second, other):
+                one.say(STATE)
+
+        stopped = StopWhen(lambda: "\n2 robots: 2 telemetry\ncruiser-2 " in f"\n{output()}", speak)
+        assert watch(first.listen, "cruiser-*", stopped=stopped) == 0
+    last = output.text.splitlines()[-3:]
+    assert [line.split()[0] for line in last] == ["2", "cruiser-2", "cruiser-10"]
+    assert "other-1" not in output.text
 
 
 def test_a_signal_while_waiting_ends_it_without_an_error() -> None:
