@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet demo-desk test test-unit test-system nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
+.PHONY: help install demo demo-fleet demo-desk test test-unit test-system nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image test-cluster lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -50,6 +50,7 @@ nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: t
 	$(MAKE) test-zenohd
 	$(MAKE) test-store
 	$(MAKE) test-image
+	$(MAKE) test-cluster
 	$(MAKE) test-robot
 	ROBOT_ZENOHD=$(ZENOHD)/bin/zenohd $(MAKE) test-robot RELEASE=trixie TESTS="tests/robot/test_power_cut.py tests/robot/test_signed.py"
 
@@ -89,6 +90,11 @@ readers: $(STAMP)  ## logs as rerun reads them, in an environment of its own: it
 	@test -x .venv-readers/bin/rerun || { $(PYTHON) -m venv .venv-readers && \
 		.venv-readers/bin/python $(PINNED) constraints-readers.txt; }
 	READERS_PYTHON=.venv-readers/bin/python $(BIN)/python -m pytest tests/readers
+
+test-cluster: $(STAMP)  ## export, rerun and regress on a Ray cluster of two nodes on this machine; an environment of 700 MB; ten minutes
+	@test -x .venv-ray/bin/ray || { $(PYTHON) -m venv .venv-ray && .venv-ray/bin/python $(PINNED) constraints-ray.txt; }
+	.venv-ray/bin/python $(PROJECT)
+	RAY_BIN=.venv-ray/bin $(BIN)/python -m pytest tests/cluster
 
 # Their packages are not among the constraints: they are the examples' own, and nothing of the product needs them.
 CARGO := CARGO_TARGET_DIR=$(CURDIR)/build/rust cargo
@@ -154,6 +160,7 @@ COMPILE = $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --fo
 constraints: .venv-tools/installed  ## versions and hashes of all packages, anew from pyproject.toml
 	$(COMPILE) pyproject.toml --extra dev --group build -o constraints.txt
 	$(COMPILE) pyproject.toml --extra desk --extra metrics --extra upload --group build --constraints constraints.txt -o constraints-run.txt
+	$(COMPILE) pyproject.toml --extra ray --group build --constraints constraints.txt -o constraints-ray.txt
 	$(COMPILE) --group readers --constraints constraints.txt -o constraints-readers.txt
 	$(COMPILE) --group tools --constraints constraints.txt -o constraints-tools.txt
 

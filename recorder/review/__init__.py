@@ -6,6 +6,7 @@
 - ``rerun``              the recorded run again, with its settings or with others
 - ``report``             a drive on one page
 - ``export``, ``query``  Parquet, CSV and raw frames; SQL (``querying``); both on ``columns``
+- ``tasks``              their parts that processes and machines do beside each other
 - ``layouts``            the robots of logs, for ``recorder.layouts``
 
 ``recorder.reading`` finds the files and reads them.

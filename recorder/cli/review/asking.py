@@ -104,6 +104,11 @@ def add_period(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
 
 
+def add_ray(parser: argparse.ArgumentParser) -> None:
+    """--ray."""
+    parser.add_argument("--ray", metavar="ADDRESS", help="have a Ray cluster do it: ray://HOST:PORT")
+
+
 def find(
     arguments: argparse.Namespace,
     *,
@@ -124,6 +129,9 @@ def find(
     """
     faults = Faults()
     paths = [one for one in arguments.logs if isinstance(one, Path)]
+    if getattr(arguments, "ray", None):
+        # Other machines do not begin where this process does.
+        paths = [path.absolute() for path in paths]
     addresses = [one for one in arguments.logs if isinstance(one, StoreAddress)]
     known = cataloged(paths) if with_catalog else {}
     stored = stored_logs(addresses, settings or Settings(), faults) if addresses else []

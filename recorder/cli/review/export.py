@@ -5,15 +5,26 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, needing_extra, progress_bar
+from recorder.cli.review.asking import (
+    Asked,
+    add_logs,
+    add_period,
+    add_ray,
+    end_with,
+    find,
+    needing_extra,
+    progress_bar,
+)
 from recorder.cli.show import show
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.review.tasks import ray_cluster
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -53,9 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--runner", choices=RUNNERS, default=RUNNERS[0], help="who does it: this process (default), or Daft"
     )
-    parser.add_argument(
-        "--ray", metavar="ADDRESS", help="have Daft do it on this Ray cluster: auto, ray://HOST:PORT"
-    )
+    add_ray(parser)
     add_period(parser)
 
 
@@ -70,7 +79,9 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             ExitCode.USAGE,
         )
     asked = find(arguments)
-    with needing_extra(), progress_bar("exporting", asked.bytes, stopped) as progress:
+    # A cluster may first have to start.
+    is_bounded = not arguments.ray
+    with needing_extra(), progress_bar("exporting", asked.bytes, stopped, is_bounded=is_bounded) as progress:
         written = _EXPORTS[arguments.format](arguments, asked, progress)
     if not written:
         sys.stderr.write("cruiser review: there was nothing to write\n")
@@ -101,17 +112,31 @@ def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported la
 def _dataset(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
     from recorder.review.export import dataset  # noqa: PLC0415 - its libraries are an extra
 
-    run: dataset.Runner = dataset.one_after_the_other
-    if arguments.ray or arguments.runner == "daft":
-        from recorder.review.export.spread import LOCAL, daft_runner  # noqa: PLC0415 - as above
+    with _runner(arguments) as run:
+        return [
+            dataset.export_dataset(
+                asked.logs,
+                arguments.out,
+                _wanted(arguments, asked),
+                asked.faults,
+                is_adding=arguments.add,
+                run=run,
+                progress=progress,
+            )
+        ]
 
-        run = daft_runner(arguments.ray or LOCAL)
-    wanted = _wanted(arguments, asked)
-    return [
-        dataset.export_dataset(
-            asked.logs, arguments.out, wanted, asked.faults, is_adding=arguments.add, run=run, progress=progress
-        )
-    ]
+
+@contextmanager
+def _runner(arguments: argparse.Namespace) -> Generator[Any, None, None]:
+    from recorder.review.export import dataset, spread  # noqa: PLC0415 - as above
+
+    if arguments.ray:
+        with ray_cluster(arguments.ray) as pool:
+            yield spread.pool_runner(pool)
+    elif arguments.runner == "daft":
+        yield spread.daft_runner()
+    else:
+        yield dataset.one_after_the_other
 
 
 def _csv(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:

@@ -9,12 +9,12 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import Final
 
-from recorder.cli.review.asking import add_logs, end_with, find, progress_bar
+from recorder.cli.review.asking import add_logs, add_ray, end_with, find, progress_bar
 from recorder.cli.review.rerun import add_jobs, add_tried_settings, describe, tried_settings, whole_number
 from recorder.cli.show import show
 from recorder.reading.times import in_words
-from recorder.review.rerun.parallel import InThisProcess, processes
 from recorder.review.rerun.regress import NOT_IN_ITS_TURN, OtherwiseMinute, Regress, RegressSummary
+from recorder.review.tasks import InThisProcess, processes, ray_cluster
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_tried_settings(parser)
     parser.add_argument("--minutes", type=whole_number, metavar="N", help="run the N most novel minutes only")
     add_jobs(parser, "run in N processes at once")
+    add_ray(parser)
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -48,9 +49,9 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     try:
         with (
             progress_bar("running every minute again", asked.bytes, stopped, is_bounded=False) as progress,
-            _pool(arguments.jobs) as pool,
+            _pool(arguments) as (pool, jobs),
         ):
-            regress = Regress(asked.logs, tried, asked.faults, pool, arguments.jobs, progress)
+            regress = Regress(asked.logs, tried, asked.faults, pool, jobs, progress)
             regress.run(arguments.minutes)
             is_whole = True
     except KeyboardInterrupt:
@@ -72,12 +73,16 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
 
 
 @contextmanager
-def _pool(jobs: int) -> Generator[Executor, None, None]:
-    if jobs < 2:
-        yield InThisProcess()
-        return
-    with processes(jobs) as pool:
-        yield pool
+def _pool(arguments: argparse.Namespace) -> Generator[tuple[Executor, int], None, None]:
+    """Whoever runs the minutes, and how many at once."""
+    if arguments.ray:
+        with ray_cluster(arguments.ray) as cluster:
+            yield cluster, cluster.processors
+    elif arguments.jobs < 2:
+        yield InThisProcess(), 1
+    else:
+        with processes(arguments.jobs) as pool:
+            yield pool, arguments.jobs
 
 
 def _describe(minute: OtherwiseMinute, arguments: argparse.Namespace) -> Iterator[str]:

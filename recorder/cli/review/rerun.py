@@ -9,8 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.cli.review.asking import Asked, add_logs, add_ray, end_with, find, progress_bar, table
 from recorder.cli.show import show
+from recorder.reading.rows import Progress
 from recorder.reading.times import in_words
 from recorder.review.rerun.counterfactual import (
     Journey,
@@ -20,9 +21,10 @@ from recorder.review.rerun.counterfactual import (
     what_if_logs,
 )
 from recorder.review.rerun.minutes import verdict_in_words
-from recorder.review.rerun.parallel import rerun_in_parallel
+from recorder.review.rerun.parallel import SEGMENT_NS, rerun_in, rerun_in_parallel
 from recorder.review.rerun.player import RerunResult
 from recorder.review.rerun.tried_settings import TriedSettings
+from recorder.review.tasks import ray_cluster
 from schemas.command_rules import COMMAND_RULES, rules_notice
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -50,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_logs(parser, json_help="print a JSON object a line, one for each run of a gateway")
     add_tried_settings(parser)
     add_jobs(parser, "without --set and --with: run in N processes at once")
+    add_ray(parser)
 
 
 def add_tried_settings(parser: argparse.ArgumentParser) -> None:
@@ -87,16 +90,13 @@ def tried_settings(arguments: argparse.Namespace) -> TriedSettings:
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run again."""
     tried = tried_settings(arguments)
+    if arguments.ray and not tried.is_own:
+        raise CommandError("--ray is without --set and --with; regress has all of them", ExitCode.USAGE)
     asked = find(arguments)
     with progress_bar("running again", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
-        results: Iterator[RerunResult | WhatIfResult] = (
-            rerun_in_parallel(asked.logs, asked.faults, arguments.jobs, progress=progress)
-            if tried.is_own
-            else what_if_logs(asked.logs, tried, asked.faults, progress=progress)
-        )
         worst = ExitCode.OK
         runs = 0
-        for result in results:
+        for result in _results(arguments, tried, asked, progress):
             runs += 1
             worst = max(worst, _outcome(result), key=_GRAVITY.index)
             show(result, describe(result), as_json=arguments.json)
@@ -106,6 +106,18 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     if not runs:
         raise CommandError("there is no journal in it, so nothing can be run again", ExitCode.PARTIAL)
     return int(max(worst, ending, key=_GRAVITY.index))
+
+
+def _results(
+    arguments: argparse.Namespace, tried: TriedSettings, asked: Asked, progress: Progress
+) -> Iterator[RerunResult | WhatIfResult]:
+    if not tried.is_own:
+        yield from what_if_logs(asked.logs, tried, asked.faults, progress=progress)
+    elif arguments.ray:
+        with ray_cluster(arguments.ray) as cluster:
+            yield from rerun_in(cluster, asked.logs, asked.faults, SEGMENT_NS, progress)
+    else:
+        yield from rerun_in_parallel(asked.logs, asked.faults, arguments.jobs, progress=progress)
 
 
 _GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)

@@ -1,12 +1,10 @@
-"""The export over the cores of this machine, or over a cluster: the same function, mapped over logs by Daft.
-
-On a Ray cluster every machine needs the logs and the dataset's directory under the same paths, and this package.
-"""
+"""The export over the cores of this machine, by Daft, or over a cluster: the same function, mapped over logs."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +13,7 @@ import msgspec
 from recorder.reading.rows import Progress
 from recorder.review.export.dataset import Runner
 from recorder.review.export.one_log import ExportOutcome, ExportTask, export_log
+from recorder.review.tasks import outcome_of
 from schemas.exit_codes import CommandError
 
 QUIET: Final = {
@@ -22,31 +21,34 @@ QUIET: Final = {
     "DAFT_PROGRESS_BAR": "0",
     "DO_NOT_TRACK": "1",
     "SCARF_NO_ANALYTICS": "1",
-    "RAY_USAGE_STATS_ENABLED": "0",
 }
-"""Daft reports every import to its makers, and Ray every cluster, unless these are set before."""
-
-LOCAL: Final = "local"
+"""Daft reports every import to its makers, unless these are set before."""
 
 
-def daft_runner(address: str = LOCAL) -> Runner:
+def pool_runner(pool: Executor) -> Runner:
+    """A runner that has the tasks done by whoever is in a pool, as ``recorder.review.tasks.ray_cluster``."""
+
+    def run(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
+        for future in [pool.submit(export_log, task) for task in tasks]:
+            outcome = outcome_of(future, progress)
+            progress(outcome.input.bytes)
+            yield outcome
+
+    return run
+
+
+def daft_runner() -> Runner:
     """A runner on Daft.
 
-    Args:
-        address: ``local``, or that of a Ray cluster.
-
     Raises:
-        CommandError: Daft, or Ray where it is wanted, is not installed, or the cluster is not there.
+        CommandError: Daft is not installed.
     """
     os.environ.update(QUIET)
     try:
         import daft  # noqa: PLC0415 - only behind the settings above
     except ImportError:
         raise CommandError("this needs Daft: pip install 'cruiser-gateway[daft]'") from None
-    if address == LOCAL:
-        daft.set_runner_native()
-    else:
-        _connect(daft, address)
+    daft.set_runner_native()
     do_task = daft.func(task_to_outcome, return_dtype=daft.DataType.string(), use_process=True)
 
     def run(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
@@ -89,15 +91,3 @@ def decode_outcome(text: str) -> ExportOutcome:
 
 def _path(_kind: type, text: Any) -> Path:  # noqa: ANN401 - whatever stands in the JSON
     return Path(text)
-
-
-def _connect(daft: Any, address: str) -> None:  # noqa: ANN401 - a module
-    try:
-        import ray  # type: ignore[import-not-found,unused-ignore]  # noqa: PLC0415
-    except ImportError:
-        raise CommandError("a cluster needs Ray: pip install 'daft[ray]'") from None
-    try:
-        ray.init(address, runtime_env={"env_vars": QUIET}, ignore_reinit_error=True, log_to_driver=False)
-        daft.set_runner_ray(address, noop_if_initialized=True)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise CommandError(f"no Ray cluster answers at {address}: {error}") from error

@@ -23,7 +23,6 @@ from recorder.review.rerun.counterfactual import (
     WhatIfResult,
     changed_settings,
 )
-from recorder.review.rerun.parallel import look
 from recorder.review.rerun.player import (
     NO_CONFIGURATION,
     RerunPlayer,
@@ -34,6 +33,7 @@ from recorder.review.rerun.player import (
 )
 from recorder.review.rerun.segments import SETTLED_NS, RunSegment
 from recorder.review.rerun.tried_settings import TriedSettings
+from recorder.review.tasks import look
 
 TICK_NS: Final = 10_000_000
 

@@ -6,15 +6,10 @@ one piece.
 
 from __future__ import annotations
 
-import signal
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import get_context
-from multiprocessing.synchronize import Event
-from typing import Any, Final, TypeVar
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, Future
+from typing import Final
 
 import msgspec
 
@@ -27,19 +22,13 @@ from recorder.review.rerun.comparison import DIFFERENCES_TOLD
 from recorder.review.rerun.player import BROKEN_OFF, RerunPlayer, RerunResult, installed, rerun_logs, rerun_parts
 from recorder.review.rerun.segments import WHOLE, Places, Plan, RunSegment, plan
 from recorder.review.rerun.tapes import JOURNAL
-from schemas.exit_codes import CommandError
+from recorder.review.tasks import look, outcome_of, processes
 
 SEGMENT_NS: Final = 120_000_000_000
 """A segment is at least so long: the seconds before and behind it are run twice."""
 
 SEGMENTS_PER_JOB: Final = 8
 """Enough that no process waits long for the last one."""
-
-LOOK_S: Final = 0.1
-"""Interval at which a process looks for a stop."""
-
-
-Outcome = TypeVar("Outcome")
 
 
 class RerunTask(msgspec.Struct, frozen=True):
@@ -123,22 +112,6 @@ def _journals_of(robot: str) -> Selection:
     return Selection(lambda topic: topic.robot == robot and topic.subject == JOURNAL)
 
 
-def outcome_of(future: Future[Outcome], progress: Progress) -> Outcome:
-    """Wait for the result of a task; the progress is called meanwhile, with no bytes.
-
-    Raises:
-        CommandError: its process was killed.
-    """
-    while not wait([future], LOOK_S).done:
-        progress(0)
-    try:
-        return future.result()
-    except BrokenProcessPool as error:
-        raise CommandError(
-            "a process that ran the log again was killed; with --jobs 1 there is one alone"
-        ) from error
-
-
 def join(planned: Plan, found: Sequence[Sequence[RerunResult]]) -> list[RerunResult] | None:
     """Join the results of the segments; None if they do not fit together.
 
@@ -191,46 +164,3 @@ def run_task(task: RerunTask) -> RerunOutcome:
     faults = Faults()
     player = RerunPlayer(task.robot, task.logs, task.configurations, faults, look, task.segment)
     return RerunOutcome(list(rerun_parts(player)), faults)
-
-
-@contextmanager
-def processes(jobs: int) -> Generator[ProcessPoolExecutor, None, None]:
-    """Processes that end on request, and not by a signal that is meant for this one."""
-    context = get_context("spawn")
-    stop = context.Event()
-    pool = ProcessPoolExecutor(jobs, context, _enter, (stop,))
-    try:
-        yield pool
-    finally:
-        stop.set()
-        pool.shutdown(cancel_futures=True)
-
-
-class InThisProcess(Executor):
-    """Runs each task at once, where there is to be no other process."""
-
-    def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
-        """Run the task."""
-        future = Future[Any]()
-        future.set_result(act(*words, **named))
-        return future
-
-
-_stop: Event | None = None
-"""Of a process that runs tasks: it is to end."""
-
-
-def _enter(stop: Event) -> None:
-    global _stop  # noqa: PLW0603 - a process of the pool has no other place
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _stop = stop
-
-
-def look(_count: int) -> None:
-    """End the task if the process is to end; a progress that counts nothing.
-
-    Raises:
-        KeyboardInterrupt: it is.
-    """
-    if _stop is not None and _stop.is_set():
-        raise KeyboardInterrupt

@@ -18,11 +18,11 @@ from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE
 from recorder.review.rerun.minutes import UNCERTAIN, MinuteOutcome, MinuteRun, MinuteTask, run_minutes
 from recorder.review.rerun.novelty import WITNESSES, by_novelty, happenings
-from recorder.review.rerun.parallel import look, outcome_of
 from recorder.review.rerun.player import installed
 from recorder.review.rerun.segments import RunSegment, plan
 from recorder.review.rerun.tapes import JOURNAL
 from recorder.review.rerun.tried_settings import TriedSettings
+from recorder.review.tasks import look, outcome_of
 from schemas.command_rules import COMMAND_RULES
 
 MINUTE_NS: Final = 60_000_000_000

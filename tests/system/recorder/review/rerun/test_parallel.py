@@ -8,14 +8,9 @@ import pytest
 from recorder.reading.configurations import Configurations
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.review.rerun.parallel import (
-    RerunTask,
-    outcome_of,
-    processes,
-    rerun_in_parallel,
-    run_task,
-)
+from recorder.review.rerun.parallel import RerunTask, rerun_in_parallel, run_task
 from recorder.review.rerun.segments import WHOLE
+from recorder.review.tasks import outcome_of, processes
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.waiting import wait_until

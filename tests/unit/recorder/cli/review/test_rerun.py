@@ -87,6 +87,7 @@ def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: p
         (["--set", "command.speed_limit=1"], "no such setting"),
         (["--set", "command.speed_limit_mps=fast"], "speed_limit_mps"),
         (["--with", "/does/not/exist.toml"], "cannot read"),
+        (["--set", "command.lease_s=1.0", "--ray", "ray://here:1"], "--ray is without --set"),
     ],
 )
 def test_a_wrong_setting_is_one_clear_error(log: Path, words: list[str], message: str) -> None:

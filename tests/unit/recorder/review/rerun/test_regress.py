@@ -17,11 +17,11 @@ from recorder.reading.logs import find_logs
 from recorder.review.rerun import regress as module
 from recorder.review.rerun import segments as segments_module
 from recorder.review.rerun.minutes import UNCERTAIN
-from recorder.review.rerun.parallel import InThisProcess
 from recorder.review.rerun.player import NO_PLACE
 from recorder.review.rerun.regress import NOT_IN_ITS_TURN, Regress
 from recorder.review.rerun.segments import RunSegment
 from recorder.review.rerun.tried_settings import TriedSettings
+from recorder.review.tasks import InThisProcess
 from schemas import codec
 from schemas.decisions import Decision
 from schemas.messages import Variant

@@ -1,0 +1,151 @@
+"""Tasks that others do: processes of this machine, or a Ray cluster.
+
+A task is a function of a module, and what it is given and returns can be pickled. On a cluster every machine needs
+this package, and the files that tasks name under the same paths.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Generator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from multiprocessing.synchronize import Event
+from typing import Any, Final, TypeVar
+
+from recorder.reading.rows import Progress
+from schemas.exit_codes import CommandError, ExitCode
+
+LOOK_S: Final = 0.1
+"""Interval at which whoever waits for a task looks for a stop."""
+
+TRIES_AGAIN: Final = 3
+"""A cluster begins a task anew so often: where its process or machine dies, or a file cannot be read."""
+
+
+SCHEME: Final = "ray://"
+
+Outcome = TypeVar("Outcome")
+
+
+def outcome_of(future: Future[Outcome], progress: Progress) -> Outcome:
+    """Wait for the result of a task; the progress is called meanwhile, with no bytes.
+
+    Raises:
+        CommandError: its process was killed.
+    """
+    while not wait([future], LOOK_S).done:
+        progress(0)
+    try:
+        return future.result()
+    except BrokenProcessPool as error:
+        raise CommandError(
+            "a process that ran the log again was killed; with --jobs 1 there is one alone"
+        ) from error
+
+
+@contextmanager
+def processes(jobs: int) -> Generator[ProcessPoolExecutor, None, None]:
+    """Processes that end on request, and not by a signal that is meant for this one."""
+    context = get_context("spawn")
+    stop = context.Event()
+    pool = ProcessPoolExecutor(jobs, context, _enter, (stop,))
+    try:
+        yield pool
+    finally:
+        stop.set()
+        pool.shutdown(cancel_futures=True)
+
+
+class InThisProcess(Executor):
+    """Runs each task at once, where there is to be no other process."""
+
+    def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
+        """Run the task."""
+        future = Future[Any]()
+        future.set_result(act(*words, **named))
+        return future
+
+
+_stop: Event | None = None
+"""Of a process that runs tasks: it is to end."""
+
+
+def _enter(stop: Event) -> None:
+    global _stop  # noqa: PLW0603 - a process of the pool has no other place
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _stop = stop
+
+
+def look(_count: int) -> None:
+    """End the task if the process is to end; a progress that counts nothing.
+
+    Raises:
+        KeyboardInterrupt: it is.
+    """
+    if _stop is not None and _stop.is_set():
+        raise KeyboardInterrupt
+
+
+class RayCluster(Executor):
+    """Has tasks done by a cluster that is there. What a task raises is its own exception.
+
+    Args:
+        ray: the module, connected.
+
+    Attributes:
+        processors: of all machines.
+    """
+
+    def __init__(self, ray: Any) -> None:  # noqa: ANN401 - a module that is not everywhere
+        self._ray = ray
+        self._remote = ray.remote(max_retries=TRIES_AGAIN, retry_exceptions=[OSError])
+        self.processors = int(ray.cluster_resources().get("CPU", 1))
+
+    def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
+        """Have a task done."""
+        future = Future[Any]()
+
+        def settle(done: Future[Any]) -> None:
+            error = done.exception()
+            if error is None:
+                future.set_result(done.result())
+            elif isinstance(error, self._ray.exceptions.RayTaskError):
+                future.set_exception(error.cause)
+            else:
+                future.set_exception(CommandError(f"the cluster has lost a task: {error}"))
+
+        self._remote(act).remote(*words, **named).future().add_done_callback(settle)
+        return future
+
+
+@contextmanager
+def ray_cluster(address: str) -> Generator[RayCluster, None, None]:
+    """Connect to a Ray cluster; tasks that are not done at the end are given up.
+
+    Args:
+        address: ``ray://HOST:PORT``, of the server for clients on the cluster's head.
+
+    Raises:
+        CommandError: Ray is not installed, or no cluster is there.
+    """
+    if not address.startswith(SCHEME):
+        # A process that joins the cluster itself gets Ray's messages printed among its answers.
+        raise CommandError(f"the address of a Ray cluster is {SCHEME}HOST:PORT", ExitCode.USAGE)
+    # Ray reports to its makers, unless this is set before.
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    try:
+        import ray  # type: ignore[import-not-found,unused-ignore]  # noqa: PLC0415 - it is not everywhere
+    except ImportError:
+        raise CommandError("a cluster needs Ray: pip install 'cruiser-gateway[ray]'") from None
+    try:
+        ray.init(address, log_to_driver=False, logging_level="ERROR")
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise CommandError(f"no Ray cluster answers at {address}: {error}", ExitCode.UNREACHABLE) from error
+    try:
+        yield RayCluster(ray)
+    finally:
+        ray.shutdown()

@@ -1,0 +1,272 @@
+"""Export, rerun and regress over a Ray cluster of two nodes, both on this machine's loopback.
+
+``make test-cluster`` runs it: Ray has an environment of its own.
+"""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from recorder.record.robot_log import LogPlan
+from recorder.review.export.manifest import read_manifest
+from schemas.exit_codes import ExitCode
+from schemas.messages import Variant
+from tests.support.logs import Log
+from tests.support.messages import SECOND, WALL_NS, gear, info, sample_of
+from tests.support.rigs.gateway import Operator
+from tests.support.rigs.recorded import RecordedRig
+from tests.support.waiting import wait_until
+
+RAY = Path(os.environ["RAY_BIN"]).absolute()
+HEAD, NODE = "127.0.0.2", "127.0.0.3"
+"""For 127.0.0.1 Ray takes the machine's address on its network."""
+LOGS = int(os.environ.get("RAY_LOGS", "10000"))
+ROBOTS = 20
+WITHIN_S = 120
+NAME = "cruiser-1-20260102T030405Z.mcap"
+
+
+def environment(home: Path) -> dict[str, str]:
+    """What Ray's processes are started with: nothing is reported to its makers."""
+    return {**os.environ, "RAY_USAGE_STATS_ENABLED": "0", "HOME": str(home), "PATH": f"{RAY}:{os.environ['PATH']}"}
+
+
+@contextmanager
+def node(home: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A node, until the end: its processes end with the one that was started here."""
+    common = ["--block", "--num-cpus", "1", "--object-store-memory", "100000000", "--disable-usage-stats"]
+    with (home / f"{len(list(home.iterdir()))}.log").open("wb") as output:
+        process = subprocess.Popen(
+            [RAY / "ray", "start", *common, *words],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=environment(home),
+            cwd=home,
+        )
+        try:
+            yield process
+        finally:
+            process.terminate()
+            process.wait(60)
+
+
+def free_port() -> str:
+    """A port of the head that nobody has now."""
+    with socket.create_server((HEAD, 0)) as server:
+        return str(server.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of two nodes with a processor each."""
+    # Its name is in those of sockets, which are short.
+    home = tmp_path_factory.mktemp("r")
+    port, clients = free_port(), free_port()
+    address = f"ray://{HEAD}:{clients}"
+    head = ["--head", "--node-ip-address", HEAD, "--port", port, "--ray-client-server-port", clients]
+    with ExitStack() as stack:
+        stack.enter_context(node(home, *head, "--include-dashboard=false", "--temp-dir", str(home / "t")))
+        wait_until(lambda: answers(HEAD, int(port)), deadline_s=WITHIN_S)
+        stack.enter_context(node(home, "--address", f"{HEAD}:{port}", "--node-ip-address", NODE))
+        wait_until(lambda: answers(HEAD, int(clients)), deadline_s=WITHIN_S)
+        done = python("import sys\n" + BOTH_NODES, address)
+        assert done.stdout.split() == [HEAD, NODE], done.stderr
+        yield address
+
+
+def answers(host: str, port: int) -> bool:
+    """Somebody listens there."""
+    with socket.socket() as client:
+        return client.connect_ex((host, port)) == 0
+
+
+BOTH_NODES = """
+import time
+import ray
+ray.init(sys.argv[1], log_to_driver=False)
+end_s = time.monotonic() + 100
+while time.monotonic() < end_s and ray.cluster_resources().get("CPU") != 2:
+    time.sleep(0.2)
+
+@ray.remote(scheduling_strategy="SPREAD")
+def where():
+    time.sleep(0.2)
+    return ray.util.get_node_ip_address()
+
+print(*sorted(set(ray.get([where.remote() for _ in range(20)]))))
+"""
+
+
+def python(script: str, *words: object, timeout_s: float = WITHIN_S) -> subprocess.CompletedProcess[str]:
+    """A script in the environment of Ray."""
+    command = [str(RAY / "python"), "-c", script, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)
+
+
+def review(
+    *words: object, cwd: Path | None = None, timeout_s: float = WITHIN_S
+) -> subprocess.CompletedProcess[str]:
+    """A question to logs, in the environment of Ray."""
+    command = [str(RAY / "cruiser"), "review", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s, cwd=cwd)
+
+
+def write_logs(directory: Path, count: int) -> None:
+    """Small logs of some robots, each of another minute."""
+    directory.mkdir()
+    for number in range(count):
+        robot, at_ns = f"cruiser-{number % ROBOTS}", WALL_NS + number // ROBOTS * 60 * SECOND
+        log = Log(LogPlan(name=robot, chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
+        for sample in (sample_of(gear(number, at_ns), robot), sample_of(info(), robot)):
+            log.receive(sample, wall_ns=at_ns)
+        (directory / f"{number:05}.mcap").write_bytes(log.close())
+
+
+def contents(dataset: Path) -> tuple[Any, dict[str, bytes]]:
+    """The manifest of a dataset, and its files."""
+    manifest = read_manifest(dataset)
+    assert manifest is not None
+    return manifest, {part.path: (dataset / part.path).read_bytes() for part in manifest.files}
+
+
+@pytest.mark.timeout(3600)
+def test_ten_thousand_small_logs_become_the_dataset_that_one_process_makes(cluster: str, tmp_path: Path) -> None:
+    """File by file, and byte by byte."""
+    write_logs(tmp_path / "logs", LOGS)
+    for out, words in (("here", []), ("there", ["--ray", cluster])):
+        done = review("export", *words, "-o", tmp_path / out, tmp_path / "logs", timeout_s=1700)
+        assert (done.returncode, done.stderr) == (0, "")
+    here, there = contents(tmp_path / "here"), contents(tmp_path / "there")
+    assert len(here[0].inputs) == LOGS
+    assert here == there
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a robot that is driven for three minutes, its speed changed in the second."""
+    rig = RecordedRig(Variant.COARSE)
+    rig.run(0.6)
+    operator = Operator(rig)
+    operator.engage()
+    for speed_mps in (0.5, 1.0, 0.5):
+        operator.drive(speed_mps, 2.0, 60.0)
+    path = tmp_path_factory.mktemp("logs") / NAME
+    path.write_bytes(rig.log())
+    return path
+
+
+@pytest.mark.parametrize("words", [["regress"], ["regress", "--set", "command.speed_limit_mps=0.8"], ["rerun"]])
+def test_the_answer_is_the_one_that_one_process_gives(cluster: str, drive: Path, words: list[str]) -> None:
+    """Also where the logs are named as this process sees them."""
+    here = review(*words, "--json", "--jobs", "1", NAME, cwd=drive.parent)
+    there = review(*words, "--json", "--ray", cluster, NAME, cwd=drive.parent)
+    assert json.loads(here.stdout.splitlines()[-1])
+    assert (here.returncode, here.stdout, here.stderr) == (there.returncode, there.stdout, there.stderr)
+
+
+FAILING = """
+import os, sys, time
+from pathlib import Path
+from recorder.reading.faults import Faults
+from recorder.reading.logs import find_logs
+from recorder.review.export import spread
+from recorder.review.export.dataset import export_dataset
+from recorder.review.export.one_log import ExportRange, export_log
+from recorder.review.tasks import ray_cluster
+from schemas.exit_codes import CommandError
+
+address, logs, out, notes, way = *sys.argv[1:2], *map(Path, sys.argv[2:5]), sys.argv[5]
+
+def task(one):
+    note = notes / one.log.path.name
+    tries = len(note.read_text()) if note.exists() else 0
+    note.write_text("x" * (tries + 1))
+    if one.log.path.name == "00003.mcap":
+        if way == "always" or (way == "twice" and tries == 0):
+            raise OSError(5, "the disk is away")
+        if way == "twice" and tries == 1:
+            os._exit(1)
+        if way == "killed" and tries == 0:
+            (notes / "pid").write_text(str(os.getpid()))
+            time.sleep(100)
+        if way == "bug":
+            raise KeyError("a bug")
+    return export_log(one)
+
+spread.export_log = task
+faults = Faults()
+with ray_cluster(address) as pool:
+    try:
+        export_dataset(find_logs([logs], faults), out, ExportRange(), faults, run=spread.pool_runner(pool))
+    except CommandError as error:
+        print(error)
+print(*((notes / f"{number:05}.mcap").read_text() for number in range(10)))
+"""
+
+
+@pytest.fixture
+def ten(tmp_path: Path) -> Path:
+    """Ten small logs, and where tasks write how often they were begun."""
+    write_logs(tmp_path / "logs", 10)
+    (tmp_path / "notes").mkdir()
+    done = review("export", "-o", tmp_path / "here", tmp_path / "logs")
+    assert done.returncode == 0, done.stderr
+    return tmp_path
+
+
+def failing(cluster: str, ten: Path, way: str) -> list[object]:
+    """The command of an export in which a task fails in some way."""
+    return [cluster, ten / "logs", ten / "there", ten / "notes", way]
+
+
+def test_a_task_that_fails_twice_is_done_in_the_end(cluster: str, ten: Path) -> None:
+    """Once it cannot read a file, once its process ends; no other is begun anew."""
+    done = python(FAILING, *failing(cluster, ten, "twice"))
+    assert done.stdout.split() == ["x", "x", "x", "xxx", *["x"] * 6], done.stderr
+    assert contents(ten / "here") == contents(ten / "there")
+
+
+def test_a_process_that_is_killed_in_the_middle_costs_its_task_a_second_try(cluster: str, ten: Path) -> None:
+    """The dataset is the same."""
+    command = [str(RAY / "python"), "-c", FAILING, *map(str, failing(cluster, ten, "killed"))]
+    pid = ten / "notes" / "pid"
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        wait_until(lambda: pid.exists() and bool(pid.read_text()), deadline_s=WITHIN_S)
+        os.kill(int(pid.read_text()), signal.SIGKILL)
+        out, _ = process.communicate(timeout=WITHIN_S)
+    assert out.split() == ["x", "x", "x", "xx", *["x"] * 6]
+    assert contents(ten / "here") == contents(ten / "there")
+
+
+def test_a_task_that_always_fails_is_one_clear_error(cluster: str, ten: Path) -> None:
+    """After four tries, and there is no dataset."""
+    done = python(FAILING, *failing(cluster, ten, "always"))
+    said, tries = done.stdout.splitlines()
+    assert said == f"cannot write {ten / 'there'}: the disk is away"
+    assert tries.split()[3] == "xxxx"
+    assert list((ten / "there").iterdir()) == []
+
+
+def test_a_bug_is_not_tried_again(cluster: str, ten: Path) -> None:
+    """It is the exception that a task in this process raises."""
+    done = python(FAILING, *failing(cluster, ten, "bug"))
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "KeyError: 'a bug'"
+    assert (ten / "notes" / "00003.mcap").read_text() == "x"
+
+
+def test_a_cluster_that_is_not_there_is_one_clear_error(tmp_path: Path) -> None:
+    """Without an answer that could be taken for one."""
+    write_logs(tmp_path / "logs", 1)
+    done = review("regress", "--ray", f"ray://{HEAD}:{free_port()}", tmp_path / "logs")
+    assert done.returncode == ExitCode.UNREACHABLE, done.stderr
+    assert "no Ray cluster answers" in done.stderr
+    assert done.stdout == ""

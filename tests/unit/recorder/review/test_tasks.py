@@ -1,0 +1,88 @@
+"""Tasks that a cluster does, with a stand-in for Ray's module."""
+
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from recorder.review.tasks import TRIES_AGAIN, RayCluster, ray_cluster
+from schemas.exit_codes import CommandError, ExitCode
+
+
+class TaskError(Exception):
+    """As Ray wraps what a task raises."""
+
+    def __init__(self, cause: Exception) -> None:
+        super().__init__(f"many lines about {cause!r}")
+        self.cause = cause
+
+
+class FakeRay:
+    """Does each task at once, or loses it."""
+
+    exceptions = SimpleNamespace(RayTaskError=TaskError)
+
+    def __init__(self) -> None:
+        self.loses = False
+        self.options: dict[str, object] = {}
+
+    def cluster_resources(self) -> dict[str, float]:
+        return {"CPU": 3.0, "memory": 1e9}
+
+    def remote(self, **options: object) -> Callable[[Callable[..., Any]], Any]:
+        self.options = options
+        return lambda act: SimpleNamespace(
+            remote=lambda *words: SimpleNamespace(future=lambda: self.do(act, words))
+        )
+
+    def do(self, act: Callable[..., Any], words: tuple[Any, ...]) -> Future[Any]:
+        future = Future[Any]()
+        if self.loses:
+            future.set_exception(ConnectionError("the node is gone"))
+            return future
+        try:
+            future.set_result(act(*words))
+        except Exception as error:  # noqa: BLE001 - as Ray does
+            future.set_exception(TaskError(error))
+        return future
+
+
+def test_a_task_is_done_and_begun_anew_where_that_may_help() -> None:
+    """Where its process dies, or a file cannot be read; a bug stays one."""
+    ray = FakeRay()
+    cluster = RayCluster(ray)
+    assert cluster.processors == 3
+    assert cluster.submit(divmod, 7, 2).result() == (3, 1)
+    assert ray.options == {"max_retries": TRIES_AGAIN, "retry_exceptions": [OSError]}
+
+
+def test_what_a_task_raises_is_its_own_exception() -> None:
+    """As in this process."""
+    with pytest.raises(ZeroDivisionError):
+        RayCluster(FakeRay()).submit(divmod, 7, 0).result()
+
+
+def test_a_task_that_is_lost_is_one_clear_error() -> None:
+    """No answer is not the answer that all is the same."""
+    ray = FakeRay()
+    ray.loses = True
+    with pytest.raises(CommandError, match="has lost a task: the node is gone"):
+        RayCluster(ray).submit(divmod, 7, 2).result()
+
+
+def test_ray_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What to install."""
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(CommandError, match=r"pip install 'cruiser-gateway\[ray\]'"), ray_cluster("ray://here:1"):
+        pass
+
+
+@pytest.mark.parametrize("address", ["auto", "local", "10.0.0.5:6379"])
+def test_an_address_at_which_ray_prints_among_the_answers_is_refused(address: str) -> None:
+    """Before anything is connected."""
+    with pytest.raises(CommandError, match="ray://HOST:PORT") as raised, ray_cluster(address):
+        pass
+    assert raised.value.code is ExitCode.USAGE
