@@ -91,8 +91,16 @@ def answers(host: str, port: int) -> bool:
 BOTH_NODES = """
 import time
 import ray
-ray.init(sys.argv[1], log_to_driver=False)
 end_s = time.monotonic() + 100
+while True:
+    try:
+        ray.init(sys.argv[1], log_to_driver=False)
+        break
+    except ConnectionError:
+        # Its server for clients listens before it can serve.
+        if time.monotonic() > end_s:
+            raise
+        time.sleep(1)
 while time.monotonic() < end_s and ray.cluster_resources().get("CPU") != 2:
     time.sleep(0.2)
 
@@ -120,10 +128,10 @@ def review(
 
 
 def write_logs(directory: Path, count: int) -> None:
-    """Small logs of some robots, each of another minute."""
+    """Small logs of some robots, a quarter of an hour apart."""
     directory.mkdir()
     for number in range(count):
-        robot, at_ns = f"cruiser-{number % ROBOTS}", WALL_NS + number // ROBOTS * 60 * SECOND
+        robot, at_ns = f"cruiser-{number % ROBOTS}", WALL_NS + number // ROBOTS * 900 * SECOND
         log = Log(LogPlan(name=robot, chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
         for sample in (sample_of(gear(number, at_ns), robot), sample_of(info(), robot)):
             log.receive(sample, wall_ns=at_ns)

@@ -19,7 +19,7 @@ from recorder.reading.topic_names import file_name
 from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import Columns
 from recorder.review.export.cells import cells
-from recorder.review.export.known_rows import KnownRows, overlapping
+from recorder.review.export.known_rows import KnownRows, TopicNames, overlapping
 from recorder.review.export.manifest import described
 from recorder.review.export.one_log import ExportRange
 from schemas.exit_codes import CommandError
@@ -50,11 +50,11 @@ def export_csv(
         CommandError: one of the files is there already, or the disk does not take it.
     """
     files = _Files(directory)
-    selection = wanted.selection
+    selection, names = wanted.selection, TopicNames()
     try:
         directory.mkdir(parents=True, exist_ok=True)
         for place, log in enumerate(logs):
-            known = KnownRows(log, overlapping(log, logs[:place]), selection)
+            known = KnownRows(log, overlapping(log, logs[:place], names), selection)
             for batch in read_batches(log, selection, faults, progress, known.sift):
                 files.add(batch.columns, batch.rows)
         files.close()

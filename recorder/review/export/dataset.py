@@ -22,7 +22,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress
 from recorder.reading.topics import key_of
-from recorder.review.export.known_rows import overlapping
+from recorder.review.export.known_rows import TopicNames, overlapping
 from recorder.review.export.manifest import (
     FORMAT,
     MANIFEST_NAME,
@@ -124,10 +124,11 @@ def _export(
             new.setdefault(hashes[log], log)
     staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=directory)).absolute()
     try:
-        tasks: list[ExportTask] = []
-        for sha256, log in new.items():
-            earlier = overlapping(log, [one.log for one in tasks])
-            tasks.append(ExportTask(log, sha256, earlier, staging, wanted))
+        new_logs, names = list(new.values()), TopicNames()
+        tasks = [
+            ExportTask(log, sha256, overlapping(log, new_logs[:place], names), staging, wanted)
+            for place, (sha256, log) in enumerate(new.items())
+        ]
         outcomes = list(run(tasks, progress))
         files = [_move(staging, directory, part) for outcome in outcomes for part in outcome.parts]
         schemas = dict(before.schemas)

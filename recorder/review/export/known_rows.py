@@ -8,6 +8,7 @@ they are counted over all its logs, and each log holds those about itself.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -39,15 +40,23 @@ def may_repeat(topic: str) -> bool:
     return f"/{RECORDER_CHUNK}/" not in f"/{topic}"
 
 
-def overlapping(log: LogFile, earlier: Sequence[LogFile]) -> list[LogFile]:
+class TopicNames(dict[Path, set[str] | None]):
+    """The topics of logs that may be in other logs, each log's summary read once; None if it does not say."""
+
+    def __missing__(self, path: Path) -> set[str] | None:
+        self[path] = names = _topic_names(path)
+        return names
+
+
+def overlapping(log: LogFile, earlier: Sequence[LogFile], names: TopicNames) -> list[LogFile]:
     """Those of earlier logs that may hold what this one holds."""
     near = [
         one for one in earlier if one.start_ns <= log.end_ns + SLACK_NS and one.end_ns >= log.start_ns - SLACK_NS
     ]
     if not near:
         return []
-    own = _topic_names(log)
-    return [one for one in near if own is None or (names := _topic_names(one)) is None or names & own]
+    own = names[log.path]
+    return [one for one in near if own is None or (others := names[one.path]) is None or others & own]
 
 
 class KnownRows:
@@ -131,10 +140,9 @@ def _hashes(topic: Topic, log_ns: NDArray[Any], publish_ns: NDArray[Any], sequen
     return mixed
 
 
-def _topic_names(log: LogFile) -> set[str] | None:
-    """The topics of a log that may be in another; None if its summary does not say."""
+def _topic_names(path: Path) -> set[str] | None:
     try:
-        with log.path.open("rb") as stream:
+        with path.open("rb") as stream:
             summary = read_summary(stream)
     except OSError:
         return None

@@ -5,7 +5,7 @@ import random
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
@@ -13,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from recorder.mcap.framing import MAGIC
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Progress
@@ -301,3 +302,19 @@ def test_any_topic_is_one_directory_name() -> None:
     long = [partitions.escaped("/" * 500 + end) for end in "ab"]
     assert long[0] != long[1]
     assert all(len(name) < 240 for name in long)
+
+
+def test_the_summary_of_a_log_is_read_once_for_all_that_come_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Among ten thousand logs each has hundreds beside it that may hold the same."""
+    logs = [saved(tmp_path / f"{number}.mcap", drive_log(f"cruiser-{number}")) for number in range(5)]
+    read: list[str] = []
+
+    def reading(stream: BinaryIO) -> Any:  # noqa: ANN401 - as the function
+        read.append(Path(stream.name).name)
+        return read_summary(stream)
+
+    monkeypatch.setattr("recorder.review.export.known_rows.read_summary", reading)
+    export(logs, tmp_path / "dataset")
+    assert sorted(read) == [log.name for log in logs]
