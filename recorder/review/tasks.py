@@ -103,11 +103,15 @@ class RayCluster(Executor):
     def __init__(self, ray: Any) -> None:  # noqa: ANN401 - a module that is not everywhere
         self._ray = ray
         self._remote = ray.remote(max_retries=TRIES_AGAIN, retry_exceptions=[OSError])
+        self._acts: dict[Callable[..., Any], Any] = {}
+        """As the cluster knows them: each is sent there once."""
         self.processors = int(ray.cluster_resources().get("CPU", 1))
 
     def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
         """Have a task done."""
         future = Future[Any]()
+        if act not in self._acts:
+            self._acts[act] = self._remote(act)
 
         def settle(done: Future[Any]) -> None:
             error = done.exception()
@@ -118,7 +122,7 @@ class RayCluster(Executor):
             else:
                 future.set_exception(CommandError(f"the cluster has lost a task: {error}"))
 
-        self._remote(act).remote(*words, **named).future().add_done_callback(settle)
+        self._acts[act].remote(*words, **named).future().add_done_callback(settle)
         return future
 
 
