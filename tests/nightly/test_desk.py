@@ -6,10 +6,10 @@ from itertools import pairwise
 from urllib.parse import urlparse
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page
+from playwright.sync_api import Browser, Page
 
 from schemas.settings import CommandSettings
-from tests.support.processes.desk import DeskScene, chromium, desk_scene, drive, open_robot, reset
+from tests.support.processes.desk import DeskScene, chromium, desk_scene, drive, open_robot
 from tests.support.processes.far_tcp import far_tcp
 from tests.support.processes.letting_go import WAYS
 from tests.support.waiting import wait_until
@@ -34,19 +34,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DeskScene]:
             yield scene
 
 
-def open_again(context: BrowserContext, scene: DeskScene) -> Page:
-    """The page of the robot; a stop that the machine has caused meanwhile is told, and reset."""
-    page = context.new_page()
-    page.goto(f"{scene.address}#/robot/cruiser-1")
-    waits = page.get_by_text("it waits for somebody who drives it")
-    why = page.locator(".why")
-    wait_until(lambda: waits.is_visible() or why.get_by_role("button", name="Reset").is_visible())
-    if not waits.is_visible():
-        print(why.inner_text(), page.locator(".events").inner_text())  # noqa: T201 - they belong to the figures
-        reset(page, page.locator(".drive"))
-    return page
-
-
 def let_go_and_watch(scene: DeskScene, page: Page, let_go: Callable[[Page], None]) -> float:
     """Let go of a robot that is speeding up. Returns for how long it was told to go on with that, s."""
     let_go_ns = time.monotonic_ns()
@@ -67,7 +54,7 @@ def test_each_way_to_let_go_stops_the_robot_twenty_times(
     for _ in range(TIMES):
         context = running_browser.new_context(locale="en-GB")
         try:
-            page = open_again(context, scene)
+            page = open_robot(context, scene)
             drive(scene, page)
             late.append(let_go_and_watch(scene, page, let_go))
         finally:

@@ -95,10 +95,18 @@ def chromium() -> Iterator[Browser]:
 
 
 def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str = "") -> Page:
-    """The page of the robot, once it can be driven; from another address than the desk's own, if given."""
+    """The page of the robot, once it can be driven; from another address than the desk's own, if given.
+
+    A stop that a busy machine has caused meanwhile is told, and reset.
+    """
     page = context.new_page()
     page.goto(f"{address or scene.address}#/robot/cruiser-1")
-    page.get_by_text("it waits for somebody who drives it").wait_for()
+    waits = page.get_by_text("it waits for somebody who drives it")
+    why = page.locator(".why")
+    wait_until(lambda: waits.is_visible() or why.get_by_role("button", name="Reset").is_visible())
+    if not waits.is_visible():
+        print(why.inner_text(), page.locator(".events").inner_text())  # noqa: T201 - whoever reads the figures wants it
+        reset(page, page.locator(".drive"))
     return page
 
 
