@@ -40,6 +40,7 @@ class LogFile(msgspec.Struct, frozen=True):
         is_being_written: a recorder had it open when it was found; that it has no end yet is no fault.
         namesakes: names that robots under several roots have, in this log or one that was found with it.
         stored: the log's content, where it is no file of this machine: then only what is needed of it is read.
+        is_reconstructed: it is no file at all: what other logs lack, made again out of them.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class LogFile(msgspec.Struct, frozen=True):
     namesakes: frozenset[str] = frozenset()
     is_being_written: bool = False
     stored: StoredLog | None = None
+    is_reconstructed: bool = False
 
     @property
     def name(self) -> str:

@@ -31,7 +31,7 @@ from recorder.mcap.stretches import stretches
 from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.topics import UNREADABLE, Declared, Topic
+from recorder.reading.topics import UNREADABLE, Declared, Topic, as_recorded
 
 END_OF_TIME_NS: Final = 2**64
 """Later than every log time."""
@@ -68,6 +68,8 @@ class Selection(msgspec.Struct, frozen=True):
             end of a stored log does: see ``recorder.encoding.event_digest``.
         checks_indexes: unpack every chunk, and believe no message indexes that leave messages out: whoever made
             the log could hide some from who asks for little, and show them to others.
+        is_filled: messages that were made again count as messages of their key, with a topic that is marked. Else
+            they are on a topic of their own, which is no robot's.
     """
 
     wants: Wants = every_topic
@@ -75,6 +77,7 @@ class Selection(msgspec.Struct, frozen=True):
     to_ns: int = END_OF_TIME_NS
     is_digested: bool = False
     checks_indexes: bool = False
+    is_filled: bool = False
 
 
 class Row(msgspec.Struct, frozen=True, gc=False):
@@ -171,7 +174,7 @@ class BlockReader:
 
     def __init__(self, stream: BinaryIO, log: LogFile, selection: Selection, faults: Faults) -> None:
         self._stream = stream
-        self._size = log.bytes
+        self._size = log.bytes if log.stored is None else log.stored.size
         self._is_being_written = log.is_being_written
         self._faults = faults
         self._declared = Declared(log.namesakes)
@@ -292,7 +295,10 @@ class BlockReader:
         return None if others else index
 
     def _want(self, found: list[tuple[int, Topic]]) -> None:
-        self.wanted.update((channel_id, topic) for channel_id, topic in found if self.selection.wants(topic))
+        for channel_id, topic in found:
+            shown = as_recorded(topic) if topic.reconstructed and self.selection.is_filled else topic
+            if self.selection.wants(shown):
+                self.wanted[channel_id] = shown
 
 
 class LogReader(BlockReader):
@@ -332,4 +338,4 @@ class LogReader(BlockReader):
             elif one.channel_id not in self.topics:
                 self.fault(f"a message of channel {one.channel_id}, which the file does not hold")
             elif one.channel_id in self.wanted and from_ns <= one.log_ns < to_ns:
-                yield Row(self.topics[one.channel_id], one.sequence, one.log_ns, one.publish_ns, one.data)
+                yield Row(self.wanted[one.channel_id], one.sequence, one.log_ns, one.publish_ns, one.data)

@@ -40,8 +40,14 @@ Decode = Callable[[bytes], Any]
 
 DECODERS_KEPT: Final = 256
 
-_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK)
-"""The last chunks of topics that a recorder makes beside the one of a key."""
+RECONSTRUCTED_CHUNK: Final = "@reconstructed"
+"""Samples of a key that were made again are on the topic ``{key}/@reconstructed``: nobody recorded them."""
+
+ORIGIN: Final = "origin"
+"""Entry in the metadata of such a channel: out of what it was made, in words."""
+
+_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK, RECONSTRUCTED_CHUNK)
+"""The last chunks of topics that are made beside the one of a key."""
 
 _BY_SCHEMA: Final = {schema_name(kind): kind for kind in LOGGED}
 
@@ -61,6 +67,7 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
         owner: the same, but also for what a recorder writes beside the topic of a key.
         subject: the name in the table of subjects, for such a key; else empty.
         decode: a message's bytes to the message; raises what UNREADABLE lists. None if nobody here can read them.
+        reconstructed: out of what its messages were made again, in words; empty if they were recorded.
     """
 
     name: str
@@ -73,6 +80,7 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
     owner: str
     subject: str
     decode: Decode | None
+    reconstructed: str = ""
 
 
 def topic_of(
@@ -83,7 +91,8 @@ def topic_of(
     is_protobuf = channel.message_encoding == "protobuf"
     kind = _BY_SCHEMA.get(name) if is_protobuf else None
     parts = keys.parse(channel.topic)
-    of_key = parts or keys.parse(key_of(channel.topic)[0])
+    key, side = key_of(channel.topic)
+    of_key = parts or keys.parse(key)
     decode: Decode | None = None
     if kind is not None and (schema is None or not means_the_same(kind, schema.data)):
         kind = None
@@ -104,7 +113,20 @@ def topic_of(
         owner="" if of_key is None else robot_of(of_key, namesakes),
         subject="" if parts is None else parts.subject.name,
         decode=decode,
+        reconstructed=_origin(channel) if side == f"/{RECONSTRUCTED_CHUNK}" and of_key is not None else "",
     )
+
+
+def _origin(channel: records.Channel) -> str:
+    return channel.metadata.get(ORIGIN, "") or "from an unknown source"
+
+
+def as_recorded(topic: Topic) -> Topic:
+    """Return the topic of the key whose samples were made again, for whoever takes both; it stays marked."""
+    key = key_of(topic.name)[0]
+    parts = keys.parse(key)
+    subject = "" if parts is None else parts.subject.name
+    return msgspec.structs.replace(topic, name=key, robot=topic.owner, subject=subject)
 
 
 class Declared:
@@ -142,7 +164,7 @@ class Declared:
 
 
 def key_of(topic: str) -> tuple[str, str]:
-    """The key whose samples a topic is about, and what a recorder added to it: nothing, ``/@log`` or ``/@raw``."""
+    """The key whose samples a topic is about, and what was added to it: nothing, ``/log``, ``/@raw``, ..."""
     key, _, last = topic.rpartition("/")
     return (key, f"/{last}") if last in _SIDE_CHUNKS else (topic, "")
 

@@ -13,6 +13,7 @@ from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, fi
 from recorder.reading.faults import Faults
 from recorder.reading.survey import survey
 from recorder.reading.times import in_words
+from recorder.review.rerun.reconstruction import filled
 from recorder.review.timeline.entries import Entry, EntryKind
 from recorder.review.timeline.timeline import read_events
 from schemas.exit_codes import CommandError, ExitCode
@@ -56,7 +57,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     robots, kinds = frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
     show = _as_json if arguments.json else _as_table
     with progress_bar("events", asked.bytes, stopped, prints=True) as progress:
-        entries = read_events(asked.logs, asked.selection, asked.faults, progress, robots=robots, kinds=kinds)
+        logs = filled(asked.logs, asked.faults, progress, from_ns=asked.from_ns, to_ns=asked.to_ns)
+        entries = read_events(logs, asked.selection, asked.faults, progress, robots=robots, kinds=kinds)
         for line in show(_until(entries, stopped), asked):
             sys.stdout.write(f"{line}\n")
     return end_with(asked.faults)
@@ -134,6 +136,8 @@ def _what(entry: Entry) -> str:
     notes = []
     if entry.count > 1:
         notes.append(f"{entry.count} times" + (f" within {lasted_s:.1f} s" if lasted_s >= 0.05 else ""))
+    if entry.reconstructed and entry.kind is not EntryKind.GAP:
+        notes.append(f"reconstructed {entry.reconstructed}")
     if entry.is_derived:
         notes.append("derived")
     if entry.is_late:

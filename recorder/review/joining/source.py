@@ -49,6 +49,7 @@ class JoinSource:
 
     Attributes:
         profile: the header's promise.
+        is_reconstructed: nobody recorded it.
         metadata: the metadata records, or where they stand in the file...
         attachments: ...and the attachments.
         starts, ends: the first and the last log time of each chunk, or stretch of messages outside of chunks.
@@ -58,9 +59,10 @@ class JoinSource:
     """
 
     def __init__(self, log: LogFile, choose: Choose, faults: Faults) -> None:
-        self._path = log.path
-        self._size = log.bytes
+        self._log = log
+        self._size = log.bytes if log.stored is None else log.stored.size
         self._is_being_written = log.is_being_written
+        self.is_reconstructed = log.is_reconstructed
         self._choose = choose
         self._faults = faults
         self._schemas: dict[int, records.Schema] = {}
@@ -71,7 +73,7 @@ class JoinSource:
         self.starts, self.ends = array("Q"), array("Q")
         self._offsets, self._lengths = array("Q"), array("Q")
         self._loose: set[int] = set()
-        with self._path.open("rb") as stream:
+        with self._log.open() as stream:
             header = self._read(stream, FIRST_RECORD, records.Header)
             self.profile = "" if header is None else str(header.profile)
             if not self._look_at_summary(stream):
@@ -85,7 +87,7 @@ class JoinSource:
         """The wanted messages of a chunk or stretch, by their log times; unreadable ones are reported."""
         offset, length = self._offsets[number], self._lengths[number]
         try:
-            with self._path.open("rb") as stream:
+            with self._log.open() as stream:
                 if number in self._loose:
                     stream.seek(offset)
                     messages = MessageBlock(offset, stream.read(length)).messages()
@@ -211,7 +213,7 @@ class JoinSource:
 
     def _read_at(self, offset: int, kind: type[Kind]) -> Kind | None:
         try:
-            with self._path.open("rb") as stream:
+            with self._log.open() as stream:
                 return self._read(stream, offset, kind)
         except OSError as error:
             self._fault(offset, error.strerror or str(error))
@@ -226,4 +228,4 @@ class JoinSource:
         return found
 
     def _fault(self, offset: int, detail: str) -> None:
-        self._faults.add(f"{self._path}: byte {offset}: {detail}")
+        self._faults.add(f"{self._log.name}: byte {offset}: {detail}")

@@ -20,6 +20,7 @@ class Moment(msgspec.Struct, frozen=True):
         holder: the lease's holder then, as far as the log shows; empty if nobody.
         x_m, y_m: where, as far as the path is known.
         is_stop: the robot was commanded no longer, or its gateway died.
+        reconstructed: out of what it was made again, as ``from the journal``; empty if it was recorded.
     """
 
     time_ns: int
@@ -34,6 +35,7 @@ class Moment(msgspec.Struct, frozen=True):
     x_m: float | None
     y_m: float | None
     is_stop: bool = False
+    reconstructed: str = ""
 
 
 class Why(msgspec.Struct, frozen=True):

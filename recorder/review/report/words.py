@@ -92,10 +92,13 @@ def gateway_lines(robot: RobotSummary) -> list[str]:
 
 def moment_words(moment: Moment) -> str:
     """The text of an event, and how often it occurred; a gap says itself how much is missing."""
-    if moment.count <= 1 or moment.kind == EntryKind.GAP.value:
-        return moment.text
-    lasted_s = (moment.last_ns - moment.time_ns) / 1e9
-    return f"{moment.text} [{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}]"
+    notes = []
+    if moment.count > 1 and moment.kind != EntryKind.GAP.value:
+        lasted_s = (moment.last_ns - moment.time_ns) / 1e9
+        notes.append(f"{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}")
+    if moment.reconstructed and moment.kind != EntryKind.GAP.value:
+        notes.append(f"reconstructed {moment.reconstructed}")
+    return moment.text + (f" [{', '.join(notes)}]" if notes else "")
 
 
 def who(moment: Moment) -> str:

@@ -272,10 +272,15 @@ def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
     """
     if subject != SENT:
         return subject, sequence
+    return subject, (time_ns, identifier_in(data))
+
+
+def identifier_in(data: bytes) -> bytes:
+    """The identifier of a frame's record."""
     if data[:1] == _TIME_TAG and data[9:10] == _IDENTIFIER_TAG:
-        return subject, (time_ns, data[10:14])
-    identifier = _decode(subject, data).identifier
-    return subject, (time_ns, identifier.to_bytes(4, "little"))
+        return data[10:14]
+    identifier: int = _decode(SENT, data).identifier
+    return identifier.to_bytes(4, "little")
 
 
 _TIME_TAG: Final = b"\x09"

@@ -70,6 +70,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
         tick: the arbiter's; None where there is none.
         text: the event in a sentence.
         is_late: entries that happened later come before it.
+        reconstructed: out of what the message behind it was made again, which was not recorded, as ``from the
+            journal``; empty if it was recorded.
     """
 
     time_ns: TimeNs
@@ -86,6 +88,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     request: str = ""
     tick: Tick | None = None
     is_late: bool = False
+    reconstructed: str = ""
 
     @property
     def is_derived(self) -> bool:

@@ -1,0 +1,275 @@
+"""What a log lacks, made again out of the journal that it holds."""
+
+from collections.abc import Collection, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from gateway import core
+from gateway.rerun.rerun import rerun
+from gateway.telemetry.sample import Sample
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.logs import find_logs
+from recorder.reading.rows import Selection, read_rows
+from recorder.reading.survey import survey
+from recorder.reading.topics import RECONSTRUCTED_CHUNK
+from recorder.review.check import check_log
+from recorder.review.merge import merge
+from recorder.review.report.survey import read_report
+from recorder.review.report.words import moment_words
+from recorder.review.rerun import reconstruction
+from recorder.review.rerun.player import rerun_logs
+from recorder.review.rerun.reconstruction import FROM_JOURNAL, MADE_AGAIN, OTHERWISE, HoleFilling, filled
+from recorder.review.timeline.entries import EntryKind
+from recorder.review.timeline.timeline import read_events
+from recorder.review.verify import verify_logs
+from recorder.review.verifying.findings import ProofFault
+from recorder.review.why import explain
+from schemas import codec
+from schemas.decisions import Decision, Journal, SafetyState
+from schemas.settings import Settings
+from schemas.subjects import BY_NAME
+from tests.support.authority import Fleet
+from tests.support.logs import channel_of, encoded, mcap_log
+from tests.support.messages import SECOND, key_of
+from tests.support.rigs.recorded import RecordedRig
+from tests.support.signed_run import driven, of, without
+from tests.support.signed_run import log_of as log_of_samples
+
+Messages = set[tuple[str, int, bytes]]
+"""Topic, publish time and data."""
+
+
+QUIET_S = 16.0
+"""So long a checkpoint has been there that the journal need not be read from the run's beginning."""
+
+
+@cache
+def drive() -> RecordedRig:
+    """A robot that is driven, stopped by the deadman, and driven once more; a checkpoint is taken each second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(core, "CHECKPOINT_PERIOD_NS", SECOND)
+        rig, operator = RecordedRig.ready()
+        rig.run(QUIET_S)
+        for speed_mps in (0.6, -0.4):
+            operator.take_lease()
+            operator.engage()
+            operator.drive(speed_mps, 5.0, 1.5)
+            rig.rest_after(0.5)
+        rig.run(1)
+        return rig
+
+
+def log_of(
+    path: Path, lost: tuple[float, float] = (0, 0), subjects: Collection[str] = MADE_AGAIN
+) -> list[LogFile]:
+    """The drive's log, without what was said of these subjects from one second of it to another."""
+    rig = RecordedRig()
+    first_ns = drive().recorded[0][0]
+    from_ns, to_ns = (first_ns + round(one * SECOND) for one in lost)
+    rig.settings = drive().settings
+    rig.recorded = [
+        (at_ns, one)
+        for at_ns, one in drive().recorded
+        if one.subject not in subjects or not from_ns <= at_ns < to_ns
+    ]
+    path.write_bytes(rig.log())
+    return find_logs([path], Faults())
+
+
+def messages(logs: Iterable[LogFile], *, is_made: bool = False) -> Messages:
+    """What the logs hold of a gateway; what was made again alone, if so wanted."""
+    faults = Faults()
+    selection = Selection(lambda topic: topic.subject in MADE_AGAIN, is_filled=is_made)
+    rows = list(read_rows(list(logs), selection, faults))
+    assert not faults, faults.told
+    return {(row.topic.name, row.publish_ns, row.data) for row in rows if bool(row.topic.reconstructed) == is_made}
+
+
+class Holed:
+    """The drive's log, whole, and without some of a time."""
+
+    def __init__(self, directory: str, lost: tuple[float, float], subjects: Collection[str] = MADE_AGAIN) -> None:
+        self.faults = Faults()
+        self.whole = log_of(Path(directory) / "whole.mcap")
+        self.logs = log_of(Path(directory) / "holed.mcap", lost, subjects)
+        self.filled = filled(self.logs, self.faults)
+
+
+times = st.tuples(st.floats(QUIET_S, 20), st.floats(0.4, 3)).map(lambda one: (one[0], one[0] + one[1]))
+lost_subjects = st.sets(st.sampled_from(sorted(MADE_AGAIN))).map(lambda some: {*some, "safety/state"})
+bounded = settings(deadline=None, max_examples=8, phases=(Phase.explicit, Phase.reuse, Phase.generate))
+
+
+@bounded
+@given(lost=times, subjects=lost_subjects)
+def test_what_a_log_lacks_comes_out_of_its_journal_byte_for_byte(
+    lost: tuple[float, float], subjects: set[str]
+) -> None:
+    """States, feedback, raw frames, decisions and events of any time: all that was lost, and nothing else."""
+    with TemporaryDirectory() as directory:
+        log = Holed(directory, lost, subjects)
+        whole, held = messages(log.whole), messages(log.logs)
+        assert whole > held
+        assert messages(log.filled, is_made=True) == whole - held
+        assert not log.faults
+
+
+@bounded
+@given(lost=times)
+def test_the_events_of_a_log_with_a_hole_are_those_of_the_whole_log(lost: tuple[float, float]) -> None:
+    """But for the mark of those that nobody recorded, and an entry that says so."""
+    with TemporaryDirectory() as directory:
+        log = Holed(directory, lost)
+        told = list(read_events(log.filled, Selection(), log.faults))
+        expected = list(read_events(log.whole, Selection(), log.faults))
+        holes = [one for one in told if one.kind is EntryKind.GAP]
+        assert [plain(one) for one in told if one.kind is not EntryKind.GAP] == expected
+        assert len(holes) == 1
+        assert "no state of the arbiter was recorded for" in holes[0].text
+        for one in told:
+            assert bool(one.reconstructed) == (holes[0].time_ns < one.time_ns < holes[0].last_ns or one in holes)
+
+
+@bounded
+@given(lost=times, at=st.floats(QUIET_S, 24))
+def test_a_log_with_a_hole_tells_why_as_the_whole_one_does(lost: tuple[float, float], at: float) -> None:
+    """But for the marks: what nobody recorded is said, and each link that rests on it is marked."""
+    with TemporaryDirectory() as directory:
+        log = Holed(directory, lost)
+        at_ns = drive().recorded[0][0] + round(at * SECOND)
+        [told, expected] = [
+            explain("cruiser-1", logs, survey(of, log.faults), at_ns, log.faults)
+            for logs, of in ((log.filled, log.logs), (log.whole, log.whole))
+        ]
+        assert not log.faults
+        chain = [plain(link) for link in told.chain if "not all was recorded" not in link.text]
+        assert msgspec.structs.replace(plain(told), chain=chain) == expected
+
+
+def plain(one: Any) -> Any:  # noqa: ANN401 - any structure with a mark
+    """The same without the mark."""
+    return msgspec.structs.replace(one, reconstructed="")
+
+
+def test_what_rests_on_a_hole_is_marked(tmp_path: Path) -> None:
+    """A stop of which nothing was recorded but the journal: the answer, its links and the report say so."""
+    lost = (QUIET_S + 1, QUIET_S + 4)
+    log = Holed(str(tmp_path), lost)
+    told = explain("cruiser-1", log.filled, survey(log.logs, log.faults), None, log.faults)
+    stop = next(one for one in read_events(log.filled, Selection(), log.faults, kinds=[EntryKind.STOP]))
+    assert stop.reconstructed == FROM_JOURNAL
+    assert not told.reconstructed, "the last stop was recorded"
+    told = explain("cruiser-1", log.filled, survey(log.logs, log.faults), stop.time_ns, log.faults)
+    assert told.reconstructed == FROM_JOURNAL
+    assert {one.reconstructed for one in told.chain if one.time_ns == stop.time_ns} == {FROM_JOURNAL}
+    [robot] = read_report(log.filled, Selection(), log.faults).robots
+    [moment] = [one for one in robot.charts.moments if one.is_stop and one.time_ns == stop.time_ns]
+    assert "[reconstructed from the journal]" in moment_words(moment)
+    assert len(robot.summary.silences) == 1
+
+
+def test_a_log_without_a_hole_is_read_as_it_is(tmp_path: Path) -> None:
+    """Nothing is looked for in it, nor is anything run again."""
+    logs = log_of(tmp_path / "whole.mcap")
+    seen: list[int] = []
+    assert filled(logs, Faults(), seen.append) == logs
+    assert not seen
+
+
+def test_a_hole_is_filled_when_somebody_looks_there(tmp_path: Path) -> None:
+    """What is asked of another time does not run a journal again."""
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 3))
+    [hole] = [one for one in log.filled if one.is_reconstructed]
+    before = Selection(to_ns=hole.start_ns - SECOND, is_filled=True)
+    assert len(list(read_rows(log.filled, before, log.faults))) > 100
+    assert isinstance(hole.stored, HoleFilling)
+    assert not hole.stored.is_made
+    assert messages(log.filled, is_made=True)
+    assert hole.stored.is_made
+
+
+def test_where_the_journal_has_a_hole_too_the_log_does_not_tell(tmp_path: Path) -> None:
+    """Nothing is made up: what could not be made again is missing as before."""
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 3), {*MADE_AGAIN, "journal"})
+    assert not messages(log.filled, is_made=True)
+    expected = list(read_events(log.logs, Selection(), log.faults))
+    assert list(read_events(log.filled, Selection(), log.faults)) == expected
+    assert any("nothing of the arbiter for" in one.text for one in expected)
+
+
+def test_an_arbiter_that_decides_otherwise_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it says beside the hole is not what was recorded there."""
+
+    def other(configuration: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
+        for sample in rerun(configuration, journals):
+            if sample.subject == "safety/state":
+                state = codec.decode(BY_NAME[sample.subject], sample.payload)
+                assert isinstance(state, SafetyState)
+                yield Sample(sample.subject, codec.encode(msgspec.structs.replace(state, guarded=False)))
+            else:
+                yield sample
+
+    monkeypatch.setattr(reconstruction, "installed", lambda _: other)
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 3))
+    told = list(read_events(log.filled, Selection(), log.faults))
+    assert {one.reconstructed for one in told} == {"", OTHERWISE}
+
+
+def test_a_run_without_its_settings_is_not_made_again(tmp_path: Path) -> None:
+    """With others it would be another run."""
+    rig = RecordedRig()
+    rig.settings = drive().settings
+    first_ns = drive().recorded[0][0] + round(QUIET_S * SECOND)
+    rig.recorded = [
+        (at_ns, one)
+        for at_ns, one in drive().recorded
+        if one.subject == "journal" or not first_ns < at_ns < first_ns + 2 * SECOND
+    ]
+    path = tmp_path / "log.mcap"
+    path.write_bytes(rig.log(with_info=False))
+    assert not messages(filled(find_logs([path], Faults()), Faults()), is_made=True)
+
+
+def test_a_merged_log_holds_what_was_made_again_apart_from_what_was_recorded(tmp_path: Path) -> None:
+    """It answers as the log of which it was made; whoever does not ask for more reads what was recorded."""
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 3))
+    path = tmp_path / "filled.mcap"
+    joined = merge(log.filled, path, log.faults)
+    assert joined.sources == [str(tmp_path / "holed.mcap")]
+    assert joined.reconstructed == len(messages(log.filled, is_made=True)) > 1000
+    again = find_logs([path], log.faults)
+    assert messages(again) == messages(log.logs)
+    assert messages(again, is_made=True) == messages(log.filled, is_made=True)
+    assert filled(again, log.faults) == again, "nothing is missing any more"
+    told, expected = (list(read_events(logs, Selection(), log.faults)) for logs in (again, log.filled))
+    assert told == expected
+    found, expected_of_file = (check_log(one).findings for one in (path, tmp_path / "holed.mcap"))
+    assert [(one.what, one.count) for one in found] == [(one.what, one.count) for one in expected_of_file]
+    [run], [expected_run] = (list(rerun_logs(logs, log.faults)) for logs in (again, log.logs))
+    assert run == expected_run
+    assert not log.faults
+
+
+def test_what_was_made_again_proves_nothing(tmp_path: Path) -> None:
+    """A decision that is missing in a signed log stays missing, though a channel beside it has its very bytes."""
+    fleet = Fleet()
+    run, _ = driven(fleet)
+    place = of(run.samples, Decision)[2]
+    decision = run.samples[place]
+    channel = channel_of(Decision, topic=f"{key_of(Decision)}/{RECONSTRUCTED_CHUNK}")
+    made = (1, decision.sequence, decision.time_ns, decision.time_ns, encoded(decision))
+    paths = [tmp_path / "log.mcap", tmp_path / "made.mcap"]
+    paths[0].write_bytes(log_of_samples(without(run.samples, place)))
+    paths[1].write_bytes(mcap_log([channel], [[made]]))
+    faults = Faults()
+    merge(find_logs(paths, faults), tmp_path / "both.mcap", faults)
+    [report] = verify_logs(find_logs([tmp_path / "both.mcap"], faults), faults, [fleet.trust])
+    assert {one.fault for one in report.findings} == {ProofFault.MISSING}
