@@ -13,6 +13,7 @@ from typing import Final
 
 import msgspec
 
+from recorder.encoding.event_digest import KEPT_NS
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Row, Selection, decoded_rows
@@ -22,8 +23,8 @@ from schemas.decisions import SafetyState, is_same_run
 
 STATES: Final = "safety/state"
 
-HOLE_NS: Final = 250_000_000
-"""The arbiter says its state every 50 ms; what is missing for less time is no hole."""
+HOLE_NS: Final = KEPT_NS
+"""The arbiter says its state every 50 ms; a shorter time is no hole. A digest leaves out as much."""
 
 LONGEST_NS: Final = 1_800_000_000_000
 """Of a longer hole its end counts: a gateway keeps some ten minutes of its journal, and seldom more."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,6 +21,7 @@ from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import RECONSTRUCTED_CHUNK
+from recorder.review.catalog.rows import summarize
 from recorder.review.check import check_log
 from recorder.review.merge import merge
 from recorder.review.report.survey import read_report
@@ -34,9 +36,11 @@ from recorder.review.verifying.findings import ProofFault
 from recorder.review.why import explain
 from schemas import codec
 from schemas.decisions import Decision, Journal, SafetyState
+from schemas.exit_codes import ExitCode
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 from tests.support.authority import Fleet
+from tests.support.commands import review
 from tests.support.logs import channel_of, encoded, mcap_log
 from tests.support.messages import SECOND, key_of
 from tests.support.rigs.recorded import RecordedRig
@@ -103,7 +107,7 @@ class Holed:
         self.filled = filled(self.logs, self.faults)
 
 
-times = st.tuples(st.floats(QUIET_S, 20), st.floats(0.4, 3)).map(lambda one: (one[0], one[0] + one[1]))
+times = st.tuples(st.floats(QUIET_S, 20), st.floats(0.7, 3)).map(lambda one: (one[0], one[0] + one[1]))
 lost_subjects = st.sets(st.sampled_from(sorted(MADE_AGAIN))).map(lambda some: {*some, "safety/state"})
 bounded = settings(deadline=None, max_examples=8, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 
@@ -273,3 +277,52 @@ def test_what_was_made_again_proves_nothing(tmp_path: Path) -> None:
     merge(find_logs(paths, faults), tmp_path / "both.mcap", faults)
     [report] = verify_logs(find_logs([tmp_path / "both.mcap"], faults), faults, [fleet.trust])
     assert {one.fault for one in report.findings} == {ProofFault.MISSING}
+
+
+def test_a_hole_between_two_logs_is_filled(tmp_path: Path) -> None:
+    """A recorder was away for two seconds, and the next one asked for the journal: a second after it came."""
+    away_ns, back_ns = (drive().recorded[0][0] + round((QUIET_S + one) * SECOND) for one in (1, 3))
+    late = [
+        (back_ns + SECOND, one)
+        for at_ns, one in drive().recorded
+        if away_ns <= at_ns < back_ns and one.subject == "journal"
+    ]
+    parts = [
+        [one for one in drive().recorded if one[0] < away_ns],
+        sorted([one for one in drive().recorded if one[0] >= back_ns] + late, key=itemgetter(0)),
+    ]
+    for number, part in enumerate(parts):
+        rig = RecordedRig()
+        rig.settings, rig.recorded = drive().settings, part
+        (tmp_path / f"{number}.mcap").write_bytes(rig.log())
+    faults = Faults()
+    logs = find_logs([tmp_path], faults)
+    whole = messages(log_of(tmp_path / "whole.mcap"))
+    assert messages(filled(logs, faults), is_made=True) == whole - messages(logs)
+    assert not faults
+
+
+def test_the_catalog_has_what_was_made_again(tmp_path: Path) -> None:
+    """Moments that nobody recorded are found by their words, which say so."""
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 4))
+    row = summarize(log.logs[0], "holed.mcap", 0, None)
+    expected = summarize(log.whole[0], "whole.mcap", 0, None)
+    mark = " [reconstructed from the journal]"
+    assert sum(one.text.endswith(mark) for one in row.moments) == 1
+    told = {one.text.removesuffix(mark) for one in row.moments if one.kind != EntryKind.GAP.value}
+    assert told == {one.text for one in expected.moments}
+    assert (row.stops, row.distance_m) == (expected.stops, pytest.approx(expected.distance_m))
+
+
+@pytest.mark.parametrize("question", ["events", "why"])
+def test_a_log_in_a_store_is_filled_as_a_file_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], question: str
+) -> None:
+    """Its digest leaves out states, which are not taken for missing."""
+    Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 8))
+    said = []
+    for place in (tmp_path / "holed.mcap", f"file://{tmp_path}/holed.mcap"):
+        assert review(question, place, "--json") == ExitCode.OK
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
+    assert '"reconstructed":"from the journal"' in said[0].replace(": ", ":")
