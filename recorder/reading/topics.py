@@ -46,6 +46,9 @@ RECONSTRUCTED_CHUNK: Final = "@reconstructed"
 ORIGIN: Final = "origin"
 """Entry in the metadata of such a channel: out of what it was made, in words."""
 
+ORIGIN_MAX: Final = 200
+"""Its characters that are shown, with each entry that rests on it: whoever made the log wrote them."""
+
 _SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK, RECONSTRUCTED_CHUNK)
 """The last chunks of topics that are made beside the one of a key."""
 
@@ -118,7 +121,7 @@ def topic_of(
 
 
 def _origin(channel: records.Channel) -> str:
-    return channel.metadata.get(ORIGIN, "") or "from an unknown source"
+    return channel.metadata.get(ORIGIN, "")[:ORIGIN_MAX] or "from an unknown source"
 
 
 def as_recorded(topic: Topic) -> Topic:
