@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -19,7 +18,7 @@ from recorder.disk.upload_note import UploadNote
 from recorder.upload.background import enter_background
 from recorder.upload.pace import RateLimit, is_within
 from recorder.upload.relay import paced_way
-from recorder.upload.row import Summarize, row_maker
+from recorder.upload.row import row_maker
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.recorder_settings import UploadSettings
@@ -114,7 +113,9 @@ async def _upload(
         )
         # The way over the network has its own.
         pace = RateLimit(upload.rate_bytes_s if is_local else 0)
-        uploader = Uploader(plan, store, note, pace, _summarizer(upload))
+        uploader = Uploader(
+            plan, store, note, pace, row_maker("recorder.review.catalog") if upload.catalog else None
+        )
         log.info("finished logs of %s go to %s", plain(str(directory)), plain(upload.store))
         work = asyncio.create_task(_work(uploader, upload.hours, stopped, is_once=is_once))
         while not work.done():
@@ -124,16 +125,6 @@ async def _upload(
                 work.cancel()
                 await asyncio.wait([work])
         return uploader.totals, work.cancelled() or work.result()
-
-
-def _summarizer(upload: UploadSettings) -> Summarize | None:
-    """Return what makes the rows; None where nobody wants them, or nobody can make them here."""
-    if not upload.catalog:
-        return None
-    if find_spec("pyarrow") is None:
-        log.info("no rows of the catalog: they need pyarrow, of the extra 'review'")
-        return None
-    return row_maker("recorder.review.catalog")
 
 
 async def _work(uploader: Uploader, hours: str, stopped: Callable[[], bool], *, is_once: bool) -> bool:

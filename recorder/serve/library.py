@@ -18,8 +18,8 @@ import pyarrow.compute as pc
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
 from recorder.review.catalog.known import CATALOG_NAME
-from recorder.review.catalog.rows import INCIDENT, CatalogRow, LoggedDriver, LoggedMoment
-from recorder.review.catalog.table import SCHEMA, CatalogUnreadableError, read_table
+from recorder.review.catalog.rows import INCIDENT, CatalogRow, CatalogUnreadableError, LoggedDriver, LoggedMoment
+from recorder.review.catalog.table import SCHEMA, read_table
 from recorder.review.days import DAYS_COLUMNS, LoggedDay, days
 from recorder.review.find import (
     FindCondition,

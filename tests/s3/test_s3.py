@@ -20,6 +20,7 @@ from recorder.cli import upload as command
 from recorder.cli.review import command as review
 from recorder.disk.upload_note import NAME, SafeLogReader
 from recorder.review.catalog.single import read_row
+from recorder.upload.manifest import ROW_SUFFIX
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import RecorderSettings, UploadSettings
 from schemas.settings import Settings
@@ -92,7 +93,7 @@ def check_all_there(logs: Path, port: int, verified: str) -> None:
         assert objects[f"plant-1/cruiser-1/{name}"] == (logs / name).read_bytes()
         found = json.loads(objects[f"plant-1/cruiser-1/{name}.json"])
         assert (found["state"], found["verified"]) == ("verified", verified)
-        read_row(objects[f"plant-1/cruiser-1/{name}.parquet"], found["bytes"])
+        read_row(objects[f"plant-1/cruiser-1/{name}{ROW_SUFFIX}"], found["bytes"])
     assert set(SafeLogReader(logs).read()) == {SMALL, LARGE, INCIDENT}
 
 

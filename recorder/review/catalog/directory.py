@@ -12,17 +12,16 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
-from recorder.mcap.summary_reader import read_summary
 from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.logs import is_being_written, look_at
+from recorder.reading.logs import is_being_written
 from recorder.reading.rows import Progress
 from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
-from recorder.review.catalog.rows import NEVER_NS, CatalogRow, summarize
+from recorder.review.catalog.rows import NEVER_NS, CatalogRow, CatalogUnreadableError
+from recorder.review.catalog.single import row_of, summary_crc_of
 from recorder.review.catalog.table import (
     SCHEMA,
-    CatalogUnreadableError,
     bounded_memory,
     read_table,
     to_table,
@@ -159,7 +158,7 @@ class Catalog:
             if one is None or one.bytes != size:
                 continue
             if one.modified_ns != modified_ns:
-                if summary_crc is None or _summary_crc(self._directory / one.name) != summary_crc:
+                if summary_crc is None or summary_crc_of(self._directory / one.name) != summary_crc:
                     continue
                 # It was copied, or touched.
                 self._is_changed = True
@@ -284,31 +283,6 @@ def _as_text(name: str) -> str:
 
 def _row(directory: Path, one: _Status, progress: Progress) -> CatalogRow:
     return row_of(directory / one.name, _as_text(one.name), one.modified_ns, progress)
-
-
-def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda _: None) -> CatalogRow:
-    """Make the row of a log, which is read from its beginning to its end.
-
-    Args:
-        path: the file.
-        file: the log's name, as the row has it.
-        modified_ns: the time of its last change.
-        progress: receives the number of bytes that were read.
-
-    Raises:
-        CommandError: it cannot be opened.
-    """
-    return summarize(look_at(path), file, modified_ns, _summary_crc(path), progress)
-
-
-def _summary_crc(path: Path) -> int | None:
-    """The checksum of a file's summary, by its footer; None if it has none, or it is wrong."""
-    try:
-        with path.open("rb") as stream:
-            summary = read_summary(stream)
-    except OSError:
-        return None
-    return None if summary is None or not summary.crc else summary.crc
 
 
 def _is_open(path: Path) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
+import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -21,12 +22,11 @@ from recorder.objects.address import StoreAddress
 from recorder.objects.interface import Objects, StoreError
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Progress
-from recorder.review.catalog.directory import row_of
 from recorder.review.catalog.known import CATALOG_NAME
-from recorder.review.catalog.rows import CatalogRow
-from recorder.review.catalog.single import read_row
-from recorder.review.catalog.table import SCHEMA, CatalogUnreadableError, read_stream, to_table, write_stream
-from recorder.upload.manifest import ROW_SUFFIX
+from recorder.review.catalog.rows import CatalogRow, CatalogUnreadableError
+from recorder.review.catalog.single import read_row, row_of
+from recorder.review.catalog.table import SCHEMA, read_former_row, read_stream, to_table, write_stream
+from recorder.upload.manifest import FORMER_ROW_SUFFIX, ROW_SUFFIX
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
@@ -83,11 +83,13 @@ class PlaceCatalog:
         self._logs = {name: size for name, size in listed.items() if name.endswith(SUFFIX)}
         self._tables = [] if is_anew else self._gathered(listed)
         known = {name for table in self._tables for name in table.column("file").to_pylist()}
-        single = [name for name in sorted(self._logs) if name not in known and name + ROW_SUFFIX in listed]
-        if is_anew:
-            single = []
+        single: dict[str, str] = {}
+        for name in sorted(self._logs.keys() - known) if not is_anew else ():
+            rows = [name + suffix for suffix in (ROW_SUFFIX, FORMER_ROW_SUFFIX) if name + suffix in listed]
+            if rows:
+                single[name] = rows[0]
         with self._reachable(place.url):
-            found = self._singles([(name, listed[name + ROW_SUFFIX]) for name in single])
+            found = self._singles([(name, row, listed[row]) for name, row in single.items()])
         self._tables += [table for table in found if table is not None]
         known |= {name for name, table in zip(single, found, strict=True) if table is not None}
         self._read_singly = len(single)
@@ -148,32 +150,34 @@ class PlaceCatalog:
         sizes = [self._logs.get(name) for name in table.column("file").to_pylist()]
         return [table.filter(pc.equal(table.column("bytes"), pa.array(sizes, pa.int64())))]
 
-    def _singles(self, rows: Sequence[tuple[str, int]]) -> list[pa.Table | None]:
-        """The rows beside logs, each of this length; some at a time, for each is a request or two."""
+    def _singles(self, rows: Sequence[tuple[str, str, int]]) -> list[pa.Table | None]:
+        """The rows of logs, by object and its length; some at a time, for each is a request or two."""
         pool = ThreadPoolExecutor(AT_ONCE)
         try:
-            fetched = pool.map(lambda one: self._fetched(*one), rows)
+            fetched = pool.map(lambda one: self._fetched(*one[1:]), rows)
             # Read one after the other: the bound on what one unpacks to is the process's.
-            return [self._single(name, data) for (name, _), data in zip(rows, fetched, strict=True)]
+            return [self._single(name, row, data) for (name, row, _), data in zip(rows, fetched, strict=True)]
         finally:
             # A store that is gone is not asked for each.
             pool.shutdown(cancel_futures=True)
 
-    def _fetched(self, name: str, size: int) -> bytes | None:
-        """The file of the row beside a log; None if it is gone, or longer than any row."""
+    def _fetched(self, row: str, size: int) -> bytes | None:
+        """The object of a row; None if it is gone, or longer than any row."""
         if size > ROW_MAX:
             return None
         try:
-            return self._bytes(name + ROW_SUFFIX)
+            return self._bytes(row)
         except _GoneError:
             return None
 
-    def _single(self, name: str, data: bytes | None) -> pa.Table | None:
+    def _single(self, name: str, row: str, data: bytes | None) -> pa.Table | None:
         """The row beside a log, under the log's name; None if it does not hold."""
         if data is None:
             return None
         try:
-            table = read_row(data, self._logs[name])
+            if row.endswith(ROW_SUFFIX):
+                return to_table([msgspec.structs.replace(read_row(data, self._logs[name]), file=name)])
+            table = read_former_row(data, self._logs[name])
         except CatalogUnreadableError:
             return None
         return table.set_column(table.schema.get_field_index("file"), SCHEMA.field("file"), pa.array([name]))

@@ -23,6 +23,10 @@ from schemas.authority.statement import Grant, StatementFault, read_chain
 from schemas.decisions import ChainHeads, Severity
 from schemas.reasons import Reason
 
+FORMAT: Final = "cruiser-catalog"
+VERSION: Final = 1
+"""Rises with each change of what a row says; a catalog of another version is made anew."""
+
 INCIDENT: Final = "incident"
 """The kind of a moment for which an incident was kept."""
 
@@ -34,6 +38,10 @@ HEADS_WITHIN_NS: Final = 5_000_000_000
 
 DAMAGE_MAX: Final = 3
 """Faults of a file that are kept in words."""
+
+
+class CatalogUnreadableError(Exception):
+    """The catalog is damaged, or of another version; the text is for people."""
 
 
 class LoggedMoment(msgspec.Struct, frozen=True):

@@ -6,6 +6,7 @@ import os
 import resource
 from collections.abc import Collection, Generator, Iterable
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -15,21 +16,13 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from msgspec import inspect
 
-from recorder.review.catalog.rows import NEVER_NS, CatalogRow
+from recorder.review.catalog.rows import FORMAT, NEVER_NS, VERSION, CatalogRow, CatalogUnreadableError
 from schemas.file_kinds import other_kind
-
-FORMAT: Final = "cruiser-catalog"
-VERSION: Final = 1
-"""Rises with each change of what a row says; a catalog of another version is made anew."""
 
 ROWS_IN_GROUP: Final = 8192
 
 READ_MAX_BYTES: Final = 2 << 30
 """The memory that reading a catalog may take: one of a few megabytes can be made that unpacks to any size."""
-
-
-class CatalogUnreadableError(Exception):
-    """The catalog is damaged, or of another version; the text is for people."""
 
 
 def _field(name: str, kind: inspect.Type) -> pa.Field:
@@ -138,6 +131,18 @@ def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.
         raise CatalogUnreadableError("unpacks to too much") from error
     except (pa.ArrowException, OSError, ValueError) as error:
         raise CatalogUnreadableError("is damaged") from error
+
+
+def read_former_row(data: bytes, log_bytes: int) -> pa.Table:
+    """Read the row of a log of this length that an older version put beside it, as a table of one row.
+
+    Raises:
+        CatalogUnreadableError: it is damaged, of another version, or of another log.
+    """
+    table = read_stream(BytesIO(data))
+    if table.num_rows != 1 or table.column("bytes").to_pylist() != [log_bytes]:
+        raise CatalogUnreadableError("is of another log")
+    return table
 
 
 @contextmanager

@@ -1,15 +1,20 @@
 """Rows of the catalog are made by processes of their own."""
 
 import asyncio
+import re
+import subprocess
+import sys
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 
 from recorder.review.catalog.single import read_row
-from recorder.review.catalog.table import to_rows
 from recorder.upload import row as rows
 from recorder.upload.row import RowError, row_maker
 from tests.support.logs import gears, own_log, saved
+
+ROOT = Path(__file__).parents[4]
 
 
 def made(log: Path) -> bytes:
@@ -24,8 +29,34 @@ def made(log: Path) -> bytes:
 def test_a_process_makes_the_row_of_a_log(tmp_path: Path) -> None:
     """Under the log's own name."""
     log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 0)]))
-    [found] = to_rows(read_row(made(log), log.stat().st_size))
+    found = read_row(made(log), log.stat().st_size)
     assert (found.file, found.messages) == ("a.mcap", 3)
+
+
+def test_what_a_robot_has_installed_suffices(tmp_path: Path) -> None:
+    """The row needs no package but those of the Debian package: not pyarrow, nor what else searches catalogs."""
+    log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 0)]))
+    pinned = (ROOT / "constraints-run.txt").read_text(encoding="utf-8")
+    there = {normalized(name) for name in re.findall(r"^([\w.-]+)==", pinned, re.MULTILINE)}
+    absent = [
+        module
+        for module, names in packages_distributions().items()
+        if module.isidentifier() and not {normalized(name) for name in names} & {*there, "cruiser-gateway"}
+    ]
+    assert "pyarrow" in absent
+    run = (
+        "import runpy, sys; names, *sys.argv = sys.argv[1:]; sys.modules.update(dict.fromkeys(names.split())); "
+        "runpy.run_module('recorder.review.catalog', run_name='__main__')"
+    )
+    words = [sys.executable, "-c", run, " ".join(absent), "recorder.review.catalog", str(log)]
+    done = subprocess.run(words, capture_output=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr.decode()) == (0, "")
+    assert read_row(done.stdout, log.stat().st_size).messages == 3
+
+
+def normalized(name: str) -> str:
+    """A distribution's name as indexes spell it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def test_what_is_no_log_has_no_row(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from recorder.cli import upload as command
 from recorder.disk.upload_note import SafeLogReader
 from recorder.review.catalog.single import read_row, write_row
-from recorder.review.catalog.table import to_rows
+from recorder.upload.manifest import ROW_SUFFIX
 from recorder.upload.row import Summarize
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import RecorderSettings, UploadSettings
@@ -109,8 +109,8 @@ def test_the_row_of_a_log_lies_beside_it_in_the_store(tmp_path: Path) -> None:
     """It is what the catalog of a directory would hold."""
     saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
     assert run_command(command, "--once", settings=settings(tmp_path)) == ExitCode.OK
-    row = (tmp_path / "store/cruiser-1" / f"{LOG}.parquet").read_bytes()
-    [found] = to_rows(read_row(row, (tmp_path / "logs" / LOG).stat().st_size))
+    row = (tmp_path / "store/cruiser-1" / f"{LOG}{ROW_SUFFIX}").read_bytes()
+    found = read_row(row, (tmp_path / "logs" / LOG).stat().st_size)
     assert (found.file, found.messages) == (LOG, 3)
 
 
@@ -118,4 +118,4 @@ def test_without_rows_no_log_is_read_for_them(tmp_path: Path) -> None:
     """The setting says so."""
     saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
     assert run_command(command, "--once", settings=settings(tmp_path, catalog=False)) == ExitCode.OK
-    assert not (tmp_path / "store/cruiser-1" / f"{LOG}.parquet").exists()
+    assert not (tmp_path / "store/cruiser-1" / f"{LOG}{ROW_SUFFIX}").exists()

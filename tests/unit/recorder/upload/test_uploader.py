@@ -14,7 +14,7 @@ from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
 from recorder.objects.interface import StoreError
 from recorder.upload import store as stores
 from recorder.upload import uploader as uploading
-from recorder.upload.manifest import NAMESAKES_MAX, UploadManifest, UploadState
+from recorder.upload.manifest import NAMESAKES_MAX, ROW_SUFFIX, UploadManifest, UploadState
 from recorder.upload.pace import RateLimit
 from recorder.upload.row import RowError
 from recorder.upload.store import LogStore, ObstoreLogs
@@ -479,7 +479,7 @@ def test_a_row_of_the_catalog_lies_beside_each_log_when_all_are_safe(tmp_path: P
     rows = Rows()
     rows.meanwhile = lambda: pytest.fail("a log still waits") if safe(tmp_path) != {LOG, LATER} else None
     assert upload_with_rows(tmp_path, store, rows).rows == 2
-    assert store.objects[f"cruiser-1/{LOG}.parquet"] == b"row of " + LOG.encode()
+    assert store.objects[f"cruiser-1/{LOG}{ROW_SUFFIX}"] == b"row of " + LOG.encode()
     assert rows.made == [LOG, LATER]
 
 
@@ -518,7 +518,7 @@ def test_a_log_is_safe_without_its_row(
 def test_a_store_that_takes_no_rows_is_asked_a_few_times(tmp_path: Path, store: FakeLogStore) -> None:
     """Then whoever looks for the row makes it."""
     saved(tmp_path / LOG, log_of())
-    store.refused.add(f"cruiser-1/{LOG}.parquet")
+    store.refused.add(f"cruiser-1/{LOG}{ROW_SUFFIX}")
     rows = Rows()
     assert upload_with_rows(tmp_path, store, rows).rows == 0
     assert safe(tmp_path) == {LOG}

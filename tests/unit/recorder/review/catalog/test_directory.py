@@ -19,12 +19,12 @@ from hypothesis import strategies as st
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs, look_at
-from recorder.review.catalog import directory as catalog_directory
+from recorder.review.catalog import single
 from recorder.review.catalog import table as catalog_table
 from recorder.review.catalog.directory import Catalog, known_logs
 from recorder.review.catalog.known import CATALOG_NAME
-from recorder.review.catalog.rows import CatalogRow
-from recorder.review.catalog.table import SCHEMA, CatalogUnreadableError, read_table, to_rows
+from recorder.review.catalog.rows import FORMAT, CatalogRow, CatalogUnreadableError
+from recorder.review.catalog.table import SCHEMA, read_table, to_rows
 from recorder.review.info import brief, read_info
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.drives import drive_log, drive_messages, restart, write_messages
@@ -105,7 +105,7 @@ def test_only_what_is_new_or_has_changed_is_opened(tmp_path: Path, monkeypatch: 
         opened.append(path.name)
         return look_at(path)
 
-    monkeypatch.setattr(catalog_directory, "look_at", noted)
+    monkeypatch.setattr(single, "look_at", noted)
     put(tmp_path / "a.mcap", contents()[0])
     put(tmp_path / "b.mcap", contents()[1])
     refreshed(tmp_path)
@@ -189,7 +189,7 @@ def test_a_catalog_of_another_version_is_made_anew(tmp_path: Path, monkeypatch: 
     """What a row says has changed since."""
     put(tmp_path / "a.mcap", contents()[0])
     with monkeypatch.context() as patched:
-        older = SCHEMA.with_metadata({"format": catalog_table.FORMAT, "version": "0"})
+        older = SCHEMA.with_metadata({"format": FORMAT, "version": "0"})
         patched.setattr(catalog_table, "SCHEMA", older)
         patched.setattr(catalog_table, "VERSION", 0)
         refreshed(tmp_path)

@@ -1,5 +1,6 @@
 """The catalog of a place in an object store: rows beside logs, and what becomes of those that do not hold."""
 
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,10 @@ from recorder.objects.interface import ListedObject
 from recorder.reading.faults import Faults
 from recorder.review.catalog import place as places
 from recorder.review.catalog.place import PlaceCatalog
-from recorder.review.catalog.single import write_row
+from recorder.review.catalog.single import row_of, write_row
+from recorder.review.catalog.table import to_table, write_stream
 from recorder.review.find import columns_of, read_words
+from recorder.upload.manifest import FORMER_ROW_SUFFIX, ROW_SUFFIX
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.drives import drive_messages, write_messages
 from tests.support.fakes.objects import FakeObjects
@@ -29,7 +32,7 @@ def store(tmp_path: Path) -> FakeObjects:
     for name, count in ((NAME, 60), (OTHER, 30)):
         path = write_messages(tmp_path / Path(name).name, drive_messages(count))
         objects.objects[name] = path.read_bytes()
-        objects.objects[f"{name}.parquet"] = write_row(path, path.name, 5)
+        objects.objects[name + ROW_SUFFIX] = write_row(path, path.name, 5)
         objects.objects[f"{name}.json"] = b"{}"
     return objects
 
@@ -59,22 +62,35 @@ def test_rows_tell_of_a_place_and_no_log_is_read(store: FakeObjects) -> None:
     assert (logs_read(store), faults.told, catalog.notes) == (set(), [], [])
 
 
+def test_rows_of_older_versions_are_believed_too(store: FakeObjects, tmp_path: Path) -> None:
+    """They are Parquet files of one row; where both are there, the newer one counts."""
+    catalog, _ = brought_up(store)
+    expected = catalog.table
+    former = BytesIO()
+    write_stream(former, to_table([row_of(tmp_path / "a.mcap", "a.mcap", 5)]))
+    del store.objects[NAME + ROW_SUFFIX]
+    store.objects |= {NAME + FORMER_ROW_SUFFIX: former.getvalue(), OTHER + FORMER_ROW_SUFFIX: b"nonsense"}
+    catalog, faults = brought_up(store)
+    assert catalog.table.equals(expected)
+    assert (logs_read(store), faults.told, catalog.notes) == (set(), [], [])
+
+
 @pytest.mark.parametrize("trouble", ["lost", "damaged", "of another log", "huge", "older than its log"])
 def test_a_row_that_does_not_hold_is_made_again_from_its_log(
     store: FakeObjects, monkeypatch: pytest.MonkeyPatch, trouble: str
 ) -> None:
     """And gathered with the others, so that it is there the next time."""
-    row = f"{NAME}.parquet"
+    row = NAME + ROW_SUFFIX
     match trouble:
         case "lost":
             del store.objects[row]
         case "damaged":
             store.objects[row] = store.objects[row][:-20]
         case "of another log":
-            store.objects[row] = store.objects[f"{OTHER}.parquet"]
+            store.objects[row] = store.objects[OTHER + ROW_SUFFIX]
         case "huge":
             monkeypatch.setattr(places, "ROW_MAX", len(store.objects[row]) - 1)
-            monkeypatch.setitem(store.objects, f"{OTHER}.parquet", store.objects[f"{OTHER}.parquet"])
+            monkeypatch.setitem(store.objects, OTHER + ROW_SUFFIX, store.objects[OTHER + ROW_SUFFIX])
         case _:
             store.objects[NAME] += b"more"
     catalog, _ = brought_up(store)
@@ -89,7 +105,7 @@ def test_a_row_that_does_not_hold_is_made_again_from_its_log(
 
 def test_anew_believes_no_row(store: FakeObjects) -> None:
     """Whatever they say."""
-    store.objects[f"{NAME}.parquet"] = store.objects[f"{OTHER}.parquet"]
+    store.objects[NAME + ROW_SUFFIX] = store.objects[OTHER + ROW_SUFFIX]
     catalog, _ = brought_up(store, is_anew=True)
     assert logs_read(store) == {NAME, OTHER}
     assert files(catalog) == {NAME: 124, OTHER: 64}
@@ -98,14 +114,14 @@ def test_anew_believes_no_row(store: FakeObjects) -> None:
 def test_many_rows_are_gathered_once(store: FakeObjects, monkeypatch: pytest.MonkeyPatch) -> None:
     """Then a place is two requests, whatever it holds; a log that comes later is asked for its own row."""
     monkeypatch.setattr(places, "GATHERED_FROM", 2)
-    new = store.objects.pop(NAME), store.objects.pop(f"{NAME}.parquet")
-    store.objects |= {"c.mcap": store.objects[OTHER], "c.mcap.parquet": store.objects[f"{OTHER}.parquet"]}
+    new = store.objects.pop(NAME), store.objects.pop(NAME + ROW_SUFFIX)
+    store.objects |= {"c.mcap": store.objects[OTHER], "c.mcap" + ROW_SUFFIX: store.objects[OTHER + ROW_SUFFIX]}
     brought_up(store)
-    store.objects[NAME], store.objects[f"{NAME}.parquet"] = new
+    store.objects[NAME], store.objects[NAME + ROW_SUFFIX] = new
     store.ranges.clear()
     catalog, _ = brought_up(store)
     assert files(catalog) == {NAME: 124, OTHER: 64, "c.mcap": 64}
-    assert [name for name, _, _ in store.ranges] == ["catalog.parquet", f"{NAME}.parquet"]
+    assert [name for name, _, _ in store.ranges] == ["catalog.parquet", NAME + ROW_SUFFIX]
 
 
 def test_a_gathered_catalog_that_is_damaged_is_passed_over(store: FakeObjects) -> None:
@@ -116,7 +132,7 @@ def test_a_gathered_catalog_that_is_damaged_is_passed_over(store: FakeObjects) -
     assert catalog.notes == [
         "s3://logs/plant-1/catalog.parquet: is damaged: the rows beside the logs are read instead"
     ]
-    del store.objects["catalog.parquet"], store.objects[f"{NAME}.parquet"]
+    del store.objects["catalog.parquet"], store.objects[NAME + ROW_SUFFIX]
     brought_up(store)
     del store.objects[OTHER]
     assert files(brought_up(store)[0]) == {NAME: 124}
@@ -159,7 +175,7 @@ def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, st
         case "rows":
             store.breaks_after = 0
         case _:
-            del store.objects[f"{NAME}.parquet"]
+            del store.objects[NAME + ROW_SUFFIX]
             store.breaks_after = 1
     with pytest.raises(CommandError, match=r"cannot read s3://.*: (nobody answers|connection reset)") as raised:
         brought_up(store)
@@ -169,7 +185,7 @@ def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, st
 def test_rows_that_were_made_are_kept_where_the_reading_is_interrupted(store: FakeObjects) -> None:
     """The next search goes on from there."""
     for name in (NAME, OTHER):
-        del store.objects[f"{name}.parquet"]
+        del store.objects[name + ROW_SUFFIX]
     catalog = PlaceCatalog(store, PLACE, COLUMNS)
     read: list[int] = []
 
