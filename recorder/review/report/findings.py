@@ -8,6 +8,7 @@ from recorder.record.accounting import KeyReport
 from recorder.review.report.odometry import Place
 from recorder.review.report.series import Point
 from recorder.review.report.spans import Span
+from recorder.review.timeline.entries import EntryKind
 
 
 class Moment(msgspec.Struct, frozen=True):
@@ -36,6 +37,12 @@ class Moment(msgspec.Struct, frozen=True):
     y_m: float | None
     is_stop: bool = False
     reconstructed: str = ""
+
+    @property
+    def marked(self) -> str:
+        """The text, with a mark behind it if it was not recorded. A gap says so itself."""
+        is_marked = self.reconstructed and self.kind != EntryKind.GAP.value
+        return f"{self.text} [reconstructed {self.reconstructed}]" if is_marked else self.text
 
 
 class Why(msgspec.Struct, frozen=True):

@@ -92,13 +92,10 @@ def gateway_lines(robot: RobotSummary) -> list[str]:
 
 def moment_words(moment: Moment) -> str:
     """The text of an event, and how often it occurred; a gap says itself how much is missing."""
-    notes = []
-    if moment.count > 1 and moment.kind != EntryKind.GAP.value:
-        lasted_s = (moment.last_ns - moment.time_ns) / 1e9
-        notes.append(f"{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}")
-    if moment.reconstructed and moment.kind != EntryKind.GAP.value:
-        notes.append(f"reconstructed {moment.reconstructed}")
-    return moment.text + (f" [{', '.join(notes)}]" if notes else "")
+    if moment.count <= 1 or moment.kind == EntryKind.GAP.value:
+        return moment.marked
+    lasted_s = (moment.last_ns - moment.time_ns) / 1e9
+    return f"{moment.marked} [{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}]"
 
 
 def who(moment: Moment) -> str:

@@ -91,6 +91,12 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     reconstructed: str = ""
 
     @property
+    def marked(self) -> str:
+        """The text, with a mark behind it if it rests on what was not recorded. A gap says so itself."""
+        is_marked = self.reconstructed and self.kind is not EntryKind.GAP
+        return f"{self.text} [reconstructed {self.reconstructed}]" if is_marked else self.text
+
+    @property
     def is_derived(self) -> bool:
         """No message says so."""
         return self.source is EntrySource.STATE

@@ -1,5 +1,6 @@
 """What a log lacks, made again out of the journal that it holds."""
 
+import re
 from collections.abc import Collection, Iterable, Iterator
 from functools import cache
 from operator import itemgetter
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from gateway import core
 from gateway.rerun.rerun import rerun
 from gateway.telemetry.sample import Sample
+from recorder.cli.review.why import chain_in_words
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import find_logs
@@ -24,6 +26,8 @@ from recorder.reading.topics import RECONSTRUCTED_CHUNK
 from recorder.review.catalog.rows import summarize
 from recorder.review.check import check_log
 from recorder.review.merge import merge
+from recorder.review.report.findings import Why
+from recorder.review.report.page import page
 from recorder.review.report.survey import read_report
 from recorder.review.report.words import moment_words
 from recorder.review.rerun import reconstruction
@@ -174,10 +178,15 @@ def test_what_rests_on_a_hole_is_marked(tmp_path: Path) -> None:
     told = explain("cruiser-1", log.filled, survey(log.logs, log.faults), stop.time_ns, log.faults)
     assert told.reconstructed == FROM_JOURNAL
     assert {one.reconstructed for one in told.chain if one.time_ns == stop.time_ns} == {FROM_JOURNAL}
-    [robot] = read_report(log.filled, Selection(), log.faults).robots
+    report = read_report(log.filled, Selection(), log.faults)
+    [robot] = report.robots
     [moment] = [one for one in robot.charts.moments if one.is_stop and one.time_ns == stop.time_ns]
-    assert "[reconstructed from the journal]" in moment_words(moment)
+    mark = "[reconstructed from the journal]"
+    assert mark in moment_words(moment)
     assert len(robot.summary.silences) == 1
+    whys = {(robot.summary.key, stop.time_ns): Why(told.headline, list(chain_in_words(told)))}
+    [summary] = re.findall(r"<summary>([^<]*no acceptable drive command[^<]*)</summary>", page(report, "", whys))
+    assert summary.endswith(mark)
 
 
 def test_a_log_without_a_hole_is_read_as_it_is(tmp_path: Path) -> None:
