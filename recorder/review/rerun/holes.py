@@ -19,6 +19,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Row, Selection, decoded_rows
 from recorder.reading.survey import survey
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
+from recorder.review.rerun.comparison import BATCH_NS
 from schemas.decisions import SafetyState, is_same_run
 
 STATES: Final = "safety/state"
@@ -39,8 +40,9 @@ class StateHole(msgspec.Struct, frozen=True):
     Attributes:
         robot: as the review calls it.
         key: the beginning of its keys, root and name.
-        from_ns, to_ns: publish times of the last state before it and of the first one behind it...
-        log_from_ns, log_to_ns: ...and their log times.
+        from_ns, to_ns: what was published from then on, and before then, may be missing. Batches hold what was
+            before the last state, too.
+        log_from_ns, log_to_ns: the log times of the last state before it, and of the first one behind it.
         late_ns: the state before it was received so much later than it was published.
     """
 
@@ -51,6 +53,19 @@ class StateHole(msgspec.Struct, frozen=True):
     log_from_ns: int
     log_to_ns: int
     late_ns: int
+
+
+def pieces(hole: StateHole, length_ns: int) -> Iterator[StateHole]:
+    """Yield parts of a hole, one behind the other, each of this length at most."""
+    from_ns, log_from_ns = hole.from_ns, hole.log_from_ns
+    while hole.to_ns - from_ns > length_ns:
+        to_ns = from_ns + length_ns
+        log_to_ns = min(max(to_ns + hole.late_ns, log_from_ns), hole.log_to_ns)
+        yield msgspec.structs.replace(
+            hole, from_ns=from_ns, to_ns=to_ns, log_from_ns=log_from_ns, log_to_ns=log_to_ns
+        )
+        from_ns, log_from_ns = to_ns, log_to_ns
+    yield msgspec.structs.replace(hole, from_ns=from_ns, log_from_ns=log_from_ns)
 
 
 def holes(logs: Sequence[LogFile], faults: Faults, progress: Progress = lambda _: None) -> list[StateHole]:
@@ -74,8 +89,8 @@ def holes(logs: Sequence[LogFile], faults: Faults, progress: Progress = lambda _
                     StateHole(
                         robot,
                         row.topic.name.removesuffix(f"/{STATES}"),
-                        max(was[2].time_ns, state.time_ns - LONGEST_NS),
-                        state.time_ns,
+                        max(was[2].time_ns, state.time_ns - LONGEST_NS) - BATCH_NS,
+                        state.time_ns + BATCH_NS,
                         max(was[0], row.log_ns - LONGEST_NS),
                         row.log_ns,
                         was[0] - was[2].time_ns,

@@ -29,8 +29,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import ORIGIN, RECONSTRUCTED_CHUNK, UNREADABLE
-from recorder.review.rerun.comparison import BATCH_NS
-from recorder.review.rerun.holes import StateHole, holes
+from recorder.review.rerun.holes import StateHole, holes, pieces
 from recorder.review.rerun.player import COMPARED, Rerun, SampleAgain, identifier_in, installed
 from recorder.review.rerun.segments import BEHIND_NS
 from recorder.review.rerun.tapes import JOURNAL, Tape
@@ -58,8 +57,11 @@ LATER_NS: Final = 120_000_000_000
 TOGETHER_NS: Final = 60_000_000_000
 """Holes that are so near to each other are filled at once..."""
 
-STRETCH_NS: Final = 1_800_000_000_000
-"""...up to this length."""
+STRETCH_NS: Final = 120_000_000_000
+"""...up to this length, and longer ones in parts: all of one part is in memory while it is made."""
+
+BESIDE_NS: Final = 15_000_000_000
+"""So long before a hole what comes out again is held against what was recorded."""
 
 HOLES_MAX: Final = 64
 """Holes, or rows of near ones, that are filled; what is missing beyond is told as missing."""
@@ -99,14 +101,20 @@ def filled(
     except CommandError:
         return list(logs)
     about = survey(logs, faults)
-    made = []
+    made: list[LogFile] = []
     for robot, its in groupby(sorted(found, key=attrgetter("robot", "log_from_ns")), attrgetter("robot")):
         configurations = configurations_of(robot, logs, about, faults)
-        made += [
-            _file(HoleFilling(row, logs, configurations, again, faults, progress), logs)
-            for row in _rows_of_near(list(its))[:HOLES_MAX]
-        ]
-    return sorted([*logs, *made], key=lambda log: log.start_ns)
+        before: HoleFilling | None = None
+        for row in _rows_of_near([part for one in its for part in pieces(one, STRETCH_NS)])[:HOLES_MAX]:
+            # In the midst of a hole nothing was recorded that a part of it could be held against.
+            is_next = before is not None and before.holes[-1].to_ns == row[0].from_ns
+            known = sorted([*logs, *(made[-1:] if is_next else [])], key=_beginning)
+            before = HoleFilling(row, known, configurations, again, faults, progress)
+            made.append(_file(before, logs))
+    return sorted([*logs, *made], key=_beginning)
+
+
+_beginning = attrgetter("start_ns")
 
 
 def _rows_of_near(found: Sequence[StateHole]) -> list[list[StateHole]]:
@@ -141,7 +149,7 @@ class HoleFilling:
 
     Args:
         holes: by their times.
-        logs: that have them.
+        logs: that have them; with the part before it, where it is a part of a long hole.
         configurations: of the robot's runs.
         again: runs a journal again.
         faults: takes what cannot be read.
@@ -206,11 +214,12 @@ class HoleFilling:
         wanted = MADE_AGAIN | {JOURNAL}
 
         def is_needed(row: Row) -> bool:
-            return inputs_from_ns <= row.publish_ns <= inputs_to_ns
+            since_ns = inputs_from_ns if row.topic.subject == JOURNAL else remaking.beside_ns
+            return since_ns <= row.publish_ns <= inputs_to_ns
 
+        remaking = _Remaking(self.holes)
         selection = self._selection(wanted, max(0, first.log_from_ns - back_ns))
         rows = read_rows(self._logs, selection, self._faults, self._look)
-        remaking = _Remaking(self.holes)
         tape = Tape(filter(is_needed, rows), remaking.record, self._faults)
         while tape.next_part():
             text = self._configurations.at(tape.next_time_ns)
@@ -231,7 +240,7 @@ class HoleFilling:
         rows = read_rows(
             self._logs, self._selection({JOURNAL}, self.holes[0].log_from_ns), self._faults, self._look
         )
-        return any(one.from_ns < row.publish_ns < one.to_ns for row in rows for one in self.holes)
+        return any(one.from_ns <= row.publish_ns < one.to_ns for row in rows for one in self.holes)
 
     def _selection(self, subjects: frozenset[str] | set[str], from_ns: int) -> Selection:
         robot = self.holes[0].robot
@@ -239,6 +248,7 @@ class HoleFilling:
             lambda topic: topic.robot == robot and topic.subject in subjects,
             from_ns,
             self.holes[-1].log_to_ns + LATER_NS,
+            is_filled=True,
         )
 
 
@@ -259,10 +269,12 @@ class _Remaking:
 
     Attributes:
         begins_ns: the earliest time of what came out again, since 1970.
+        beside_ns: what was published before that is not looked at.
     """
 
     def __init__(self, holes: Sequence[StateHole]) -> None:
         self.begins_ns = END_OF_TIME_NS
+        self.beside_ns = holes[0].from_ns - BESIDE_NS
         self._holes = holes
         self._recorded: dict[_Recorded, int] = {}
         self._said: dict[_Recorded, int] = {}
@@ -290,14 +302,16 @@ class _Remaking:
         topic = f"{self._holes[0].key}/{sample.subject.format(bus=bus)}"
         self._subjects[topic] = sample.subject
         for publish_ns, data in _route(sample.subject).transcode(message):
-            key = topic, publish_ns, _part(sample.subject, message.sequence, data)
-            self._said[key] = hash(data)
             self.begins_ns = min(self.begins_ns, publish_ns)
-            hole = next((one for one in self._holes if _is_of(one, publish_ns)), None)
-            if hole is not None:
-                log_ns = min(max(publish_ns + hole.late_ns, hole.log_from_ns), hole.log_to_ns - 1)
-                again = _Again(log_ns, publish_ns, message.sequence, data)
-                self._missing.setdefault(topic, {})[key] = again
+            if publish_ns < self.beside_ns:
+                continue
+            key = topic, publish_ns, _part(sample.subject, message.sequence, data)
+            hole = next((one for one in self._holes if one.from_ns <= publish_ns < one.to_ns), None)
+            if hole is None:
+                self._said[key] = hash(data)
+                continue
+            log_ns = min(max(publish_ns + hole.late_ns, hole.log_from_ns), hole.log_to_ns - 1)
+            self._missing.setdefault(topic, {})[key] = _Again(log_ns, publish_ns, message.sequence, data)
 
     def content(self) -> bytes:
         """The log of what is missing."""
@@ -325,9 +339,10 @@ class _Remaking:
     def _is_as_recorded(self) -> bool:
         """Report whether the arbiter says all that was recorded beside the holes as it was recorded."""
         own = {topic for topic, subject in self._subjects.items() if subject in COMPARED}
-        return not self._is_otherwise and all(
-            said == self._recorded.get(key, said) for key, said in self._said.items() if key[0] in own
-        )
+        said = {key: one for key, one in self._said.items() if key[0] in own}
+        for topic in own & self._missing.keys():
+            said |= {key: hash(one.data) for key, one in self._missing[topic].items() if key in self._recorded}
+        return not self._is_otherwise and all(one == self._recorded.get(key, one) for key, one in said.items())
 
     def _fits(self, topic: str) -> bool:
         """Report whether a topic may be filled: feedback only if it comes out beside the holes as it was recorded.
@@ -337,18 +352,8 @@ class _Remaking:
         """
         if self._subjects[topic] in COMPARED:
             return True
-        missing = self._missing[topic]
-        beside = [
-            self._recorded.get(key) == said
-            for key, said in self._said.items()
-            if key[0] == topic and key not in missing
-        ]
+        beside = [self._recorded.get(key) == said for key, said in self._said.items() if key[0] == topic]
         return 2 * sum(beside) > len(beside)
-
-
-def _is_of(hole: StateHole, publish_ns: int) -> bool:
-    """Report whether a message may be missing because of a hole: batches hold what was before it, too."""
-    return hole.from_ns - BATCH_NS < publish_ns < hole.to_ns + BATCH_NS
 
 
 def _part(subject: str, sequence: int, data: bytes) -> object:
