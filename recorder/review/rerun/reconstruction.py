@@ -38,6 +38,7 @@ from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
 from schemas.messages import CanFrames, Feedback, RobotState
+from schemas.settings import Settings
 from schemas.subjects import BY_NAME, SUBJECTS
 
 FROM_JOURNAL: Final = "from the journal"
@@ -223,17 +224,26 @@ class HoleFilling:
         tape = Tape(filter(is_needed, rows), remaking.record, self._faults)
         while tape.next_part():
             text = self._configurations.at(tape.next_time_ns)
-            if text is None:
+            settings = None if text is None else self._settings(text)
+            if settings is None:
                 for _ in tape.journals():
                     pass
                 continue
             try:
-                for sample in self._again(settings_from(text), remaking.watch(tape.journals())):
+                for sample in self._again(settings, remaking.watch(tape.journals())):
                     remaking.say_again(sample)
             except UNREADABLE as error:
                 tape.break_off("")
                 self._faults.add(f"{first.robot}: its journal cannot be run again from there on: {error}")
         return remaking
+
+    def _settings(self, text: str) -> Settings | None:
+        """The settings of a run; None if this version cannot read them."""
+        try:
+            return settings_from(text)
+        except CommandError as error:
+            self._faults.add(f"{self.holes[0].robot}: its configuration cannot be read: {error}")
+            return None
 
     def _has_journal(self) -> bool:
         """Report whether anything of the holes is in the journal."""

@@ -40,7 +40,7 @@ from recorder.review.verifying.findings import ProofFault
 from recorder.review.why import explain
 from schemas import codec
 from schemas.decisions import Decision, Journal, SafetyState
-from schemas.exit_codes import ExitCode
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 from tests.support.authority import Fleet
@@ -350,3 +350,19 @@ def test_a_long_hole_is_filled_part_by_part(tmp_path: Path, monkeypatch: pytest.
     made = {(row.topic.name, row.publish_ns, row.data) for row in rows}
     assert len(rows) == len(made)
     assert made == messages(log.whole) - messages(log.logs)
+
+
+def test_settings_that_cannot_be_read_are_a_fault_and_end_no_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A newer gateway may have written them: the hole stays one, and all else is told."""
+
+    def refuse(_text: str) -> Settings:
+        raise CommandError("unknown setting")
+
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 3))
+    expected = list(read_events(log.logs, Selection(), log.faults))
+    assert not log.faults
+    monkeypatch.setattr(reconstruction, "settings_from", refuse)
+    assert list(read_events(log.filled, Selection(), log.faults)) == expected
+    assert log.faults.told == ["cruiser-1: its configuration cannot be read: unknown setting"]
