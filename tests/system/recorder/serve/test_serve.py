@@ -194,6 +194,8 @@ def test_a_page_that_is_open_shows_a_log_that_comes(tmp_path: Path, context: Bro
     """And one that goes; nobody reloads it. Without --write nothing can be written."""
     with served(tmp_path) as address:
         page = context.new_page()
+        # The directory is looked at anew every few seconds, and a busy machine takes its time with the log.
+        page.set_default_timeout(60_000)
         page.goto(address)
         page.locator("#state", has_text="0 logs").wait_for()
         (tmp_path / "arriving").write_bytes(recorded(deadman))
