@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Final
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.check import LogCheck, check_log
+from recorder.review.checking.between import Between, ChannelEnds, between
 from recorder.review.checking.findings import About, Finding
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
@@ -19,10 +21,11 @@ DESCRIPTION: Final = (
     "Reads every byte of logs and verifies all that can be: checksums, the heads of chunks, indexes, statistics, "
     "the order of log times, schemas, and every message against its schema; then what the data lacks: samples by "
     "the gaps in their sequences, raw frames by their checksums and alive counters, and what the recorder says "
-    "that it could not write. Each finding tells whether it is about the file or about the data in it. Exit code "
-    "1 if there is any, 3 if a file takes too long to read."
+    "that it could not write. Each finding tells whether it is about the file or about the data in it. Of several "
+    "logs, the samples between two that are in none of them are told at the end, by their sequences. Exit code "
+    "1 if there is any finding, 3 if a file takes too long to read."
 )
-JSON_HELP: Final = "print a JSON object a line, one for each file"
+JSON_HELP: Final = "print a JSON object a line, one for each file, and of several one for what is in none of them"
 
 
 TOPICS_SHOWN: Final = 3
@@ -38,6 +41,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Check each file."""
     asked = find(arguments, with_covered=True)
     is_sound = True
+    ends: list[tuple[str, dict[str, ChannelEnds]]] = []
     with progress_bar("checking", asked.bytes, stopped, prints=True) as progress:
         for log in asked.logs:
             if stopped():
@@ -48,9 +52,22 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
                 asked.faults.add(str(error))
                 continue
             is_sound = is_sound and found.is_sound
+            ends.append((found.path, {one.topic: one.ends for one in found.channels if one.ends}))
             show(found, describe(found), as_json=arguments.json)
+    if len(ends) > 1:
+        missing = between(ends)
+        show({"between": missing}, _missing(missing), as_json=arguments.json)
     code = end_with(asked.faults)
     return code if is_sound else int(ExitCode.FAILURE)
+
+
+def _missing(found: Sequence[Between]) -> Iterator[str]:
+    """Yield what is in none of several logs as lines for people."""
+    yield f"between the logs:{'' if found else ' nothing is missing that could be told'}"
+    for one in found:
+        place = f"between {in_words(one.from_ns)} and {in_words(one.to_ns)}"
+        logs = f"{Path(one.before).name}, then {Path(one.after).name}"
+        yield f"  {one.robot}: {one.samples} samples of {one.topics} keys {place} ({logs})"
 
 
 def describe(found: LogCheck) -> Iterator[str]:

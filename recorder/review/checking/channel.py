@@ -17,10 +17,11 @@ from recorder.encoding.protobuf_schema import schema_name
 from recorder.mcap.columns import ChannelMessages
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.checking.alive import FAR_NS, ClockStep
+from recorder.review.checking.between import ChannelEnds
 from recorder.review.checking.findings import Findings
 from recorder.review.checking.frames import FrameCount
 from recorder.review.checking.proofs import Proof, proof_of
-from recorder.review.checking.sequences import sequence_count
+from recorder.review.checking.sequences import KEPT, sequence_count
 from schemas.decisions import Journal
 from schemas.messages import CanFrame
 from schemas.recording import RecordGap
@@ -54,6 +55,7 @@ class ChannelCheck(msgspec.Struct, frozen=True):
         is_read: its messages were held against its schema; of an encoding that is not known here they cannot be.
         unreadable: messages that are not what their schema says.
         missed: samples that never came, by the gaps in ``sequence``; None where a gap says nothing.
+        ends: its first and last message; None where a gap says nothing, and for messages that may have come later.
     """
 
     topic: str
@@ -63,6 +65,7 @@ class ChannelCheck(msgspec.Struct, frozen=True):
     is_read: bool
     unreadable: int
     missed: int | None
+    ends: ChannelEnds | None
 
 
 class Channel:
@@ -88,6 +91,7 @@ class Channel:
         self.clock_steps: list[ClockStep] = []
         self._is_gaps = is_protobuf and self._schema == _RECORD_GAP
         self._messages = self._unreadable = 0
+        self._ends: ChannelEnds | None = None
         self._newest = 0
         self._begun_anew = 0
         self._begun_anew_ns: int | None = None
@@ -119,6 +123,7 @@ class Channel:
         anew = self._look_for_other_gateways() if self.frames else []
         if self._sequence is not None and self._sequences:
             self._sequence.take(self._sequences, self._publish_ns, self._log_ns)
+            self._note_ends()
             self._sequences, self._publish_ns, self._log_ns = [], [], []
         if self._proof is not None and self._datas:
             for place in self._proven(self._proof, anew):
@@ -128,6 +133,12 @@ class Channel:
             if self._is_gaps:
                 self._tell_gaps()
             self._datas, self._offsets = [], []
+
+    def _note_ends(self) -> None:
+        if self._schema in KEPT:
+            return
+        first = self._ends or ChannelEnds(self._sequences[0], 0, self._log_ns[0], 0)
+        self._ends = msgspec.structs.replace(first, last=self._sequences[-1], last_ns=self._log_ns[-1])
 
     def _look_for_clock_steps(self, messages: ChannelMessages) -> None:
         """Hold the journal's wall times against its monotonic ones, where there is a far gap between two."""
@@ -165,6 +176,7 @@ class Channel:
             is_read=self._proof is not None,
             unreadable=self._unreadable,
             missed=missed,
+            ends=self._ends,
         )
 
     def _look_for_other_gateways(self) -> list[int]:

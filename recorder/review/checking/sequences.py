@@ -16,7 +16,7 @@ _CAN_FRAME: Final = schema_name(CanFrame)
 _WITHOUT_SEQUENCE: Final = {schema_name(kind) for kind in (RawSample, GatewayInfo, RecorderEvent, RecordGap)}
 """A recorder's own words are counted over all its logs, and each log holds those that are about it."""
 
-_KEPT: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.qos.kept_bytes)
+KEPT: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.qos.kept_bytes)
 """Schemas of samples that a recorder may ask for after they went by."""
 
 
@@ -36,7 +36,7 @@ def sequence_count(schema: str) -> SequenceCount | None:
     """The count of a channel by its schema's name; None where a gap says nothing."""
     if not schema.startswith(f"{SCHEMA_PREFIX}.") or schema in _WITHOUT_SEQUENCE:
         return None
-    return _InTimeCount() if schema in _KEPT else _InFileCount(is_batched=schema == _CAN_FRAME)
+    return _InTimeCount() if schema in KEPT else _InFileCount(is_batched=schema == _CAN_FRAME)
 
 
 class _InFileCount:

@@ -47,7 +47,9 @@ def test_what_is_missing_everywhere_is_one_line(tmp_path: Path, capsys: pytest.C
 def test_json_is_an_object_a_line(whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """For programs."""
     assert review("check", "--json", str(whole), str(cut)) == ExitCode.FAILURE
-    found = {Path(one["path"]).name: one for one in map(json.loads, capsys.readouterr().out.splitlines())}
+    *files, together = map(json.loads, capsys.readouterr().out.splitlines())
+    found = {Path(one["path"]).name: one for one in files}
+    assert together == {"between": []}
     assert found["whole.mcap"]["findings"] == []
     assert {one["about"] for one in found["cut.mcap.part"]["findings"]} == {"file"}
     assert found["cut.mcap.part"]["messages"] == 12
@@ -74,6 +76,17 @@ def test_where_no_message_can_be_read_nothing_is_claimed(
     assert ": 0 messages" in out
     assert "the data: no message could be read, so nothing is known of it" in out
     assert "nothing is missing" not in out
+
+
+def test_what_is_in_none_of_several_logs_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is no finding about any of them: nobody recorded then, or another recorder did."""
+    saved(tmp_path / "r-1.mcap", own_log([gears(0, 3, 10)]))
+    saved(tmp_path / "r-2.mcap", own_log([gears(7, 3, 1_000_000_010)]))
+    assert review("check", str(tmp_path)) == ExitCode.OK
+    *_, head, line = capsys.readouterr().out.splitlines()
+    assert head == "between the logs:"
+    assert line.startswith("  fleet/cruiser-1: 4 samples of 1 keys between 1970-01-01")
+    assert line.endswith("(r-1.mcap, then r-2.mcap)")
 
 
 def test_incidents_are_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
