@@ -88,6 +88,10 @@ class SampleSource(Protocol):
         """The keys of the gateways' liveliness tokens that are gone since the last call."""
         ...
 
+    def robots_left(self) -> Iterable[str]:
+        """The robots that another recorder has taken over since the last call."""
+        ...
+
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key; the replies come with the samples."""
         ...
@@ -209,6 +213,8 @@ class RecorderLoop:
         self._receive_notices(now_ns, wall_ns)
         for key in self._source.tokens_gone():
             self._recorder.lose_token(key, now_ns)
+        for robot in self._source.robots_left():
+            self._apply(self._recorder.let_go(robot, now_ns))
         self._apply(self._recorder.tick(now_ns, wall_ns, self._writer.sizes))
         if self._control is not None:
             self._obey(self._control, now_ns, wall_ns)

@@ -49,6 +49,8 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         keys: key expressions to record; if empty, everything under the root
         directory: the directory of the logs
         per_robot: a log for each robot; else one for all
+        shard: NUMBER/COUNT, such as 2/4: this recorder is the second of four that share a fleet's robots; if
+            empty, it records all of them
         standby: write nothing but incidents until `cruiser record start`
         flush_s: s; at most this much of the log is not yet on the disk
         chunk_bytes: bytes of a chunk before compression
@@ -72,6 +74,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     keys: list[str] = []
     directory: Annotated[str, Meta(min_length=1)] = "."
     per_robot: bool = True
+    shard: Annotated[str, Meta(pattern=r"^([1-9][0-9]{0,2}/[1-9][0-9]{0,2})?$")] = ""
     standby: bool = False
     flush_s: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
     chunk_bytes: Annotated[int, Meta(ge=1024, le=16_777_216)] = 1_048_576

@@ -37,9 +37,11 @@ from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import Recorder, RecorderPlan
 from recorder.record.retention import DiskLimits
 from recorder.record.robot_log import LogPlan
+from recorder.record.shards import shard_of
 from recorder.zenoh.backfill_server import BackfillServer
 from recorder.zenoh.remote_control import RemoteControl
 from recorder.zenoh.session import key_matches
+from recorder.zenoh.sharded_source import ShardedSource
 from recorder.zenoh.source import RING_SAMPLE_BYTES, ZenohSource
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
@@ -93,6 +95,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--name", dest="recorder.name", metavar="NAME", help="the recorder's name (its grant's, else the host's)"
     )
+    parser.add_argument(
+        "--shard",
+        dest="recorder.shard",
+        metavar="I/N",
+        help="record the I-th part of a fleet of which N recorders record all (all of it)",
+    )
     add_zenoh_arguments(parser)
     parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -144,8 +152,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     collect_seldom()
     directory = LogDirectory(path)
     with ExitStack() as stack:
-        ring_samples = recorder.queue_bytes // RING_SAMPLE_BYTES
-        source = stack.enter_context(closing(ZenohSource(settings.zenoh, expressions, ring_samples)))
+        source = stack.enter_context(closing(_source(settings, expressions)))
         control = stack.enter_context(
             closing(RemoteControl(settings, _door(settings, path, expressions), partial(save_note, path)))
         )
@@ -181,6 +188,16 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         sys.stdout.flush()
         os._exit(code)
     return code
+
+
+def _source(settings: Settings, expressions: Sequence[str]) -> ZenohSource:
+    recorder = settings.recorder
+    if not recorder.shard:
+        return ZenohSource(settings.zenoh, expressions, recorder.queue_bytes // RING_SAMPLE_BYTES)
+    own = shard_of(recorder.shard)
+    if not recorder.per_robot:
+        raise CommandError("a shard of a fleet has a log for each robot: set recorder.per_robot", ExitCode.USAGE)
+    return ShardedSource(settings.zenoh, expressions, settings.robot.root, own)
 
 
 def _door(settings: Settings, logs: Path, expressions: Sequence[str]) -> Callable[[str], OrderAdmission] | None:

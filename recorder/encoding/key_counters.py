@@ -40,7 +40,7 @@ class KeyCounters:
         self.dropped = 0
         self.lost: dict[GapReason, int] = {}
         self.lost_bus: int | None = None
-        self._bus_count = 0
+        self._bus_count: int | None = None
         # By source, the one that was heard last at the end.
         self._sources: dict[str, int | None] = {}
         self.next: int | None = None
@@ -67,12 +67,15 @@ class KeyCounters:
 
     def count_bus(self, lost: int) -> None:
         """The gateway's count of frames lost on the bus since it started; the first one is where we begin."""
-        if self.lost_bus is None:
-            self.lost_bus = 0
-        else:
-            # A count that falls is a gateway's that began anew.
-            self.lost_bus += lost - self._bus_count if lost >= self._bus_count else lost
-        self._bus_count = lost
+        before, self._bus_count = self._bus_count, lost
+        # A count that falls is a gateway's that began anew.
+        new = 0 if before is None else lost - before if lost >= before else lost
+        self.lost_bus = (self.lost_bus or 0) + new
+
+    def begin_anew(self) -> None:
+        """Count no gap before the next sample: until then another recorder has the key."""
+        self.next = self._bus_count = None
+        self._sources.clear()
 
     def count_source(self, source: str, sequence: int) -> None:
         """Take note of a sample by the sequence that Zenoh gives it: each source of a key has its own."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
@@ -96,26 +96,21 @@ class ZenohSource:
     """
 
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
-        self._expressions = _distinct(key_expressions)
+        expressions = distinct(key_expressions)
+        self._queue_samples = queue_samples
         self._pending: list[tuple[str, _Replies]] = []
         self.listen = said_of(settings).listen
         """The endpoints that it listens on."""
         self._session = open_session(settings, self.listen)
-        self._subscribers: list[_Samples] = [
-            self._session.declare_subscriber(expression, zenoh.handlers.RingChannel(queue_samples))
-            for expression in self._expressions
-        ]
+        self._subscribers: dict[zenoh.KeyExpr, _Samples] = {}
+        self._owners: dict[str, zenoh.KeyExpr] = {}
         self._tokens: Any = self._session.liveliness().declare_subscriber(
             keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
         )
         self.is_behind = False
         """True if more had come in than the last ``drain`` gave."""
-        self._overlap = any(
-            one.intersects(other)
-            for index, one in enumerate(self._expressions)
-            for other in self._expressions[:index]
-        )
-        self._owners: dict[str, int] = {}
+        self._overlap = have_overlap(expressions)
+        self._subscribe(expressions)
 
     @property
     def is_asking(self) -> bool:
@@ -133,13 +128,13 @@ class ZenohSource:
         taken: list[ZenohSample] = []
         taken_bytes = 0
         self.is_behind = False
-        for index, subscriber in enumerate(self._subscribers):
+        for expression, subscriber in self._subscribers.items():
             receive = subscriber.try_recv
             for _ in range(limit):
                 received = receive()
                 if received is None:
                     break
-                if not self._overlap or self._owner(received.key_expr) == index:
+                if not self._overlap or self._owner(received.key_expr) == expression:
                     sample = _take(received)
                     taken.append(sample)
                     taken_bytes += len(sample.payload)
@@ -157,6 +152,10 @@ class ZenohSource:
         while (token := self._tokens.try_recv()) is not None:
             if token.kind == zenoh.SampleKind.DELETE:
                 yield str(token.key_expr)
+
+    def robots_left(self) -> Iterable[str]:
+        """The robots that another recorder has taken over: none, this one records all."""
+        return ()
 
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key. The replies come with the samples."""
@@ -179,6 +178,17 @@ class ZenohSource:
         """End the session."""
         self._session.close()
 
+    def _subscribe(self, expressions: Sequence[zenoh.KeyExpr]) -> None:
+        """Subscribe to these, and to nothing else any more; none of them includes another."""
+        for expression in self._subscribers.keys() - set(expressions):
+            self._subscribers.pop(expression).undeclare()
+        for expression in expressions:
+            if expression not in self._subscribers:
+                self._subscribers[expression] = self._session.declare_subscriber(
+                    expression, zenoh.handlers.RingChannel(self._queue_samples)
+                )
+        self._owners.clear()
+
     def _replies(self) -> Iterator[ZenohSample]:
         waiting = []
         for key, handler in self._pending:
@@ -194,20 +204,24 @@ class ZenohSource:
             waiting.append((key, handler))
         self._pending = waiting
 
-    def _owner(self, key: zenoh.KeyExpr) -> int:
+    def _owner(self, key: zenoh.KeyExpr) -> zenoh.KeyExpr:
         """The first expression that matches the key: its subscriber's sample counts, the others' are copies."""
         text = str(key)
         owner = self._owners.get(text)
         if owner is None:
-            owner = next(index for index, one in enumerate(self._expressions) if one.intersects(key))
+            owner = next(one for one in self._subscribers if one.intersects(key))
             if len(self._owners) >= OWNED_KEY_LIMIT:
                 self._owners.clear()
             self._owners[text] = owner
         return owner
 
 
-def _distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
-    """The key expressions, without those that another one includes."""
+def distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
+    """Return the key expressions, without those that another one includes.
+
+    Raises:
+        CommandError: one of them is none.
+    """
     expressions: list[zenoh.KeyExpr] = []
     for text in texts:
         try:
@@ -219,6 +233,11 @@ def _distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
         if not any(other.includes(one) for other in expressions):
             expressions = [other for other in expressions if not one.includes(other)] + [one]
     return expressions
+
+
+def have_overlap(expressions: Sequence[zenoh.KeyExpr]) -> bool:
+    """Return True if a key may match two of them."""
+    return any(one.intersects(other) for index, one in enumerate(expressions) for other in expressions[:index])
 
 
 def _nanoseconds(time: datetime) -> int:

@@ -14,7 +14,16 @@ import pytest
 from recorder.disk.part_file import Prologue
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.mcap.writer import McapFile
-from recorder.record.actions import Action, CloseLog, DeclareChannel, LogAction, OpenLog, Publish, WriteChunk
+from recorder.record.actions import (
+    Action,
+    CloseLog,
+    DeclareChannel,
+    LogAction,
+    OpenLog,
+    Publish,
+    Query,
+    WriteChunk,
+)
 from recorder.record.notices import Ended, Lost, Notice, Opened
 from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import RecorderPlan
@@ -69,6 +78,7 @@ class MemoryWriter:
         self.files: dict[str, list[MemoryFile]] = {}
         """Of each log."""
         self.said: list[RecorderEvent | RecordGap] = []
+        self.asked: list[Query] = []
         self.notices: list[Notice] = []
         self.loses = False
         """Chunks are lost, but for those of incidents."""
@@ -83,6 +93,8 @@ class MemoryWriter:
                 self._apply(action)
             elif isinstance(action, Publish):
                 self.said.append(action.message)
+            elif isinstance(action, Query):
+                self.asked.append(action)
 
     def open_file(self, log: str) -> MemoryFile | None:
         """The file that is being written."""
@@ -144,6 +156,9 @@ class FakeSource:
         return not self.is_exhausted
 
     def tokens_gone(self) -> list[str]:
+        return []
+
+    def robots_left(self) -> list[str]:
         return []
 
     def drain(self, limit: int) -> list[ReceivedSample]:

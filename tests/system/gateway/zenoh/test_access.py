@@ -297,6 +297,7 @@ def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
             "fleet/*/gateway",
             "fleet/*/safety/*/@adv/**",
             "fleet/@recorder/*",
+            "fleet/@recorder/*/shard/*",
             "fleet/*",
             "operators/*",
         )
