@@ -19,6 +19,7 @@ from tests.bench import (
     authority,
     command_latency,
     desk,
+    fleet,
     flood,
     guard_latency,
     links,
@@ -45,6 +46,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         seconds: of each load.
         kills: of the gateway, at 2 m/s.
         held_s: of robots at their own pace, each number of them; at most as a load.
+        fleet_robots: that speak through two routers into two recorders.
         path_rounds, recorder_rounds, export_rounds: paired runs of ours and others.
         authority_rounds: of each step of a proof.
         turns, turn_drives: of open and signed mode, and the drive commands of each.
@@ -75,6 +77,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     crowd_s: float = desk.CROWD_S
     recorder_rounds: int = 2
     held_s: float = 5.0
+    fleet_robots: int = 40
     review_mb: int = 100
     review_minutes: float = 1.0
     export_messages: int = review_export.MESSAGES
@@ -102,6 +105,7 @@ SHORT: Final = Extent(
     desk_kills=1,
     crowd_s=1.0,
     recorder_rounds=1,
+    fleet_robots=5,
     review_mb=10,
     review_minutes=0.5,
     export_messages=20_000,
@@ -151,6 +155,7 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
             "the recorder",
             lambda: recorder_rate.rows(extent.recorder_rounds, min(seconds, extent.held_s), seconds),
         ),
+        ("a fleet", lambda: fleet.rows([extent.fleet_robots], 2, fleet.SHARDS, seconds, is_thin=False)),
         ("the review", lambda: review_rate.rows(extent.review_mb)),
         ("logs run again", lambda: review_rerun.rows(extent.review_minutes, list(review_rerun.DRIVES))),
         ("the search", lambda: review_find.rows(extent.cataloged_logs)),

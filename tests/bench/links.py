@@ -17,6 +17,7 @@ import msgspec
 from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.settings import DEADMAN_MAX_S, CommandSettings
 from tests.bench.loads import Row, print_table
+from tests.bench.plot import Chart, Line, draw
 from tests.support.rigs.far_operator import Trip, trip
 
 SECONDS: Final = 60.0
@@ -68,55 +69,22 @@ def _link(one_way_ms: int, deadman_s: float) -> LinkProfile:
     return LinkProfile("", one_way_ms / 1e3, jitter=0.3, loss=0.01, deadman_s=deadman_s)
 
 
-WIDTH, HEIGHT, LEFT, BOTTOM, RIGHT, TOP = 640, 360, 60, 50, 20, 30
-X_MAX_MS, Y_MAX_MPS = 400, 2.5
-COLOURS: Final = ("#1668b2", "#c0392b")
-
-
-def _x(one_way_ms: float) -> float:
-    return LEFT + one_way_ms / X_MAX_MS * (WIDTH - LEFT - RIGHT)
-
-
-def _y(speed_mps: float) -> float:
-    return HEIGHT - BOTTOM - speed_mps / Y_MAX_MPS * (HEIGHT - BOTTOM - TOP)
-
-
 def svg(measured: list[Point]) -> str:
     """The plot."""
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-size="12">',
-        "<style>text { font-family: sans-serif }</style>",
-        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>',
-    ]
-    for speed_mps in (0.0, 0.5, 1.0, 1.5, 2.0, 2.5):
-        y = _y(speed_mps)
-        parts.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" stroke="#ddd"/>')
-        parts.append(f'<text x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{speed_mps:g}</text>')
-    for one_way_ms in range(0, X_MAX_MS + 1, 50):
-        place = f'x="{_x(one_way_ms):.1f}" y="{HEIGHT - BOTTOM + 18}"'
-        parts.append(f'<text {place} text-anchor="middle">{one_way_ms}</text>')
-    middle = (LEFT + WIDTH - RIGHT) / 2
-    parts.append(f'<text x="{middle}" y="{HEIGHT - 10}" text-anchor="middle">latency one way, ms</text>')
-    parts.append(f'<text x="{LEFT - 45}" y="{TOP - 12}">speed, m/s, at {TOP_MPS:g} m/s asked</text>')
-    for number, (deadman_s, colour) in enumerate(zip(DEADMANS_S, COLOURS, strict=True)):
-        line = [one for one in measured if one.deadman_s == deadman_s]
-        places = [(_x(one.one_way_ms), _y(one.made.reached_mps), one.made.moving >= STEADY) for one in line]
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y, _ in places)
-        parts.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"/>')
-        parts += [
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" stroke="{colour}" stroke-width="2" '
-            f'fill="{colour if is_steady else "white"}"/>'
-            for x, y, is_steady in places
-        ]
-        parts.append(
-            f'<text x="{WIDTH - RIGHT}" y="{TOP + 18 * number}" text-anchor="end" fill="{colour}">'
-            f"deadman {deadman_s:g} s</text>"
+    lines = [
+        Line(
+            f"deadman {deadman_s:g} s",
+            [
+                (one.one_way_ms, one.made.reached_mps, one.made.moving < STEADY)
+                for one in measured
+                if one.deadman_s == deadman_s
+            ],
         )
+        for deadman_s in DEADMANS_S
+    ]
     note = f"hollow: at speed for less than {STEADY:.0%} of the time"
-    parts.append(
-        f'<text x="{WIDTH - RIGHT}" y="{TOP + 18 * len(DEADMANS_S)}" text-anchor="end" fill="#555">{note}</text>'
-    )
-    return "\n".join([*parts, "</svg>", ""])
+    y_title = f"speed, m/s, at {TOP_MPS:g} m/s asked"
+    return draw(Chart("latency one way, ms", y_title, range(0, 401, 50), (0, 0.5, 1, 1.5, 2, 2.5), lines, note))
 
 
 def markdown(measured: list[Point]) -> str:

@@ -4,7 +4,7 @@ What one robot says in eight seconds is made once, by the gateway's core. Each r
 place on, with times and sequences of its own, so that no two say the same and a loss can be seen. Nothing is
 dropped on this side: a put waits for room, and whoever measures is told whether the pace was held.
 
-Usage: python -m tests.bench.recorder_load ENDPOINT --robots N --ticks N [--paced]
+Usage: python -m tests.bench.recorder_load ENDPOINT --robots N --ticks N [--paced] [--thin] [--client]
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import struct
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -42,6 +42,9 @@ BUS: Final = "can0"
 TICKS_PER_S: Final = 1_000_000_000 // TICK_NS
 SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S
 """Ticks until a robot repeats itself."""
+
+THIN: Final = frozenset({"state", "safety/state", "gateway/health"})
+"""What an overview of a fleet needs: 41 samples a second."""
 
 STAGGER: Final = 10
 """Robots tick at so many different instants of a tick: they know nothing of each other."""
@@ -105,9 +108,9 @@ class Fed(msgspec.Struct, frozen=True):
     late_s: float
 
 
-def make_script() -> Script:
-    """Have the gateway's core say what it says of a chassis that somebody drives by hand."""
-    subjects = [name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED]
+def make_script(wanted: Collection[str] = BY_NAME) -> Script:
+    """Have the gateway's core say what it says of a chassis that somebody drives by hand, of these subjects."""
+    subjects = [name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED and name in wanted]
     core = Core(Settings(chassis=ChassisSettings(variant="coarse")), "bench", 0)
     core.update_links(Links(bus_up=True), 0)
     frames = deque(_frames())
@@ -120,7 +123,7 @@ def make_script() -> Script:
                 samples.append(sample)
         samples += core.tick(now_ns, WALL_NS + now_ns, 0, now_ns.to_bytes(8)).samples
         samples += core.sent(0, now_ns, WALL_NS + now_ns)
-        slots.append([_said(sample, subjects.index(sample.subject)) for sample in samples])
+        slots.append([_said(one, subjects.index(one.subject)) for one in samples if one.subject in subjects])
     return Script(subjects, slots)
 
 
@@ -166,20 +169,39 @@ def _said(sample: Sample, subject: int) -> Said:
     return Said(subject, records, payload[:head], payload[tail:])
 
 
-def feed(session: zenoh.Session, script: Script, robots: int, ticks: int, *, is_paced: bool) -> Fed:
-    """Have the robots say what they say in so many ticks: at their pace, or as fast as it is taken.
+def declare(sessions: Sequence[zenoh.Session], script: Script, robots: int) -> list[list[zenoh.Publisher]]:
+    """Let the robots appear, and wait until somebody subscribes to each of them.
+
+    Args:
+        sessions: the robots' own, or one for all of them.
+        script: what they will say.
+        robots: how many.
+
+    Returns:
+        Each robot's publishers, in the order of the script's subjects.
 
     Raises:
         TimeoutError: nobody subscribes.
     """
-    publishers = [[_publisher(session, robot, name) for name in script.subjects] for robot in range(robots)]
+    of_robots = [sessions[robot % len(sessions)] for robot in range(robots)]
+    for robot, session in enumerate(of_robots):
+        session.liveliness().declare_token(keys.liveliness(ROOT, _name(robot)))
+    publishers = [
+        [_publisher(session, robot, name) for name in script.subjects] for robot, session in enumerate(of_robots)
+    ]
     deadline_s = time.monotonic() + CONNECT_S
     # Its stub says that the matching status is a bool; it is an object, and always true.
-    last: Any = publishers[-1][-1]
-    while not last.matching_status.matching:
+    last: list[Any] = [row[-1] for row in publishers]
+    while not all(one.matching_status.matching for one in last):
         if time.monotonic() > deadline_s:
             raise TimeoutError("nobody subscribes")
         time.sleep(0.01)
+    return publishers
+
+
+def feed(publishers: Sequence[Sequence[zenoh.Publisher]], script: Script, ticks: int, *, is_paced: bool) -> Fed:
+    """Have the robots say what they say in so many ticks: at their pace, or as fast as it is taken."""
+    robots = len(publishers)
     begin_ns = time.time_ns()
     begin_s = time.monotonic()
     states = [([one.put for one in row], [0] * len(row)) for row in publishers]
@@ -208,10 +230,14 @@ def feed(session: zenoh.Session, script: Script, robots: int, ticks: int, *, is_
     return Fed(samples, records, begin_ns, time.time_ns(), late_s)
 
 
+def _name(robot: int) -> str:
+    return f"cruiser-{robot + 1}"
+
+
 def _publisher(session: zenoh.Session, robot: int, name: str) -> zenoh.Publisher:
     subject = BY_NAME[name]
     return session.declare_publisher(
-        keys.build(ROOT, f"cruiser-{robot + 1}", subject, BUS if "{bus}" in name else ""),
+        keys.build(ROOT, _name(robot), subject, BUS if "{bus}" in name else ""),
         encoding=subject.encoding,
         priority=getattr(zenoh.Priority, subject.qos.priority.value),
         express=subject.qos.express,
@@ -221,23 +247,35 @@ def _publisher(session: zenoh.Session, robot: int, name: str) -> zenoh.Publisher
 
 
 def main() -> None:
-    """Publish once a line has come on the standard input; print what was; leave when the input ends."""
+    """At a line of the input let the robots appear, at the next one publish; leave when the input ends."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("endpoint")
     parser.add_argument("--robots", type=int, required=True)
     parser.add_argument("--ticks", type=int, required=True)
     parser.add_argument("--paced", action="store_true")
+    parser.add_argument("--thin", action="store_true", help="state, safety/state and health alone")
+    parser.add_argument(
+        "--client", action="store_true", help="the endpoint is a router's; each robot is a client of its own"
+    )
     arguments = parser.parse_args()
-    script = make_script()
-    session = open_session(ZenohSettings(), [], [arguments.endpoint])
+    script = make_script(THIN if arguments.thin else BY_NAME)
+    if arguments.client:
+        client = ZenohSettings(mode="client")
+        sessions = [open_session(client, [arguments.endpoint], []) for _ in range(arguments.robots)]
+    else:
+        sessions = [open_session(ZenohSettings(), [], [arguments.endpoint])]
     try:
         print("listening", flush=True)
         sys.stdin.readline()
-        fed = feed(session, script, arguments.robots, arguments.ticks, is_paced=arguments.paced)
+        publishers = declare(sessions, script, arguments.robots)
+        print("declared", flush=True)
+        sys.stdin.readline()
+        fed = feed(publishers, script, arguments.ticks, is_paced=arguments.paced)
         print(msgspec.json.encode(fed).decode(), flush=True)
         sys.stdin.read()
     finally:
-        close_session(session)
+        for session in sessions:
+            close_session(session)
 
 
 if __name__ == "__main__":

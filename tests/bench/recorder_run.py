@@ -114,21 +114,19 @@ def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
     queue = {} if is_paced else {"CRUISER_RECORDER_QUEUE_BYTES": str(QUEUE_BYTES)}
     with TemporaryDirectory() as name:
         folder = Path(name)
-        with _started([*load, "--paced"] if is_paced else load, ticks / 100) as publisher:
-            assert publisher.stdin is not None
-            _answer(publisher)
+        with started([sys.executable, *load, *["--paced"] * is_paced], ticks / 100) as publisher:
+            answer(publisher)
             if receiver == OURS:
                 words = ["-m", "gateway", "record", "-o", name, "--connect", endpoint, "--json"]
             else:
                 log = str(folder / "log.mcap")
                 words = ["-m", "tests.bench.recorder_peers", receiver, endpoint, log, str(QUEUE_SAMPLES)]
-            with _started(words, ticks / 100, **queue) as process:
-                said = _await_ready(process)
-                begin_s = _cpu_s(process.pid)
+            with started([sys.executable, *words], ticks / 100, **queue) as process:
+                said = await_ready(process)
+                go_on(publisher)
+                begin_s = cpu_s(process.pid)
                 with _Watch(process.pid) as watch:
-                    publisher.stdin.write("go\n")
-                    publisher.stdin.flush()
-                    fed = msgspec.json.decode(_answer(publisher), type=Fed)
+                    fed = msgspec.json.decode(go_on(publisher), type=Fed)
                     written_bytes = _log_bytes(folder)
                     watch.await_idle()
                 assert process.poll() is None, "".join(said)
@@ -171,10 +169,10 @@ def _records(path: Path) -> int:
 
 
 @contextmanager
-def _started(words: list[str], load_s: float, **environment: str) -> Iterator[subprocess.Popen[str]]:
+def started(words: list[str], load_s: float, **environment: str) -> Iterator[subprocess.Popen[str]]:
     """A process of ours, which is ended after a while whatever happens."""
     process = subprocess.Popen(
-        [sys.executable, *words],
+        words,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -194,7 +192,7 @@ def _started(words: list[str], load_s: float, **environment: str) -> Iterator[su
         killer.cancel()
 
 
-def _answer(process: subprocess.Popen[str]) -> str:
+def answer(process: subprocess.Popen[str]) -> str:
     """Its next line."""
     assert process.stdout is not None
     assert process.stderr is not None
@@ -203,7 +201,15 @@ def _answer(process: subprocess.Popen[str]) -> str:
     return line
 
 
-def _await_ready(process: subprocess.Popen[str]) -> list[str]:
+def go_on(process: subprocess.Popen[str]) -> str:
+    """Have it take its next step; what it says when that is done."""
+    assert process.stdin is not None
+    process.stdin.write("go\n")
+    process.stdin.flush()
+    return answer(process)
+
+
+def await_ready(process: subprocess.Popen[str]) -> list[str]:
     """Until it receives. Returns what it says, then and later."""
     assert process.stderr is not None
     said = []
@@ -221,9 +227,15 @@ def _listen(stream: IO[str], said: list[str]) -> None:
         said.extend(stream)
 
 
-def _cpu_s(pid: int) -> float:
+def cpu_s(pid: int) -> float:
+    """Return the processor time of a process since its start."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS
+
+
+def rss_bytes(pid: int) -> int:
+    """Return the memory of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 class _Watch:
@@ -234,8 +246,8 @@ class _Watch:
         """When it was last at work, since 1970."""
         self.rss_bytes: list[int] = []
         """Each second."""
+        self._pid = pid
         self._proc = Path(f"/proc/{pid}")
-        self._page = os.sysconf("SC_PAGE_SIZE")
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
@@ -269,8 +281,7 @@ class _Watch:
                 self.busy_ns = last_ns
             if last_ns - second_ns >= 1_000_000_000:
                 second_ns += 1_000_000_000
-                statm = (self._proc / "statm").read_text(encoding="utf-8")
-                self.rss_bytes.append(int(statm.split()[1]) * self._page)
+                self.rss_bytes.append(rss_bytes(self._pid))
 
     def _ran_ns(self) -> int:
         """Processor time of all its threads: that of ``stat`` is too coarse for so short a while."""

@@ -67,7 +67,7 @@ def test_who_may_subscribe_to_what(key: str) -> None:
 
 
 def test_whose_token_says_that_somebody_is_there() -> None:
-    """A gateway's and a recorder's; people look for them, and find them. Shards are the recorders' own business."""
+    """A gateway's and a recorder's; people look for them, and find them. Recorders alone see shards."""
     assert senders("ingress", "liveliness_token", TOKENS) == TOKENS
     for key, said_by in TOKENS.items():
         for message, flow in (("liveliness_query", "ingress"), ("liveliness_token", "egress")):

@@ -1,0 +1,325 @@
+"""A fleet through routers into sharded recorders: what each process takes, and whether anything is lost.
+
+The robots' payloads and rates are a real gateway's (``recorder_load``); one process has them all, each with a
+session of its own. They are clients of one router, the recorders of the same, or of another that is linked with
+it. ``ZENOHD`` names Zenoh's own router, as ``make zenohd`` builds it; without it ours runs, which is the same code
+behind Python. Bytes on the links are read with ``ss`` (iproute2), where there is one.
+
+Usage: python -m tests.bench.fleet [--robots N...] [--routers N] [--shards N] [--seconds N] [--thin]
+       python -m tests.bench.fleet --growth docs/fleet_growth.svg [--seconds N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from statistics import linear_regression
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import msgspec
+
+from schemas.exit_codes import ExitCode
+from tests.bench.loads import Row, print_table
+from tests.bench.origin import heading
+from tests.bench.plot import Chart, Line, draw
+from tests.bench.recorder_load import Fed
+from tests.bench.recorder_run import answer, await_ready, cpu_s, go_on, rss_bytes, started
+from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.listening import listening
+from tests.support.waiting import wait_until
+
+ZENOHD: Final = os.environ.get("ZENOHD", "")
+
+SHARDS: Final = 2
+SETTLE_S: Final = 1.5
+"""What is on its way when the load ends has come then, and is on the disk."""
+
+GROWTH: Final = {False: (10, 20, 40, 66), True: (50, 100, 150, 200)}
+"""Numbers of full and of thin robots, as many as two cores hold at the load's own cost."""
+
+
+class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
+    """What one run showed.
+
+    Attributes:
+        robots: how many spoke; ``is_thin``: what an overview needs of each alone.
+        samples: that they said; ``recorded`` of them are in logs.
+        seconds: that it took, ``late_s`` more than the robots' pace is.
+        dropped: samples that recorders dropped; ``missed`` those that never reached them, by their sequences.
+        cpu_s: processor time during the load: the robots' process, the routers, the recorders.
+        rss_bytes: of the routers and of the recorders.
+        sent_bytes: by the robots, and by the routers, TCP's payload; 0 where there is no ``ss``.
+    """
+
+    robots: int
+    is_thin: bool
+    samples: int
+    recorded: int
+    seconds: float
+    late_s: float
+    dropped: int
+    missed: int
+    cpu_s: dict[str, list[float]]
+    rss_bytes: dict[str, list[float]]
+    sent_bytes: dict[str, list[float]]
+
+    @property
+    def name(self) -> str:
+        """For the table."""
+        routers, shards = len(self.cpu_s["routers"]), len(self.cpu_s["recorders"])
+        kind = "thin" if self.is_thin else "full"
+        return f"{self.robots} {kind} robots, {routers} router{'s' * (routers > 1)}, {shards} shards"
+
+    def cores(self, who: str) -> float:
+        """The cores that all processes of a kind took."""
+        return sum(self.cpu_s[who]) / self.seconds
+
+    def shares(self, who: str) -> str:
+        """The part of a core that each process of a kind took."""
+        return ", ".join(f"{one / self.seconds * 100:.0f} %" for one in self.cpu_s[who])
+
+    def cost_us(self, who: str) -> float:
+        """Processor time for a sample, of all processes of a kind."""
+        return sum(self.cpu_s[who]) * 1e6 / self.samples
+
+
+def measure(robots: int, routers: int, shards: int, seconds: float, *, is_thin: bool) -> FleetRun:
+    """Run a fleet once."""
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        folder, ends = Path(name), [free_endpoint() for _ in range(routers)]
+        kinds = {
+            "routers": [
+                stack.enter_context(_router(folder / f"{number}.json5", end, ends[:number], seconds))
+                for number, end in enumerate(ends)
+            ],
+            "recorders": [
+                stack.enter_context(_recorder(folder / str(shard), ends[-1], f"{shard}/{shards}", seconds))
+                for shard in range(1, shards + 1)
+            ],
+        }
+        words = ["--robots", str(robots), "--ticks", str(round(seconds * 100)), "--paced", "--client"]
+        load_words = ["-m", "tests.bench.recorder_load", ends[0], *words, *["--thin"] * is_thin]
+        load = stack.enter_context(started([sys.executable, *load_words], seconds))
+        kinds["robots"] = [load]
+        answer(load)
+        go_on(load)
+        begun, sent = _each(kinds, cpu_s), _each(kinds, _sent_bytes)
+        fed = msgspec.json.decode(go_on(load), type=Fed)
+        time.sleep(SETTLE_S)
+        used, memory, sent_since = _each(kinds, cpu_s), _each(kinds, rss_bytes), _each(kinds, _sent_bytes)
+        accounts = [_end(one) for one in kinds["recorders"]]
+    return FleetRun(
+        robots=robots,
+        is_thin=is_thin,
+        samples=fed.samples,
+        recorded=sum(key["received"] for account in accounts for key in account["keys"].values()),
+        seconds=(fed.end_ns - fed.begin_ns) / 1e9,
+        late_s=fed.late_s,
+        dropped=sum(account["lost_queue"] + account["lost_disk"] for account in accounts),
+        missed=sum(account["lost_link"] for account in accounts),
+        cpu_s=_since(begun, used),
+        rss_bytes=memory,
+        sent_bytes=_since(sent, sent_since),
+    )
+
+
+def _each(kinds: dict[str, list[subprocess.Popen[str]]], figure: Callable[[int], float]) -> dict[str, list[float]]:
+    return {kind: [figure(one.pid) for one in ones] for kind, ones in kinds.items()}
+
+
+def _since(begun: dict[str, list[float]], ended: dict[str, list[float]]) -> dict[str, list[float]]:
+    return {
+        kind: [end - begin for begin, end in zip(begun[kind], ends, strict=True)] for kind, ends in ended.items()
+    }
+
+
+def _sent_bytes(pid: int) -> int:
+    """What the TCP connections of a process sent, acknowledged or not; 0 where there is no ``ss``."""
+    program = shutil.which("ss")
+    if program is None:
+        return 0
+    listed = subprocess.run([program, "-tinpHO"], capture_output=True, text=True, check=True).stdout
+    return sum(
+        int(found[1])
+        for line in listed.splitlines()
+        if f"pid={pid}," in line and (found := re.search(r"bytes_sent:(\d+)", line))
+    )
+
+
+def rows(robots: Iterable[int], routers: int, shards: int, seconds: float, *, is_thin: bool) -> list[Row]:
+    """The figures of some sizes of the fleet."""
+    runs = (measure(number, routers, shards, seconds, is_thin=is_thin) for number in robots)
+    return [row for run in runs for row in rows_of(run)]
+
+
+def rows_of(run: FleetRun) -> list[Row]:
+    """The figures of one run."""
+    memory = {kind: ", ".join(f"{size / 1e6:.0f}" for size in sizes) for kind, sizes in run.rss_bytes.items()}
+    sent = [sum(run.sent_bytes["robots"]), *run.sent_bytes["routers"]]
+    return [
+        (f"{run.name}: samples/s", f"{run.samples / run.seconds:.0f}", ""),
+        ("  behind the robots' pace", f"{run.late_s:.1f} s of {run.seconds:.1f}", ""),
+        ("  samples in logs", f"{run.recorded} of {run.samples}", "all"),
+        ("  dropped, missed", f"{run.dropped}, {run.missed}", "0, 0"),
+        ("  CPU of each router", f"{run.shares('routers')}, {run.cost_us('routers'):.1f} us a sample", ""),
+        ("  CPU of each recorder", f"{run.shares('recorders')}, {run.cost_us('recorders'):.1f} us a sample", ""),
+        ("  memory of routers; recorders", f"{memory['routers']}; {memory['recorders']} MB", ""),
+        (
+            "  sent for each robot: by it, by each router",
+            ", ".join(f"{one / run.seconds / run.robots / 1e3:.1f}" for one in sent) + " kB/s",
+            "",
+        ),
+    ]
+
+
+def growth(seconds: float) -> list[FleetRun]:
+    """Full and thin robots, more and more of them, through one router and through two."""
+    return [
+        measure(robots, routers, SHARDS, seconds, is_thin=is_thin)
+        for is_thin, numbers in GROWTH.items()
+        for routers in (1, 2)
+        for robots in numbers
+    ]
+
+
+CORES: Final = {"one router": ("routers", 1), "two routers": ("routers", 2), "recorders": ("recorders", 1)}
+"""What takes processor time: of which processes, with how many routers."""
+
+
+def _of(runs: Iterable[FleetRun], routers: int, *, is_thin: bool) -> list[FleetRun]:
+    return [run for run in runs if run.is_thin == is_thin and len(run.cpu_s["routers"]) == routers]
+
+
+def formulas(runs: list[FleetRun]) -> list[Row]:
+    """Straight lines through the figures, by least squares: what there is without robots, and for each robot."""
+    found: list[Row] = []
+    for is_thin in GROWTH:
+        kind = "thin" if is_thin else "full"
+        for name, (who, routers) in CORES.items():
+            ones = _of(runs, routers, is_thin=is_thin)
+            line = linear_regression([run.robots for run in ones], [run.cores(who) for run in ones])
+            text = f"{line.intercept * 100:.1f} + {line.slope * 100:.2f} N % of a core"
+            found.append((f"N {kind} robots: {name}", text, ""))
+        for who in ("routers", "recorders"):
+            ones = _of(runs, 1, is_thin=is_thin)
+            line = linear_regression([run.robots for run in ones], [sum(run.rss_bytes[who]) / 1e6 for run in ones])
+            found.append(
+                (f"N {kind} robots: memory of {who}", f"{line.intercept:.0f} + {line.slope:.2f} N MB", "")
+            )
+    return found
+
+
+def picture(runs: list[FleetRun]) -> str:
+    """What grows with the robots."""
+    names = {False: "full", True: "thin"}
+    charts = [
+        Chart(
+            f"{names[is_thin]} robots",
+            "processor time, % of a core",
+            x_ticks,
+            range(0, 121, 20),
+            [
+                Line(
+                    name,
+                    [(run.robots, run.cores(who) * 100, False) for run in _of(runs, routers, is_thin=is_thin)],
+                )
+                for name, (who, routers) in CORES.items()
+            ],
+            legend_x=0.25,
+        )
+        for is_thin, x_ticks in ((False, range(0, 71, 10)), (True, range(0, 201, 50)))
+    ]
+    memory = [
+        Line(
+            f"{who}, {names[is_thin]}",
+            [(run.robots, sum(run.rss_bytes[who]) / 1e6, False) for run in _of(runs, 1, is_thin=is_thin)],
+        )
+        for who in ("routers", "recorders")
+        for is_thin in GROWTH
+    ]
+    sent = [
+        Line(
+            names[is_thin],
+            [
+                (run.robots, sum(run.sent_bytes["robots"]) / run.seconds / 1e6, False)
+                for run in _of(runs, 1, is_thin=is_thin)
+            ],
+        )
+        for is_thin in GROWTH
+    ]
+    robots = range(0, 201, 50)
+    charts.append(Chart("robots", "memory of one router, of two shards, MB", robots, range(0, 501, 100), memory))
+    charts.append(Chart("robots", "sent by all robots, MB/s", robots, range(0, 13, 2), sent, legend_x=0.15))
+    return draw(*charts)
+
+
+@contextmanager
+def _router(file: Path, endpoint: str, connect: list[str], load_s: float) -> Iterator[subprocess.Popen[str]]:
+    configuration = {
+        "mode": "router",
+        "listen": {"endpoints": [endpoint]},
+        "connect": {"endpoints": connect},
+        "scouting": {"multicast": {"enabled": False}},
+        "transport": {"unicast": {"max_sessions": 20_000, "accept_pending": 1_000}},
+    }
+    file.write_text(json.dumps(configuration), "utf-8")
+    words = [ZENOHD, "-c"] if ZENOHD else [sys.executable, "-m", "gateway", "router", "--zenoh-config"]
+    with started([*words, str(file)], load_s) as process:
+        wait_until(lambda: process.poll() is not None or endpoint.partition("/")[2] in listening(process.pid))
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+@contextmanager
+def _recorder(directory: Path, endpoint: str, shard: str, load_s: float) -> Iterator[subprocess.Popen[str]]:
+    words = ["-m", "gateway", "record", "--shard", shard, "-o", str(directory), "--connect", endpoint, "--json"]
+    with started([sys.executable, *words], load_s, CRUISER_ZENOH_MODE="client") as process:
+        await_ready(process)
+        yield process
+
+
+def _end(recorder: subprocess.Popen[str]) -> dict[str, Any]:
+    recorder.send_signal(signal.SIGTERM)
+    assert recorder.stdout is not None
+    account: dict[str, Any] = json.loads(recorder.stdout.read())
+    assert recorder.wait() in {ExitCode.OK, ExitCode.PARTIAL}
+    return account
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", type=int, nargs="+", default=[10, 20])
+    parser.add_argument("--routers", type=int, choices=(1, 2), default=2)
+    parser.add_argument("--shards", type=int, default=SHARDS)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--thin", action="store_true", help="state, safety/state and health of each alone")
+    parser.add_argument(
+        "--growth", type=Path, metavar="FILE", help="measure what grows with robots; draw it as SVG"
+    )
+    arguments = parser.parse_args()
+    print(heading([], arguments.seconds).replace("tests.bench", f"tests.bench.fleet {' '.join(sys.argv[1:])}", 1))
+    if arguments.growth is None:
+        numbers, routers, shards = arguments.robots, arguments.routers, arguments.shards
+        print_table(rows(numbers, routers, shards, arguments.seconds, is_thin=arguments.thin))
+        return
+    runs = growth(arguments.seconds)
+    print_table([row for run in runs for row in rows_of(run)] + formulas(runs))
+    arguments.growth.write_text(picture(runs), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
