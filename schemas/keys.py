@@ -153,9 +153,11 @@ def chunk_of(robots: str) -> str:
     return re.sub(r"\*+", "$*", robots) if robots.strip("*") else ALL
 
 
-def in_order(name: str) -> list[str | int]:
+def in_order(name: str) -> list[str | tuple[int, str]]:
     """Key for sorting names as people do: ``cruiser-2`` before ``cruiser-10``."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"([0-9]+)", name)]
+    parts = re.split(r"0*([0-9]+)", name)
+    # A number of any length: the longer one is the larger one.
+    return [(len(part), part) if place % 2 else part for place, part in enumerate(parts)]
 
 
 def liveliness(root: str, robot: str = "*") -> str:

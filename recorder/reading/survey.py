@@ -17,6 +17,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import LogReader, Selection, no_topic
 from recorder.reading.topics import Declared, Topic
+from schemas import keys
 
 
 class Survey(msgspec.Struct):
@@ -35,7 +36,7 @@ class Survey(msgspec.Struct):
     @property
     def robots(self) -> list[str]:
         """The robots whose topics are there."""
-        return sorted({topic.robot for topic in self.topics.values() if topic.robot})
+        return sorted({topic.robot for topic in self.topics.values() if topic.robot}, key=keys.in_order)
 
 
 def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:

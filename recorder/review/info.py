@@ -202,7 +202,7 @@ def total(infos: Sequence[LogInfo | LogBrief]) -> SetInfo:
         start_ns=start_ns,
         end_ns=end_ns,
         duration_s=_seconds(start_ns, end_ns),
-        robots=sorted({robot for info in infos for robot in info.robots}),
+        robots=sorted({robot for info in infos for robot in info.robots}, key=keys.in_order),
     )
 
 
@@ -278,7 +278,7 @@ def _incidents(contents: Contents) -> list[dict[str, str]]:
 def _robots(channels: Iterable[ChannelInfo]) -> list[str]:
     """The robots whose keys these are."""
     parts = [keys.parse(channel.topic) for channel in channels if channel.messages]
-    return sorted({one.robot for one in parts if one is not None and one.robot})
+    return sorted({one.robot for one in parts if one is not None and one.robot}, key=keys.in_order)
 
 
 def _seconds(start_ns: int | None, end_ns: int | None) -> float:

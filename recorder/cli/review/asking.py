@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,7 @@ from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.keys import in_order
 from schemas.printable import plain
 from schemas.settings import Settings
 
@@ -28,6 +30,9 @@ JSON_HELP: Final = "print JSON"
 
 _EXTRA: Final = {"daft", "duckdb", "numpy", "ptars", "pyarrow", "ray"}
 """Libraries that the extra 'review' brings."""
+
+NAMES_SHOWN: Final = 12
+"""So many robots are named where there are more."""
 
 BUDGET_S: Final = 30.0
 """Time after which any reading is given up."""
@@ -96,6 +101,36 @@ def local_path(text: str) -> Path:
             "find, info, events and why read object stores; for this, copy the logs here"
         )
     return Path(text)
+
+
+def add_robots(parser: argparse.ArgumentParser) -> None:
+    """--robot."""
+    parser.add_argument(
+        "--robot",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="of this robot; * stands for any letters; several times",
+    )
+
+
+def chosen_robots(patterns: Sequence[str], robots: Collection[str]) -> frozenset[str]:
+    """The robots that fit one of the patterns. An empty answer would look as if nothing had happened.
+
+    Raises:
+        CommandError: no robot fits one of them.
+    """
+    for pattern in patterns:
+        if not any(fnmatchcase(robot, pattern) for robot in robots):
+            others = f", but of {in_short(sorted(robots, key=in_order))}" if robots else ""
+            raise CommandError(f"the logs hold nothing of {plain(pattern)}{others}", ExitCode.USAGE)
+    return frozenset(robot for robot in robots if any(fnmatchcase(robot, pattern) for pattern in patterns))
+
+
+def in_short(names: Sequence[str]) -> str:
+    """Names for people: of many the first ones, and how many more there are."""
+    more = len(names) - NAMES_SHOWN
+    return ", ".join(map(plain, names[:NAMES_SHOWN])) + (f" and {more} more" if more > 0 else "")
 
 
 def add_period(parser: argparse.ArgumentParser) -> None:

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.review.asking import (
+    Asked,
+    add_logs,
+    add_period,
+    add_robots,
+    chosen_robots,
+    end_with,
+    find,
+    progress_bar,
+)
 from recorder.reading.faults import Faults
 from recorder.reading.survey import survey
 from recorder.reading.times import in_words
 from recorder.review.rerun.reconstruction import filled
 from recorder.review.timeline.entries import Entry, EntryKind
 from recorder.review.timeline.timeline import read_events
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\
   cruiser review events logs
-  cruiser review events logs --from 20 --to 40 --kind stop --kind refusal
+  cruiser review events logs --from 20 --to 40 --kind stop --kind refusal --robot 'depot-*'
   cruiser review events logs --json | jq -r 'select(.severity == "error").text'"""
 DESCRIPTION: Final = (
     "What happened, in order: leases, engages, stops, latches, faults, takeovers, refusals, and what the log "
@@ -37,9 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print a JSON object a line", is_stored=True)
     add_period(parser)
-    parser.add_argument(
-        "--robot", action="append", default=[], metavar="NAME", help="of this robot; several times"
-    )
+    add_robots(parser)
     parser.add_argument(
         "--kind",
         action="append",
@@ -53,28 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Print the timeline as it is read."""
     asked = find(arguments, settings=settings)
-    _check_robots(arguments.robot, asked)
-    robots, kinds = frozenset(arguments.robot), frozenset(map(EntryKind, arguments.kind))
+    robots = survey(asked.logs, Faults()).robots if arguments.robot else []
+    wanted, kinds = chosen_robots(arguments.robot, robots), frozenset(map(EntryKind, arguments.kind))
     show = _as_json if arguments.json else _as_table
     with progress_bar("events", asked.bytes, stopped, prints=True) as progress:
         logs = filled(asked.logs, asked.faults, progress, from_ns=asked.from_ns, to_ns=asked.to_ns)
-        entries = read_events(logs, asked.selection, asked.faults, progress, robots=robots, kinds=kinds)
+        entries = read_events(logs, asked.selection, asked.faults, progress, robots=wanted, kinds=kinds)
         for line in show(_until(entries, stopped), asked):
             sys.stdout.write(f"{line}\n")
     return end_with(asked.faults)
-
-
-def _check_robots(names: Sequence[str], asked: Asked) -> None:
-    """An empty table would look as if nothing had happened.
-
-    Raises:
-        CommandError: the logs hold nothing of one of these robots.
-    """
-    robots = survey(asked.logs, Faults()).robots if names else []
-    for name in names:
-        if name not in robots:
-            others = f", but of {', '.join(map(plain, robots))}" if robots else ""
-            raise CommandError(f"the log holds nothing of {plain(name)}{others}", ExitCode.USAGE)
 
 
 def _until(entries: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[Entry]:

@@ -6,7 +6,16 @@ import argparse
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.cli.review.asking import (
+    add_logs,
+    add_robots,
+    chosen_robots,
+    end_with,
+    find,
+    in_short,
+    progress_bar,
+    table,
+)
 from recorder.cli.show import show
 from recorder.objects.address import StoreAddress
 from recorder.reading.times import in_words
@@ -40,13 +49,14 @@ _LOSSES: Final = ("lost_source", "lost_link", "lost_queue", "lost_size", "lost_f
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help=JSON_HELP, is_stored=True)
+    add_robots(parser)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Show all logs; of a broken file the part that can be read."""
     asked = find(arguments, settings=settings)
     infos: list[LogInfo | LogBrief] = []
-    is_fine = True
+    unfinished: set[str] = set()
     with progress_bar("looking", asked.bytes, stopped, prints=True) as progress:
         for log in asked.logs:
             if stopped():
@@ -56,7 +66,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             )
             if not is_named and log.path in asked.known:
                 infos.append(asked.known[log.path].brief)
-                is_fine &= infos[-1].whole
                 continue
             try:
                 info = (
@@ -66,13 +75,18 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
                 asked.faults.add(str(error))
                 continue
             infos.append(info if is_named else brief(info))
-            is_fine &= info.whole or (info.is_being_written and not info.faults)
+            if info.is_being_written and not info.faults:
+                unfinished.add(info.path)
+    if arguments.robot:
+        wanted = chosen_robots(arguments.robot, {robot for info in infos for robot in info.robots})
+        infos = [info for info in infos if wanted.intersection(info.robots)]
     answers: list[LogInfo | LogBrief | SetInfo] = [*infos]
     if len(infos) > 1:
         answers.append(total(infos))
     for answer in answers:
         show(answer, describe(answer), as_json=arguments.json)
     code = end_with(asked.faults)
+    is_fine = all(info.whole or info.path in unfinished for info in infos)
     return code if is_fine else int(ExitCode.PARTIAL)
 
 
@@ -88,7 +102,7 @@ def _in_short(info: LogBrief) -> Iterator[str]:
     if info.start_ns is not None:
         period = f"from {in_words(info.start_ns)}, {info.duration_s:.0f} s"
     lost = "losses not told" if info.lost is None else f"{info.lost} lost"
-    robots = f"robot {', '.join(info.robots)}" if info.robots else "no robot"
+    robots = f"robot {in_short(info.robots)}" if info.robots else "no robot"
     yield f"{info.path}: {_state(info)}, {robots}, {period}, {info.bytes} bytes, {info.messages} messages, {lost}"
 
 
@@ -100,7 +114,8 @@ def _of_all(info: SetInfo) -> Iterator[str]:
     yield f"{info.files} files, {info.whole} of them whole, {info.bytes} bytes, {info.messages} messages"
     if info.start_ns is not None and info.end_ns is not None:
         yield f"  {in_words(info.start_ns)} to {in_words(info.end_ns)}, {info.duration_s:.3f} s"
-    yield f"  robots {', '.join(info.robots) or 'none'}"
+    number = len(info.robots)
+    yield f"  {number} robot{'s' * (number > 1)}: {in_short(info.robots)}" if number else "  no robot"
 
 
 def _of_one(info: LogInfo) -> Iterator[str]:

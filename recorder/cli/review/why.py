@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.review.asking import Asked, add_logs, end_with, find, progress_bar
+from recorder.cli.review.asking import Asked, add_logs, end_with, find, in_short, progress_bar
 from recorder.cli.show import show
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import logs_of
@@ -65,7 +65,7 @@ def _robot(name: str | None, robots: list[str], faults: Faults) -> str:
     Raises:
         CommandError: there is none, or it is not clear which. What cannot be read of the logs is told before.
     """
-    shown = ", ".join(map(plain, robots))
+    shown = in_short(robots)
     if not robots:
         code = end_with(faults)
         raise CommandError("the log holds nothing of a robot", ExitCode(code or ExitCode.FAILURE))

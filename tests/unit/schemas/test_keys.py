@@ -168,3 +168,16 @@ def test_names_are_in_the_order_of_their_numbers(numbers: set[int]) -> None:
     """Whatever stands around them."""
     names = [f"plant-3-cruiser-{number}" for number in sorted(numbers)]
     assert sorted(sorted(names), key=keys.in_order) == names
+
+
+@given(st.sets(st.text(st.sampled_from("a-0123456789²٣"))))
+def test_any_names_can_be_put_in_order(names: set[str]) -> None:
+    """A log may call its robots whatever it likes."""
+    ordered = sorted(names, key=keys.in_order)
+    assert len(ordered) == len(names)
+
+
+def test_a_number_may_have_any_length() -> None:
+    """And zeros before it."""
+    longest = f"a-{'9' * 5000}"
+    assert sorted([longest, "a-8", "a-007"], key=keys.in_order) == ["a-007", "a-8", longest]

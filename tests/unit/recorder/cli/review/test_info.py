@@ -60,7 +60,7 @@ def test_a_directory_is_shown_with_a_total(whole: Path, capsys: pytest.CaptureFi
     out = capsys.readouterr().out
     assert "2 files, 2 of them whole" in out
     assert "22 messages" in out
-    assert "robots cruiser-1" in out
+    assert "1 robot: cruiser-1" in out
 
 
 def test_a_directory_is_a_line_for_each_log(whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -70,6 +70,27 @@ def test_a_directory_is_a_line_for_each_log(whole: Path, cut: Path, capsys: pyte
     assert first.startswith(f"{whole}: whole, robot cruiser-1, from 2027-01-15 08:00:00.000 UTC, ")
     assert first.endswith(", 12 messages, 0 lost")
     assert second.startswith(f"{cut}: NOT WHOLE, robot cruiser-1, ")
+
+
+def test_a_directory_of_many_robots_is_told_of_some(
+    tmp_path: Path, cut: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By their names; the total is of these, and so is the exit code. Without names it shows the first of them."""
+    for number in range(1, 16):
+        log = Log()
+        log.receive(FakeSample(f"fleet/depot-{number}/state", "x", b""))
+        saved(tmp_path / f"{number}.mcap", log.close())
+    saved(tmp_path / cut.name, cut.read_bytes())
+    assert review("info", str(tmp_path), "--robot", "depot-1*", "--robot", "depot-2") == ExitCode.OK
+    *lines, total, _, robots = capsys.readouterr().out.splitlines()
+    assert len(lines) == 8
+    assert total.startswith("8 files, 8 of them whole")
+    assert robots == "  8 robots: depot-1, depot-2, depot-10, depot-11, depot-12, depot-13, depot-14, depot-15"
+    assert review("info", str(tmp_path)) == ExitCode.PARTIAL
+    assert capsys.readouterr().out.splitlines()[-1].endswith("depot-11 and 4 more")
+    with pytest.raises(CommandError, match="nothing of depot-3\\?, but of cruiser-1, depot-1, ") as refused:
+        review("info", str(tmp_path), "--robot", "depot-3?")
+    assert refused.value.code is ExitCode.USAGE
 
 
 def test_a_directory_is_told_alike_with_a_catalog_and_without_one(
