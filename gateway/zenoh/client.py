@@ -20,6 +20,7 @@ from zenoh import ext
 from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from schemas import keys
 from schemas.decisions import SafetyEvent
+from schemas.declared_keys import DeclaredKeys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.printable import plain
@@ -381,6 +382,7 @@ class RobotListener(SessionOwner):
             name: the robot, or several by ``*``; empty for all of them.
         """
         super().__init__(session)
+        self._declared = DeclaredKeys(session.declare_keyexpr)
         chunk = keys.chunk_of(name)
         # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
         self._samples: tuple[Any, ...] = tuple(
@@ -427,7 +429,10 @@ class RobotListener(SessionOwner):
                 break
             yield TokenChange(str(token.key_expr), present=token.kind == zenoh.SampleKind.PUT)
         for subscriber in self._samples:
-            yield from receive(subscriber.try_recv, SAMPLES_WAITING)
+            for arrival in receive(subscriber.try_recv, SAMPLES_WAITING):
+                if isinstance(arrival, Received):
+                    self._declared.meet(arrival.key)
+                yield arrival
 
 
 class FleetListener(RobotListener):

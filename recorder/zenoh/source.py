@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
 import msgspec
@@ -12,6 +11,7 @@ import zenoh
 
 from recorder.zenoh.session import open_session, said_of
 from schemas import keys
+from schemas.declared_keys import DeclaredKeys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.recorder_settings import OWNED_KEY_LIMIT
@@ -37,9 +37,6 @@ TOKENS_WAITING: Final = 10_000
 REPLIES_WAITING: Final = 4 * KEPT_PIECE
 """Replies to one query that may wait, of a piece and of others of the same name."""
 
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_MICROSECOND: Final = timedelta(microseconds=1)
-
 _Samples = zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
 _Replies = zenoh.handlers.Handler[zenoh.Reply]
 
@@ -64,7 +61,7 @@ class ZenohSample(msgspec.Struct, frozen=True, gc=False):
     def zenoh_time_ns(self) -> int:
         """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
         timestamp = self.received.timestamp
-        return 0 if timestamp is None else _nanoseconds(timestamp.get_time())
+        return 0 if timestamp is None else timestamp.get_time_as_ntp64().as_nanos()
 
     @property
     def source(self) -> tuple[str, int] | None:
@@ -102,6 +99,7 @@ class ZenohSource:
         self.listen = said_of(settings).listen
         """The endpoints that it listens on."""
         self._session = open_session(settings, self.listen)
+        self._declared = DeclaredKeys(self._session.declare_keyexpr)
         self._subscribers: dict[zenoh.KeyExpr, _Samples] = {}
         self._owners: dict[str, zenoh.KeyExpr] = {}
         self._tokens: Any = self._session.liveliness().declare_subscriber(
@@ -128,6 +126,7 @@ class ZenohSource:
         taken: list[ZenohSample] = []
         taken_bytes = 0
         self.is_behind = False
+        meet = self._declared.meet
         for expression, subscriber in self._subscribers.items():
             receive = subscriber.try_recv
             for _ in range(limit):
@@ -136,6 +135,7 @@ class ZenohSource:
                     break
                 if not self._overlap or self._owner(received.key_expr) == expression:
                     sample = _take(received)
+                    meet(sample.key)
                     taken.append(sample)
                     taken_bytes += len(sample.payload)
                     if taken_bytes > DRAIN_BYTES:
@@ -238,7 +238,3 @@ def distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
 def have_overlap(expressions: Sequence[zenoh.KeyExpr]) -> bool:
     """Return True if a key may match two of them."""
     return any(one.intersects(other) for index, one in enumerate(expressions) for other in expressions[:index])
-
-
-def _nanoseconds(time: datetime) -> int:
-    return (time - _EPOCH) // _MICROSECOND * 1000

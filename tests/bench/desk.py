@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from itertools import pairwise
-from pathlib import Path
 from random import Random
 from typing import Final
 
@@ -26,6 +25,7 @@ from tests.support.desk_client import DeskClient
 from tests.support.processes.desk import chromium, hold_pad, is_driven, take_control
 from tests.support.processes.gateway import Running
 from tests.support.processes.robots import name_of, robots
+from tests.support.processes.usage import cpu_s, rss_bytes
 
 PRESSES: Final = 50
 KILLS: Final = 5
@@ -119,15 +119,14 @@ def crowd(seconds: float = CROWD_S, count: int = ROBOTS, browsers: int = BROWSER
             reader.start()
         try:
             time.sleep(2.0)
-            begin_s, used_s = time.monotonic(), _cpu_s(desk.process.pid)
+            begin_s, used_s = time.monotonic(), cpu_s(desk.process.pid)
             time.sleep(seconds)
-            cpu = (_cpu_s(desk.process.pid) - used_s) / (time.monotonic() - begin_s)
+            cpu = (cpu_s(desk.process.pid) - used_s) / (time.monotonic() - begin_s)
         finally:
             ended.set()
             for reader in readers:
                 reader.join()
-        statm = Path(f"/proc/{desk.process.pid}/statm").read_text()
-        memory_mb = int(statm.split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        memory_mb = rss_bytes(desk.process.pid) / 1e6
         page = stack.enter_context(chromium()).new_page()
         network, sizes = page.context.new_cdp_session(page), []
         network.send("Network.enable")
@@ -222,11 +221,6 @@ def _read(address: str, robot: str, ended: threading.Event) -> None:
         while not ended.is_set():
             with suppress(TimeoutError):
                 client.receive(0.5)
-
-
-def _cpu_s(pid: int) -> float:
-    words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _ms(values: list[float]) -> str:

@@ -34,9 +34,10 @@ from tests.bench.loads import Row, print_table
 from tests.bench.origin import heading
 from tests.bench.plot import Chart, Line, draw
 from tests.bench.recorder_load import Fed
-from tests.bench.recorder_run import answer, await_ready, cpu_s, go_on, rss_bytes, started
+from tests.bench.recorder_run import answer, await_ready, go_on, started
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.listening import listening
+from tests.support.processes.usage import cpu_s, rss_bytes
 from tests.support.waiting import wait_until
 
 ZENOHD: Final = os.environ.get("ZENOHD", "")

@@ -26,6 +26,7 @@ from mcap.stream_reader import StreamReader
 from schemas.exit_codes import ExitCode
 from tests.bench.recorder_load import Fed
 from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.usage import cpu_s, rss_bytes
 
 OURS: Final = "recorder"
 """The receiver that is ``cruiser record``; the others are those of ``recorder_peers``."""
@@ -50,8 +51,6 @@ MARGIN_S: Final = 60.0
 
 DRAIN_MIN_S: Final = 0.3
 """Shorter, a drain tells nothing."""
-
-_CLOCK_TICKS: Final = os.sysconf("SC_CLK_TCK")
 
 
 class Run(msgspec.Struct, frozen=True):
@@ -225,17 +224,6 @@ def _listen(stream: IO[str], said: list[str]) -> None:
     # The stream is closed when the process has ended.
     with suppress(ValueError):
         said.extend(stream)
-
-
-def cpu_s(pid: int) -> float:
-    """Return the processor time of a process since its start."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS
-
-
-def rss_bytes(pid: int) -> int:
-    """Return the memory of a process."""
-    return int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 class _Watch:

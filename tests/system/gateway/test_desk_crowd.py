@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import threading
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from urllib.parse import urlparse
 
 import pytest
@@ -16,6 +14,7 @@ from tests.support.desk_client import TIMEOUT_S, DeskClient
 from tests.support.processes.desk import chromium
 from tests.support.processes.gateway import Running
 from tests.support.processes.robots import name_of, robots
+from tests.support.processes.usage import rss_bytes
 from tests.support.waiting import wait_until
 
 ROBOTS = 200
@@ -24,11 +23,6 @@ MEMORY_MAX_BYTES = 300 << 20
 """Of the desk's process with all of them. It is 120 MB, of which Python and Zenoh take half."""
 
 pytestmark = pytest.mark.timeout(400)
-
-
-def resident_bytes(pid: int) -> int:
-    """The memory of a process."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def a_browser_that_reads_nothing(address: str) -> socket.socket:
@@ -96,6 +90,6 @@ def test_two_hundred_robots_and_fifty_browsers_on_one_desk() -> None:
             ended.set()
             for reader in readers:
                 reader.join()
-        assert resident_bytes(desk.process.pid) < MEMORY_MAX_BYTES
+        assert rss_bytes(desk.process.pid) < MEMORY_MAX_BYTES
         assert desk.stop() == 0
         assert [line for line in desk.said if "Traceback" in line] == []

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 
 import pytest
 import zenoh
@@ -11,6 +12,7 @@ from recorder.encoding.received_sample import ReceivedSample
 from recorder.zenoh import source as zenoh_source
 from recorder.zenoh.source import ZenohSource
 from schemas import keys
+from schemas.declared_keys import DeclaredKeys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
@@ -160,6 +162,20 @@ def test_ever_new_keys_are_not_remembered_without_end(endpoint: str, monkeypatch
             assert str(origin._owner(zenoh.KeyExpr(f"fleet/a/{number}"))) == "fleet/a/*"
             assert str(origin._owner(zenoh.KeyExpr(f"fleet/{number}/x"))) == "fleet/*/x"
             assert 0 < len(origin._owners) <= 10
+
+
+def test_samples_of_declared_keys_come_once_and_those_of_others_too(linked: tuple[Peer, ZenohSource]) -> None:
+    """Whether Zenoh knows a key or not: there are more keys than it is told of."""
+    peer, origin = linked
+    origin._declared = DeclaredKeys(origin._session.declare_keyexpr, 3)
+    names = [f"fleet/r{number}/state" for number in range(10)]
+    inbox = Inbox(origin)
+    for last in ("fleet/last/1", "fleet/last/2", "fleet/last/3"):
+        for name in names:
+            peer.put(FakeSample(name, "zenoh/bytes", b""))
+        peer.put(FakeSample(last, "zenoh/bytes", b""))
+        wait_until(partial(inbox.holds, last))
+    assert sorted(sample.key for sample in inbox.samples if sample.key in names) == sorted(3 * names)
 
 
 def test_of_too_many_samples_the_oldest_go(endpoint: str) -> None:
