@@ -23,6 +23,7 @@ import msgspec
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
 from recorder.disk.part_file import sync_directory
+from recorder.encoding.event_digest import EventDigest
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.notices import DiskBack, DiskRoom, Notice, Recovered
 from schemas.printable import plain
@@ -100,7 +101,7 @@ def recover(path: Path, library: str, *, set_aside: bool = False) -> Recovery:
 
 def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> Recovery:
     size = os.fstat(stream.fileno()).st_size
-    found = survey(stream, size)
+    found = survey(stream, size, EventDigest())
     if not found.end or (found.fault_count and not found.messages):
         kept = _rename(path, DAMAGED_SUFFIX) if set_aside else path
         return Recovery(
@@ -128,14 +129,21 @@ def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> 
 
 
 def _finish(stream: BinaryIO, found: FileSurvey) -> None:
-    """Cut back to the good data and end the file; without room for its end it stays a part."""
+    """Cut back to the good data and end the file: without its digest, or not at all, if there is no room."""
     try:
-        stream.seek(found.end)
-        stream.truncate()
-        stream.write(found.ending)
-        stream.flush()
+        _end_with(stream.fileno(), found.end, found.ending)
     except OSError:
-        os.ftruncate(stream.fileno(), found.end)
+        _end_with(stream.fileno(), found.end, found.short_ending)
+
+
+def _end_with(file: int, end: int, data: bytes) -> None:
+    os.ftruncate(file, end)
+    written = 0
+    try:
+        while written < len(data):
+            written += os.pwrite(file, data[written:], end + written)
+    except OSError:
+        os.ftruncate(file, end)
         raise
 
 
@@ -160,7 +168,7 @@ def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: FileSurv
     copy = path.with_name(_stem(path) + COPY_SUFFIX)
     try:
         with copy.open("wb") as sink:
-            copy_good(stream, size, sink, library)
+            copy_good(stream, size, sink, library, EventDigest())
             sink.flush()
             os.fsync(sink.fileno())
     except OSError:

@@ -2,7 +2,7 @@
 
 In the log itself these messages share their chunks with everything else, for a chunk is written before half a
 second of messages is at risk. Whoever wants only them, over a network, would read all of the log. So the end of a
-log repeats them, as an attachment: a hundredth of its size. A log that was cut off has none, and is read whole.
+log repeats them, as an attachment: a hundredth of its size. A log without one is read whole.
 
 Of the arbiter's states and decisions those are left out that say what their neighbours say: states of unchanged
 content, but for two a second, and commands of an unbroken stream that were accepted. Next to a gap, a change, or

@@ -18,10 +18,14 @@ from recorder.disk import leftovers
 from recorder.disk.keeper import read_entries
 from recorder.disk.leftovers import LeftoverThread, Recovery, RecoveryOutcome, recover, recover_leftovers
 from recorder.disk.log_directory import LogDirectory, lock
+from recorder.encoding.event_digest import DIGEST_NAME
+from recorder.mcap.recovery import survey
 from recorder.record.notices import DiskBack, DiskRoom, Recovered
 from recorder.review.check import check_log
 from tests.support.logs import logs_in, small_log
 from tests.support.messages import WALL_NS
+from tests.support.rigs import scenarios
+from tests.support.rigs.scenarios import recorded
 
 LOG = small_log()
 SUMMARY = LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")
@@ -39,6 +43,11 @@ def part(directory: Path, data: bytes, stem: str = "x") -> Path:
 def messages(path: Path) -> int:
     """How many messages the mcap package reads."""
     return sum(1 for _ in make_reader(BytesIO(path.read_bytes()), validate_crcs=True).iter_messages())
+
+
+def attachments(path: Path) -> list[str]:
+    """The names of a log's attachments."""
+    return [one.name for one in make_reader(BytesIO(path.read_bytes())).iter_attachments()]
 
 
 def flipped(data: bytes) -> bytes:
@@ -214,26 +223,48 @@ def test_a_rest_that_cannot_be_kept_leaves_the_log_as_it_was(
     assert path.read_bytes() == data
 
 
+class FullDisk:
+    """Takes so many bytes of each file's end, and 50 of them at once."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+        write = os.pwrite
+        sizes: dict[int, int] = {}
+
+        def pwrite(file: int, data: bytes, offset: int) -> int:
+            begin = sizes.setdefault(file, offset)
+            if offset - begin >= room:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return write(file, data[:50], offset)
+
+        monkeypatch.setattr(os, "pwrite", pwrite)
+
+
 def test_a_log_whose_end_does_not_fit_stays_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut back to its last whole record, to be recovered when there is room."""
-
-    class Full:
-        def __init__(self, stream: BinaryIO) -> None:
-            self.stream = stream
-            self.seek, self.truncate, self.fileno = stream.seek, stream.truncate, stream.fileno
-
-        def write(self, data: bytes) -> None:
-            self.stream.write(data[:50])
-            self.stream.flush()
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    finish = leftovers._finish
-    monkeypatch.setattr(leftovers, "_finish", lambda stream, found: finish(Full(stream), found))  # type: ignore[arg-type]  # as much of a stream as is used
+    FullDisk(monkeypatch, 100)
     path = part(tmp_path, LOG[: SUMMARY + 3])
     assert recover(path, "test").outcome is RecoveryOutcome.FAILED
     assert path.read_bytes() == LOG[:SUMMARY]
     monkeypatch.undo()
     assert recover(path, "test").outcome is RecoveryOutcome.RECOVERED
+
+
+def test_a_log_whose_digest_does_not_fit_is_whole_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As its recorder would have ended it."""
+    data = recorded(scenarios.deadman)
+    summary = make_reader(BytesIO(data)).get_summary()
+    assert summary is not None
+    torn = data[: next(one.offset for one in summary.attachment_indexes if one.name == DIGEST_NAME)]
+    whole = part(tmp_path, torn, "whole")
+    assert recover(whole, "test").outcome is RecoveryOutcome.RECOVERED
+    assert DIGEST_NAME in attachments(tmp_path / "whole.mcap")
+    found = survey(BytesIO(torn), len(torn))
+    FullDisk(monkeypatch, len(found.short_ending) + 10)
+    assert recover(part(tmp_path, torn), "test").outcome is RecoveryOutcome.RECOVERED
+    assert (tmp_path / "x.mcap").read_bytes() == torn[: found.end] + found.short_ending
+    assert DIGEST_NAME not in attachments(tmp_path / "x.mcap")
+    for name in ("x", "whole"):
+        assert check_log(tmp_path / f"{name}.mcap").is_sound
 
 
 def test_a_recovery_reaches_the_disk_before_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
