@@ -14,7 +14,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.egress import OPERATOR, PROFILES
+from schemas.egress import FULL, OPERATOR, PROFILES
 from tests.bench import (
     authority,
     command_latency,
@@ -155,7 +155,7 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
             "the recorder",
             lambda: recorder_rate.rows(extent.recorder_rounds, min(seconds, extent.held_s), seconds),
         ),
-        ("a fleet", lambda: fleet.rows([extent.fleet_robots], 2, fleet.SHARDS, seconds, is_thin=False)),
+        ("a fleet", lambda: fleet.rows([extent.fleet_robots], 2, fleet.SHARDS, seconds, FULL)),
         ("the review", lambda: review_rate.rows(extent.review_mb)),
         ("logs run again", lambda: review_rerun.rows(extent.review_minutes, list(review_rerun.DRIVES))),
         ("the search", lambda: review_find.rows(extent.cataloged_logs)),

@@ -1,10 +1,13 @@
 """The desk: from a pointer in a real browser to the frame on the bus, and what many robots and browsers cost.
 
-Chromium's clock and the witness's on the bus are the same machine's. Usage: python -m tests.bench.desk
+Chromium's clock and the witness's on the bus are the same machine's.
+
+Usage: python -m tests.bench.desk [--robots N --browsers N], these for the crowd alone
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import threading
@@ -140,17 +143,25 @@ def crowd(seconds: float = CROWD_S, count: int = ROBOTS, browsers: int = BROWSER
 
 def rows(presses: int = PRESSES, kills: int = KILLS, seconds: float = CROWD_S) -> list[Row]:
     """All of it."""
-    timed, crowded = latency(presses, kills), crowd(seconds)
+    timed = latency(presses, kills)
     return [
         (f"desk: pointer down to first frame that moves, p50 p99, of {presses}", _ms(timed.down_ms), "p99 60 ms"),
         ("  pointer up to first slower frame, p50 p99", _ms(timed.up_ms), "60 ms"),
         (f"  browser killed to first slower frame, p50 p99, of {kills}", _ms(timed.dead_ms), "300 ms and a tick"),
+        *crowd_rows(seconds),
+    ]
+
+
+def crowd_rows(seconds: float = CROWD_S, count: int = ROBOTS, browsers: int = BROWSERS) -> list[Row]:
+    """What the crowd costs."""
+    crowded = crowd(seconds, count, browsers)
+    return [
         (
-            f"  CPU of the desk, {ROBOTS} robots that move, {BROWSERS} browsers",
-            f"{100 * crowded.cpu:.0f} % of a core, {crowded.memory_mb:.0f} MB",
+            f"  CPU of the desk, {count} robots that move, {browsers} browsers",
+            f"{100 * crowded.cpu:.1f} % of a core, {crowded.memory_mb:.0f} MB",
             "under 50 %",
         ),
-        (f"  frames of the page with {ROBOTS} robots, p50 p99", _ms(crowded.frame_ms), ""),
+        (f"  frames of the page with {count} robots, p50 p99", _ms(crowded.frame_ms), ""),
         ("  the page over the wire", f"{crowded.page_bytes / 1000:.0f} kB", "under 300 kB"),
     ]
 
@@ -227,5 +238,14 @@ def _ms(values: list[float]) -> str:
     return f"{quantile(values, 0.5):.1f} {quantile(values, 0.99):.1f} ms"
 
 
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", type=int, help="the crowd alone, of so many")
+    parser.add_argument("--browsers", type=int, default=BROWSERS)
+    arguments = parser.parse_args()
+    print_table(rows() if arguments.robots is None else crowd_rows(CROWD_S, arguments.robots, arguments.browsers))
+
+
 if __name__ == "__main__":
-    print_table(rows())
+    main()

@@ -5,7 +5,7 @@ session of its own. They are clients of one router, the recorders of the same, o
 it. ``ZENOHD`` names Zenoh's own router, as ``make zenohd`` builds it; without it ours runs, which is the same code
 behind Python. Bytes on the links are read with ``ss`` (iproute2), where there is one.
 
-Usage: python -m tests.bench.fleet [--robots N...] [--routers N] [--shards N] [--seconds N] [--thin]
+Usage: python -m tests.bench.fleet [--robots N...] [--routers N] [--shards N] [--seconds N] [--profile P]
        python -m tests.bench.fleet --growth docs/fleet_growth.svg [--seconds N]
 """
 
@@ -22,6 +22,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from statistics import linear_regression
 from tempfile import TemporaryDirectory
@@ -29,10 +30,11 @@ from typing import Any, Final
 
 import msgspec
 
+from schemas.egress import FULL, OPERATOR, PROFILES, THIN
 from schemas.exit_codes import ExitCode
 from tests.bench.loads import Row, print_table
 from tests.bench.origin import heading
-from tests.bench.plot import Chart, Line, draw
+from tests.bench.plot import Chart, Line, draw, ticks
 from tests.bench.recorder_load import Fed
 from tests.bench.recorder_run import answer, await_ready, go_on, started
 from tests.support.fakes.peer import free_endpoint
@@ -46,25 +48,27 @@ SHARDS: Final = 2
 SETTLE_S: Final = 1.5
 """What is on its way when the load ends has come then, and is on the disk."""
 
-GROWTH: Final = {False: (10, 20, 40, 66), True: (50, 100, 150, 200)}
-"""Numbers of full and of thin robots, as many as two cores hold at the load's own cost."""
+GROWTH: Final = {FULL: (10, 20, 40, 66), OPERATOR: (50, 100, 150, 200), THIN: (250, 500, 750, 1000)}
+"""Numbers of robots by their profile, as many as two cores hold together with the load."""
 
 
 class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
     """What one run showed.
 
     Attributes:
-        robots: how many spoke; ``is_thin``: what an overview needs of each alone.
+        robots: how many spoke.
+        profile: how much of it left each robot, one of ``schemas.egress``.
         samples: that they said; ``recorded`` of them are in logs.
         seconds: that it took, ``late_s`` more than the robots' pace is.
         dropped: samples that recorders dropped; ``missed`` those that never reached them, by their sequences.
         cpu_s: processor time during the load: the robots' process, the routers, the recorders.
         rss_bytes: of the routers and of the recorders.
         sent_bytes: by the robots, and by the routers, TCP's payload; 0 where there is no ``ss``.
+        log_bytes: of all logs.
     """
 
     robots: int
-    is_thin: bool
+    profile: str
     samples: int
     recorded: int
     seconds: float
@@ -74,17 +78,21 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
     cpu_s: dict[str, list[float]]
     rss_bytes: dict[str, list[float]]
     sent_bytes: dict[str, list[float]]
+    log_bytes: int
 
     @property
     def name(self) -> str:
         """For the table."""
         routers, shards = len(self.cpu_s["routers"]), len(self.cpu_s["recorders"])
-        kind = "thin" if self.is_thin else "full"
-        return f"{self.robots} {kind} robots, {routers} router{'s' * (routers > 1)}, {shards} shards"
+        return f"{self.robots} {self.profile} robots, {routers} router{'s' * (routers > 1)}, {shards} shards"
 
-    def cores(self, who: str) -> float:
-        """The cores that all processes of a kind took."""
-        return sum(self.cpu_s[who]) / self.seconds
+    def percent(self, who: str) -> float:
+        """The processor time of all processes of a kind, in % of a core."""
+        return sum(self.cpu_s[who]) / self.seconds * 100
+
+    def megabytes(self, who: str) -> float:
+        """The memory of all processes of a kind."""
+        return sum(self.rss_bytes[who]) / 1e6
 
     def shares(self, who: str) -> str:
         """The part of a core that each process of a kind took."""
@@ -95,7 +103,7 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
         return sum(self.cpu_s[who]) * 1e6 / self.samples
 
 
-def measure(robots: int, routers: int, shards: int, seconds: float, *, is_thin: bool) -> FleetRun:
+def measure(robots: int, routers: int, shards: int, seconds: float, profile: str) -> FleetRun:
     """Run a fleet once."""
     with TemporaryDirectory() as name, ExitStack() as stack:
         folder, ends = Path(name), [free_endpoint() for _ in range(routers)]
@@ -110,7 +118,7 @@ def measure(robots: int, routers: int, shards: int, seconds: float, *, is_thin: 
             ],
         }
         words = ["--robots", str(robots), "--ticks", str(round(seconds * 100)), "--paced", "--client"]
-        load_words = ["-m", "tests.bench.recorder_load", ends[0], *words, *["--thin"] * is_thin]
+        load_words = ["-m", "tests.bench.recorder_load", ends[0], *words, "--profile", profile]
         load = stack.enter_context(started([sys.executable, *load_words], seconds))
         kinds["robots"] = [load]
         answer(load)
@@ -120,9 +128,10 @@ def measure(robots: int, routers: int, shards: int, seconds: float, *, is_thin: 
         time.sleep(SETTLE_S)
         used, memory, sent_since = _each(kinds, cpu_s), _each(kinds, rss_bytes), _each(kinds, _sent_bytes)
         accounts = [_end(one) for one in kinds["recorders"]]
+        log_bytes = sum(path.stat().st_size for path in folder.rglob("*.mcap"))
     return FleetRun(
         robots=robots,
-        is_thin=is_thin,
+        profile=profile,
         samples=fed.samples,
         recorded=sum(key["received"] for account in accounts for key in account["keys"].values()),
         seconds=(fed.end_ns - fed.begin_ns) / 1e9,
@@ -132,6 +141,7 @@ def measure(robots: int, routers: int, shards: int, seconds: float, *, is_thin: 
         cpu_s=_since(begun, used),
         rss_bytes=memory,
         sent_bytes=_since(sent, sent_since),
+        log_bytes=log_bytes,
     )
 
 
@@ -158,9 +168,9 @@ def _sent_bytes(pid: int) -> int:
     )
 
 
-def rows(robots: Iterable[int], routers: int, shards: int, seconds: float, *, is_thin: bool) -> list[Row]:
+def rows(robots: Iterable[int], routers: int, shards: int, seconds: float, profile: str) -> list[Row]:
     """The figures of some sizes of the fleet."""
-    runs = (measure(number, routers, shards, seconds, is_thin=is_thin) for number in robots)
+    runs = (measure(number, routers, shards, seconds, profile) for number in robots)
     return [row for run in runs for row in rows_of(run)]
 
 
@@ -181,14 +191,15 @@ def rows_of(run: FleetRun) -> list[Row]:
             ", ".join(f"{one / run.seconds / run.robots / 1e3:.1f}" for one in sent) + " kB/s",
             "",
         ),
+        ("  log of each robot", f"{run.log_bytes / run.seconds / run.robots / 1e3:.1f} kB/s", ""),
     ]
 
 
 def growth(seconds: float) -> list[FleetRun]:
-    """Full and thin robots, more and more of them, through one router and through two."""
+    """More and more robots of each profile, through one router and through two."""
     return [
-        measure(robots, routers, SHARDS, seconds, is_thin=is_thin)
-        for is_thin, numbers in GROWTH.items()
+        measure(robots, routers, SHARDS, seconds, profile)
+        for profile, numbers in GROWTH.items()
         for routers in (1, 2)
         for robots in numbers
     ]
@@ -198,71 +209,50 @@ CORES: Final = {"one router": ("routers", 1), "two routers": ("routers", 2), "re
 """What takes processor time: of which processes, with how many routers."""
 
 
-def _of(runs: Iterable[FleetRun], routers: int, *, is_thin: bool) -> list[FleetRun]:
-    return [run for run in runs if run.is_thin == is_thin and len(run.cpu_s["routers"]) == routers]
+def _of(runs: Iterable[FleetRun], routers: int, profile: str) -> list[FleetRun]:
+    return [run for run in runs if run.profile == profile and len(run.cpu_s["routers"]) == routers]
 
 
 def formulas(runs: list[FleetRun]) -> list[Row]:
     """Straight lines through the figures, by least squares: what there is without robots, and for each robot."""
     found: list[Row] = []
-    for is_thin in GROWTH:
-        kind = "thin" if is_thin else "full"
+    for profile in GROWTH:
         for name, (who, routers) in CORES.items():
-            ones = _of(runs, routers, is_thin=is_thin)
-            line = linear_regression([run.robots for run in ones], [run.cores(who) for run in ones])
-            text = f"{line.intercept * 100:.1f} + {line.slope * 100:.2f} N % of a core"
-            found.append((f"N {kind} robots: {name}", text, ""))
+            ones = _of(runs, routers, profile)
+            line = linear_regression([run.robots for run in ones], [run.percent(who) for run in ones])
+            text = f"{line.intercept:.1f} + {line.slope:.3f} N % of a core"
+            found.append((f"N {profile} robots: {name}", text, ""))
         for who in ("routers", "recorders"):
-            ones = _of(runs, 1, is_thin=is_thin)
-            line = linear_regression([run.robots for run in ones], [sum(run.rss_bytes[who]) / 1e6 for run in ones])
-            found.append(
-                (f"N {kind} robots: memory of {who}", f"{line.intercept:.0f} + {line.slope:.2f} N MB", "")
-            )
+            ones = _of(runs, 1, profile)
+            line = linear_regression([run.robots for run in ones], [run.megabytes(who) for run in ones])
+            text = f"{line.intercept:.0f} + {line.slope:.2f} N MB"
+            found.append((f"N {profile} robots: memory of {who}", text, ""))
     return found
 
 
 def picture(runs: list[FleetRun]) -> str:
-    """What grows with the robots."""
-    names = {False: "full", True: "thin"}
-    charts = [
-        Chart(
-            f"{names[is_thin]} robots",
-            "processor time, % of a core",
-            x_ticks,
-            range(0, 121, 20),
-            [
-                Line(
-                    name,
-                    [(run.robots, run.cores(who) * 100, False) for run in _of(runs, routers, is_thin=is_thin)],
-                )
-                for name, (who, routers) in CORES.items()
-            ],
-            legend_x=0.25,
-        )
-        for is_thin, x_ticks in ((False, range(0, 71, 10)), (True, range(0, 201, 50)))
-    ]
-    memory = [
-        Line(
-            f"{who}, {names[is_thin]}",
-            [(run.robots, sum(run.rss_bytes[who]) / 1e6, False) for run in _of(runs, 1, is_thin=is_thin)],
-        )
-        for who in ("routers", "recorders")
-        for is_thin in GROWTH
-    ]
-    sent = [
-        Line(
-            names[is_thin],
-            [
-                (run.robots, sum(run.sent_bytes["robots"]) / run.seconds / 1e6, False)
-                for run in _of(runs, 1, is_thin=is_thin)
-            ],
-        )
-        for is_thin in GROWTH
-    ]
-    robots = range(0, 201, 50)
-    charts.append(Chart("robots", "memory of one router, of two shards, MB", robots, range(0, 501, 100), memory))
-    charts.append(Chart("robots", "sent by all robots, MB/s", robots, range(0, 13, 2), sent, legend_x=0.15))
-    return draw(*charts)
+    """What grows with the robots: of each profile processor time and memory, and bytes on the link."""
+
+    def chart(x_title: str, y_title: str, lines: list[Line]) -> Chart:
+        points = [point for line in lines for point in line.points]
+        x_ticks, y_ticks = ticks(max(x for x, _, _ in points)), ticks(max(y for _, y, _ in points))
+        return Chart(x_title, y_title, x_ticks, y_ticks, lines, legend_x=0.25)
+
+    def line(name: str, ones: list[FleetRun], figure: Callable[[FleetRun], float]) -> Line:
+        return Line(name, [(run.robots, figure(run), False) for run in ones])
+
+    charts, sent = [], []
+    for profile in GROWTH:
+        robots, ones = f"robots, profile {profile}", _of(runs, 1, profile)
+        cores = [
+            line(name, _of(runs, routers, profile), partial(FleetRun.percent, who=who))
+            for name, (who, routers) in CORES.items()
+        ]
+        memory = [line(who, ones, partial(FleetRun.megabytes, who=who)) for who in ("routers", "recorders")]
+        charts.append(chart(robots, "processor time, % of a core", cores))
+        charts.append(chart(robots, "memory of a router, and of two recorders, MB", memory))
+        sent.append(line(profile, ones, lambda run: sum(run.sent_bytes["robots"]) / run.seconds / 1e6))
+    return draw(*charts, chart("robots", "sent by all robots, MB/s", sent))
 
 
 @contextmanager
@@ -307,7 +297,7 @@ def main() -> None:
     parser.add_argument("--routers", type=int, choices=(1, 2), default=2)
     parser.add_argument("--shards", type=int, default=SHARDS)
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--thin", action="store_true", help="state, safety/state and health of each alone")
+    parser.add_argument("--profile", choices=PROFILES, default=FULL, help="how much leaves each robot")
     parser.add_argument(
         "--growth", type=Path, metavar="FILE", help="measure what grows with robots; draw it as SVG"
     )
@@ -315,7 +305,7 @@ def main() -> None:
     print(heading([], arguments.seconds).replace("tests.bench", f"tests.bench.fleet {' '.join(sys.argv[1:])}", 1))
     if arguments.growth is None:
         numbers, routers, shards = arguments.robots, arguments.routers, arguments.shards
-        print_table(rows(numbers, routers, shards, arguments.seconds, is_thin=arguments.thin))
+        print_table(rows(numbers, routers, shards, arguments.seconds, arguments.profile))
         return
     runs = growth(arguments.seconds)
     print_table([row for run in runs for row in rows_of(run)] + formulas(runs))

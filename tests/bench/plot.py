@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -43,6 +44,13 @@ class Chart(msgspec.Struct, frozen=True):
     lines: Sequence[Line]
     note: str = ""
     legend_x: float = 1.0
+
+
+def ticks(largest: float) -> list[float]:
+    """Round values from 0 on, four to eight of them, the last not below the largest."""
+    size = 10 ** math.floor(math.log10(largest))
+    step = next(size * part for part in (0.2, 0.5, 1, 2) if largest <= size * part * 7)
+    return [number * step for number in range(math.ceil(largest / step) + 1)]
 
 
 def draw(*charts: Chart) -> str:

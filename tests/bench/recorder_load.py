@@ -4,7 +4,7 @@ What one robot says in eight seconds is made once, by the gateway's core. Each r
 place on, with times and sequences of its own, so that no two say the same and a loss can be seen. Nothing is
 dropped on this side: a put waits for room, and whoever measures is told whether the pace was held.
 
-Usage: python -m tests.bench.recorder_load ENDPOINT --robots N --ticks N [--paced] [--thin] [--client]
+Usage: python -m tests.bench.recorder_load ENDPOINT --robots N --ticks N [--paced] [--profile P] [--client]
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import struct
 import sys
 import time
 from collections import deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -30,6 +30,7 @@ from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
+from schemas.egress import FULL, PROFILES
 from schemas.messages import CanFrames, Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, Pattern
@@ -42,9 +43,6 @@ BUS: Final = "can0"
 TICKS_PER_S: Final = 1_000_000_000 // TICK_NS
 SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S
 """Ticks until a robot repeats itself."""
-
-THIN: Final = frozenset({"state", "safety/state", "gateway/health"})
-"""What an overview of a fleet needs: 41 samples a second."""
 
 STAGGER: Final = 10
 """Robots tick at so many different instants of a tick: they know nothing of each other."""
@@ -108,13 +106,21 @@ class Fed(msgspec.Struct, frozen=True):
     late_s: float
 
 
-def make_script(wanted: Collection[str] = BY_NAME) -> Script:
-    """Have the gateway's core say what it says of a chassis that somebody drives by hand, of these subjects."""
-    subjects = [name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED and name in wanted]
+def make_script(profile: str = FULL) -> Script:
+    """Have the gateway's core say what it says of a chassis that somebody drives by hand.
+
+    Args:
+        profile: how much of it leaves the robot, one of ``schemas.egress``.
+    """
+    rates = PROFILES[profile]
+    subjects = [
+        name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED and rates.get(name, math.inf)
+    ]
     core = Core(Settings(chassis=ChassisSettings(variant="coarse")), "bench", 0)
     core.update_links(Links(bus_up=True), 0)
     frames = deque(_frames())
     slots = []
+    due_ns = dict.fromkeys(subjects, 0)
     for now_ns in range(0, SLOTS * TICK_NS, TICK_NS):
         samples = []
         while frames and frames[0].wall_ns <= WALL_NS + now_ns:
@@ -123,7 +129,12 @@ def make_script(wanted: Collection[str] = BY_NAME) -> Script:
                 samples.append(sample)
         samples += core.tick(now_ns, WALL_NS + now_ns, 0, now_ns.to_bytes(8)).samples
         samples += core.sent(0, now_ns, WALL_NS + now_ns)
-        slots.append([_said(one, subjects.index(one.subject)) for one in samples if one.subject in subjects])
+        slot = []
+        for one in samples:
+            if one.subject in due_ns and now_ns >= due_ns[one.subject]:
+                due_ns[one.subject] = now_ns + round(1e9 / rates.get(one.subject, math.inf))
+                slot.append(_said(one, subjects.index(one.subject)))
+        slots.append(slot)
     return Script(subjects, slots)
 
 
@@ -253,12 +264,12 @@ def main() -> None:
     parser.add_argument("--robots", type=int, required=True)
     parser.add_argument("--ticks", type=int, required=True)
     parser.add_argument("--paced", action="store_true")
-    parser.add_argument("--thin", action="store_true", help="state, safety/state and health alone")
+    parser.add_argument("--profile", choices=PROFILES, default=FULL, help="how much of it leaves each robot")
     parser.add_argument(
         "--client", action="store_true", help="the endpoint is a router's; each robot is a client of its own"
     )
     arguments = parser.parse_args()
-    script = make_script(THIN if arguments.thin else BY_NAME)
+    script = make_script(arguments.profile)
     if arguments.client:
         client = ZenohSettings(mode="client")
         sessions = [open_session(client, [arguments.endpoint], []) for _ in range(arguments.robots)]
