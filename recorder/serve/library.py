@@ -46,8 +46,8 @@ DAYS: Final = 3_700
 WORDS: Final = 1_000
 """The longest search."""
 
-LOOK_S: Final = 3.0
-"""The directory is looked at so often, or more seldom where that takes long."""
+LOOK_S: Final = (3.0, 30.0)
+"""Pause between two looks at the directory: at least, and at most, where a look takes long."""
 
 ROUND_S: Final = (30.0, 3600.0)
 """Time in which logs are read before those that are done are shown: at first, and for a log that takes longer."""
@@ -112,7 +112,7 @@ class Library:
             before_s = time.monotonic()
             logs, notes = await asyncio.to_thread(_look, self._directory)
             await asyncio.to_thread(self._learn_tags, notes)
-            pause_s = max(LOOK_S, 10 * (time.monotonic() - before_s))
+            pause_s = min(max(LOOK_S[0], 10 * (time.monotonic() - before_s)), LOOK_S[1])
             if logs != known:
                 had = await asyncio.to_thread(self._count)
                 self.state = msgspec.structs.replace(self.state, logs=len(logs), cataloged=had, is_reading=True)

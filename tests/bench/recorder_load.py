@@ -47,7 +47,7 @@ SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S
 STAGGER: Final = 10
 """Robots tick at so many different instants of a tick: they know nothing of each other."""
 
-CONNECT_S: Final = 20.0
+CONNECT_S: Final = 120.0
 
 _TIME_KEY: Final = b"\xa7time_ns"
 _SEQUENCE_KEY: Final = b"\xa8sequence"

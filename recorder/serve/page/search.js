@@ -27,14 +27,17 @@ class Filled {
   constructor(path, show) {
     this.path = path;
     this.show = show;
+    this.asked = 0;
     this.element = h("div", {}, h("p", { class: "soft" }, t("working")));
     this.update();
   }
 
   async update() {
+    const asked = ++this.asked;
     const shown = await ask(this.path).then((answer) => [JSON.stringify(answer), () => this.show(answer)],
       (error) => [error.message, () => h("p", { class: "fault", role: "alert", lang: "en" }, error.message)]);
-    if (shown[0] === this.shown) return;
+    // An answer that was overtaken is of an older catalog.
+    if (asked !== this.asked || shown[0] === this.shown) return;
     this.shown = shown[0];
     this.element.replaceChildren(shown[1]());
   }
