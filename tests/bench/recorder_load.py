@@ -47,7 +47,7 @@ SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S
 STAGGER: Final = 10
 """Robots tick at so many different instants of a tick: they know nothing of each other."""
 
-CONNECT_S: Final = 120.0
+CONNECT_S: Final = 20.0
 
 _TIME_KEY: Final = b"\xa7time_ns"
 _SEQUENCE_KEY: Final = b"\xa8sequence"
@@ -180,8 +180,16 @@ def _said(sample: Sample, subject: int) -> Said:
     return Said(subject, records, payload[:head], payload[tail:])
 
 
+def appear(sessions: Sequence[zenoh.Session], robots: int) -> list[zenoh.LivelinessToken]:
+    """Let the robots appear: each is there as long as its token is kept."""
+    return [
+        sessions[robot % len(sessions)].liveliness().declare_token(keys.liveliness(ROOT, _name(robot)))
+        for robot in range(robots)
+    ]
+
+
 def declare(sessions: Sequence[zenoh.Session], script: Script, robots: int) -> list[list[zenoh.Publisher]]:
-    """Let the robots appear, and wait until somebody subscribes to each of them.
+    """Declare what the robots publish, and wait until somebody subscribes to each of them.
 
     Args:
         sessions: the robots' own, or one for all of them.
@@ -194,11 +202,9 @@ def declare(sessions: Sequence[zenoh.Session], script: Script, robots: int) -> l
     Raises:
         TimeoutError: nobody subscribes.
     """
-    of_robots = [sessions[robot % len(sessions)] for robot in range(robots)]
-    for robot, session in enumerate(of_robots):
-        session.liveliness().declare_token(keys.liveliness(ROOT, _name(robot)))
     publishers = [
-        [_publisher(session, robot, name) for name in script.subjects] for robot, session in enumerate(of_robots)
+        [_publisher(sessions[robot % len(sessions)], robot, name) for name in script.subjects]
+        for robot in range(robots)
     ]
     deadline_s = time.monotonic() + CONNECT_S
     # Its stub says that the matching status is a bool; it is an object, and always true.
@@ -278,12 +284,15 @@ def main() -> None:
     try:
         print("listening", flush=True)
         sys.stdin.readline()
+        tokens = appear(sessions, arguments.robots)
         publishers = declare(sessions, script, arguments.robots)
         print("declared", flush=True)
         sys.stdin.readline()
         fed = feed(publishers, script, arguments.ticks, is_paced=arguments.paced)
         print(msgspec.json.encode(fed).decode(), flush=True)
         sys.stdin.read()
+        # A token that nobody keeps is undeclared, perhaps before anybody has heard of it.
+        tokens.clear()
     finally:
         for session in sessions:
             close_session(session)
