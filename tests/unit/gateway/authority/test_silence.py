@@ -22,7 +22,7 @@ MAX_S = 24 * HOUR_S
 # - whatever a clock says: who was on for longer than the bound since the last word is barred, restarts or not;
 # - in the run that heard the word it is barred no earlier than that;
 # - by clocks that were right ever since it is barred exactly when the bound is over, time off included;
-# - clocks that stand, or are behind, bar nobody early: they hide time off at most.
+# - clocks that stand, or are behind, bar nobody early: they hide time off, and how old a list is that was kept back.
 # A robot that never heard a word counts from its first start.
 
 CLOCKS: Final = {"right": 0, "behind": -5 * DAY_S, "ahead": 3 * DAY_S, "none": None}
@@ -88,6 +88,9 @@ class Robot:
             # By a clock that was behind, the robot knows too little of the age.
             self.on_s = min(self.on_s, age_s) if self.clocks == {"right"} else 0
             self.since_s, self.in_run, self.was_word = at_s, False, True
+        elif self.clocks & {"behind", "none"}:
+            # It may seem younger than the last word.
+            self.on_s, self.in_run = 0, False
         self.tick(1)
 
     def on(self, time_s: int) -> None:
@@ -124,6 +127,7 @@ class Robot:
 @example([("word", 0, "behind"), ("machine restarts", 60, "right")])
 @example([("list", 23 * HOUR_S, "right"), ("on", 2 * HOUR_S, "right"), ("machine restarts", 60, "right")])
 @example([("on", 30 * HOUR_S, "right"), ("list", 29 * HOUR_S, "right"), ("list", HOUR_S, "right")])
+@example([("on", 0, "ahead"), ("on", 65873, "behind"), ("list", 65878, "ahead"), ("on", 20518, "ahead")])
 @given(steps)
 @settings(max_examples=150, deadline=None)
 def test_silence_is_noticed_and_only_silence(taken: list[Step]) -> None:
