@@ -2,6 +2,8 @@
 # Needs python3 (3.11 or later) with venv, and make. `make` alone lists the targets.
 
 PYTHON ?= python3
+# Where a shell sets it, each process that a test starts compiles the tree anew: a third of what its start costs.
+unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv
 BIN := $(VENV)/bin
 # What is installed: what the product needs (242 MB), and with it what its development needs (1,043 MB).
