@@ -88,9 +88,10 @@ test-image: .venv-tools/installed  ## compose.yaml, and what the Containerfile s
 metrics-rules: $(STAMP)  ## alert rules, dashboard and metrics, as promtool of Debian's prometheus sees them
 	tests/promtool/run
 
-readers: $(STAMP)  ## logs as rerun reads them, in an environment of its own: it takes 800 MB
+readers: $(STAMP)  ## logs as rerun reads them, and the packages of Foxglove and Lichtblick in Chromium; 800 MB of their own; Node.js 20
 	@test -x .venv-readers/bin/rerun || { $(PYTHON) -m venv .venv-readers && \
 		.venv-readers/bin/python $(PINNED) constraints-readers.txt; }
+	cd tests/readers/viewer && $(NPM_INSTALL) && npm run --silent build
 	READERS_PYTHON=.venv-readers/bin/python $(BIN)/python -m pytest tests/readers
 
 test-cluster: $(STAMP)  ## export, rerun and regress on a Ray cluster of two nodes on this machine; an environment of 700 MB; ten minutes

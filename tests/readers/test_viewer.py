@@ -1,0 +1,116 @@
+"""A served log as Foxglove and Lichtblick read it: their packages, in a real browser, on a page of another origin.
+
+``make readers`` runs it, once npm has the packages.
+"""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from tests.support.processes.desk import chromium
+from tests.support.processes.gateway import Running
+from tests.support.rigs.scenarios import front_bumper, recorded
+
+BUILT: Final = Path(__file__).parent / "viewer" / "build"
+
+LAST_S: Final = 2
+
+NUMBERS: Final = frozenset({1, 2, 5, 7, 13, 15, 17})
+"""Types of protobuf's fields: double, float, int32, fixed32, uint32, sfixed32, sint32."""
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@contextmanager
+def viewer() -> Iterator[str]:
+    """The origin of a viewer's page."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=BUILT)) as server:
+        threading.Thread(target=server.serve_forever).start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive that a bumper ended."""
+    path = tmp_path_factory.mktemp("logs") / "a drive.mcap"
+    path.write_bytes(recorded(front_bumper))
+    return path
+
+
+Read = dict[str, Any]
+"""The messages from a moment on, and the bytes that it took."""
+
+
+@pytest.fixture(scope="module")
+def read(log: Path) -> Iterator[Callable[[int], Read]]:
+    """Reads the log from a moment on, in the browser, as a viewer that the server knows."""
+    with (
+        viewer() as origin,
+        Running("serve", str(log.parent), "--listen", "127.0.0.1:0", "--viewer", origin) as serving,
+        chromium() as browser,
+    ):
+        address = serving.wait_says(r"serve: (http://127\.0\.0\.1:\d+/)")[1]
+        page = browser.new_page()
+        page.goto(origin)
+        page.add_script_tag(url=f"{origin}/read.js")
+
+        def reads(start_ns: int) -> Read:
+            words = [f"{address}logs/{log.name}", str(start_ns)]
+            found: Read = page.evaluate("([url, start]) => readLog(url, start)", words)
+            return found
+
+        yield reads
+
+
+def read_here(log: Path, start_ns: int) -> list[tuple[str, str, str, dict[str, float]]]:
+    """The same by the mcap package, with CRCs on."""
+    with log.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        return [
+            (channel.topic, str(message.log_time), str(message.publish_time), _numbers(content))
+            for _, channel, message, content in reader.iter_decoded_messages(starting_at=start_ns)
+        ]
+
+
+def _numbers(content: Any) -> dict[str, float]:  # noqa: ANN401 - a class of protobuf's, made at run time
+    """Those that JavaScript can hold: of floating point, and of 32 bits. One that is 0 may be none."""
+    return {
+        field.name: value
+        for field, value in content.ListFields()
+        if field.type in NUMBERS and not field.is_repeated and value
+    }
+
+
+def _ordered(messages: list[Any]) -> list[Any]:
+    return sorted(messages, key=lambda one: (one[1], one[0], one[2], sorted(one[3].items())))
+
+
+def test_every_message_of_a_served_log_is_read_as_the_mcap_package_reads_it(
+    log: Path, read: Callable[[int], Read]
+) -> None:
+    """Topic, times and numbers."""
+    messages = [tuple(one) for one in read(0)["messages"]]
+    assert len(messages) > 1000
+    assert _ordered(messages) == _ordered(read_here(log, 0))
+
+
+def test_the_end_of_a_log_is_read_without_the_rest(log: Path, read: Callable[[int], Read]) -> None:
+    """By ranges: chunks from before the moment are not asked for."""
+    start_ns = max(int(one[1]) for one in read_here(log, 0)) - LAST_S * 1_000_000_000
+    end, whole = read(start_ns), read(0)
+    assert len(end["messages"]) == len(read_here(log, start_ns)) < len(whole["messages"]) / 2
+    assert end["bytes"] < whole["bytes"] * 2 / 3
