@@ -181,6 +181,7 @@ def path_rows(cost: path_cost.PathCost) -> list[Row]:
     """A frame, from the bus to its sample."""
     return [
         ("CPU of a frame, from the frame to its sample", f"{cost.path_us:.1f} us", ""),
+        ("  of that in the core; in Zenoh's put", f"{cost.core_us:.1f}; {cost.put_us:.1f} us", ""),
         ("  by cantools, json.dumps, session.put", f"{cost.peer_us:.1f} us", ""),
         ("  ratio", f"{cost.ratio:.1f} x less", "3 x less"),
         ("  with raw batches, state and health too", f"{cost.whole_us:.1f} us, {cost.whole_ratio:.1f} x less", ""),

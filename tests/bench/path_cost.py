@@ -1,8 +1,9 @@
 """What a frame costs on its way to Zenoh: our path against the one that a user would write first.
 
-All take the same frames, on the same machine, in turns, with the same subscriber connected over TCP. The peer:
-cantools decodes, json.dumps writes, session.put sends. Our path checks, supervises, decodes and publishes; it is
-measured alone, and with all else that the gateway makes of the frames: raw batches, state, health.
+All take the same frames from the same bus, on the same machine, in turns, with the same subscriber connected over
+TCP. The peer: cantools decodes, json.dumps writes, session.put sends. Our path checks, supervises, decodes and
+publishes; it is measured alone, and with all else that the gateway makes of the frames: raw batches, state, health.
+Two parts of it are measured by themselves: the core's, and Zenoh's.
 """
 
 from __future__ import annotations
@@ -50,9 +51,19 @@ sys.stdin.read()
 
 
 class PathCost(msgspec.Struct, frozen=True):
-    """Processor time of the process, all threads, in microseconds for a frame: medians, and of the ratios."""
+    """Processor time of the process, all threads, in microseconds for a frame: medians, and of the ratios.
+
+    Attributes:
+        path_us: from the frame to its published sample.
+        core_us: of that, from the frame to the sample.
+        put_us: of that, from the sample to Zenoh's link.
+        whole_us: with raw batches, state and health.
+        peer_us: the peer's.
+    """
 
     path_us: float
+    core_us: float
+    put_us: float
     whole_us: float
     peer_us: float
     ratio: float
@@ -87,27 +98,38 @@ def measure(rounds: int = ROUNDS) -> PathCost:
         def path() -> None:
             run_ours(frames, core, node, next(begin_ns), with_ticks=False)
 
+        def core_alone() -> None:
+            start_ns, receive = next(begin_ns), core.receive_frame
+            for at_ns, frame in frames:
+                receive(frame, start_ns + at_ns)
+
+        samples = [sample for _, frame in frames if (sample := core.receive_frame(frame, 0)) is not None]
+
+        def put() -> None:
+            for sample in samples:
+                node.publish(sample)
+
         def whole() -> None:
             run_ours(frames, core, node, next(begin_ns), with_ticks=True)
 
         def peer() -> None:
-            for _, frame in frames:
+            bus = BurstyBus(frames)
+            while (frame := bus.receive(1)) is not None:
                 values = database.decode_message(frame.identifier, frame.data, decode_choices=False)
                 session.put(f"peer/{frame.identifier:x}", json.dumps(values))
 
         # The frames themselves are the bench's, and no collection walks them. Ours runs without, as the loop does.
         gc.collect()
         gc.freeze()
-        costs = [tuple(_cost_us(run, len(frames)) for run in (path, whole, peer)) for _ in range(rounds)]
+        runs = {"path_us": path, "core_us": core_alone, "put_us": put, "whole_us": whole, "peer_us": peer}
+        rows = [{name: _cost_us(run, len(frames)) for name, run in runs.items()} for _ in range(rounds)]
     finally:
         subscriber.communicate()
         close_session(session)
     return PathCost(
-        path_us=median(row[0] for row in costs),
-        whole_us=median(row[1] for row in costs),
-        peer_us=median(row[2] for row in costs),
-        ratio=median(row[2] / row[0] for row in costs),
-        whole_ratio=median(row[2] / row[1] for row in costs),
+        **{name: median(row[name] for row in rows) for name in runs},
+        ratio=median(row["peer_us"] / row["path_us"] for row in rows),
+        whole_ratio=median(row["peer_us"] / row["whole_us"] for row in rows),
     )
 
 
