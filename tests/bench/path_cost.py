@@ -2,8 +2,8 @@
 
 All take the same frames from the same bus, on the same machine, in turns, with the same subscriber connected over
 TCP. The peer: cantools decodes, json.dumps writes, session.put sends. Our path checks, supervises, decodes and
-publishes; it is measured alone, and with all else that the gateway makes of the frames: raw batches, state, health.
-Two parts of it are measured by themselves: the core's, and Zenoh's.
+publishes; it is measured alone, and with all else that the gateway makes of the frames: raw batches, state,
+health. Two parts of it are measured by themselves: the core's, and Zenoh's.
 """
 
 from __future__ import annotations

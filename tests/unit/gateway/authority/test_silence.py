@@ -22,7 +22,7 @@ MAX_S = 24 * HOUR_S
 # - whatever a clock says: who was on for longer than the bound since the last word is barred, restarts or not;
 # - in the run that heard the word it is barred no earlier than that;
 # - by clocks that were right ever since it is barred exactly when the bound is over, time off included;
-# - clocks that stand, or are behind, bar nobody early: they hide time off, and how old a list is that was kept back.
+# - clocks that stand, or are behind, bar nobody early: they hide time off, and the age of a list kept back.
 # A robot that never heard a word counts from its first start.
 
 CLOCKS: Final = {"right": 0, "behind": -5 * DAY_S, "ahead": 3 * DAY_S, "none": None}
