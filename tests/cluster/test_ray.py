@@ -26,8 +26,8 @@ from tests.support.rigs.recorded import RecordedRig
 from tests.support.waiting import wait_until
 
 RAY = Path(os.environ["RAY_BIN"]).absolute()
-HEAD, NODE = "127.0.0.2", "127.0.0.3"
-"""For 127.0.0.1 Ray takes the machine's address on its network."""
+HEAD, NODE, MORTAL = "127.0.0.2", "127.0.0.3", "127.0.0.4"
+"""For 127.0.0.1 Ray takes the machine's address on its network. The last is the node that dies in a test."""
 LOGS = int(os.environ.get("RAY_LOGS", "10000"))
 ROBOTS = 20
 WITHIN_S = 120
@@ -147,11 +147,17 @@ def contents(dataset: Path) -> tuple[Any, dict[str, bytes]]:
 
 @pytest.mark.timeout(3600)
 def test_ten_thousand_small_logs_become_the_dataset_that_one_process_makes(cluster: str, tmp_path: Path) -> None:
-    """File by file, and byte by byte."""
+    """File by file, and byte by byte; also of a robot that died in the middle of its log."""
     write_logs(tmp_path / "logs", LOGS)
+    cut = tmp_path / "logs" / "00007.mcap"
+    cut.write_bytes(cut.read_bytes()[:-200])
+    said = []
     for out, words in (("here", []), ("there", ["--ray", cluster])):
         done = review("export", *words, "-o", tmp_path / out, tmp_path / "logs", timeout_s=1700)
-        assert (done.returncode, done.stderr) == (0, "")
+        assert done.returncode == ExitCode.PARTIAL, done.stderr
+        said.append(done.stderr)
+    assert said[0] == said[1]
+    assert cut.name in said[0]
     here, there = contents(tmp_path / "here"), contents(tmp_path / "there")
     assert len(here[0].inputs) == LOGS
     assert here == there
@@ -194,6 +200,10 @@ from schemas.exit_codes import CommandError
 address, logs, out, notes, way = *sys.argv[1:2], *map(Path, sys.argv[2:5]), sys.argv[5]
 
 def task(one):
+    import ray
+    if way == ray.util.get_node_ip_address():
+        (notes / "pid").write_text(str(os.getppid()))  # the node's
+        time.sleep(100)
     note = notes / one.log.path.name
     tries = len(note.read_text()) if note.exists() else 0
     note.write_text("x" * (tries + 1))
@@ -251,6 +261,28 @@ def test_a_process_that_is_killed_in_the_middle_costs_its_task_a_second_try(clus
         os.kill(int(pid.read_text()), signal.SIGKILL)
         out, _ = process.communicate(timeout=WITHIN_S)
     assert out.split() == ["x", "x", "x", "xx", *["x"] * 6]
+    assert contents(ten / "here") == contents(ten / "there")
+
+
+@pytest.fixture
+def mortal_node(cluster: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A third node, that a test may kill."""
+    done = python("import sys, ray\nray.init(sys.argv[1])\nprint(ray.get_runtime_context().gcs_address)", cluster)
+    home = tmp_path_factory.mktemp("m")
+    with node(home, "--address", done.stdout.split()[-1], "--node-ip-address", MORTAL):
+        yield
+
+
+@pytest.mark.usefixtures("mortal_node")
+def test_a_node_that_dies_in_the_middle_costs_its_tasks_a_second_try(cluster: str, ten: Path) -> None:
+    """The others do them, and the dataset is the same."""
+    command = [str(RAY / "python"), "-c", FAILING, *map(str, failing(cluster, ten, MORTAL))]
+    pid = ten / "notes" / "pid"
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        wait_until(lambda: pid.exists() and bool(pid.read_text()), deadline_s=WITHIN_S)
+        os.kill(int(pid.read_text()), signal.SIGKILL)
+        out, _ = process.communicate(timeout=WITHIN_S)
+    assert out.split() == ["x"] * 10
     assert contents(ten / "here") == contents(ten / "there")
 
 
