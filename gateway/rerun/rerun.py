@@ -25,12 +25,21 @@ from schemas.messages import ControllerState
 from schemas.reasons import Reason
 from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import Settings
+from schemas.subjects import BY_TYPE
 
 WARM_UP_NS: Final = 3_000_000_000
 """Before a place of rest the core sees so much of what was seen: nothing that it knows of frames is older."""
 
-MADE_UP: Final = "a checkpoint that no core has taken"
-"""Somebody made it up: it may name any of the core's classes anywhere, and then attributes are missing."""
+JOURNAL: Final = BY_TYPE[Journal].name
+
+CHECKPOINTS_TRIED: Final = 20
+"""So many that do not fit: then the others of a run will not, either. An attempt makes a core, in milliseconds."""
+
+INPUTS_MAX: Final = 100_000
+"""Inputs between two journals of a core: a bus and all that asks give it some hundred. It holds all of them."""
+
+MADE_UP: Final = "what no core was given"
+"""Somebody made it up: values may be of any kind, and a checkpoint may have any class of the core anywhere."""
 
 
 class Run(msgspec.Struct, frozen=True):
@@ -81,13 +90,11 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
     """
     run = run_of(journals)
     if run is not None:
-        core = run.core(settings)
         try:
+            core = run.core(settings)
             for _, samples in run_again(core, run.inputs):
                 yield from samples
-        except AttributeError as error:
-            if not run.state:
-                raise
+        except (ArithmeticError, AttributeError) as error:
             raise BrokenJournalError(f"{MADE_UP}: {error}") from error
         # Where one ends depends on when the core was made.
         yield from core.last_batches(0)
@@ -108,15 +115,23 @@ def run_of(journals: Iterable[Journal], *, at_rest: bool = False) -> Run | None:
     if first.first == 0:
         begin = next(inputs, None)
         return None if begin is None else Run(first.run, begin[1], chain([begin], inputs))
-    warm_up: deque[Input] = deque()
+    warm_up: deque[Input] = deque(maxlen=INPUTS_MAX)
     is_warm = False
+    tried = 0
     for one in inputs:
         warm_up.append(one)
         while one[1] - warm_up[0][1] > WARM_UP_NS:
             warm_up.popleft()
             is_warm = True
-        if one[0] == Kind.CHECKPOINT and not at_rest and first.rules == COMMAND_RULES and _fits(one[3]):
-            return Run(first.run, one[1], inputs, state=one[3])
+        if (
+            one[0] == Kind.CHECKPOINT
+            and not at_rest
+            and first.rules == COMMAND_RULES
+            and tried < CHECKPOINTS_TRIED
+        ):
+            tried += 1
+            if _fits(one[3]):
+                return Run(first.run, one[1], inputs, state=one[3])
         if is_warm and one[0] == Kind.REST and first.rules == COMMAND_RULES:
             return Run(first.run, warm_up[0][1], inputs, tuple(warm_up))
     return None
@@ -151,7 +166,9 @@ def places(journal: Journal) -> list[int]:
     inputs = inputs_of(journal)
     # The tick in which it was at rest is the next input, and tells the time of day.
     rests = [tick[2] for one, tick in pairwise(inputs) if one[0] == Kind.REST]
-    return sorted(rests + [one[2] for one in inputs if one[0] == Kind.CHECKPOINT and _fits(one[3])])
+    # A core takes one a minute, and a message holds a twentieth of a second.
+    taken = [one for one in inputs if one[0] == Kind.CHECKPOINT][:1]
+    return sorted(rests + [one[2] for one in taken if _fits(one[3])])
 
 
 def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:
@@ -160,13 +177,22 @@ def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame]
     Args:
         core: a new one, with the configuration and the run number of the journal.
         inputs: the journal's, from the first on; see ``gateway.journal.read``.
+
+    Raises:
+        BrokenJournalError: an input cannot be given to a core, or the core would hold ever more of them.
     """
+    held = 0
     for one in inputs:
         returned = give(core, one)
+        held += 1
         if isinstance(returned, TickEffects):
+            if any(sample.subject == JOURNAL for sample in returned.samples):
+                held = 0
             yield returned.frames, returned.samples
         elif returned:
             yield [], returned
+        if held > INPUTS_MAX:
+            raise BrokenJournalError(f"more than {INPUTS_MAX} inputs come in no time")
 
 
 def give(core: Core, one: Input) -> TickEffects | list[Sample]:

@@ -23,6 +23,12 @@ JOURNAL: Final = "journal"
 HELD_MAX: Final = 600
 """Journals that wait for those before them, half a minute's: what a recorder asks for comes within seconds."""
 
+HELD_BYTES: Final = 64 * 1024 * 1024
+"""The length of all that wait."""
+
+JOURNAL_BYTES: Final = 1024 * 1024
+"""The longest inputs of a journal: a twentieth of a second has some kilobytes, and a checkpoint some ten more."""
+
 
 class PartEnd(msgspec.Struct, frozen=True):
     """The extent of a part of a run.
@@ -112,7 +118,7 @@ class Tape:
 
     def _waits(self) -> bool:
         """Read one more journal of the run; False if it has no more, or too many wait already."""
-        if self._next is not None or len(self._held) >= HELD_MAX:
+        if self._next is not None or self._is_full:
             return False
         journal = self._read()
         if journal is None:
@@ -124,6 +130,10 @@ class Tape:
             self._held.setdefault(journal.first, journal)
         return True
 
+    @property
+    def _is_full(self) -> bool:
+        return len(self._held) >= HELD_MAX or sum(len(one.inputs) for one in self._held.values()) > HELD_BYTES
+
     def _read(self) -> Journal | None:
         """The next journal of a run that is not over."""
         for row in self._rows:
@@ -134,6 +144,11 @@ class Tape:
                 journal = row.topic.decode(row.data)
             except UNREADABLE as error:
                 self._faults.add(f"{row.topic.name}: a journal that cannot be read: {error}")
+                continue
+            if isinstance(journal, Journal) and len(journal.inputs) > JOURNAL_BYTES:
+                self._faults.add(
+                    f"{row.topic.name}: a journal of {len(journal.inputs)} bytes, which no gateway says"
+                )
                 continue
             # Nothing to run is in an empty one, and it would be held for ever.
             if isinstance(journal, Journal) and journal.count and journal.run not in self._past:

@@ -12,12 +12,14 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.chassis.frame import Frame
 from gateway.core import Core
-from gateway.journal import JournalGapError, read
-from gateway.rerun.rerun import give, rerun, run_again
+from gateway.journal import BrokenJournalError, JournalGapError, read
+from gateway.rerun import rerun as module
+from gateway.rerun.rerun import give, places, rerun, run_again, run_of
 from gateway.telemetry.sample import Sample
 from recorder.encoding.transcode import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
+from schemas.command_rules import COMMAND_RULES
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState
 from schemas.journal import Kind
@@ -219,3 +221,37 @@ def test_a_gap_is_noticed_wherever_a_run_is_run_again() -> None:
     del log.journals[20]
     with pytest.raises(JournalGapError, match="are missing"):
         list(rerun(log.settings, log.journals))
+
+
+def made_up(first: int, *inputs: object) -> Journal:
+    """A journal that no gateway said."""
+    encoded = msgspec.msgpack.encode(inputs)
+    return Journal(0, 0, run=7, first=first, count=len(inputs), inputs=encoded, rules=COMMAND_RULES)
+
+
+def test_not_every_checkpoint_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each attempt takes milliseconds, and a journal of a megabyte could hold a hundred thousand."""
+    tried: list[bytes] = []
+    monkeypatch.setattr(module, "_fits", tried.append)
+    journal = made_up(5, *[(Kind.CHECKPOINT, 0, 0, module._STATE_NAMES)] * 1000)
+    assert run_of([journal]) is None
+    assert len(tried) == module.CHECKPOINTS_TRIED
+    tried.clear()
+    assert places(journal) == []
+    assert len(tried) == 1
+
+
+@pytest.mark.parametrize("one", [(Kind.TICK, 5, 5, 0, bytes(8)), (Kind.SENT, 5, 0, 5), (Kind.SHUT_DOWN, 5)])
+def test_inputs_that_come_in_no_time_fill_no_memory(
+    monkeypatch: pytest.MonkeyPatch, one: tuple[object, ...]
+) -> None:
+    """A core holds them until its next journal is due, and time may be made to stand still."""
+    monkeypatch.setattr(module, "INPUTS_MAX", 100)
+    with pytest.raises(BrokenJournalError, match="more than 100 inputs come in no time"):
+        list(rerun(Settings(), [made_up(0, *[one] * 200)]))
+
+
+def test_what_no_core_was_given_is_a_broken_journal() -> None:
+    """Whatever a core makes of it: no error that nobody expects comes of a log."""
+    with pytest.raises(BrokenJournalError, match="what no core was given"):
+        list(rerun(Settings(), [made_up(0, (Kind.TICK, -1, 5, 0, b""))]))

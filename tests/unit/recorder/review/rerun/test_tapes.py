@@ -136,3 +136,18 @@ def test_a_journal_that_cannot_be_read_is_a_fault() -> None:
     assert tape.next_time_ns == 7000
     assert len(list(tape.journals())) == 2
     assert faults.count == 1
+
+
+def test_a_journal_that_is_longer_than_any_gateway_says_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its inputs would take a hundred times its length, once they are read."""
+    monkeypatch.setattr(runs_module, "JOURNAL_BYTES", 1)
+    faults = Faults()
+    assert not Tape(iter([journal(7, 0)]), lambda _: None, faults).next_part()
+    assert "which no gateway says" in faults.told[0]
+
+
+def test_the_length_of_what_waits_for_its_turn_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As its number is."""
+    monkeypatch.setattr(runs_module, "HELD_BYTES", 10)
+    rows = [*(journal(7, first) for first in range(2, 200, 2)), journal(7, 0)]
+    assert [(firsts[0], len(firsts)) for firsts, _, _ in played(rows)] == [(2, 99)]
