@@ -146,7 +146,18 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
             yield Given(SETTINGS[key], value, "")
 
 
+RECORDED_MAX: Final = 64 * 1024
+"""The longest text of settings that is taken from a log..."""
+
+RECORDED_DOTS: Final = 1_000
+"""...and the dots in one of its lines. For a key in so many parts tomllib needs the square of their number."""
+
+
 def _parse(toml: TomlSource) -> dict[str, Any]:
+    if toml.is_recorded:
+        lines = toml.text.splitlines()
+        if len(toml.text) > RECORDED_MAX or any(one.count(".") > RECORDED_DOTS for one in lines):
+            raise _wrong(f"{plain(toml.file)}: not TOML that can be read: no settings are that long")
     try:
         return tomllib.loads(toml.text)
     except tomllib.TOMLDecodeError as error:

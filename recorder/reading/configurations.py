@@ -25,6 +25,9 @@ INFO: Final = "gateway/info"
 ANSWERED_NS: Final = 30_000_000_000
 """A gateway that starts publishes its configuration to a running recorder within this time."""
 
+TEXTS_MAX: Final = 64 * 1024 * 1024
+"""The length of all configurations of a robot that are kept; one has two thousand characters."""
+
 STARTED_NS: Final = 1_000_000_000
 """A run's first journal is published so soon after its gateway was started."""
 
@@ -62,11 +65,13 @@ def configurations_of(robot: str, logs: Sequence[LogFile], found: Survey, faults
         faults: takes what cannot be read.
     """
     told: dict[int, str] = {}
+    room = TEXTS_MAX
     selection = Selection(lambda topic: topic.robot == robot and topic.subject == INFO)
     for row in read_rows(logs, selection, faults):
         with suppress(*UNREADABLE):
             info = row.topic.decode(row.data) if row.topic.decode is not None else None
-            if isinstance(info, GatewayInfo) and info.configuration:
+            if isinstance(info, GatewayInfo) and info.configuration and len(info.configuration) <= room:
+                room -= len(info.configuration)
                 told[info.started_ns] = info.configuration
     return Configurations(sorted(told.items()), attached(robot, found))
 

@@ -249,3 +249,10 @@ def test_a_configuration_out_of_an_old_log_may_hold_a_setting_that_was_removed()
     assert merge(TomlSource("log", text, is_recorded=True), {}, {}).command.speed_limit_mps == 0.5
     with pytest.raises(CommandError, match="there is no setting"):
         merge(TomlSource("robot.toml", text), {}, {})
+
+
+@pytest.mark.parametrize("text", ["a" + ".b" * 30_000 + " = 1", "# " + "x" * 70_000])
+def test_a_configuration_out_of_a_log_is_no_longer_than_any_of_ours(text: str) -> None:
+    """Whoever made the log could else have a gigabyte used for one key in very many parts."""
+    with pytest.raises(CommandError, match="no settings are that long"):
+        merge(TomlSource("log", text, is_recorded=True), {}, {})
