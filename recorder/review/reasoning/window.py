@@ -144,7 +144,8 @@ class EvidenceWindow:
         if kind is None or decode is None:
             return
         time_ns = row.publish_ns + self._shift_ns
-        if kind not in _ASKED_LATER and abs(row.log_ns - time_ns) > _STALL_NS:
+        is_received = not row.topic.reconstructed and kind not in _ASKED_LATER
+        if is_received and abs(row.log_ns - time_ns) > _STALL_NS:
             # The robot's clock was set in these seconds. These are received soon, so the receipt tells enough.
             time_ns = row.log_ns
         if row.topic.reconstructed:
@@ -371,7 +372,15 @@ class WindowReader:
             to_ns + _LINK_NS,
             is_filled=True,
         )
-        self._read(window, around)
+        self._read(self._logs, window, around)
+        # A recorder that hung receives at once what waited for it; what was made again lies there, too.
+        made = Selection(
+            lambda topic: topic.robot == self.robot and topic.reconstructed != "" and topic.kind in _WANTED,
+            to_ns + _LINK_NS,
+            to_ns + LATER_NS,
+            is_filled=True,
+        )
+        self._read([log for log in self._logs if log.published_from_ns < to_ns], window, made, until_ns=to_ns)
         if window.lacks_decisions or not window.all(Decision):
             later = Selection(
                 lambda topic: topic.robot == self.robot and topic.kind in {Decision, SafetyEvent},
@@ -381,13 +390,19 @@ class WindowReader:
                 is_digested=True,
                 is_filled=True,
             )
-            self._read(window, later, until_ns=to_ns)
+            self._read(self._logs, window, later, until_ns=to_ns)
         window.gaps = [gap for gap in window.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]
         window.settle()
         return window
 
-    def _read(self, window: EvidenceWindow, selection: Selection, until_ns: int | None = None) -> None:
-        for row in read_rows(self._logs, selection, self._faults):
+    def _read(
+        self,
+        logs: Sequence[LogFile],
+        window: EvidenceWindow,
+        selection: Selection,
+        until_ns: int | None = None,
+    ) -> None:
+        for row in read_rows(logs, selection, self._faults):
             if until_ns is not None and row.publish_ns >= until_ns:
                 continue
             try:

@@ -30,6 +30,9 @@ HOLE_NS: Final = KEPT_NS
 LONGEST_NS: Final = 1_800_000_000_000
 """Of a longer hole its end counts: a gateway keeps some ten minutes of its journal, and seldom more."""
 
+HOLES_MAX: Final = 20_000
+"""Holes that are found in logs; later ones are told as missing."""
+
 JOINT_NS: Final = 5_000_000_000
 """Time at the ends of two files between which a hole may be."""
 
@@ -79,11 +82,11 @@ def holes(logs: Sequence[LogFile], faults: Faults, progress: Progress = lambda _
     found: set[StateHole] = set()
     for suspect in _suspects(logs):
         last: dict[str, tuple[int, int, SafetyState]] = {}
-        for row, state in chain.from_iterable(
-            _states(logs, suspect, part, faults, progress) for part in suspect.parts
-        ):
+        for row, state in chain.from_iterable(_states(suspect, part, faults, progress) for part in suspect.parts):
             robot = row.topic.robot
             was, last[robot] = last.get(robot), (row.log_ns, row.sequence, state)
+            if len(found) >= HOLES_MAX:
+                break
             if was is not None and _is_hole(was[1], was[2], row.sequence, state):
                 found.add(
                     StateHole(
@@ -103,16 +106,18 @@ class _Suspect(msgspec.Struct, frozen=True):
     """A place to look for a hole.
 
     Attributes:
+        logs: that may hold the states.
         parts: ranges of log times, one behind the other.
         robots: whose states are looked at; None looks at all.
     """
 
+    logs: list[LogFile]
     parts: list[tuple[int, int]]
     robots: frozenset[str] | None
 
 
 def _states(
-    logs: Sequence[LogFile], suspect: _Suspect, part: tuple[int, int], faults: Faults, progress: Progress
+    suspect: _Suspect, part: tuple[int, int], faults: Faults, progress: Progress
 ) -> Iterator[tuple[Row, SafetyState]]:
     robots = suspect.robots
     selection = Selection(
@@ -121,7 +126,7 @@ def _states(
         is_digested=True,
         is_filled=True,
     )
-    for row, state in decoded_rows(logs, selection, faults, lambda _: progress(0)):
+    for row, state in decoded_rows(suspect.logs, selection, faults, lambda _: progress(0)):
         if isinstance(state, SafetyState):
             yield row, state
 
@@ -140,8 +145,10 @@ def _suspects(logs: Sequence[LogFile]) -> Iterator[_Suspect]:
         accounts = survey([log], Faults()).metadata.get(COMPLETENESS_NAME)
         losers = None if accounts is None else frozenset(_losers(accounts, log))
         if log.end_ns and losers != frozenset():
-            # The last state before a hole may be in the file before.
-            yield _Suspect([(max(0, log.start_ns - JOINT_NS), log.end_ns + 1)], losers)
+            # The last state before a hole may be in the file before; of hundreds of robots the others' need not be
+            # opened.
+            its = [one for one in logs if one.robots & log.robots or not (one.robots and log.robots)]
+            yield _Suspect(its, [(max(0, log.start_ns - JOINT_NS), log.end_ns + 1)], losers)
         for root, name in log.robots:
             of_robots[f"{root}/{name}" if name in log.namesakes else name].append(log)
     for robot, its in of_robots.items():
@@ -149,7 +156,7 @@ def _suspects(logs: Sequence[LogFile]) -> Iterator[_Suspect]:
         for log in its:
             if end_ns and log.start_ns - end_ns > HOLE_NS:
                 ends = [(max(0, end_ns - JOINT_NS), end_ns + 1), (log.start_ns, log.start_ns + JOINT_NS)]
-                yield _Suspect(ends, frozenset({robot}))
+                yield _Suspect(its, ends, frozenset({robot}))
             end_ns = max(end_ns, log.end_ns)
 
 

@@ -290,9 +290,21 @@ _IDENTIFIER_TAG: Final = b"\x1d"
 """The field 3, of 4 bytes, follows: fixed widths come first, see ``recorder.encoding.transcode``."""
 
 
+def message_of(sample: SampleAgain) -> Any:  # noqa: ANN401 - of any subject
+    """The message of a sample.
+
+    Raises:
+        ValueError: it is none: inputs that somebody made up may make a core say anything.
+    """
+    message = codec.decode(BY_NAME[sample.subject], sample.payload)
+    if isinstance(message, codec.PayloadFault):
+        raise ValueError(f"{sample.subject} that comes out is no message: {message.detail}")  # noqa: TRY004
+    return message
+
+
 def records_of(sample: SampleAgain) -> Iterator[tuple[Key, RecordedOutput]]:
     """The records that a recorder would write of a sample."""
-    message: Any = codec.decode(BY_NAME[sample.subject], sample.payload)
+    message = message_of(sample)
     for time_ns, data in _ROUTES[sample.subject].transcode(message):
         yield key_of(sample.subject, message.sequence, time_ns, data), RecordedOutput(time_ns, data)
 

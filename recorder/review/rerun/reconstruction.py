@@ -8,13 +8,13 @@ are others, and whoever wants both has to say so (``Selection.is_filled``) and s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from io import BytesIO
-from itertools import groupby
+from itertools import groupby, islice
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 import msgspec
 
@@ -25,15 +25,22 @@ from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.writer import McapFile
 from recorder.reading.configurations import Configurations, configurations_of, settings_from
 from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import ORIGIN, RECONSTRUCTED_CHUNK, UNREADABLE
-from recorder.review.rerun.holes import StateHole, holes, pieces
-from recorder.review.rerun.player import COMPARED, Rerun, SampleAgain, identifier_in, installed
+from recorder.review.rerun.holes import STATES, StateHole, holes, pieces
+from recorder.review.rerun.player import (
+    COMPARED,
+    DETAIL_MAX,
+    Rerun,
+    SampleAgain,
+    identifier_in,
+    installed,
+    message_of,
+)
 from recorder.review.rerun.segments import BEHIND_NS
 from recorder.review.rerun.tapes import JOURNAL, Tape
-from schemas import codec
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
 from schemas.exit_codes import CommandError
@@ -66,6 +73,17 @@ BESIDE_NS: Final = 15_000_000_000
 
 HOLES_MAX: Final = 64
 """Holes, or rows of near ones, that are filled; what is missing beyond is told as missing."""
+
+RECORDS_MAX: Final = 1_500_000
+"""Messages of one part that are held, recorded ones and others: two minutes of a saturated bus have a million."""
+
+SAID_MAX: Final = 256 * 1024 * 1024
+"""Their length in bytes."""
+
+CONTENT_MAX: Final = 512 * 1024 * 1024
+"""The length of all that is made for one question; what is missing beyond is told as missing."""
+
+TOO_MUCH: Final = "more follows from its journal than a gateway says in such a time"
 
 _CHUNK_BYTES: Final = 1 << 20
 
@@ -103,14 +121,17 @@ def filled(
         return list(logs)
     about = survey(logs, faults)
     made: list[LogFile] = []
+    room = _Room()
     for robot, its in groupby(sorted(found, key=attrgetter("robot", "log_from_ns")), attrgetter("robot")):
-        configurations = configurations_of(robot, logs, about, faults)
+        of_robot = logs_of(robot, logs)
+        configurations = configurations_of(robot, of_robot, about, faults)
         before: HoleFilling | None = None
-        for row in _rows_of_near([part for one in its for part in pieces(one, STRETCH_NS)])[:HOLES_MAX]:
+        parts = (part for one in its for part in pieces(one, STRETCH_NS))
+        for row in islice(_rows_of_near(parts), HOLES_MAX):
             # In the midst of a hole nothing was recorded that a part of it could be held against.
             is_next = before is not None and before.holes[-1].to_ns == row[0].from_ns
-            known = sorted([*logs, *(made[-1:] if is_next else [])], key=_beginning)
-            before = HoleFilling(row, known, configurations, again, faults, progress)
+            known = sorted([*of_robot, *(made[-1:] if is_next else [])], key=_beginning)
+            before = HoleFilling(row, known, configurations, again, faults, progress, room)
             made.append(_file(before, logs))
     return sorted([*logs, *made], key=_beginning)
 
@@ -118,14 +139,23 @@ def filled(
 _beginning = attrgetter("start_ns")
 
 
-def _rows_of_near(found: Sequence[StateHole]) -> list[list[StateHole]]:
-    rows: list[list[StateHole]] = []
+def _rows_of_near(found: Iterable[StateHole]) -> Iterator[list[StateHole]]:
+    row: list[StateHole] = []
     for one in found:
-        is_near = rows and one.log_from_ns - rows[-1][-1].log_to_ns <= TOGETHER_NS
-        if not is_near or one.log_to_ns - rows[-1][0].log_from_ns > STRETCH_NS:
-            rows.append([])
-        rows[-1].append(one)
-    return rows
+        is_near = row and one.log_from_ns - row[-1].log_to_ns <= TOGETHER_NS
+        if row and (not is_near or one.log_to_ns - row[0].log_from_ns > STRETCH_NS):
+            yield row
+            row = []
+        row.append(one)
+    if row:
+        yield row
+
+
+class _Room:
+    """The bytes that may still be made for a question."""
+
+    def __init__(self) -> None:
+        self.left = CONTENT_MAX
 
 
 def _file(filling: HoleFilling, logs: Sequence[LogFile]) -> LogFile:
@@ -142,6 +172,7 @@ def _file(filling: HoleFilling, logs: Sequence[LogFile]) -> LogFile:
         logs[0].namesakes,
         stored=filling,
         is_reconstructed=True,
+        published_from_ns=first.from_ns,
     )
 
 
@@ -155,6 +186,7 @@ class HoleFilling:
         again: runs a journal again.
         faults: takes what cannot be read.
         progress: is called with no bytes.
+        room: for the content.
     """
 
     def __init__(
@@ -165,6 +197,7 @@ class HoleFilling:
         again: Rerun,
         faults: Faults,
         progress: Progress,
+        room: _Room,
     ) -> None:
         self.holes = holes
         self._logs = logs
@@ -172,6 +205,7 @@ class HoleFilling:
         self._again = again
         self._faults = faults
         self._look: Progress = lambda _: progress(0)
+        self._room = room
         self._content: bytes | None = None
 
     @property
@@ -202,11 +236,21 @@ class HoleFilling:
             best = _Remaking(self.holes)
             for back_ns in BACK_NS if self._has_journal() else ():
                 remaking = self._remake(back_ns)
+                if remaking.is_too_much:
+                    self._faults.add(f"{self.holes[0].robot}: what is missing is not reconstructed: {TOO_MUCH}")
+                    break
                 if remaking.begins_ns < best.begins_ns:
                     best = remaking
                 if best.begins_ns <= self.holes[0].from_ns:
                     break
             self._content = best.content()
+            if len(self._content) > self._room.left:
+                self._faults.add(
+                    f"{self.holes[0].robot}: what is missing is not reconstructed: of all holes it would be "
+                    f"more than {CONTENT_MAX} bytes; ask for one robot, or with --from and --to"
+                )
+                self._content = _Remaking(self.holes).content()
+            self._room.left -= len(self._content)
         return self._content
 
     def _remake(self, back_ns: int) -> _Remaking:
@@ -230,12 +274,22 @@ class HoleFilling:
                     pass
                 continue
             try:
-                for sample in self._again(settings, remaking.watch(tape.journals())):
+                for sample in self._again(settings, remaking.watch(self._looked_at(tape.journals()))):
+                    self._look(0)
                     remaking.say_again(sample)
+                    if remaking.is_too_much:
+                        return remaking
             except UNREADABLE as error:
                 tape.break_off("")
-                self._faults.add(f"{first.robot}: its journal cannot be run again from there on: {error}")
+                detail = f"{error}"[:DETAIL_MAX]
+                self._faults.add(f"{first.robot}: its journal cannot be run again from there on: {detail}")
         return remaking
+
+    def _looked_at(self, journals: Iterator[Journal]) -> Iterator[Journal]:
+        """The same journals. A run may be made to take long, and to say nothing meanwhile."""
+        for journal in journals:
+            self._look(0)
+            yield journal
 
     def _settings(self, text: str) -> Settings | None:
         """The settings of a run; None if this version cannot read them."""
@@ -291,6 +345,12 @@ class _Remaking:
         self._missing: dict[str, dict[_Recorded, _Again]] = {}
         self._subjects: dict[str, str] = {}
         self._is_otherwise = False
+        self._records, self._bytes = RECORDS_MAX, SAID_MAX
+
+    @property
+    def is_too_much(self) -> bool:
+        """More was recorded, or came out again, than is held: then nothing of it is of use."""
+        return self._records < 0 or self._bytes < 0
 
     def watch(self, journals: Iterator[Journal]) -> Iterator[Journal]:
         """Yield the journals, looked at."""
@@ -300,6 +360,9 @@ class _Remaking:
 
     def record(self, row: Row) -> None:
         """A message of the logs."""
+        if self.is_too_much:
+            return
+        self._records -= 1
         name = row.topic.name
         self._recorded[name, row.publish_ns, _part(row.topic.subject, row.sequence, row.data)] = hash(row.data)
 
@@ -307,7 +370,7 @@ class _Remaking:
         """A sample of which the messages came out again."""
         if sample.subject not in MADE_AGAIN:
             return
-        message: Any = codec.decode(BY_NAME[sample.subject], sample.payload)
+        message = message_of(sample)
         bus = message.bus if isinstance(message, CanFrames) else ""
         topic = f"{self._holes[0].key}/{sample.subject.format(bus=bus)}"
         self._subjects[topic] = sample.subject
@@ -315,6 +378,8 @@ class _Remaking:
             self.begins_ns = min(self.begins_ns, publish_ns)
             if publish_ns < self.beside_ns:
                 continue
+            self._records -= 1
+            self._bytes -= len(data)
             key = topic, publish_ns, _part(sample.subject, message.sequence, data)
             hole = next((one for one in self._holes if one.from_ns <= publish_ns < one.to_ns), None)
             if hole is None:
@@ -347,12 +412,27 @@ class _Remaking:
         return stream.getvalue()
 
     def _is_as_recorded(self) -> bool:
-        """Report whether the arbiter says all that was recorded beside the holes as it was recorded."""
+        """Report whether the arbiter says all that was recorded beside the holes as it was recorded.
+
+        Where of its states none was recorded, and others were, the journal is that of another robot or run.
+        """
         own = {topic for topic, subject in self._subjects.items() if subject in COMPARED}
         said = {key: one for key, one in self._said.items() if key[0] in own}
         for topic in own & self._missing.keys():
             said |= {key: hash(one.data) for key, one in self._missing[topic].items() if key in self._recorded}
-        return not self._is_otherwise and all(one == self._recorded.get(key, one) for key, one in said.items())
+        return (
+            not self._is_otherwise
+            and self._is_known()
+            and all(one == self._recorded.get(key, one) for key, one in said.items())
+        )
+
+    def _is_known(self) -> bool:
+        """Report whether a state beside the holes was recorded, or none that could have been."""
+        topic = f"{self._holes[0].key}/{STATES}"
+        said = [one for one in self._said if one[0] == topic]
+        first_ns, last_ns = min((one[1] for one in said), default=0), max((one[1] for one in said), default=0)
+        heard = (one for one in self._recorded if one[0] == topic and first_ns <= one[1] <= last_ns)
+        return any(one in self._recorded for one in said) or next(heard, None) is None
 
     def _fits(self, topic: str) -> bool:
         """Report whether a topic may be filled: feedback only if it comes out beside the holes as it was recorded.

@@ -1,12 +1,12 @@
 """What a log lacks, made again out of the journal that it holds."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 import pytest
@@ -14,6 +14,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from gateway import core
+from gateway.journal import inputs_of
 from gateway.rerun.rerun import rerun
 from gateway.telemetry.sample import Sample
 from recorder.cli.review.why import chain_in_words
@@ -30,6 +31,7 @@ from recorder.review.report.findings import Why
 from recorder.review.report.page import page
 from recorder.review.report.survey import read_report
 from recorder.review.report.words import moment_words
+from recorder.review.rerun import holes as module_holes
 from recorder.review.rerun import reconstruction
 from recorder.review.rerun.player import rerun_logs
 from recorder.review.rerun.reconstruction import FROM_JOURNAL, MADE_AGAIN, OTHERWISE, HoleFilling, filled
@@ -41,12 +43,13 @@ from recorder.review.why import explain
 from schemas import codec
 from schemas.decisions import Decision, Journal, SafetyState
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.journal import Kind
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 from tests.support.authority import Fleet
 from tests.support.commands import review
 from tests.support.logs import channel_of, encoded, mcap_log
-from tests.support.messages import SECOND, key_of
+from tests.support.messages import MS, SECOND, key_of
 from tests.support.rigs.recorded import RecordedRig
 from tests.support.signed_run import driven, of, without
 from tests.support.signed_run import log_of as log_of_samples
@@ -366,3 +369,173 @@ def test_settings_that_cannot_be_read_are_a_fault_and_end_no_answer(
     monkeypatch.setattr(reconstruction, "settings_from", refuse)
     assert list(read_events(log.filled, Selection(), log.faults)) == expected
     assert log.faults.told == ["cruiser-1: its configuration cannot be read: unknown setting"]
+
+
+Recorded = list[tuple[int, Sample]]
+"""What was said, and when it was received."""
+
+
+def log_of_recorded(path: Path, recorded: Recorded) -> list[LogFile]:
+    """The log of what was received so."""
+    rig = RecordedRig()
+    rig.settings, rig.recorded = drive().settings, sorted(recorded, key=itemgetter(0))
+    path.write_bytes(rig.log())
+    return find_logs([path], Faults())
+
+
+def at(second: float) -> int:
+    """A time of the drive."""
+    return drive().recorded[0][0] + round(second * SECOND)
+
+
+def without_states(from_s: float, to_s: float) -> Recorded:
+    """The drive, of which a part was not recorded; but the journal is there."""
+    return [
+        (at_ns, one)
+        for at_ns, one in drive().recorded
+        if one.subject not in MADE_AGAIN or not at(from_s) <= at_ns < at(to_s)
+    ]
+
+
+def with_journals(recorded: Recorded, change: Callable[[Journal], Journal]) -> Recorded:
+    """The same with other journals from the hole's second on."""
+
+    def changed(one: Sample) -> Sample:
+        journal = codec.decode(BY_NAME["journal"], one.payload)
+        assert isinstance(journal, Journal)
+        return Sample("journal", codec.encode(change(journal)))
+
+    return [
+        (at_ns, changed(one) if one.subject == "journal" and at_ns >= at(QUIET_S + 1) else one)
+        for at_ns, one in recorded
+    ]
+
+
+def with_inputs(*more: tuple[Any, ...]) -> Recorded:
+    """A drive with a hole, in whose journals these inputs stand besides."""
+    made = [msgspec.msgpack.encode(one) for one in more]
+
+    def change(journal: Journal) -> Journal:
+        inputs = [*inputs_of(journal), *map(msgspec.msgpack.decode, made)]
+        return msgspec.structs.replace(journal, inputs=msgspec.msgpack.encode(inputs))
+
+    return with_journals(without_states(QUIET_S + 1, QUIET_S + 3), change)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ((Kind.TICK, -5, 5, 0, b""), "can't convert negative int"),
+        ((Kind.TICK, 2**62, 2**62, 0, b"x"), "is no message"),
+        ((Kind.FRAME, 5, [2**63, b"12345678", 2**63]), "is no message"),
+        ((Kind.LINKS, 5, *["x"] * 8), ""),
+    ],
+)
+def test_whatever_a_journal_holds_the_log_is_answered(tmp_path: Path, more: tuple[Any, ...], said: str) -> None:
+    """Inputs that no gateway was given are a line, and what was recorded is told as ever."""
+    logs = log_of_recorded(tmp_path / "log.mcap", with_inputs(more))
+    faults = Faults()
+    told = list(read_events(filled(logs, faults), Selection(), faults))
+    assert [one for one in told if not one.reconstructed]
+    assert any("cannot be run again from there on" in one and said in one for one in faults.told)
+
+
+def test_a_run_that_takes_long_is_looked_at_from_journal_to_journal(tmp_path: Path) -> None:
+    """So whoever waits for the answer can end it, though nothing comes out of the run and one chunk holds all."""
+    logs = log_of_recorded(tmp_path / "log.mcap", without_states(QUIET_S + 1, QUIET_S + 3))
+    looks: list[int] = []
+    made = filled(logs, Faults(), looks.append)
+    before = len(looks)
+    assert messages(made, is_made=True)
+    assert len(looks) - before > 20 * 15, "of the fifteen seconds before the hole alone"
+
+
+@pytest.mark.parametrize("bound", ["RECORDS_MAX", "SAID_MAX"])
+def test_what_is_held_while_a_hole_is_filled_is_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bound: str
+) -> None:
+    """Where more comes out of a journal than a gateway says, nothing of it is shown, and that is told."""
+    monkeypatch.setattr(reconstruction, bound, 100)
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 3))
+    assert not [
+        one for one in read_rows(log.filled, Selection(is_filled=True), log.faults) if one.topic.reconstructed
+    ]
+    assert log.faults.told == ["cruiser-1: what is missing is not reconstructed: " + reconstruction.TOO_MUCH]
+
+
+def test_what_fills_all_holes_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is in memory until the question is answered."""
+    monkeypatch.setattr(reconstruction, "CONTENT_MAX", 1000)
+    log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 3))
+    assert not [
+        one for one in read_rows(log.filled, Selection(is_filled=True), log.faults) if one.topic.reconstructed
+    ]
+    assert "ask for one robot, or with --from and --to" in log.faults.told[0]
+
+
+def test_no_log_has_endless_holes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A state here and there, with hours between them, is a hole each time: of these so many are kept."""
+    monkeypatch.setattr(module_holes, "HOLES_MAX", 5)
+    states = [one for one in without_states(0, 0) if one[1].subject == "safety/state"][::20]
+    assert len(states) > 10
+    logs = log_of_recorded(tmp_path / "log.mcap", states)
+    assert len(module_holes.holes(logs, Faults())) == 5
+
+
+def test_a_hole_is_looked_for_in_the_logs_of_its_robot_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of hundreds of robots that a recorder lost at once the logs are opened once, and not each for all others."""
+    states = [one for one in without_states(0, 0) if one[1].subject == "safety/state"][::20]
+    rig = RecordedRig()
+    rig.settings, rig.recorded = drive().settings, states
+    for number in range(8):
+        (tmp_path / f"{number}.mcap").write_bytes(rig.log(robot=f"cruiser-{number}"))
+    logs = find_logs([tmp_path], Faults())
+    opened: list[str] = []
+
+    def open_log(log: LogFile) -> BinaryIO:
+        opened.append(log.name)
+        return log.path.open("rb")
+
+    monkeypatch.setattr(LogFile, "open", open_log)
+    assert len(module_holes.holes(logs, Faults())) > 8
+    assert len(opened) <= 2 * len(logs), "once for the account, and once for the states"
+
+
+def test_a_journal_of_another_robot_is_never_as_the_recorded_one(tmp_path: Path) -> None:
+    """It may be put under any key: none of the states beside the hole comes out of it, and the mark says so."""
+    other = RecordedRig.beginning(at(QUIET_S - 4) + 3 * MS, 99)
+    other.run(12)
+    recorded = [one for one in without_states(QUIET_S + 1, QUIET_S + 3) if one[1].subject != "journal"]
+    journals = [one for one in other.recorded if one[1].subject == "journal"]
+    logs = log_of_recorded(tmp_path / "log.mcap", recorded + journals)
+    faults = Faults()
+    rows = read_rows(filled(logs, faults), Selection(is_filled=True), faults)
+    assert {one.topic.reconstructed for one in rows} == {"", OTHERWISE}
+
+
+def test_why_sees_what_a_recorder_missed_that_hung(tmp_path: Path) -> None:
+    """What waited for it was received at once, long after it was said; what is missing was between that."""
+    hung_s, late_s, on_s = 3.0, 4.0, QUIET_S + 4
+    recorded = [
+        (at(on_s) if at(hung_s) <= at_ns < at(late_s) else at_ns, one)
+        for at_ns, one in without_states(late_s, on_s)
+        if one.subject != "journal"
+    ]
+    recorded += [
+        (max(at_ns, at(on_s) + SECOND) if at_ns >= at(late_s) else at_ns, one)
+        for at_ns, one in drive().recorded
+        if one.subject == "journal"
+    ]
+    logs = log_of_recorded(tmp_path / "log.mcap", recorded)
+    whole = log_of(tmp_path / "whole.mcap")
+    faults = Faults()
+    for second in (late_s + 1, QUIET_S + 1.5, QUIET_S + 3):
+        told, expected = (
+            explain("cruiser-1", one, survey(of, faults), at(second), faults)
+            for one, of in ((filled(logs, faults), logs), (whole, whole))
+        )
+        assert told.reconstructed == FROM_JOURNAL
+        assert (told.state, told.reason, told.stop_ns) == (expected.state, expected.reason, expected.stop_ns)
+    assert not faults
