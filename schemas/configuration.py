@@ -147,10 +147,10 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
 
 
 RECORDED_MAX: Final = 64 * 1024
-"""The longest text of settings that is taken from a log..."""
+"""The longest text of settings that is taken from a log."""
 
 RECORDED_DOTS: Final = 1_000
-"""...and the dots in one of its lines. For a key in so many parts tomllib needs the square of their number."""
+"""Dots in one line of such a text at most: for a key in many parts tomllib needs the square of their number."""
 
 
 def _parse(toml: TomlSource) -> dict[str, Any]:
