@@ -19,7 +19,7 @@ from recorder.disk.leftovers import LeftoverThread
 from recorder.disk.log_writer import LogWriter
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.record.accounting import KeyReport, total
-from recorder.record.actions import Action, LogAction, Publish, Query
+from recorder.record.actions import QUERIES_PER_TICK, Action, LogAction, Publish, Query
 from recorder.record.health import HealthReport, Vitals
 from recorder.record.inbox import SampleInbox
 from recorder.record.orders import OperatorRequest, Orders
@@ -68,6 +68,11 @@ class SampleSource(Protocol):
     @property
     def is_asking(self) -> bool:
         """True if a query is still without its reply."""
+        ...
+
+    @property
+    def query_room(self) -> int:
+        """Queries that may still be asked: the answers to others would be given up for more."""
         ...
 
     @property
@@ -216,6 +221,9 @@ class RecorderLoop:
         for robot in self._source.robots_left():
             self._apply(self._recorder.let_go(robot, now_ns))
         self._apply(self._recorder.tick(now_ns, wall_ns, self._writer.sizes))
+        # While samples wait, questions do, but for one: a recorder that is never idle asks, too.
+        most = min(self._source.query_room, 1 if self._inbox else QUERIES_PER_TICK)
+        self._apply(self._recorder.ask(now_ns, most))
         if self._control is not None:
             self._obey(self._control, now_ns, wall_ns)
         if now_ns - self._link_seen_ns >= LINK_NS:
@@ -313,9 +321,12 @@ class RecorderLoop:
         start_ns = time.monotonic_ns()
         while self._step() and time.monotonic_ns() - start_ns < LAST_SAMPLES_NS:
             pass
-        self._apply(self._recorder.ask_last(time.monotonic_ns()))
         asked_ns = time.monotonic_ns()
-        while self._source.is_asking and time.monotonic_ns() - asked_ns < LAST_ANSWERS_NS:
+        self._recorder.ask_last(asked_ns)
+        while (now_ns := time.monotonic_ns()) - asked_ns < LAST_ANSWERS_NS:
+            self._apply(self._recorder.ask(now_ns, self._source.query_room))
+            if not self._source.is_asking:
+                break
             self._step()
             time.sleep(IDLE_S)
         for sample in self._inbox.take(len(self._inbox), self._inbox.bytes):

@@ -155,6 +155,11 @@ class CloseLog(LogAction, frozen=True):
         file.finish()
 
 
+QUERIES_PER_TICK: Final = 8
+"""Queries in one tick at most, however many robots turn up at once: one takes a router and the recorder as long as
+several samples do."""
+
+
 class Query(msgspec.Struct, frozen=True):
     """Query a key. The replies are samples, and marked as replies.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import Final
 
-from recorder.record.actions import Query
+from recorder.record.actions import QUERIES_PER_TICK, Query
 from schemas import keys
 from schemas.decisions import Journal
 from schemas.recorder_settings import ROBOT_LIMIT
@@ -27,8 +27,6 @@ every sample."""
 
 RANGES_MAX: Final = 32
 """Gaps of one key that wait; beyond it the oldest are given up."""
-
-QUERIES_PER_TICK: Final = 8
 
 HELD: Final = 16_384
 """Samples of one key that are known again, by their place in the run: as many as a gateway keeps, in 2 MB."""
@@ -97,8 +95,9 @@ class _Key:
 
     def query(self, now_ns: int) -> Query | None:
         """The query that is due."""
-        self.ranges = [one for one in self.ranges if not one.is_over]
-        if now_ns < self.ask_at_ns or not self.ranges or not self.ranges[0].is_due(now_ns):
+        while self.ranges and self.ranges[0].is_over:
+            del self.ranges[0]
+        if not self.ranges or now_ns < self.ask_at_ns or not self.ranges[0].is_due(now_ns):
             return None
         one = self.ranges[0]
         one.tries = one.tries + 1 if one.asked_ns is not None and one.start < one.asked_to else 0
@@ -160,17 +159,16 @@ class Backlog:
         one.expected = max(one.expected, wanted.start)
         return one.hold(sequence, payload), wanted.counted
 
-    def queries(self, now_ns: int) -> list[Query]:
-        """The queries that are due."""
+    def queries(self, now_ns: int, most: int = QUERIES_PER_TICK) -> list[Query]:
+        """The queries that are due, at most so many; the others stay due."""
         due = (query for one in self._keys.values() if (query := one.query(now_ns)) is not None)
-        return list(islice(due, QUERIES_PER_TICK))
+        return list(islice(due, most))
 
-    def last_queries(self, now_ns: int) -> list[Query]:
-        """The queries at the end: its last samples may be missing too, and nothing came after them to show it."""
+    def ask_last(self) -> None:
+        """Ask for the end, too: the last samples may be missing, and nothing came after them to show it."""
         for one in self._keys.values():
-            if not one.ranges:
-                one.ranges.append(_Range(one.expected, None, counted=False))
-        return self.queries(now_ns)
+            missing = [part for part in one.ranges if not part.is_over]
+            one.ranges = missing or [_Range(one.expected, None, counted=False)]
 
     def _begin_again(self, one: _Key, key: str, now_ns: int) -> None:
         """Begin again with all subjects of a gateway: those that are seldom published would not show a restart."""

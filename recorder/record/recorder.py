@@ -7,7 +7,7 @@ One ``RobotLog`` for each robot, or one for all. ``receive`` finds the log by th
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Final
@@ -18,7 +18,7 @@ from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.received_sample import ReceivedSample
 from recorder.mcap.chunk import log_time
 from recorder.record.accounting import KeyReport, total
-from recorder.record.actions import INCIDENT_MARK, Action, Publish
+from recorder.record.actions import INCIDENT_MARK, QUERIES_PER_TICK, Action, Publish
 from recorder.record.incidents import trim_rings
 from recorder.record.lost_gateways import LostGateway, LostGateways
 from recorder.record.notices import (
@@ -99,6 +99,9 @@ class Recorder:
         self._lost_gateways = LostGateways()
         self._losses_reported_ns = 0
         self._turn = 0
+        self._askers: deque[RobotLog] = deque()
+        """The logs, the one first whose turn it is to ask."""
+        self._is_ending = False
         self._event_sequence = self._gap_sequence = 0
         self._is_stopped = plan.standby
         self._has_room = True
@@ -237,6 +240,17 @@ class Recorder:
             self._report_losses(now_ns, wall_ns)
         return self._take_actions()
 
+    def ask(self, now_ns: int, most: int = QUERIES_PER_TICK) -> Sequence[Action]:
+        """Query what is due, of all logs together at most so much: each in its turn; what is left stays due."""
+        for _ in range(len(self._askers) if self._is_ending else min(len(self._askers), self._part)):
+            if most <= 0:
+                break
+            queries = self._askers[0].queries(now_ns, most)
+            self._askers.rotate(-1)
+            self._context.actions += queries
+            most -= len(queries)
+        return self._take_actions()
+
     def roll(self, reason: str, now_ns: int) -> Sequence[Action]:
         """End all files; the next samples begin others. See ``RobotLog.roll`` for how soon."""
         for log in self._logs.values():
@@ -299,11 +313,11 @@ class Recorder:
             self._announce(announcement, now_ns, wall_ns, log)
         return self._take_actions()
 
-    def ask_last(self, now_ns: int) -> Sequence[Action]:
-        """Query what is worth asking once more before ``close``."""
+    def ask_last(self, now_ns: int) -> None:
+        """Have what is worth asking once more before ``close`` be due."""
+        self._is_ending = True
         for log in self._logs.values():
             log.ask_last(now_ns)
-        return self._take_actions()
 
     def close(self, now_ns: int, wall_ns: int) -> Sequence[Action]:
         """End everything."""
@@ -320,10 +334,14 @@ class Recorder:
         logs = list(self._logs.values())
         if len(logs) <= TICK_LOGS:
             return logs
-        count = max(TICK_LOGS, -(-len(logs) // TICK_TURNS))
-        begin = self._turn * count
-        self._turn = self._turn + 1 if begin + count < len(logs) else 0
-        return logs[begin : begin + count]
+        begin = self._turn * self._part
+        self._turn = self._turn + 1 if begin + self._part < len(logs) else 0
+        return logs[begin : begin + self._part]
+
+    @property
+    def _part(self) -> int:
+        """So many logs have their turn in one tick."""
+        return max(TICK_LOGS, -(-len(self._logs) // TICK_TURNS))
 
     def _find_log(self, key: str) -> RobotLog:
         name = self._name_of(key) if self._plan.per_robot else self._plan.log.name
@@ -334,6 +352,7 @@ class Recorder:
         if log is None:
             plan = msgspec.structs.replace(self._plan.log, name=name)
             log = self._logs[name] = RobotLog(plan, self._context)
+            self._askers.append(log)
             log.is_paused = self.state is not RecorderState.RECORDING
             log.count_as_wanted(is_wanted=not self._is_stopped)
         if len(key) > keys.KEY_MAX_LENGTH:

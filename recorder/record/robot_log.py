@@ -28,6 +28,7 @@ from recorder.record.actions import (
     DeclareChannel,
     LogAction,
     OpenLog,
+    Query,
     SyncLog,
     WriteChunk,
     WriteMetadata,
@@ -363,10 +364,8 @@ class RobotLog:
     # Chunks and files
 
     def tick(self, now_ns: int, file_bytes: int = 0) -> None:
-        """Do what is due: queries, handing the chunk over to the disk, ending a file of this size, an incident."""
+        """Do what is due: handing the chunk over to the disk, ending a file of this size, an incident."""
         self.statements.tick()
-        self._context.actions += self.robots.queries(now_ns)
-        self._context.actions += self._backlog.queries(now_ns)
         if self._at_risk_since_ns is None and len(self._chunk):
             # What took the fast path since the last tick.
             self._at_risk_since_ns = self._received_ns = now_ns
@@ -428,10 +427,15 @@ class RobotLog:
             self._lose_written(chunk.counts, self._context.left_out, chunk.start_ns, chunk.end_ns)
         self._context.actions += self.incidents.add(chunk, now_ns)
 
+    def queries(self, now_ns: int, most: int) -> list[Query]:
+        """The queries that are due, at most so many: who the robots are, then what they keep."""
+        queries = self.robots.queries(now_ns, most)
+        return queries + self._backlog.queries(now_ns, most - len(queries))
+
     def ask_last(self, now_ns: int) -> None:
-        """Query what is worth asking once more before ``close``."""
-        self._context.actions += self.robots.last_queries()
-        self._context.actions += self._backlog.last_queries(now_ns)
+        """Have what is worth asking once more before ``close`` be due."""
+        self.robots.ask_last(now_ns)
+        self._backlog.ask_last()
 
     def close(self, now_ns: int) -> None:
         """End the file, if one is open."""

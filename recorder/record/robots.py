@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from recorder.layouts.attached import RobotKeys, layouts
-from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
+from recorder.record.actions import QUERIES_PER_TICK, LogAction, Query, WriteAttachment, WriteMetadata
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant
 from schemas.recorder_settings import BUS_LIMIT, ROBOT_LIMIT
@@ -28,9 +28,6 @@ ASK_AGAIN_NS: Final = 2_000_000_000
 
 ASK_AGAIN_MAX_NS: Final = 60_000_000_000
 """The longest pause between two such queries."""
-
-QUERIES_PER_TICK: Final = 8
-"""Queries in one tick at most, however many robots turn up at once."""
 
 _INFO: Final = BY_TYPE[GatewayInfo]
 
@@ -104,23 +101,25 @@ class Robots:
         for name in self._robots:
             self.see_restart(name, now_ns)
 
-    def queries(self, now_ns: int) -> list[Query]:
-        """The queries that are due."""
+    def queries(self, now_ns: int, most: int = QUERIES_PER_TICK) -> list[Query]:
+        """The queries that are due, at most so many; the others stay due."""
         queries: list[Query] = []
         for robot in self._robots.values():
             if robot.ask_at_ns is None or now_ns < robot.ask_at_ns:
                 continue
+            if len(queries) >= most:
+                break
             queries.append(Query(robot.key))
             robot.asked_ns = now_ns
             robot.ask_at_ns = now_ns + robot.pause_ns
             robot.pause_ns = min(2 * robot.pause_ns, ASK_AGAIN_MAX_NS)
-            if len(queries) == QUERIES_PER_TICK:
-                break
         return queries
 
-    def last_queries(self) -> list[Query]:
-        """A last query to each robot of which something is not known."""
-        return [Query(robot.key) for robot in self._robots.values() if not robot.is_known]
+    def ask_last(self, now_ns: int) -> None:
+        """Ask each robot once more of which something is not known."""
+        for robot in self._robots.values():
+            if not robot.is_known:
+                robot.ask_at_ns = now_ns
 
     def receive_info(self, name: str, info: GatewayInfo, wall_ns: int) -> list[LogAction]:
         """Add a robot's answer to the log; nothing if it is one of too many."""

@@ -116,6 +116,11 @@ class ZenohSource:
         return bool(self._pending)
 
     @property
+    def query_room(self) -> int:
+        """Queries that may still be asked: the answers to others would be given up for more."""
+        return PENDING_MAX - len(self._pending)
+
+    @property
     def is_connected(self) -> bool:
         """True if any Zenoh node is connected."""
         info = self._session.info

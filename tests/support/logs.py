@@ -24,7 +24,7 @@ from recorder.mcap.chunk import Chunk as PackedMessages
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.framing import encode
 from recorder.mcap.writer import McapFile
-from recorder.record.actions import Action, LogAction, OpenLog
+from recorder.record.actions import QUERIES_PER_TICK, Action, LogAction, OpenLog, Query
 from recorder.record.notices import Opened
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas.messages import Gear
@@ -77,6 +77,9 @@ class Log:
     def tick(self, now_ns: int, file_bytes: int = 0) -> list[Action]:
         self.log.tick(now_ns, file_bytes)
         return self.apply()
+
+    def ask(self, now_ns: int, most: int = QUERIES_PER_TICK) -> list[Query]:
+        return self.log.queries(now_ns, most)
 
     def add_own(self, topic: str, message: RecorderEvent | RecordGap, now_ns: int = 0) -> list[Action]:
         self.log.add_own(topic, message, now_ns)

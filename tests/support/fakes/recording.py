@@ -142,6 +142,7 @@ class FakeSource:
         self, samples: Iterable[ReceivedSample] = (), replies: dict[str, list[ReceivedSample]] | None = None
     ) -> None:
         self.asked: list[str] = []
+        self.room = 64
         self._samples = iter(samples)
         self._replies = replies or {}
         self._answers: list[ReceivedSample] = []
@@ -150,6 +151,10 @@ class FakeSource:
     @property
     def is_asking(self) -> bool:
         return bool(self._answers)
+
+    @property
+    def query_room(self) -> int:
+        return self.room - len(self._answers)
 
     @property
     def is_connected(self) -> bool:

@@ -61,6 +61,7 @@ class RecorderRig:
 
     def tick(self) -> None:
         self.writer.apply(self.recorder.tick(self.now_ns, self.wall_ns, {}))
+        self.writer.apply(self.recorder.ask(self.now_ns))
 
     def run(self, span_ns: int) -> None:
         """Let time go by."""

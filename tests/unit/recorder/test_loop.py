@@ -127,6 +127,39 @@ def test_a_robot_is_asked_and_its_answer_recorded(tmp_path: Path) -> None:
     assert len(found.attachments) == 2 + LAYOUTS
 
 
+def test_no_more_is_asked_than_the_source_has_room_for(tmp_path: Path) -> None:
+    """The answers to what is on its way would be given up for more."""
+    source = FakeSource([sample_of(gear(0))], {INFO_KEY: [sample_of(info())]})
+    source.room = 0
+    one = recorder(source, tmp_path)
+    one._step()
+    assert source.asked == []
+    source.room = 1
+    recorded = one.run(lambda: source.is_exhausted)
+    assert source.asked == [INFO_KEY]
+    assert read_info(Path(recorded.path or "")).variants == {"cruiser-1": "coarse"}
+
+
+@pytest.mark.usefixtures("fast_clock")
+def test_while_samples_wait_one_thing_is_asked_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The samples are lost otherwise; but a recorder that always has too much to do asks, too."""
+    source = FakeSource(sample_of(gear(number), f"r-{number % 100}") for number in range(10**9))
+    one = recorder(source, tmp_path, queue_bytes=1_000_000)
+    asked: list[int] = []
+    ask = one._recorder.ask
+
+    def watched(now_ns: int, most: int) -> Sequence[Action]:
+        asked.append(most)
+        return ask(now_ns, most)
+
+    monkeypatch.setattr(one._recorder, "ask", watched)
+    one.run(lambda: len(source.asked) >= 5)
+    assert 1 in asked[:5]
+    assert set(asked[1:5]) == {1}
+
+
 def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Path) -> None:
     """It may know by then, and the DBC comes with it."""
     replies = [sample_of(info(Variant.UNKNOWN, dbc="")), sample_of(info())]

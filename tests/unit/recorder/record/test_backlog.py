@@ -139,9 +139,30 @@ def test_the_end_is_asked_for_too() -> None:
     robot.run()
     robot.say()
     robot.say(is_lost=True)
-    for query in robot.backlog.last_queries(robot.now_ns):
+    robot.backlog.ask_last()
+    for query in robot.backlog.queries(robot.now_ns):
         robot.answer(query)
     assert robot.got == [0, 1]
+
+
+def test_the_end_is_asked_for_where_nothing_has_been_asked_yet() -> None:
+    """A log whose turn to ask has not come since its first sample, before which there was nothing."""
+    robot = Robot(EVENT)
+    robot.say()
+    robot.say(is_lost=True)
+    robot.backlog.ask_last()
+    for query in robot.backlog.queries(robot.now_ns):
+        robot.answer(query)
+    assert robot.got == [0, 1]
+
+
+def test_what_there_is_no_room_to_ask_stays_due() -> None:
+    """It is asked for later, and no try is counted meanwhile."""
+    backlog = Backlog()
+    backlog.see("fleet", "cruiser-1", 0)
+    asked = [backlog.queries(0, most) for most in (0, 2, 0, 1, 9)]
+    assert list(map(len, asked)) == [0, 2, 0, 1, len(FIRSTS) - 3]
+    assert {query for queries in asked for query in queries} == {Query(key, 0) for key in FIRSTS}
 
 
 def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:

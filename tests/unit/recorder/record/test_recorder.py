@@ -14,8 +14,9 @@ from recorder.encoding.foxglove_log import LOG_CHUNK
 from recorder.record import channels
 from recorder.record.accounting import KeyReport
 from recorder.record.actions import INCIDENT_MARK, LogAction, Query
+from recorder.record.backlog import ANSWER_NS, KEPT_SUBJECTS
 from recorder.record.notices import Deleted, DiskRoom
-from recorder.record.recorder import QUICK_BYTES, Recorder
+from recorder.record.recorder import QUICK_BYTES, TICK_LOGS, Recorder
 from recorder.record.robot_log import CONTINUED_NAME
 from schemas import codec
 from schemas.decisions import EventKind
@@ -103,7 +104,7 @@ def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: Reco
     """And its answer describes the log."""
     bench.recorder.drop(key_of(GatewayInfo), GapReason.QUEUE, 0, WALL_NS)
     assert list(bench.recorder._logs) == ["cruiser-1"]
-    actions = bench.recorder.tick(0, WALL_NS, {})
+    actions = bench.recorder.ask(0)
     assert Query(key_of(GatewayInfo)) in actions
     bench.writer.apply(actions)
     bench.receive(sample_of(info()))
@@ -340,3 +341,38 @@ def test_large_payloads_do_not_take_the_quick_way() -> None:
     bench.writer.apply(bench.recorder.receive(waiting, 0, lambda: True))
     assert len(list(waiting)) == 1
     assert bench.recorder.counts[GEAR_KEY].written == 4
+
+
+def test_a_fleet_that_appears_at_once_is_asked_bit_by_bit(bench: RecorderRig) -> None:
+    """Each tick asks so much at most; all have been asked who they are before anybody is asked again."""
+    robots = [f"r-{number}" for number in range(3 * TICK_LOGS)]
+    bench.receive(*(sample_of(gear(0), robot) for robot in robots))
+    infos = {Query(key_of(GatewayInfo, robot)) for robot in robots}
+    asked: list[Query] = []
+    while not infos <= set(asked):
+        queries = [one for one in bench.recorder.ask(bench.now_ns, 7) if isinstance(one, Query)]
+        assert 0 < len(queries) <= 7
+        asked += queries
+        bench.now_ns += 50 * MS
+    # The first have been silent for long, and nobody was asked anything twice before the last was asked at all.
+    assert bench.now_ns > 2 * ANSWER_NS
+    assert len(asked) == len(set(asked))
+
+
+def test_where_there_is_no_room_nothing_is_asked(bench: RecorderRig) -> None:
+    """And no robot's turn is over by that."""
+    bench.receive(sample_of(gear(0)))
+    assert bench.recorder.ask(0, 0) == ()
+    assert Query(key_of(GatewayInfo)) in bench.recorder.ask(0, 1)
+
+
+def test_at_the_end_every_log_is_asked_for_its_last_samples(bench: RecorderRig) -> None:
+    """At once, as far as there is room, whoever had the last turn."""
+    robots = [f"r-{number}" for number in range(2 * TICK_LOGS)]
+    bench.receive(*(sample_of(info(), robot) for robot in robots))
+    for tick in range(600):
+        bench.recorder.ask(tick * SECOND, 10**6)
+    assert bench.recorder.ask(700 * SECOND, 10**6) == ()
+    bench.recorder.ask_last(700 * SECOND)
+    asked = [one.key for one in bench.recorder.ask(700 * SECOND, 10**6) if isinstance(one, Query)]
+    assert sorted(asked) == sorted(key_of(one.type, robot) for robot in robots for one in KEPT_SUBJECTS)

@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from recorder.record import robots as robots_module
-from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
-from recorder.record.robots import ASK_AGAIN_MAX_NS, ASK_AGAIN_NS, QUERIES_PER_TICK, Robots
+from recorder.record.actions import QUERIES_PER_TICK, LogAction, Query, WriteAttachment, WriteMetadata
+from recorder.record.robots import ASK_AGAIN_MAX_NS, ASK_AGAIN_NS, Robots
 from schemas.messages import Variant
 from tests.support.messages import SECOND, WALL_NS, info
 
@@ -83,7 +83,8 @@ def test_an_answer_becomes_metadata_and_attachments() -> None:
         "cruiser-1.configuration_sha256": "ab" * 32,
         "cruiser-1.versions.cruiser-gateway": "0.1.0",
     }
-    assert robots.queries(10**15) == robots.last_queries() == []
+    robots.ask_last(10**15)
+    assert robots.queries(10**15) == []
     assert robots.describe() == []
 
 
@@ -93,8 +94,10 @@ def test_a_robot_whose_variant_is_unknown_is_asked_again() -> None:
     robots.queries(0)
     first = robots.receive_info("cruiser-1", info(Variant.UNKNOWN, dbc=""), WALL_NS)
     assert names(first) == ["cruiser-1/configuration.toml", *LAYOUTS]
-    assert robots.last_queries() == [Query(KEY)]
-    assert robots.queries(ASK_AGAIN_NS) == [Query(KEY)]
+    assert robots.queries(1) == []
+    robots.ask_last(1)
+    assert robots.queries(1, 0) == []
+    assert robots.queries(1) == [Query(KEY)]
     assert names(robots.receive_info("cruiser-1", info(), WALL_NS)) == ["cruiser-1/cruiser-coarse.dbc"]
 
 
