@@ -80,6 +80,10 @@ class Shards:
         self._there: dict[int, set[str]] = {number: set() for number in range(1, own.total + 1)}
         self._there_to_ns = dict.fromkeys(self._there, now_ns + START_NS)
         self._robots: set[str] = set()
+        self._unjudged: set[str] = set()
+        """Robots that were met since it was last judged whose they are."""
+        self._judged_by: frozenset[int] = frozenset()
+        """The shards that were there then."""
         self._recorded: dict[str, int | None] = {}
         """The robots that are recorded here; since when another shard is to do it, or None."""
 
@@ -93,8 +97,9 @@ class Shards:
 
     def meet(self, robot: str) -> None:
         """Note a robot that is connected, or was."""
-        if len(self._robots) < ROBOTS_MAX:
+        if robot not in self._robots and len(self._robots) < ROBOTS_MAX:
             self._robots.add(robot)
+            self._unjudged.add(robot)
 
     def wait(self, now_ns: int) -> None:
         """Judge nobody: this recorder itself is cut off, and sees no shard."""
@@ -115,7 +120,10 @@ class Shards:
     def recorded(self, now_ns: int) -> frozenset[str]:
         """The robots that are to be recorded here now."""
         there = frozenset(self.there(now_ns))
-        for robot in self._robots:
+        # Whose a robot is follows from its name and from who is there: mostly a few are to be looked at.
+        judged = self._unjudged if there == self._judged_by else self._robots
+        self._unjudged, self._judged_by = set(), there
+        for robot in judged:
             owner = next(number for number in preference(robot, self.own.total) if number in there)
             if owner == self.own.number:
                 self._recorded[robot] = None

@@ -85,7 +85,8 @@ class ShardedSource(ZenohSource):
         before, self._robots = self._robots, self._shards.recorded(now_ns)
         if before == self._robots:
             return ()
-        self._subscribe([one for robot in sorted(self._robots) for one in self._of(robot)])
+        self._unsubscribe(one for robot in before - self._robots for one in self._of(robot))
+        self._subscribe(one for robot in sorted(self._robots - before) for one in self._of(robot))
         there = ", ".join(map(str, self._shards.there(now_ns)))
         own = self._shards.own
         log.info("shard %d of %d: records %d robots; shards that are there: %s", *own, len(self._robots), there)

@@ -183,15 +183,17 @@ class ZenohSource:
         """End the session."""
         self._session.close()
 
-    def _subscribe(self, expressions: Sequence[zenoh.KeyExpr]) -> None:
-        """Subscribe to these, and to nothing else any more; none of them includes another."""
-        for expression in self._subscribers.keys() - set(expressions):
-            self._subscribers.pop(expression).undeclare()
+    def _subscribe(self, expressions: Iterable[zenoh.KeyExpr]) -> None:
+        """Subscribe to these, too; none of them includes another, or one that there is."""
         for expression in expressions:
-            if expression not in self._subscribers:
-                self._subscribers[expression] = self._session.declare_subscriber(
-                    expression, zenoh.handlers.RingChannel(self._queue_samples)
-                )
+            self._subscribers[expression] = self._session.declare_subscriber(
+                expression, zenoh.handlers.RingChannel(self._queue_samples)
+            )
+
+    def _unsubscribe(self, expressions: Iterable[zenoh.KeyExpr]) -> None:
+        """Subscribe to these no more."""
+        for expression in expressions:
+            self._subscribers.pop(expression).undeclare()
         self._owners.clear()
 
     def _replies(self) -> Iterator[ZenohSample]:

@@ -121,6 +121,22 @@ def test_of_two_recorders_of_one_shard_one_may_go() -> None:
     assert shards[2].namesakes() == ["depot-2"]
 
 
+@given(st.lists(st.tuples(st.integers(0, 29), st.integers(2, TOTAL), st.booleans()), max_size=40))
+def test_whenever_it_is_asked_the_answer_is_the_same(steps: list[tuple[int, int, bool]]) -> None:
+    """Robots and shards come and go in between: who was asked all the time knows what somebody new finds."""
+    asked, fresh = Shards(Shard(1, TOTAL), 0), Shards(Shard(1, TOTAL), 0)
+    now_ns = START_NS
+    for robot, number, is_there in steps:
+        for one in (asked, fresh):
+            one.meet(ROBOTS[robot])
+            one.see(number, "depot", is_there=is_there, now_ns=now_ns)
+        asked.recorded(now_ns)
+        now_ns += SECOND
+    now_ns += SILENT_NS
+    asked.recorded(now_ns)
+    assert asked.recorded(now_ns + OVERLAP_NS) == fresh.recorded(now_ns + OVERLAP_NS)
+
+
 def test_robots_that_anybody_makes_up_are_bounded() -> None:
     """Beyond the limit none is added, and those that are known stay."""
     one = Shards(Shard(1, 1), 0)
