@@ -62,6 +62,10 @@ FLEET_NAME: Final = "fleet"
 IDLE_NS: Final = 600_000_000_000
 """A log whose robot has said nothing for ten minutes is ended; if it says more, another is begun."""
 
+SHARD_LEASE_MS: Final = 5000
+"""A shard's links are lost after so long without a sign of life, unless a setting or a file says another: while a
+router takes in a thousand robots it hears nobody for seconds, and each link that breaks gives it more to do."""
+
 COLLECT_AFTER: Final = (100_000, 50, 100)
 """Thresholds of the garbage collector: nothing that is made for each sample is in a circle."""
 
@@ -141,7 +145,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     # First of all: a service may say it as soon as the process is there.
     rolls = hangups()
     named = msgspec.structs.replace(settings.recorder, name=own_name(settings))
-    settings = msgspec.structs.replace(settings, recorder=named)
+    settings = with_patience(msgspec.structs.replace(settings, recorder=named))
     recorder, root = settings.recorder, settings.robot.root
     expressions = recorder.keys or [f"{root}/**"]
     check_recording(settings.zenoh, expressions)
@@ -188,6 +192,15 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         sys.stdout.flush()
         os._exit(code)
     return code
+
+
+def with_patience(settings: Settings) -> Settings:
+    """Return the settings with a shard's lease, where it is a shard and no lease was given."""
+    if not settings.recorder.shard or "lease_ms" in settings.zenoh.given:
+        return settings
+    return msgspec.structs.replace(
+        settings, zenoh=msgspec.structs.replace(settings.zenoh, lease_ms=SHARD_LEASE_MS)
+    )
 
 
 def _source(settings: Settings, expressions: Sequence[str]) -> ZenohSource:

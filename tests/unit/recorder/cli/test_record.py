@@ -15,7 +15,7 @@ from recorder.loop import Recorded
 from recorder.record.accounting import KeyReport
 from schemas.exit_codes import ExitCode
 from schemas.recorder_settings import RecorderSettings
-from schemas.settings import Settings
+from schemas.settings import Settings, ZenohSettings
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "inf", "nan", "soon"])
@@ -38,6 +38,24 @@ def test_flags_set_settings() -> None:
     assert given["recorder.directory"] == "d"
     assert given["zenoh.connect"] == ["e", "f"]
     assert not {key for key, value in vars(parser.parse_args([])).items() if "." in key and value is not None}
+
+
+@pytest.mark.parametrize(
+    ("shard", "zenoh", "lease_ms"),
+    [
+        ("", ZenohSettings(), 1000),
+        ("2/4", ZenohSettings(), 5000),
+        ("2/4", ZenohSettings(lease_ms=300, given=frozenset({"lease_ms"})), 300),
+        ("2/4", ZenohSettings(lease_ms=1000, given=frozenset({"lease_ms"})), 1000),
+    ],
+)
+def test_a_shard_has_patience_with_its_router_unless_a_setting_says_otherwise(
+    shard: str, zenoh: ZenohSettings, lease_ms: int
+) -> None:
+    """A router that takes in a whole fleet is busy for longer than a gateway's lease."""
+    settings = record.with_patience(Settings(recorder=RecorderSettings(shard=shard), zenoh=zenoh))
+    assert settings.zenoh.lease_ms == lease_ms
+    assert settings.zenoh.given == zenoh.given
 
 
 @pytest.mark.parametrize(("budget", "ring"), [(0, 9000), (40_000, 9000), (20_000, 5000)])
