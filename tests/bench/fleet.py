@@ -1,9 +1,11 @@
 """A fleet through routers into sharded recorders: what each process takes, and whether anything is lost.
 
 The robots' payloads and rates are a real gateway's (``recorder_load``); one process has them all, each with a
-session of its own. They are clients of one router, the recorders of the same, or of another that is linked with
-it. ``ZENOHD`` names Zenoh's own router, as ``make zenohd`` builds it; without it ours runs, which is the same code
-behind Python. Bytes on the links are read with ``ss`` (iproute2), where there is one.
+session of its own. All appear at one instant, and speak when somebody subscribes to each of them; unlike a gateway
+they answer no query. What a link that breaks afterwards loses counts as lost. They are clients of one router, the
+recorders of the same, or of another that is linked with it. ``ZENOHD`` names Zenoh's own router, as
+``make zenohd`` builds it; without it ours runs, which is the same code behind Python. Bytes on the links are read
+with ``ss`` (iproute2), where there is one.
 
 Usage: python -m tests.bench.fleet [--robots N...] [--routers N] [--shards N] [--seconds N] [--profile P]
        python -m tests.bench.fleet --growth docs/fleet_growth.svg [--seconds N]
@@ -60,6 +62,8 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
         profile: how much of it left each robot, one of ``schemas.egress``.
         samples: that they said; ``recorded`` of them are in logs.
         seconds: that it took, ``late_s`` more than the robots' pace is.
+        join_s: from the robots' tokens until somebody subscribed to each of them.
+        join_cpu_s: processor time of that, as ``cpu_s``.
         dropped: samples that recorders dropped; ``missed`` those that never reached them, by their sequences.
         cpu_s: processor time during the load: the robots' process, the routers, the recorders.
         rss_bytes: of the routers and of the recorders.
@@ -71,6 +75,8 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
     profile: str
     samples: int
     recorded: int
+    join_s: float
+    join_cpu_s: dict[str, list[float]]
     seconds: float
     late_s: float
     dropped: int
@@ -122,7 +128,9 @@ def measure(robots: int, routers: int, shards: int, seconds: float, profile: str
         load = stack.enter_context(started([sys.executable, *load_words], seconds))
         kinds["robots"] = [load]
         answer(load)
+        appeared, appeared_s = _each(kinds, cpu_s), time.monotonic()
         go_on(load)
+        join_s = time.monotonic() - appeared_s
         begun, sent = _each(kinds, cpu_s), _each(kinds, _sent_bytes)
         fed = msgspec.json.decode(go_on(load), type=Fed)
         time.sleep(SETTLE_S)
@@ -134,6 +142,8 @@ def measure(robots: int, routers: int, shards: int, seconds: float, profile: str
         profile=profile,
         samples=fed.samples,
         recorded=sum(key["received"] for account in accounts for key in account["keys"].values()),
+        join_s=join_s,
+        join_cpu_s=_since(appeared, begun),
         seconds=(fed.end_ns - fed.begin_ns) / 1e9,
         late_s=fed.late_s,
         dropped=sum(account["lost_queue"] + account["lost_disk"] for account in accounts),
@@ -180,6 +190,11 @@ def rows_of(run: FleetRun) -> list[Row]:
     sent = [sum(run.sent_bytes["robots"]), *run.sent_bytes["routers"]]
     return [
         (f"{run.name}: samples/s", f"{run.samples / run.seconds:.0f}", ""),
+        (
+            "  until all had a subscriber; CPU of routers, recorders",
+            f"{run.join_s:.1f} s; {sum(run.join_cpu_s['routers']):.1f}, {sum(run.join_cpu_s['recorders']):.1f} s",
+            "",
+        ),
         ("  behind the robots' pace", f"{run.late_s:.1f} s of {run.seconds:.1f}", ""),
         ("  samples in logs", f"{run.recorded} of {run.samples}", "all"),
         ("  dropped, missed", f"{run.dropped}, {run.missed}", "0, 0"),

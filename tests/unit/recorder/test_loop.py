@@ -141,9 +141,7 @@ def test_no_more_is_asked_than_the_source_has_room_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("fast_clock")
-def test_while_samples_wait_one_thing_is_asked_at_a_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_while_samples_wait_one_thing_is_asked_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The samples are lost otherwise; but a recorder that always has too much to do asks, too."""
     source = FakeSource(sample_of(gear(number), f"r-{number % 100}") for number in range(10**9))
     one = recorder(source, tmp_path, queue_bytes=1_000_000)
