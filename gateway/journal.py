@@ -43,7 +43,10 @@ class JournalWriter:
         self._inputs: list[Input] = []
         self._first = 0
         self._sequence = 0
-        self.add = self._inputs.append
+
+    def add(self, one: Input) -> None:
+        """One more input."""
+        self._inputs.append(one)
 
     def take(self, wall_ns: int) -> Journal | None:
         """The inputs since the last time, as one message; None if there are none."""

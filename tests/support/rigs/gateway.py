@@ -5,8 +5,11 @@ must always be true, whatever a test does.
 """
 
 from collections.abc import Callable
+from copy import deepcopy
+from functools import cache
 from hashlib import blake2b
 from math import radians, tan
+from typing import TypeVar
 
 import msgspec
 
@@ -384,21 +387,44 @@ class Operator:
         assert self.reason("unpark") is Reason.NONE
 
 
+Rig = TypeVar("Rig", bound=GatewayRig)
+
+
+def copied(rig: Rig, operator: Operator) -> tuple[Rig, Operator]:
+    """Both as they are now, to go on with. What was said so far is shared, as are the layouts."""
+    said = [*vars(rig).values(), *vars(rig.core._journal).values()]
+    shared: dict[int, object] = {id(one): one.copy() for one in said if isinstance(one, list)}
+    shared |= {id(load(variant)): load(variant) for variant in (Variant.COARSE, Variant.FINE)}
+    return deepcopy((rig, operator), shared)
+
+
+@cache
+def _ready(
+    variant: Variant, command: CommandSettings | None, *, accept_unguarded: bool
+) -> tuple[GatewayRig, Operator]:
+    rig = GatewayRig(variant, command, accept_unguarded=accept_unguarded)
+    rig.run(0.6)
+    return rig, Operator(rig)
+
+
 def ready(
     variant: Variant = Variant.COARSE, command: CommandSettings | None = None, *, accept_unguarded: bool = False
 ) -> tuple[GatewayRig, Operator]:
     """A robot that stands and that anybody may engage."""
-    rig = GatewayRig(variant, command, accept_unguarded=accept_unguarded)
-    rig.run(0.6)
-    return rig, Operator(rig)
+    return copied(*_ready(variant, command, accept_unguarded=accept_unguarded))
+
+
+@cache
+def _driving(speed_mps: float, angle_deg: float, variant: Variant) -> tuple[GatewayRig, Operator]:
+    rig, operator = ready(variant)
+    operator.engage()
+    operator.drive(speed_mps, angle_deg, 0.5 + abs(speed_mps) / 0.8 + 0.5)
+    assert abs(rig.speed_mps - speed_mps) < 0.06, rig.speed_mps
+    return rig, operator
 
 
 def driving(
     speed_mps: float = 1.0, angle_deg: float = 0.0, variant: Variant = Variant.COARSE
 ) -> tuple[GatewayRig, Operator]:
     """A robot that is being driven at this speed."""
-    rig, operator = ready(variant)
-    operator.engage()
-    operator.drive(speed_mps, angle_deg, 0.5 + abs(speed_mps) / 0.8 + 0.5)
-    assert abs(rig.speed_mps - speed_mps) < 0.06, rig.speed_mps
-    return rig, operator
+    return copied(*_driving(speed_mps, angle_deg, variant))

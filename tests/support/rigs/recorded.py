@@ -1,6 +1,7 @@
 """Logs of a whole gateway with a simulated chassis: what happens in the rig is recorded as a recorder would."""
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 import msgspec
@@ -19,7 +20,7 @@ from schemas.settings import CommandSettings
 from schemas.subjects import BY_NAME
 from tests.support.logs import Log
 from tests.support.messages import MS, ROBOT, FakeSample, info, sample_of
-from tests.support.rigs.gateway import GatewayRig, Operator
+from tests.support.rigs.gateway import GatewayRig, Operator, copied
 
 RECEIVED_NS = 2 * MS
 """A recorder receives what is said so much later."""
@@ -57,10 +58,7 @@ class RecordedRig(GatewayRig):
         cls, speed_mps: float = 0.6, *, command: CommandSettings | None = None, run: int = 7
     ) -> tuple["RecordedRig", Operator]:
         """A robot that is being driven at this speed."""
-        rig, operator = cls.ready(command=command, run=run)
-        operator.engage()
-        operator.drive(speed_mps, 0.0, 0.6 + abs(speed_mps) / 0.8)
-        return rig, operator
+        return copied(*_driving(speed_mps, command, run))
 
     def rest(self) -> None:
         """Time passes until the robot is told nothing any more."""
@@ -118,6 +116,14 @@ class RecordedRig(GatewayRig):
         for said in recorder_says:
             log.add_own(keys.of_recorder(root, "bench", "event"), said, 0)
         return log.close()
+
+
+@cache
+def _driving(speed_mps: float, command: CommandSettings | None, run: int) -> tuple[RecordedRig, Operator]:
+    rig, operator = RecordedRig.ready(command=command, run=run)
+    operator.engage()
+    operator.drive(speed_mps, 0.0, 0.6 + abs(speed_mps) / 0.8)
+    return rig, operator
 
 
 def ask(path: Path, data: bytes, at_ns: int | None = None, robot: str = ROBOT) -> Explanation:

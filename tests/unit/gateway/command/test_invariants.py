@@ -9,7 +9,7 @@ from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
-from tests.support.rigs.gateway import GatewayRig, Operator
+from tests.support.rigs.gateway import GatewayRig, Operator, ready
 from tests.support.strategies import VARIANTS
 
 FEEDBACK = (
@@ -34,9 +34,8 @@ class Machine(RuleBasedStateMachine):
 
     @initialize(variant=st.sampled_from(VARIANTS), speed_mps=speeds)
     def begin_by_driving(self, variant: Variant, speed_mps: float) -> None:
-        self.rig = GatewayRig(variant)
-        self.rig.run(0.6)
-        self.people = [Operator(self.rig, "first"), Operator(self.rig, "second")]
+        self.rig, first = ready(variant)
+        self.people = [first, Operator(self.rig, "second")]
         self.driver: Operator | None = None
         self.engage_as_one_should(0, speed_mps)
 

@@ -1,6 +1,8 @@
 """When the guard acts: after the gateway, never beside it, and until the robot rests."""
 
 from collections.abc import Callable, Iterable
+from copy import deepcopy
+from functools import cache
 
 import pytest
 from hypothesis import given
@@ -34,11 +36,16 @@ from tests.support.rigs.guard import BURST, DRIVING, MS, GuardRig, S
 A_STOP_S = 8.0
 
 
-def driven(variant: Variant = Variant.COARSE) -> GuardRig:
-    """A robot that the gateway drives at 1 m/s."""
+@cache
+def _driven(variant: Variant) -> GuardRig:
     rig = GuardRig(variant)
     rig.drive()
     return rig
+
+
+def driven(variant: Variant = Variant.COARSE) -> GuardRig:
+    """A robot that the gateway drives at 1 m/s."""
+    return deepcopy(_driven(variant))
 
 
 def kill(rig: GuardRig) -> None:
