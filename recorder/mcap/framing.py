@@ -45,6 +45,9 @@ INDEX_HEADER: Final = struct.Struct("<BQHI")
 CHUNK_TIMES: Final = struct.Struct("<QQ")
 """The beginning of a chunk's record: the first and the last log time in it."""
 
+LAST_OPCODE: Final = max(Opcode)
+"""The last one that MCAP defines."""
+
 CHECK_OPCODE: Final = 0x80
 """A record of our own (MCAP leaves 0x80 and above to applications, and readers skip them): a checksum.
 
@@ -181,7 +184,7 @@ class RecordFile:
 
 def is_no_opcode(opcode: int) -> bool:
     """True of those that neither MCAP nor an application uses."""
-    return opcode == 0 or max(Opcode) < opcode < CHECK_OPCODE
+    return opcode == 0 or LAST_OPCODE < opcode < CHECK_OPCODE
 
 
 def parse(opcode: int, body: bytes) -> Any:  # noqa: ANN401 - by the opcode

@@ -24,6 +24,7 @@ from recorder.mcap.framing import (
     CHUNK_NAME_AT,
     FIRST_RECORD,
     FOOTER,
+    LAST_OPCODE,
     MAGIC,
     MESSAGE_HEADER,
     MESSAGE_OPCODE,
@@ -186,7 +187,7 @@ class Scanner:
 
     def _data_end(self, offset: int, raw: bytes) -> Found:
         behind = self.file.read(offset + len(raw), 1)
-        if len(raw) != RECORD_HEADER.size + 4 or (behind and behind[0] > max(Opcode)):
+        if len(raw) != RECORD_HEADER.size + 4 or (behind and behind[0] > LAST_OPCODE):
             return Fault(offset, "a record cannot be read")
         return DataEnd(offset, int.from_bytes(raw[RECORD_HEADER.size :], "little"))
 
@@ -198,7 +199,7 @@ class Scanner:
             if not is_known or check != check_of(len(raw), zlib.crc32(raw)):
                 return Fault(offset, "a record's check is wrong")
             end += len(check)
-        elif not is_known and opcode <= max(Opcode):
+        elif not is_known and opcode <= LAST_OPCODE:
             return Fault(offset, "a record has no place there")
         parsed: Parsed | None = None
         if opcode in _PARSED:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
@@ -168,8 +169,11 @@ class EvidenceWindow:
 
     def settle(self) -> None:
         """All is there: put what came late into its place."""
+        # The first one received of each tick.
+        states = {one.said.tick: one for one in reversed(self._taken.get(SafetyState, deque()))}
+        by_tick = sorted(states.values(), key=_tick_of)
         for kind in _ASKED_LATER & self._taken.keys():
-            placed = map(self._by_tick, self._taken[kind])
+            placed = (_by_tick(one, by_tick) for one in self._taken[kind])
             # One that was asked for later, of a clock that was set meanwhile, may be of any other time.
             self._taken[kind] = deque((one for one in placed if self._is_near(one.time_ns)), maxlen=KEPT)
         self._said = {kind: sorted(heard, key=lambda one: one.time_ns) for kind, heard in self._taken.items()}
@@ -207,16 +211,6 @@ class EvidenceWindow:
 
     def _is_near(self, time_ns: int) -> bool:
         return self.at_ns - BEFORE_NS - _STALL_NS <= time_ns <= self.at_ns + AFTER_NS + _STALL_NS
-
-    def _by_tick(self, one: Heard[Any]) -> Heard[Any]:
-        """The same, at the time of its tick if its clock was wrong by then."""
-        states = self._taken.get(SafetyState, ())
-        near = min(states, key=lambda state: abs(state.said.tick - one.said.tick), default=None)
-        ticks = 0 if near is None else one.said.tick - near.said.tick
-        if near is None or abs(ticks) > _TICKS_NEAR:
-            return one
-        expected_ns = near.time_ns + ticks * TICK_NS
-        return one if abs(one.time_ns - expected_ns) <= NEAR_NS else Heard(expected_ns, one.said)
 
     def ago(self, time_ns: int) -> str:
         """``12.3 ms before the stop``."""
@@ -303,6 +297,24 @@ class EvidenceWindow:
             return
         if not pair[is_behind] or pair[is_behind][-1] != frame:
             pair[is_behind].append(frame)
+
+
+def _tick_of(one: Heard[Any]) -> int:
+    tick: int = one.said.tick
+    return tick
+
+
+def _by_tick(one: Heard[Any], states: Sequence[Heard[SafetyState]]) -> Heard[Any]:
+    """The same, at the time of its tick if its clock was wrong by then; the states are in the order of theirs."""
+    tick = _tick_of(one)
+    place = bisect_left(states, tick, key=_tick_of)
+    beside = states[max(place - 1, 0) : place + 1]
+    near = min(beside, key=lambda state: abs(state.said.tick - tick), default=None)
+    ticks = 0 if near is None else tick - near.said.tick
+    if near is None or abs(ticks) > _TICKS_NEAR:
+        return one
+    expected_ns = near.time_ns + ticks * TICK_NS
+    return one if abs(one.time_ns - expected_ns) <= NEAR_NS else Heard(expected_ns, one.said)
 
 
 _ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent})
