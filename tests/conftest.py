@@ -51,6 +51,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if not item.get_closest_marker("night")]
 
 
+def pytest_collection_finish() -> None:
+    """What was collected stays to the end: no search for garbage needs to look through it."""
+    gc.freeze()
+
+
 @pytest.fixture(scope="session")
 def _states(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Directories that nobody has used. For a new `tmp_path` pytest would look at those of all tests before."""
