@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from functools import cache
 from pathlib import Path
 
 import msgspec
@@ -16,6 +17,13 @@ from schemas.authority.statement import Grant, Signed, StatementFault, read_chai
 ENDPOINT = "tls/127.0.0.1:47447"
 
 
+@cache
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="cruiser provision")
+    provision.add_arguments(parser)
+    return parser
+
+
 def run(*words: str | Path) -> int:
     """Run ``cruiser provision`` with these words. Returns its exit code.
 
@@ -23,9 +31,7 @@ def run(*words: str | Path) -> int:
         CommandError: as the command does.
         SystemExit: the words are wrong.
     """
-    parser = argparse.ArgumentParser(prog="cruiser provision")
-    provision.add_arguments(parser)
-    arguments = parser.parse_args(list(map(str, words)))
+    arguments = _parser().parse_args(list(map(str, words)))
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     return provision.run(arguments, load_settings(None, os.environ, flags), lambda: False)
 

@@ -56,14 +56,18 @@ def effects(returned: TickEffects | list[Sample]) -> object:
 
 
 @pytest.mark.parametrize(
-    ("seed", "variant"), [(1, Variant.COARSE), by_night(2, Variant.FINE), by_night(3, Variant.COARSE)]
+    ("seed", "variant", "places"),
+    [
+        (1, Variant.COARSE, 10),
+        *(by_night(*row, 25) for row in ((1, Variant.COARSE), (2, Variant.FINE), (3, Variant.COARSE))),
+    ],
 )
-def test_whatever_happens_it_goes_on_as_before(seed: int, variant: Variant) -> None:
+def test_whatever_happens_it_goes_on_as_before(seed: int, variant: Variant, places: int) -> None:
     """From any tick on: every frame with its counter, every reply, every sample with its sequence."""
     day = lived(seed, variant)
     inputs = inputs_of_day(day)
     ticks = [place for place, one in enumerate(inputs) if one[0] == Kind.TICK]
-    chosen = set(Random(seed).sample(ticks, 25))  # noqa: S311 - the same ones each time
+    chosen = set(Random(seed).sample(ticks, places))  # noqa: S311 - the same ones each time
     first = Core(day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)
     taken: dict[int, bytes] = {}
     before: list[object] = []

@@ -34,7 +34,7 @@ def as_protobuf_writes(kind: type[msgspec.Struct], data: bytes) -> bytes:
 
 
 @KINDS
-@settings(max_examples=15)
+@settings(max_examples=settings().max_examples // 2)
 @given(data=st.data())
 def test_columns_are_what_the_protobuf_package_reads(kind: type[msgspec.Struct], data: st.DataObject) -> None:
     """For every class in a log: what a recorder writes, and another writer, in one batch."""
