@@ -19,6 +19,7 @@ from gateway.chassis.frame import Frame
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
+from gateway.host.realtime import request_realtime
 from gateway.host.stop_note import NoteWriter, StopNote
 from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
@@ -79,6 +80,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         bus = open_bus(settings.can, load(Variant.COARSE).identifiers)
     except BusLost as error:
         raise CommandError(str(error), ExitCode.UNREACHABLE) from error
+    # What has ended the gateway may be a machine that is too busy.
+    request_realtime(settings.gateway.realtime_priority)
     try:
         halt = HaltSequence(bus, settings, stopped, round(arguments.wait * 1e9))
         code = halt.run(force=arguments.force)

@@ -7,9 +7,11 @@ import time
 
 import pytest
 
+from gateway.cli import halt as command
 from gateway.host.stop_note import StopNote
 from schemas.messages import Mode
-from schemas.settings import Settings
+from schemas.settings import CanSettings, Settings
+from tests.support.commands import run_command
 from tests.support.processes.gateway import Running, chassis, run
 from tests.support.processes.guard import COMMANDS, listening, watched
 from tests.support.processes.other_computer import leave_rolling
@@ -141,3 +143,12 @@ def test_no_bus_is_one_clear_line() -> None:
     done = halt("127.0.0.1:1")
     assert done.returncode == 4
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_it_asks_for_the_priority_of_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is too busy for a gateway, which therefore ended, is too busy for it as well."""
+    asked: list[int] = []
+    monkeypatch.setattr(command, "request_realtime", asked.append)
+    settings = Settings(can=CanSettings(interface="virtual", channel="halt"))
+    run_command(command, settings=settings, stopped=lambda: True)
+    assert asked == [Settings().gateway.realtime_priority]
