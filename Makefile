@@ -37,10 +37,12 @@ test-unit: $(STAMP)  ## what needs no process and no socket
 # Some have the machine to themselves: a browser that drives at 50 Hz stalls beside others, and the robot stops by its
 # deadman, as it should; floods, crowds and demos would make others late. The others wait more than they reckon, so that one
 # more runs than there are processors (tests/support/spreading.py hands them out).
-ALONE = tests/system/gateway/test_desk.py tests/system/gateway/test_desk_crowd.py tests/system/test_floods.py tests/system/test_large_fleets.py tests/system/test_readme.py tests/system/gateway/cli/test_demo.py tests/system/gateway/cli/test_demo_fleet.py
+ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_crowd.py test_floods.py test_large_fleets.py \
+	test_readme.py gateway/cli/test_demo.py gateway/cli/test_demo_fleet.py)
 test-system: $(STAMP)  ## what starts processes: gateways, recorders, browsers
 	$(BIN)/python -m pytest $(ALONE)
-	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder $(addprefix --ignore ,$(ALONE)) tests/system
+	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder \
+		$(addprefix --ignore ,$(ALONE)) tests/system
 
 nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties fifteenfold, 10,000 random scenarios, the fuzzer, clients of other languages, Zenoh's own router; two hours and a half
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
