@@ -8,7 +8,7 @@ recorders of the same, or of another that is linked with it. ``ZENOHD`` names Ze
 with ``ss`` (iproute2), where there is one.
 
 Usage: python -m tests.bench.fleet [--robots N...] [--routers N] [--shards N] [--seconds N] [--profile P]
-       python -m tests.bench.fleet --growth docs/fleet_growth.svg [--seconds N]
+       python -m tests.bench.fleet --growth docs/pictures/fleet_growth.svg [--seconds N]
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ SHARDS: Final = 2
 SETTLE_S: Final = 1.5
 """What is on its way when the load ends has come then, and is on the disk."""
 
-GROWTH: Final = {FULL: (10, 20, 40, 66), OPERATOR: (50, 100, 150, 200), THIN: (250, 500, 750, 1000)}
-"""Numbers of robots by their profile, as many as two cores hold together with the load."""
+GROWTH: Final = {FULL: (10, 20, 40, 66), OPERATOR: (50, 100, 150, 200), THIN: (100, 200, 300, 400)}
+"""Numbers of robots by their profile, as many as two cores hold together with the load, also with two routers."""
 
 
 class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
