@@ -248,10 +248,10 @@ def formulas(runs: list[FleetRun]) -> list[Row]:
 def picture(runs: list[FleetRun]) -> str:
     """What grows with the robots: of each profile processor time and memory, and bytes on the link."""
 
-    def chart(x_title: str, y_title: str, lines: list[Line]) -> Chart:
+    def chart(x_title: str, y_title: str, lines: list[Line], legend_x: float = 0.25) -> Chart:
         points = [point for line in lines for point in line.points]
         x_ticks, y_ticks = ticks(max(x for x, _, _ in points)), ticks(max(y for _, y, _ in points))
-        return Chart(x_title, y_title, x_ticks, y_ticks, lines, legend_x=0.25)
+        return Chart(x_title, y_title, x_ticks, y_ticks, lines, legend_x=legend_x)
 
     def line(name: str, ones: list[FleetRun], figure: Callable[[FleetRun], float]) -> Line:
         return Line(name, [(run.robots, figure(run), False) for run in ones])
@@ -267,7 +267,7 @@ def picture(runs: list[FleetRun]) -> str:
         charts.append(chart(robots, "processor time, % of a core", cores))
         charts.append(chart(robots, "memory of a router, and of two recorders, MB", memory))
         sent.append(line(profile, ones, lambda run: sum(run.sent_bytes["robots"]) / run.seconds / 1e6))
-    return draw(*charts, chart("robots", "sent by all robots, MB/s", sent))
+    return draw(*charts, chart("robots", "sent by all robots, MB/s", sent, legend_x=1))
 
 
 @contextmanager
