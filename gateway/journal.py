@@ -43,10 +43,7 @@ class JournalWriter:
         self._inputs: list[Input] = []
         self._first = 0
         self._sequence = 0
-
-    def add(self, one: Input) -> None:
-        """One more input."""
-        self._inputs.append(one)
+        self.add = self._inputs.append
 
     def take(self, wall_ns: int) -> Journal | None:
         """The inputs since the last time, as one message; None if there are none."""

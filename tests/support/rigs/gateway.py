@@ -395,7 +395,12 @@ def copied(rig: Rig, operator: Operator) -> tuple[Rig, Operator]:
     said = [*vars(rig).values(), *vars(rig.core._journal).values()]
     shared: dict[int, object] = {id(one): one.copy() for one in said if isinstance(one, list)}
     shared |= {id(load(variant)): load(variant) for variant in (Variant.COARSE, Variant.FINE)}
-    return deepcopy((rig, operator), shared)
+    copies = deepcopy((rig, operator), shared)
+    journal = copies[0].core._journal
+    assert journal is not None
+    # A bound method is not copied: the copy would write into its origin's journal.
+    journal.add = journal._inputs.append
+    return copies
 
 
 @cache
