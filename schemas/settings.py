@@ -360,8 +360,8 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         command_listen: endpoints on which the gateway listens for commands; if empty, the addresses that it
             listens on for all else, each one port on
         config: a Zenoh configuration file (JSON5); what it says holds, unless a setting of this table is given too
-        lease_ms: a link without a sign of life for this long is lost; if nothing says it, 5000 for `cruiser record
-            --shard`
+        lease_ms: a link without a sign of life for this long is lost; where it is not set, 5000 for `cruiser
+            record --shard`
         profiles: INTERFACE=PROFILE, as wwan0=operator: what leaves the gateway over links on this network
             interface, or * for all: full, operator or thin; see docs/operate.md
         given: no setting: the names of those that a source gave, which may also be their start values

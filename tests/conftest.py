@@ -52,7 +52,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """What was collected stays to the end: no search for garbage needs to look through it."""
+    """Spare the search for garbage what was collected: it stays to the end."""
     gc.freeze()
 
 

@@ -6,8 +6,8 @@ restart on the longer of both counts: a clock that is set back hides at most the
 forward only lengthens the silence.
 
 An answer to the robot's challenge is of now. A list of revocations, or a rotation, is as old as it says: whoever
-kept one back, and shows it today, ends no silence with it. By a clock that is behind it seems
-younger than it is.
+kept one back, and shows it today, ends no silence with it. By a clock that is behind the list
+seems younger than it is.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     # First of all: a service may say it as soon as the process is there.
     rolls = hangups()
     named = msgspec.structs.replace(settings.recorder, name=own_name(settings))
-    settings = with_patience(msgspec.structs.replace(settings, recorder=named))
+    settings = with_shard_lease(msgspec.structs.replace(settings, recorder=named))
     recorder, root = settings.recorder, settings.robot.root
     expressions = recorder.keys or [f"{root}/**"]
     check_recording(settings.zenoh, expressions)
@@ -194,7 +194,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     return code
 
 
-def with_patience(settings: Settings) -> Settings:
+def with_shard_lease(settings: Settings) -> Settings:
     """Return the settings with a shard's lease, where it is a shard and no lease was given."""
     if not settings.recorder.shard or "lease_ms" in settings.zenoh.given:
         return settings

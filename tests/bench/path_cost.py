@@ -56,7 +56,7 @@ class PathCost(msgspec.Struct, frozen=True):
     Attributes:
         path_us: from the frame to its published sample.
         core_us: of that, from the frame to the sample.
-        put_us: of that, from the sample to Zenoh's link.
+        put_us: of that, from the sample to Zenoh's link, one sample right behind the other.
         whole_us: with raw batches, state and health.
         peer_us: the peer's.
     """

@@ -30,7 +30,7 @@ HOLE_NS: Final = KEPT_NS
 LONGEST_NS: Final = 1_800_000_000_000
 """Of a longer hole its end counts: a gateway keeps some ten minutes of its journal, and seldom more."""
 
-HOLES_MAX: Final = 20_000
+FOUND_MAX: Final = 20_000
 """Holes that are found in logs; later ones are told as missing."""
 
 JOINT_NS: Final = 5_000_000_000
@@ -85,7 +85,7 @@ def holes(logs: Sequence[LogFile], faults: Faults, progress: Progress = lambda _
         for row, state in chain.from_iterable(_states(suspect, part, faults, progress) for part in suspect.parts):
             robot = row.topic.robot
             was, last[robot] = last.get(robot), (row.log_ns, row.sequence, state)
-            if len(found) >= HOLES_MAX:
+            if len(found) >= FOUND_MAX:
                 break
             if was is not None and _is_hole(was[1], was[2], row.sequence, state):
                 found.add(

@@ -121,7 +121,7 @@ def filled(
         return list(logs)
     about = survey(logs, faults)
     made: list[LogFile] = []
-    room = _Room()
+    room = _ContentBudget()
     for robot, its in groupby(sorted(found, key=attrgetter("robot", "log_from_ns")), attrgetter("robot")):
         of_robot = logs_of(robot, logs)
         configurations = configurations_of(robot, of_robot, about, faults)
@@ -151,7 +151,7 @@ def _rows_of_near(found: Iterable[StateHole]) -> Iterator[list[StateHole]]:
         yield row
 
 
-class _Room:
+class _ContentBudget:
     """The bytes that may still be made for a question."""
 
     def __init__(self) -> None:
@@ -197,7 +197,7 @@ class HoleFilling:
         again: Rerun,
         faults: Faults,
         progress: Progress,
-        room: _Room,
+        room: _ContentBudget,
     ) -> None:
         self.holes = holes
         self._logs = logs

@@ -53,7 +53,7 @@ def test_a_shard_has_patience_with_its_router_unless_a_setting_says_otherwise(
     shard: str, zenoh: ZenohSettings, lease_ms: int
 ) -> None:
     """A router that takes in a whole fleet is busy for longer than a gateway's lease."""
-    settings = record.with_patience(Settings(recorder=RecorderSettings(shard=shard), zenoh=zenoh))
+    settings = record.with_shard_lease(Settings(recorder=RecorderSettings(shard=shard), zenoh=zenoh))
     assert settings.zenoh.lease_ms == lease_ms
     assert settings.zenoh.given == zenoh.given
 

@@ -481,7 +481,7 @@ def test_what_fills_all_holes_is_bounded(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_no_log_has_endless_holes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A state here and there, with hours between them, is a hole each time: of these so many are kept."""
-    monkeypatch.setattr(module_holes, "HOLES_MAX", 5)
+    monkeypatch.setattr(module_holes, "FOUND_MAX", 5)
     states = [one for one in without_states(0, 0) if one[1].subject == "safety/state"][::20]
     assert len(states) > 10
     logs = log_of_recorded(tmp_path / "log.mcap", states)
