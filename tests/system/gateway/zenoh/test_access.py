@@ -162,7 +162,7 @@ def test_who_may_put_on_which_key(secured: Secured) -> None:
     passed, reached = Arrivals(), Arrivals()
     declared = observe(secured, passed)
     declared += [
-        secured.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample) for verb in ("stop", "drive")
+        secured.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample) for verb in ("drive", "stop")
     ]
     wait_until(lambda: reaches(secured, reached))
     for name, session in secured.attackers.items():
@@ -333,7 +333,7 @@ def test_a_stop_passes_whatever_its_size(secured: Secured) -> None:
     """Sizes are limited by the verb; a stop is never filtered."""
     reached = Arrivals()
     declared = [
-        secured.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample) for verb in ("stop", "drive")
+        secured.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample) for verb in ("drive", "stop")
     ]
     large = bytes(COMMAND_MAX_BYTES + 1)
     operator = secured.attackers[OPERATOR]
