@@ -77,6 +77,7 @@ class Box:
             f"vec0:transport=bess,dst={self._card},src={wire}",
         ]
         environment = {name: value for name, value in os.environ.items() if name != "TMPDIR"}
+        environment["LD_PRELOAD"] = os.environ["ROBOT_XSTATE"]  # tests/socketcan/xstate.c says why
         if memory_forbids_execution():
             environment["TMPDIR"] = str(self._directory)
         begun_s = time.monotonic()
