@@ -382,7 +382,7 @@ class RobotListener(SessionOwner):
             name: the robot, or several by ``*``; empty for all of them.
         """
         super().__init__(session)
-        self._declared = DeclaredKeys(session.declare_keyexpr)
+        self._declared = DeclaredKeys(session.declare_publisher)
         chunk = keys.chunk_of(name)
         # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
         self._samples: tuple[Any, ...] = tuple(

@@ -99,7 +99,7 @@ class ZenohSource:
         self.listen = said_of(settings).listen
         """The endpoints that it listens on."""
         self._session = open_session(settings, self.listen)
-        self._declared = DeclaredKeys(self._session.declare_keyexpr)
+        self._declared = DeclaredKeys(self._session.declare_publisher)
         self._subscribers: dict[zenoh.KeyExpr, _Samples] = {}
         self._owners: dict[str, zenoh.KeyExpr] = {}
         self._tokens: Any = self._session.liveliness().declare_subscriber(

@@ -167,7 +167,7 @@ def test_ever_new_keys_are_not_remembered_without_end(endpoint: str, monkeypatch
 def test_samples_of_declared_keys_come_once_and_those_of_others_too(linked: tuple[Peer, ZenohSource]) -> None:
     """Whether Zenoh knows a key or not: there are more keys than it is told of."""
     peer, origin = linked
-    origin._declared = DeclaredKeys(origin._session.declare_keyexpr, 3)
+    origin._declared = DeclaredKeys(origin._session.declare_publisher, 3)
     names = [f"fleet/r{number}/state" for number in range(10)]
     inbox = Inbox(origin)
     for last in ("fleet/last/1", "fleet/last/2", "fleet/last/3"):
