@@ -122,7 +122,8 @@ class Library:
                 known = logs if is_done else None
                 round_s = ROUND_S[0] if is_done or has != had else min(2 * round_s, ROUND_S[1])
                 self.state = LibraryState(len(logs), has, not is_done, fault if logs or has else "")
-            until_s = time.monotonic() + (pause_s if known is not None else 0.0)
+            # What is not done is gone on with, at once if it took its time.
+            until_s = (time.monotonic() if known is not None else before_s) + pause_s
             while time.monotonic() < until_s and not ends():  # noqa: ASYNC110 - a signal sets it, not this loop
                 await asyncio.sleep(0.2)
 

@@ -31,7 +31,7 @@ class JobDone(msgspec.Struct, frozen=True):
     """A process that has ended.
 
     Attributes:
-        code: its exit code; None if it was given up.
+        code: its exit code; None if it was given up, or could not be started.
         output: its stdout.
         fault: the end of its stderr, or the reason that there is no answer.
     """
@@ -83,12 +83,16 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S, file_bytes: i
         seconds: the time it may take. It is then told to end, and to keep what it has.
         file_bytes: the longest file that it may write; None is any.
     """
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "gateway", "review", *words),
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-    )
+    try:
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "gateway", "review", *words),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+    except OSError as error:
+        # Browsers may hold all files that this process may open, or others all processes.
+        return JobDone(None, b"", f"no process can be started: {error.strerror}")
     with suppress(ProcessLookupError):
         resource.prlimit(process.pid, resource.RLIMIT_DATA, (JOB_BYTES, JOB_BYTES))
         if file_bytes is not None:

@@ -1,6 +1,8 @@
 """The answers of a catalog, as the page has them."""
 
 import asyncio
+import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -140,9 +142,27 @@ def test_what_takes_too_long_is_read_on(tmp_path: Path, monkeypatch: pytest.Monk
         return JobDone(0 if len(given_s) == 4 else None, b"", "")
 
     monkeypatch.setattr(library_module, "ask_review", ask_slowly)
+    monkeypatch.setattr(library_module, "LOOK_S", (0.0, 0.0))
     asyncio.run(asyncio.wait_for(logs.keep_current(lambda: logs.state == LibraryState(2, 2)), 60))
     assert given_s == [30.0, 60.0, 120.0, 30.0]
     assert seen == [(0, True), (0, True), (0, True), (1, True)]
+
+
+def test_what_fails_at_once_is_tried_again_after_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody may hold all files that the server can open: no process starts, and hurry would help nobody."""
+    (tmp_path / "a.mcap").write_bytes(b"log")
+    logs = Library(tmp_path, tmp_path)
+    tried_s: list[float] = []
+
+    async def not_started(*_: object) -> JobDone:
+        tried_s.append(time.monotonic())
+        return JobDone(None, b"", "no process can be started: Too many open files")
+
+    monkeypatch.setattr(library_module, "ask_review", not_started)
+    monkeypatch.setattr(library_module, "LOOK_S", (0.5, 0.5))
+    asyncio.run(asyncio.wait_for(logs.keep_current(lambda: len(tried_s) == 3), 60))
+    assert all(later - earlier >= 0.5 for earlier, later in pairwise(tried_s))
+    assert logs.state == LibraryState(1, 0, is_reading=True)
 
 
 @pytest.mark.parametrize(
