@@ -1,8 +1,9 @@
 """Logs behind a server of HTTP that is slow, refuses, breaks off, or changes what it has."""
 
+import asyncio
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
@@ -11,8 +12,12 @@ from recorder.objects import store as stores
 from recorder.objects.address import StoreAddress
 from recorder.objects.interface import StoreError
 from recorder.objects.store import ObstoreObjects
+from recorder.upload.store import ObstoreLogs
 
 DATA = bytes(range(250)) * 1000
+
+MUCH_BYTES = 200_000_000
+"""More than links and buffers hold of an answer that nobody reads."""
 
 Answer = Callable[[BaseHTTPRequestHandler], bool]
 """Answers a request otherwise than a good server would; False if it is to be answered well."""
@@ -155,6 +160,31 @@ def test_a_server_that_knows_no_ranges_is_said() -> None:
 
     with served(whole) as (objects, _), pytest.raises(StoreError):
         objects.read("a.mcap", 1000, 2000, "one")
+
+
+def test_an_answer_without_an_end_fills_no_memory() -> None:
+    """A range whose header is right, and whose body goes on and on, is read to its length, or a little beyond."""
+    sent: list[int] = []
+
+    def endless(handler: BaseHTTPRequestHandler) -> bool:
+        handler.head(206, 1 << 40, f"bytes 0-999/{len(DATA)}")  # type: ignore[attr-defined]
+        handler.close_connection = True
+        with suppress(OSError):
+            while sum(sent) < MUCH_BYTES:
+                handler.wfile.write(DATA)
+                sent.append(len(DATA))
+        return True
+
+    with served(endless) as (objects, _), pytest.raises(StoreError, match="sent more where 1000 were asked for"):
+        objects.read("a.mcap", 0, 1000, "one")
+    with served(endless) as (objects, _):
+        logs = ObstoreLogs(objects._place.url, {"allow_http": True}, 0, "")
+
+        async def read_back() -> int:
+            return len(b"".join([piece async for piece in logs.read_back("a.mcap", 1000)]))
+
+        assert asyncio.run(read_back()) > 1000
+    assert sum(sent) < MUCH_BYTES
 
 
 def test_an_object_that_is_replaced_is_seen_by_its_mark() -> None:
