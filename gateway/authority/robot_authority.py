@@ -263,6 +263,16 @@ class RobotAuthority:
             (one.statement.not_after for one in self._own if isinstance(one.statement, Grant)), default=None
         )
 
+    def know_time(self, boot_ns: int, wall_ns: int) -> None:
+        """Judge by this time from here on.
+
+        Args:
+            boot_ns: since the machine's start.
+            wall_ns: since 1970.
+        """
+        self._wall_s = wall_ns // 1_000_000_000
+        self.admission.now_s = self._floor.now_s(boot_ns, self._wall_s)
+
     def tick(self, now_ns: int, boot_ns: int, wall_ns: int) -> AuthorityEffects:
         """Every 10 ms: what follows from the authority now.
 
@@ -272,8 +282,7 @@ class RobotAuthority:
             wall_ns: since 1970.
         """
         admission = self.admission
-        self._wall_s = wall_ns // 1_000_000_000
-        admission.now_s = self._floor.now_s(boot_ns, self._wall_s)
+        self.know_time(boot_ns, wall_ns)
         admission.begin_tick(now_ns)
         effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.objection_to_holder())
         if now_ns >= self._heads_due_ns:
@@ -294,7 +303,7 @@ class RobotAuthority:
         self._kept = msgspec.structs.replace(
             self._kept, floor_s=floor_s, words=words, last_heads=self.signer.last_heads.hex()
         )
-        # Before the first tick the time is not known.
+        # Before somebody says it the time is not known.
         if now_s := self.admission.now_s:
             on_s, since_s = self._silence.kept(boot_ns, self._floor.now_s(boot_ns, now_s))
             self._kept = msgspec.structs.replace(self._kept, silent_on_s=on_s, silent_since_s=since_s)

@@ -78,6 +78,8 @@ class SignedMode:
             _own(identity.chain, kept, trust, settings),
             kept,
         )
+        # Before the first tick a statement may wait that somebody has shown.
+        self.authority.know_time(boot_ns, time.time_ns())
         self._note.report = self._report_unsaved
 
     def _report_unsaved(self, fault: str) -> None:

@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from gateway.authority.robot_authority import Kept
+from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.host.authority_note import note_path
 from gateway.host.signed_mode import SignedMode
@@ -18,7 +19,7 @@ from gateway.provisioning.certificates import expires_s, read_certificates
 from schemas.authority.statement import Grant, chain_text
 from schemas.authority.trust import AuthorityKeys
 from schemas.codec import decode
-from schemas.decisions import ChainHeads
+from schemas.decisions import ChainHeads, StatementReply
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, GatewaySettings, RobotSettings, Settings, ZenohSettings
@@ -72,6 +73,17 @@ def test_of_a_grant_that_was_shown_and_one_that_was_installed_the_longer_one_hol
     note.parent.mkdir(parents=True)
     note.write_bytes(msgspec.json.encode(Kept(own=shown)))
     assert started(fleet) == (shown if days == "40" else installed)
+
+
+def test_a_grant_that_is_shown_before_the_first_tick_is_judged_by_the_present(fleet: ProvisionedFleet) -> None:
+    """As after a restart: it had begun long ago, and 1970 is longer ago."""
+    settings = settings_of(fleet)
+    text = (fleet.place / "cruiser-1" / "robot.grant").read_bytes().strip()
+    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    reply = signed.authority.receive(RawRequest(1, "", "", text, len(text)), 0, 0)
+    signed.close()
+    said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
+    assert (said.ok, said.reason) == (True, Reason.NONE)
 
 
 def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedFleet) -> None:
