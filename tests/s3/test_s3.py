@@ -120,7 +120,7 @@ def test_another_log_of_the_same_name_is_not_overwritten(logs: Path, port: int, 
     after = held(port)
     assert before.items() <= after.items()
     second = "plant-1/cruiser-1/" + SMALL.replace(".mcap", "-2.mcap")
-    assert after.keys() - before.keys() == {second, f"{second}.json", f"{second}.parquet"}
+    assert after.keys() - before.keys() == {second, f"{second}.json", f"{second}{ROW_SUFFIX}"}
 
 
 @pytest.mark.parametrize("after_bytes", [100, 6_000_000, 11_500_000, 18_000_000])

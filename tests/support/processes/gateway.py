@@ -54,8 +54,10 @@ class Running:
         found: list[re.Match[str]] = []
 
         def search() -> bool:
+            # What it says last is read after its end.
+            is_over = not self._thread.is_alive()
             found.extend(match for line in list(self.said) if (match := re.search(pattern, line)))
-            return bool(found) or self.process.poll() is not None
+            return bool(found) or is_over
 
         with suppress(TimeoutError):
             wait_until(search)

@@ -53,6 +53,7 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
             assert "realtime" in done.stdout
 
 
+@pytest.mark.long
 def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:
     """A chassis that is well: nothing is missing but the gateway. What is wrong with the bus is found in turn."""
     logs = ["--logs", str(tmp_path), "--timeout", "0.5"]

@@ -275,5 +275,6 @@ def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
             with pytest.raises(CommandError, match="role_too_low"):
                 run(lease, fake.listen, "cruiser-1", "--take", "--role", "program")
             assert run(lease, fake.listen, "cruiser-1", "--take", "--seconds", "0.2") == 0
-            with pytest.raises(CommandError, match="is lost"):
+            # By what it has heard meanwhile, or by the robot's answer.
+            with pytest.raises(CommandError, match=r"is lost|someone else has taken the lease"):
                 held.engage()
