@@ -291,7 +291,6 @@ def test_a_gateway_that_listens_itself_tests_its_own_endpoints(fleet: Fleet, opt
         process.wait_says(re.escape(said.format(endpoint)))
 
 
-@pytest.mark.long
 def test_renewed_files_are_taken_over_while_the_robot_stands_and_nobody_holds_its_lease(fleet: Fleet) -> None:
     """Not before: a gateway that starts again would let the robot go."""
     certificate = fleet.robot_files / "robot-tls.pem"

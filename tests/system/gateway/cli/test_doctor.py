@@ -44,7 +44,9 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
     with gateway(bus, endpoint), Running("record", "-o", str(tmp_path), "--connect", endpoint) as recorder:
         recorder.wait_says("record: ")
         done = run(["doctor", "--interface", "socketcand", "--channel", bus, *words])
-        lines = [line for line in done.stdout.splitlines() if not any(name in line for name in ELSEWHERE)]
+        # The recorder of a busy machine may miss samples.
+        elsewhere = [*ELSEWHERE, "note: losses"]
+        lines = [line for line in done.stdout.splitlines() if not any(name in line for name in elsewhere)]
         assert done.stderr == ""
         if done.returncode == 0:
             assert lines == ["standing, feedback complete, guarded, recording, open to this machine alone"]
@@ -53,7 +55,6 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
             assert "realtime" in done.stdout
 
 
-@pytest.mark.long
 def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:
     """A chassis that is well: nothing is missing but the gateway. What is wrong with the bus is found in turn."""
     logs = ["--logs", str(tmp_path), "--timeout", "0.5"]
