@@ -212,7 +212,6 @@ def page(tmp_path: Path) -> Iterator[Page]:
         one.end_all()
 
 
-@pytest.mark.long
 @pytest.mark.timeout(400)
 def test_the_commands_of_the_page_do_what_it_says(page: Page) -> None:
     """From a first fleet to a stolen authority."""
