@@ -29,6 +29,9 @@ Runner = Callable[[Sequence[str]], str | None]
 
 IFF_UP: Final = 1
 
+LOOKS_MAX: Final = 3
+"""Seconds, of one look each."""
+
 NETWORKS: Final = Path("/sys/class/net")
 
 CAN_KIND: Final = "280"
@@ -107,6 +110,9 @@ def listen(
 ) -> BusReport:
     """Listen for a second, through the gateway's own telemetry, which supervises and decodes.
 
+    Where the chassis is heard and a frame that is needed is not, it is listened for three: on a busy computer
+    frames come late.
+
     Raises:
         CommandError: the settings name an interface that python-can does not have.
     """
@@ -131,10 +137,10 @@ def _listen(
     start_ns = tick_ns = monotonic_ns()
     core = Core(msgspec.structs.replace(settings, gateway=deaf), version("cruiser-gateway"), start_ns)
     core.update_links(Links(bus_up=True), start_ns)
-    health: GatewayHealth | None = None
+    looks: list[GatewayHealth] = []
     state: RobotState | None = None
     is_commanded = False
-    while health is None and not stopped():
+    while not (stopped() or len(looks) == LOOKS_MAX or (looks and not _is_incomplete(looks[-1], settings))):
         tick_ns += TICK_NS
         while (now_ns := monotonic_ns()) < tick_ns:
             frame = bus.receive((tick_ns - now_ns) / 1e9)
@@ -144,10 +150,16 @@ def _listen(
         for sample in core.tick(now_ns, time.time_ns(), 0, b"").samples:
             match _message(sample):
                 case GatewayHealth() as health:
-                    pass
+                    looks.append(health)
                 case RobotState() as state:
                     pass
-    return BusReport("", health, state, is_commanded)
+    return BusReport("", looks[-1] if looks else None, state, is_commanded)
+
+
+def _is_incomplete(health: GatewayHealth, settings: Settings) -> bool:
+    """Report whether some of the feedback comes, and some that is needed does not."""
+    heard = {row.name for row in health.feedback if row.valid and not row.silent}
+    return bool(heard) and not heard.issuperset(settings.chassis.required_feedback)
 
 
 def _message(sample: Sample) -> Message | None:

@@ -80,6 +80,20 @@ def test_a_chassis_is_recognised_with_its_variant(variant: Variant) -> None:
     assert not report.is_commanded
 
 
+def test_frames_that_are_late_in_the_first_second_are_not_missing() -> None:
+    """The computer was busy, and not the chassis silent; a frame that never comes is missing in the end."""
+    feedback = Feedback(Variant.COARSE)
+    late = load(Variant.COARSE).messages["Auto_DriveFeedBack"].can_id
+    turns = [[frame for frame in feedback.all() if frame.can_id != late or turn >= 60] for turn in range(160)]
+    bus = FakeBus([frame for turn in turns for frame in turn])
+    health = listen(SETTINGS, opener=lambda _: bus, monotonic_ns=bus.monotonic_ns).health
+    assert health is not None
+    assert not next(row for row in health.feedback if row.name == "Auto_DriveFeedBack").silent
+    never = heard([frame for frame in a_turn(Variant.COARSE) if frame.can_id != late]).health
+    assert never is not None
+    assert next(row for row in never.feedback if row.name == "Auto_DriveFeedBack").silent
+
+
 def test_another_computers_commands_are_heard() -> None:
     """Frames that move the chassis, with a right checksum; a wrong one is nobody's."""
     encoder = Encoder(load(Variant.COARSE))
