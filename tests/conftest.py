@@ -14,8 +14,8 @@ from hypothesis import settings
 
 from tests.support.logs import small_log
 
-# How long an example takes says how busy the machine is. `make nightly` looks fifteen times as far.
-settings.register_profile("daily", deadline=None, max_examples=20)
+# How long an example takes says how busy the machine is. `make nightly` looks thirty times as far.
+settings.register_profile("daily", deadline=None, max_examples=10)
 settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("daily")
 

@@ -30,7 +30,7 @@ from recorder.reading.rows import Row as LogRow
 from recorder.reading.rows import Selection, read_rows
 from schemas.messages import Variant
 from tests.bench.loads import Row, print_table
-from tests.support.rigs.day import Day
+from tests.support.rigs.day import MINUTE_TICKS, Day
 
 MEGABYTES: Final = 1000
 CHUNK_BYTES: Final = 1 << 20
@@ -139,7 +139,7 @@ def write_log(path: Path, size: int) -> int:
 
 
 def _minute() -> list[LogRow]:
-    day = Day(1, Variant.COARSE)
+    day = Day(1, Variant.COARSE, MINUTE_TICKS)
     day.live()
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "minute.mcap"

@@ -20,6 +20,11 @@ def seeds(by_day: int, in_all: int) -> list[Any]:
     return [seed if seed < by_day else by_night(seed) for seed in range(in_all)]
 
 
+def some_by_day(values: Sequence[Any], step: int) -> list[Any]:
+    """All of these values; by day the first one, and each one that is so many further on."""
+    return [by_night(value) if number % step else value for number, value in enumerate(values)]
+
+
 def every_pair(*factors: Sequence[Any]) -> list[Any]:
     """Every combination of these values; by day as few as have each two values together at least once."""
     rows = list(product(*map(range, map(len, factors))))

@@ -1,4 +1,4 @@
-"""A minute in which everything happens, in simulated time."""
+"""Forty seconds in which everything happens, in simulated time."""
 
 from collections.abc import Callable
 from functools import cache
@@ -17,6 +17,7 @@ from schemas.settings import CommandSettings
 from tests.support.rigs.gateway import GUARDED, Operator
 from tests.support.rigs.recorded import RecordedRig
 
+DAY_TICKS = 3500
 MINUTE_TICKS = 6000
 QUIET_NS = 8_000_000_000
 """The end of a day."""
@@ -43,12 +44,12 @@ FAULTS = (
 
 
 class Day:
-    """A minute in which everything happens: two operators at work, and what fails around them."""
+    """Forty seconds in which everything happens: two operators at work, and what fails around them."""
 
-    def __init__(self, seed: int, variant: Variant, ticks: int = MINUTE_TICKS) -> None:
+    def __init__(self, seed: int, variant: Variant, ticks: int = DAY_TICKS) -> None:
         self._ends_ns = STARTED_NS + ticks * 10_000_000
         self.rig = RecordedRig(variant, COMMAND, now_ns=STARTED_NS, run=RUN)
-        self._random = Random(seed)  # noqa: S311 - the same minute each time
+        self._random = Random(seed)  # noqa: S311 - the same day each time
         self._operators = [Operator(self.rig, "first"), Operator(self.rig, "berta")]
 
     def live(self) -> None:

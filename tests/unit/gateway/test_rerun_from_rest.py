@@ -18,7 +18,7 @@ SAFETY = ("safety/decision", "safety/event", "safety/state")
 @pytest.fixture(scope="module")
 def day() -> RestfulDay:
     """Such a day, with a place of rest wherever there is one."""
-    return restful_day(1)
+    return restful_day(1, rounds=3)
 
 
 def safety(samples: list[Sample]) -> list[Sample]:
@@ -37,7 +37,7 @@ def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> No
     bursts, said = offered(day.rig.offered), safety([sample for _, sample in day.rig.recorded])
     starts = [number for number in range(1, len(journals)) if number % 61 == 0]
     lengths = set()
-    for start in Random(1).sample(starts, 5):  # noqa: S311 - the same ones each time
+    for start in Random(1).sample(starts, 4):  # noqa: S311 - the same ones each time
         run = run_of(journals[start:])
         if run is None:
             continue
@@ -52,7 +52,7 @@ def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> No
         assert told == said[len(said) - missing - len(told) : len(said) - missing]
         assert offered(sent) == bursts[len(bursts) - len(offered(sent)) :]
         lengths.add(len(told))
-    assert len(lengths) > 3
+    assert len(lengths) >= 3
 
 
 def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
@@ -66,7 +66,7 @@ def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
         elif one[0] == Kind.REST:
             places += 1
             assert one[1] - asked_ns >= QUIET_NS
-    assert places > 20
+    assert places > 10
 
 
 def test_without_such_a_place_there_is_nothing_to_run(day: RestfulDay) -> None:

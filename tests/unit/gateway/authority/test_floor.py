@@ -167,7 +167,7 @@ class Attested:
 
 
 @given(steps)
-@settings(max_examples=150)
+@settings(max_examples=5 * settings().max_examples)
 def test_the_floor_is_the_newest_time_that_nobody_attested_who_is_revoked(taken: list[Step]) -> None:
     """Whatever is stated, granted and revoked, in whatever order, and however often the robot is restarted."""
     robot = Attested()

@@ -121,7 +121,7 @@ shown = st.lists(
 @example([("revoke by active", 0, 0, 1), ("rotate", 1, 2, 0), ("rotate", 0, 2, 0)])  # its list ended in between
 @example([("revoke by standby", 0, 0, 0), ("rotate", 0, 2, 0)])  # the authority stays: so does the list
 @given(shown)
-@settings(max_examples=200)
+@settings(max_examples=5 * settings().max_examples)
 def test_a_restart_trusts_as_the_robot_did(taken: list[Shown]) -> None:
     """Whatever was revoked and rotated, also back to a key of before, and whoever of the two keys signed it."""
     fleet = Fleet()

@@ -129,7 +129,7 @@ class Robot:
 @example([("on", 30 * HOUR_S, "right"), ("list", 29 * HOUR_S, "right"), ("list", HOUR_S, "right")])
 @example([("on", 0, "ahead"), ("on", 65873, "behind"), ("list", 65878, "ahead"), ("on", 20518, "ahead")])
 @given(steps)
-@settings(max_examples=3 * settings().max_examples)
+@settings(max_examples=5 * settings().max_examples)
 def test_silence_is_noticed_and_only_silence(taken: list[Step]) -> None:
     """Whatever is heard when, however often gateway and machine are restarted, and whatever the clock says."""
     robot = Robot(taken[0][2] if taken else "right")

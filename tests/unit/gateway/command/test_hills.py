@@ -1,5 +1,9 @@
 """Row 'slopes': every rule holds on 20 deg up and down, empty and loaded, whatever the brake pedal does."""
 
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
 import pytest
 
 from gateway.chassis.cruiser.layout import load
@@ -10,10 +14,13 @@ from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
-from tests.support.nights import every_pair
+from tests.support.nights import by_night, every_pair
 from tests.support.rigs.gateway import GatewayRig, Operator, driving
 
-SLOPES = (-20.0, -8.0, 3.0, 8.0, 15.0, 20.0)
+SLOPES = (-20.0, 8.0, 20.0)
+MORE_SLOPES = (-8.0, 3.0, 15.0)
+"""By night."""
+
 PAYLOADS = (0.0, 100.0)
 PEDALS = (0.0, 0.3, 1.0)
 CAUSES = ("stop", "silence", "disengage", "bumper front on", "silence Auto_DriveFeedBack")
@@ -21,6 +28,11 @@ CAUSES = ("stop", "silence", "disengage", "bumper front on", "silence Auto_Drive
 RELEASE_MAX_M = 0.10
 STOP_MAX_M = 0.30
 """Row 'slopes': roll-back at release, and from the moment of any stop."""
+
+
+def on_slopes(*factors: Sequence[Any]) -> list[Any]:
+    """Each slope with every combination of these values; by day a selection."""
+    return [*every_pair(SLOPES, *factors), *(by_night(*row) for row in product(MORE_SLOPES, *factors))]
 
 
 class Hill(GatewayRig):
@@ -57,7 +69,7 @@ class Hill(GatewayRig):
 
 
 @pytest.mark.parametrize(
-    ("slope_deg", "payload_kg", "pedal_gain", "speed_mps"), every_pair(SLOPES, PAYLOADS, PEDALS, (0.5, -0.5))
+    ("slope_deg", "payload_kg", "pedal_gain", "speed_mps"), on_slopes(PAYLOADS, PEDALS, (0.5, -0.5))
 )
 def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
     slope_deg: float, payload_kg: float, pedal_gain: float, speed_mps: float
@@ -72,7 +84,7 @@ def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
     assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
-@pytest.mark.parametrize(("slope_deg", "payload_kg", "cause"), every_pair(SLOPES, PAYLOADS, CAUSES))
+@pytest.mark.parametrize(("slope_deg", "payload_kg", "cause"), on_slopes(PAYLOADS, CAUSES))
 def test_a_stop_on_a_slope_ends_parked(slope_deg: float, payload_kg: float, cause: str) -> None:
     """Whatever the cause: it does not roll back, and stands under its parking brake in the end."""
     hill = Hill(slope_deg, payload_kg)

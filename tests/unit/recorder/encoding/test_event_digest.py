@@ -175,7 +175,7 @@ def test_a_long_log_has_its_digest_in_several_parts(monkeypatch: pytest.MonkeyPa
 )
 @example([[90], [10]], 50, 100, STEP // 3)
 @example([[90], [10]], 0, 50, STEP // 3)
-@settings(max_examples=200)
+@settings(max_examples=10 * settings().max_examples)
 def test_a_time_is_where_the_digest_says_whatever_the_order_of_the_chunks(
     chunks: list[list[int]], from_ns: int, to_ns: int, step: int
 ) -> None:

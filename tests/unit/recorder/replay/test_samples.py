@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.encoding.protobuf_schema import LOGGED
@@ -75,7 +75,6 @@ PLAIN_SUBJECTS = [subject for subject in ALL_SUBJECTS if subject.type is not Can
 
 
 @pytest.mark.parametrize("subject", PLAIN_SUBJECTS, ids=lambda subject: subject.schema_name)
-@settings(max_examples=20)
 @given(data=st.data())
 def test_every_message_comes_back_as_it_was(subject: Subject, data: st.DataObject) -> None:
     """Of every subject, whatever its fields hold: record, typed message, payload."""

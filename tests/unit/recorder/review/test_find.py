@@ -169,7 +169,7 @@ def answered(words: str, rows: Sequence[CatalogRow], known: set[str], robots: Se
     return found(words, rows)
 
 
-@settings(max_examples=100)
+@settings(max_examples=3 * settings().max_examples)
 @given(
     rows=ROWS,
     asked=conditions(MOMENT_FIELDS),
@@ -200,7 +200,7 @@ def test_moments_are_those_of_a_plain_look(
     assert all(one.moment in files[one.file] for one in got)
 
 
-@settings(max_examples=100)
+@settings(max_examples=3 * settings().max_examples)
 @given(rows=ROWS, asked=conditions(list(LOG_FIELDS)))
 def test_logs_are_those_of_a_plain_look(rows: list[CatalogRow], asked: list[tuple[str, str, str]]) -> None:
     """What is in a list holds where it does for one of the list; ``!=`` where it does for none."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.reading.faults import Faults
@@ -169,7 +169,6 @@ class Renewal:
 
 
 @given(places=st.lists(st.integers(1, 200), max_size=4).map(sorted), renewals=st.integers(1, 4))
-@settings(max_examples=8, deadline=None)
 def test_a_log_with_renewed_grants_holds_however_it_is_split(places: list[int], renewals: int) -> None:
     """Each head is judged by the grant of its time, and not by the newest one."""
     renewal = Renewal(renewals)
@@ -182,7 +181,6 @@ def test_a_log_with_renewed_grants_holds_however_it_is_split(places: list[int], 
     spans=st.tuples(st.integers(1, 4), st.integers(0, 3), st.integers(1, 4)),
     part=st.tuples(st.floats(0, 1), st.floats(0, 1)).map(sorted),
 )
-@settings(max_examples=10, deadline=None)
 def test_no_part_of_an_honest_log_is_said_to_be_forged(spans: tuple[int, int, int], part: list[float]) -> None:
     """Wherever an incident begins and ends, and whichever authorities are given; what it lacks cannot be told."""
     rotated = Rotation(*spans)

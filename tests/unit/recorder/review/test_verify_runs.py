@@ -123,7 +123,6 @@ def _from_head(run: SignedRun, number: int) -> list[Message]:
     cuts=st.lists(st.integers(1, 400), max_size=4).map(sorted),
     copied=st.tuples(st.integers(0, 400), st.integers(0, 60)),
 )
-@settings(max_examples=15, deadline=None)
 def test_honest_logs_of_several_runs_hold_however_they_are_cut(
     begin: int, end: int, cuts: list[int], copied: tuple[int, int]
 ) -> None:
@@ -139,7 +138,7 @@ def test_honest_logs_of_several_runs_hold_however_they_are_cut(
 
 
 @given(since=st.integers(0, 200), count=st.integers(1, 200), gone=st.integers(0, 200), heads=st.integers(0, 12))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=2 * settings().max_examples)
 def test_no_decision_that_was_made_up_makes_a_proven_holder(since: int, count: int, gone: int, heads: int) -> None:
     """Whatever is left out of the logs before it, and however many heads."""
     samples = [one for run in RUNS[:2] for one in run.samples]
@@ -169,7 +168,7 @@ CHANGES: dict[type[Message], dict[str, Any]] = {
 
 
 @given(begin=st.integers(0, 100), place=st.integers(0, 400), is_left_out=st.booleans(), more=st.integers(0, 3))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=3 * settings().max_examples)
 def test_between_two_heads_of_a_log_nothing_is_left_out_or_changed(
     begin: int,
     place: int,

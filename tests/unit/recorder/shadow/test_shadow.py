@@ -1,4 +1,4 @@
-"""Two arbiters side by side, of which one has other settings; a minute has five seconds here."""
+"""Two arbiters side by side, of which one has other settings; a minute has three seconds here."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -19,12 +19,12 @@ from tests.support.rigs.day import COMMAND
 from tests.support.rigs.gateway import Operator
 from tests.support.rigs.recorded import RecordedRig
 
-MINUTE_NS = 5 * SECOND
+MINUTE_NS = 3 * SECOND
 
 
 @pytest.fixture(autouse=True)
 def short_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What takes a minute in a robot takes five seconds."""
+    """What takes a minute in a robot takes three seconds."""
     monkeypatch.setattr(module, "MINUTE_NS", MINUTE_NS)
     monkeypatch.setattr(pair_module, "ALIKE_NS", SECOND)
 
@@ -38,11 +38,11 @@ def driven() -> RecordedRig:
         rig.run(0.6)
         operator = Operator(rig)
         operator.engage()
-        operator.drive(0.5, 2.0, 11.0)
-        operator.drive(1.2, 2.0, 4.0)
         operator.drive(0.5, 2.0, 6.0)
+        operator.drive(1.2, 2.0, 3.0)
+        operator.drive(0.5, 2.0, 4.0)
         rig.run(0.2)
-        operator.drive(0.5, 2.0, 10.0)
+        operator.drive(0.5, 2.0, 6.0)
     return rig
 
 
@@ -80,7 +80,7 @@ def test_a_setting_that_is_never_reached_changes_nothing() -> None:
     """No difference, no minute, and both stay in the same state."""
     both = Shadowed(driven(), {"command.steering_limit_deg": 20.0})
     assert (both.found, both.shadow.otherwise, both.begun) == ([], 0, 1)
-    assert both.shadow.minutes == pytest.approx(len(driven().journals) * 0.05 / 5, abs=1)
+    assert both.shadow.minutes == pytest.approx(len(driven().journals) * 0.05 / 3, abs=1)
 
 
 def test_a_limit_that_is_reached_is_told_with_both_reasons_once_a_minute() -> None:
@@ -112,7 +112,7 @@ def test_in_mid_drive_it_begins_at_a_checkpoint_as_if_the_setting_had_been_chang
     """The robot is faster than the other limit, and would have slowed down."""
     rig = driven()
     fast = next(
-        number for number, one in enumerate(rig.journals) if one.time_ns > rig.journals[0].time_ns + 13 * SECOND
+        number for number, one in enumerate(rig.journals) if one.time_ns > rig.journals[0].time_ns + 7 * SECOND
     )
     both = Shadowed(rig, {"command.speed_limit_mps": 0.6}, fast)
     assert not both.shadow.is_clear

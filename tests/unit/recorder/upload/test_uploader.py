@@ -12,6 +12,7 @@ import pytest
 
 from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
 from recorder.objects.interface import StoreError
+from recorder.upload import finished
 from recorder.upload import store as stores
 from recorder.upload import uploader as uploading
 from recorder.upload.manifest import NAMESAKES_MAX, ROW_SUFFIX, UploadManifest, UploadState
@@ -400,6 +401,13 @@ def test_no_name_leads_out_of_the_stores_directory(tmp_path: Path, store: FakeLo
     assert set(store.objects) == {"_/..-20270115T080000Z.mcap", "_/..-20270115T080000Z.mcap.json"}
 
 
+@pytest.fixture
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that is read as fast as it can be."""
+    monkeypatch.setattr(finished, "DISK_BYTES_PER_S", 0)
+
+
+@pytest.mark.usefixtures("_quick_disk")
 @pytest.mark.parametrize("place", ["memory:///", "file://{}/a%20store/of%20logs"])
 @pytest.mark.parametrize("count", [3, 300_000], ids=["in one piece", "in parts"])
 def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, count: int) -> None:

@@ -123,7 +123,7 @@ def test_a_bomb_of_zeros_is_answered(
 ) -> None:
     """As the damage that it is."""
     monkeypatch.chdir(tmp_path)
-    path = saved(tmp_path / "bomb.mcap", bomb(3, 1 << 26))
+    path = saved(tmp_path / "bomb.mcap", bomb(3, 1 << 24))
     assert path.stat().st_size < 20_000
     code, said = answered(capsys, question, path)
     assert code != ExitCode.OK

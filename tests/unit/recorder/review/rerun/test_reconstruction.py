@@ -58,8 +58,16 @@ Messages = set[tuple[str, int, bytes]]
 """Topic, publish time and data."""
 
 
-QUIET_S = 16.0
+BACK_NS = (4 * SECOND, 75 * SECOND, 600 * SECOND)
+"""So far before a hole a checkpoint is looked for: first in less than in the product, for a short drive."""
+
+QUIET_S = 5.0
 """So long a checkpoint has been there that the journal need not be read from the run's beginning."""
+
+
+@pytest.fixture(autouse=True)
+def _not_far_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reconstruction, "BACK_NS", BACK_NS)
 
 
 @cache
@@ -120,7 +128,7 @@ class Holed:
         self.filled = filled(self.logs, self.faults)
 
 
-times = st.tuples(st.floats(QUIET_S, 20), st.floats(0.7, 3)).map(lambda one: (one[0], one[0] + one[1]))
+times = st.tuples(st.floats(QUIET_S, QUIET_S + 4), st.floats(0.7, 3)).map(lambda one: (one[0], one[0] + one[1]))
 lost_subjects = st.sets(st.sampled_from(sorted(MADE_AGAIN))).map(lambda some: {*some, "safety/state"})
 bounded = settings(max_examples=settings().max_examples // 5, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 
@@ -156,7 +164,7 @@ def test_the_events_of_a_log_with_a_hole_are_those_of_the_whole_log(lost: tuple[
 
 
 @bounded
-@given(lost=times, at=st.floats(QUIET_S, 24))
+@given(lost=times, at=st.floats(QUIET_S, QUIET_S + 8))
 def test_a_log_with_a_hole_tells_why_as_the_whole_one_does(lost: tuple[float, float], at: float) -> None:
     """But for the marks: what nobody recorded is said, and each link that rests on it is marked."""
     with TemporaryDirectory() as directory:
@@ -349,10 +357,11 @@ def test_a_log_in_a_store_is_filled_as_a_file_is(
 
 def test_a_long_hole_is_filled_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory does not grow with it; each part is held against the one before, and none is made twice."""
-    monkeypatch.setattr(reconstruction, "STRETCH_NS", SECOND)
+    for length in ("STRETCH_NS", "BESIDE_NS"):
+        monkeypatch.setattr(reconstruction, length, 2 * SECOND)
     log = Holed(str(tmp_path), (QUIET_S + 1, QUIET_S + 6))
     parts = [one for one in log.filled if one.is_reconstructed]
-    assert len(parts) == 6
+    assert len(parts) == 3
     faults = Faults()
     selection = Selection(lambda topic: topic.subject in MADE_AGAIN, is_filled=True)
     rows = [row for row in read_rows(log.filled, selection, faults) if row.topic.reconstructed]
@@ -453,7 +462,7 @@ def test_a_run_that_takes_long_is_looked_at_from_journal_to_journal(tmp_path: Pa
     made = filled(logs, Faults(), looks.append)
     before = len(looks)
     assert messages(made, is_made=True)
-    assert len(looks) - before > 20 * 15, "of the fifteen seconds before the hole alone"
+    assert len(looks) - before > 20 * BACK_NS[0] // SECOND, "of the seconds before the hole alone"
 
 
 @pytest.mark.parametrize("bound", ["RECORDS_MAX", "SAID_MAX"])

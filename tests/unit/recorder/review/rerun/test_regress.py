@@ -99,7 +99,7 @@ def test_the_runs_own_settings_and_code_decide_the_same(tmp_path: Path) -> None:
     assert regress(tmp_path / NAME, driven_log(), speed_limit(COMMAND.speed_limit_mps)).summary == own
 
 
-@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=settings().max_examples // 5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(limit_mps=st.floats(0.55, 1.3))
 def test_a_changed_limit_is_found_in_the_minutes_in_which_it_was_reached(
     tmp_path_factory: pytest.TempPathFactory, limit_mps: float
