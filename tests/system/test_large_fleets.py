@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from schemas.exit_codes import ExitCode
 from tests.support.fakes.fleet import LEASE_MS, FakeFleet
 from tests.support.processes.busy import burning
@@ -25,6 +27,7 @@ def cruiser(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.night
 def test_a_stop_of_a_large_fleet_ends_and_hears_every_robot() -> None:
     """Each robot answers, and nobody is said to be silent. That they stand is not seen: these publish nothing."""
     with FakeFleet(400) as fleet:
@@ -43,6 +46,7 @@ def test_a_stop_of_a_large_fleet_is_seen_while_the_machine_is_busy() -> None:
     assert (report["counted"], ended.returncode) == (True, 0)
 
 
+@pytest.mark.night
 def test_a_large_fleet_is_listed_whole() -> None:
     """Every robot that is connected has its line, after one on all of them."""
     with FakeFleet(1000) as fleet:

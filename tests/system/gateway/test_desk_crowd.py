@@ -44,6 +44,7 @@ def a_browser_that_reads_nothing(address: str) -> socket.socket:
     return stuck
 
 
+@pytest.mark.night
 def test_two_hundred_robots_and_fifty_browsers_on_one_desk() -> None:
     """Each browser sees all robots and the one that it looks at; a real one draws them; one reads nothing."""
     with ExitStack() as stack:

@@ -60,6 +60,7 @@ def test_a_fleet_is_driven_attacked_and_its_operator_locked_out(tmp_path: Path) 
     assert "by depot < authority" in again.stdout
 
 
+@pytest.mark.night
 def test_a_fleet_that_is_held_serves_clients_until_ctrl_c(tmp_path: Path) -> None:
     """It says where its router is, and where the files of its people are. Nothing of it is left running."""
     words = [sys.executable, "-m", "gateway", "demo-fleet", "--hold", "--json", "--out", str(tmp_path / "fleet")]

@@ -104,6 +104,7 @@ def test_one_log_may_hold_all_robots(
     assert len(of_robots(found)) == len(KEYS)
 
 
+@pytest.mark.night
 def test_hundreds_of_robots_and_thousands_of_keys(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """Each robot's log is whole, and lacks nothing."""
     robots = [f"robot-{number}" for number in range(300)]

@@ -164,6 +164,7 @@ def test_it_ends_at_a_signal_and_leaves_the_layouts(scene: Scene, tmp_path: Path
     assert len(scene.view.said) == 1
 
 
+@pytest.mark.night
 def test_a_replay_is_shown_too(scene: Scene, tmp_path: Path) -> None:
     """Under its own root, by the same command."""
     with recording(
