@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
+from recorder.review.catalog.directory import name_in_row
 from recorder.review.catalog.known import CATALOG_NAME
 from recorder.review.catalog.rows import INCIDENT, CatalogRow, CatalogUnreadableError, LoggedDriver, LoggedMoment
 from recorder.review.catalog.table import SCHEMA, read_table
@@ -114,14 +115,15 @@ class Library:
             await asyncio.to_thread(self._learn_tags, notes)
             pause_s = min(max(LOOK_S[0], 10 * (time.monotonic() - before_s)), LOOK_S[1])
             if logs != known:
-                had = await asyncio.to_thread(self._count)
-                self.state = msgspec.structs.replace(self.state, logs=len(logs), cataloged=had, is_reading=True)
+                had = await asyncio.to_thread(self._cataloged)
+                self.state = LibraryState(len(logs), len(had), is_reading=True, fault=self.state.fault)
                 is_done, fault = await self._refresh(round_s)
-                has = await asyncio.to_thread(self._count)
-                # What took too long is read on in the next round; a log that takes longer by itself gets the time.
-                known = logs if is_done else None
+                has = await asyncio.to_thread(self._cataloged)
+                # A log that came after the look may be cataloged, and gone at the next look. What took too long is
+                # read on in the next round; a log that takes longer by itself gets the time.
+                known = logs if is_done and has <= set(map(name_in_row, logs)) else None
                 round_s = ROUND_S[0] if is_done or has != had else min(2 * round_s, ROUND_S[1])
-                self.state = LibraryState(len(logs), has, not is_done, fault if logs or has else "")
+                self.state = LibraryState(len(logs), len(has), not is_done, fault if logs or has else "")
             # What is not done is gone on with, at once if it took its time.
             until_s = (time.monotonic() if known is not None else before_s) + pause_s
             while time.monotonic() < until_s and not ends():  # noqa: ASYNC110 - a signal sets it, not this loop
@@ -135,9 +137,9 @@ class Library:
             return False, ""
         return True, "" if done.code == ExitCode.OK and self.catalog.exists() else done.fault.rpartition("\n")[2]
 
-    def _count(self) -> int:
+    def _cataloged(self) -> set[str]:
         with self._reading:
-            return int(self._rows(["file"]).num_rows)
+            return set(self._rows(["file"]).column("file").to_pylist())
 
     def _learn_tags(self, notes: Signature) -> None:
         if notes == self._notes:

@@ -267,22 +267,22 @@ def _files(directory: Path) -> dict[str, _Status]:
                 try:
                     status = entry.stat()
                 except OSError:
-                    found[_as_text(name)] = _Status(name, 0, 0)
+                    found[name_in_row(name)] = _Status(name, 0, 0)
                 else:
-                    found[_as_text(name)] = _Status(name, status.st_size, status.st_mtime_ns)
+                    found[name_in_row(name)] = _Status(name, status.st_size, status.st_mtime_ns)
     except OSError as error:
         why = error.strerror or error
         raise CommandError(f"cannot read {plain(str(directory))}: {why}", ExitCode.USAGE) from error
     return found
 
 
-def _as_text(name: str) -> str:
-    """A file's name with escapes for the bytes that are no text."""
+def name_in_row(name: str) -> str:
+    """Return the name that a log has in its row: with escapes for the bytes that are no text."""
     return name if name.isascii() else os.fsencode(name).decode(errors="backslashreplace")
 
 
 def _row(directory: Path, one: _Status, progress: Progress) -> CatalogRow:
-    return row_of(directory / one.name, _as_text(one.name), one.modified_ns, progress)
+    return row_of(directory / one.name, name_in_row(one.name), one.modified_ns, progress)
 
 
 def _is_open(path: Path) -> bool:

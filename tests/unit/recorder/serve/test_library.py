@@ -165,6 +165,26 @@ def test_what_fails_at_once_is_tried_again_after_a_pause(tmp_path: Path, monkeyp
     assert logs.state == LibraryState(1, 0, is_reading=True)
 
 
+def test_a_log_that_came_and_went_while_the_catalog_was_made_is_not_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two looks at the directory are equal, and the catalog between them saw it."""
+    (tmp_path / "\udcfc.mcap").write_bytes(b"log")
+    stays, goes = row(file="\\xfc.mcap"), row(file="b.mcap")
+    logs = Library(tmp_path, tmp_path)
+    seen: list[int] = []
+
+    async def ask(*_: object) -> JobDone:
+        seen.append(logs.state.cataloged)
+        write_table(logs.catalog, to_table([stays, goes] if len(seen) == 1 else [stays]))
+        return JobDone(0, b"", "")
+
+    monkeypatch.setattr(library_module, "ask_review", ask)
+    monkeypatch.setattr(library_module, "LOOK_S", (0.0, 0.0))
+    asyncio.run(asyncio.wait_for(logs.keep_current(lambda: logs.state == LibraryState(1, 1)), 60))
+    assert seen == [0, 2]
+
+
 @pytest.mark.parametrize(
     ("done", "fault"),
     [
