@@ -129,8 +129,9 @@ types: $(STAMP)  ## mypy --strict
 architecture: $(STAMP)  ## the import contracts of .importlinter
 	$(BIN)/lint-imports
 
-generate: $(STAMP)  ## what is generated from the tables: JSON Schemas, the tables of docs/
+generate: $(STAMP)  ## what is generated: JSON Schemas, the layouts of the DBC files, the tables of docs/
 	$(BIN)/python -m schemas.json_schema
+	$(BIN)/python -m gateway.chassis.cruiser.layout_file
 	$(BIN)/python -m gateway.documents
 
 pictures: $(STAMP)  ## the pictures of the README, from runs of the demos; needs Chromium

@@ -17,7 +17,7 @@ import msgspec
 
 from schemas.messages import Message
 from schemas.requests import Request
-from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, Subject, Verb
+from schemas.subjects import Subject, Verb
 from schemas.versions import count_fields, enumeration_in, is_foreign, member_of
 
 
@@ -33,15 +33,14 @@ encode: Final = msgspec.msgpack.Encoder().encode
 PAYLOAD_ERRORS: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 """Exceptions that decoding may raise, whatever the payload holds."""
 
-_DECODERS: Final = {subject.type: msgspec.msgpack.Decoder(subject.type) for subject in ALL_SUBJECTS}
-
 
 def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
     """The typed message of a payload, or what is wrong with it."""
     try:
-        return _DECODERS[subject.type].decode(payload)
+        message: Message = _reader(subject.type).decode(payload)
     except PAYLOAD_ERRORS as error:
         return PayloadFault(str(error))
+    return message
 
 
 Kind = TypeVar("Kind", bound=msgspec.Struct)
@@ -168,14 +167,11 @@ UNKNOWN_NAMED: Final = 8
 FIELD_NAME_MAX: Final = 64
 
 
-_REQUEST_DECODERS: Final = {verb.request: msgspec.msgpack.Decoder(verb.request) for verb in ALL_VERBS}
-
-
 def decode_request(verb: Verb[Any], payload: bytes) -> Request | PayloadFault:
     """The typed request of a payload, or what is wrong with it. Every number in it is finite."""
     try:
         # A verb that needs nothing may be sent with no payload at all.
-        request = _REQUEST_DECODERS[verb.request].decode(payload or _EMPTY_MAP)
+        request: Request = _reader(verb.request).decode(payload or _EMPTY_MAP)
     except PAYLOAD_ERRORS as error:
         return PayloadFault(str(error))
     for name in request.__struct_fields__:

@@ -1,7 +1,7 @@
 """The DBC files: their names, their text, and what can be read from that without a library.
 
-Bits and scales are read by cantools, in ``gateway.chassis.layout`` alone. Who only wants to know which frames
-there are needs no such thing: every statement of these files is one line.
+Bits and scales are read by cantools, in ``gateway.chassis.dbc``, when layouts are generated. Who only wants to
+know which frames there are needs no such thing: every statement of these files is one line.
 """
 
 from __future__ import annotations

@@ -30,7 +30,6 @@ class Setting(msgspec.Struct, frozen=True):
         section: the table of the TOML file.
         name: the key in that table.
         annotation: the type with its bounds, for msgspec.
-        kind: the same type, taken apart.
         start: the value in force when no source gives one.
         about: its description, for people.
     """
@@ -38,7 +37,6 @@ class Setting(msgspec.Struct, frozen=True):
     section: str
     name: str
     annotation: Any
-    kind: Kind
     start: Any
     about: str
 
@@ -46,6 +44,11 @@ class Setting(msgspec.Struct, frozen=True):
     def key(self) -> str:
         """The dotted key: ``can.channel``."""
         return f"{self.section}.{self.name}"
+
+    @property
+    def kind(self) -> Kind:
+        """The type, taken apart. That takes 0.1 ms, so it is done for the few that somebody asks about."""
+        return inspect.type_info(self.annotation)
 
     @property
     def variable(self) -> str:
@@ -109,7 +112,6 @@ def _table() -> dict[str, Setting]:
                 section=section.name,
                 name=field.name,
                 annotation=field.type,
-                kind=inspect.type_info(field.type),
                 start=getattr(getattr(start, section.name), field.name),
                 about=abouts.get(field.name, ""),
             )

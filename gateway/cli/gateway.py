@@ -69,7 +69,7 @@ AGAIN_S: Final = 5.0
 RUN_BITS = 53
 """Every language's numbers hold as many."""
 
-VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec", "cantools")
+VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
