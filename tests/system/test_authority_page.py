@@ -212,6 +212,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
         one.end_all()
 
 
+@pytest.mark.night
 @pytest.mark.timeout(400)
 def test_the_commands_of_the_page_do_what_it_says(page: Page) -> None:
     """From a first fleet to a stolen authority."""

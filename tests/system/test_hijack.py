@@ -237,7 +237,7 @@ def test_a_jump_of_the_sequence_locks_nobody_out() -> None:
 @pytest.mark.parametrize(
     "forged",
     [
-        {"lease_holder": "", "tick": 2**40},
+        by_night({"lease_holder": "", "tick": 2**40}),
         by_night({"lease_holder": "neighbour"}),
         {"state": "stopping", "engaged": False, "stop_reason": "remote_stop"},
         by_night({"accepted_seq": 10**9}),

@@ -144,6 +144,7 @@ def rotation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rotati
         yield Rotation(tmp_path, stack)
 
 
+@pytest.mark.night
 @pytest.mark.timeout(400)
 def test_a_fleet_is_driven_through_the_change_of_its_authority(rotation: Rotation) -> None:
     """Whatever is restarted or replaced in mid-drive, the robot stops by its rules, and is driven again."""

@@ -149,7 +149,7 @@ def test_a_robot_that_is_shut_to_whom_it_should_be_is_engaged(fleet: Fleet) -> N
         assert "see to" not in fleet.why()
 
 
-@pytest.mark.parametrize("damage", [switched_off, by_night(allowing), without_names])
+@pytest.mark.parametrize("damage", [switched_off, by_night(allowing), by_night(without_names)])
 def test_a_router_that_shuts_nobody_out_keeps_the_robot_from_being_engaged(fleet: Fleet, damage: Damage) -> None:
     """An open router is silent. The robot finds it, says which file of which machine it is, and publishes on."""
     change(fleet.router_file, damage)
@@ -184,6 +184,7 @@ def test_a_robot_whose_own_file_lets_anybody_in_is_not_engaged(fleet: Fleet, dam
         assert f"see to: self_test: {file}: {words}; {cure}" in fleet.why()
 
 
+@pytest.mark.night
 def test_a_robot_without_the_certificate_to_test_with_is_not_engaged_until_it_has_it(fleet: Fleet) -> None:
     """One that was provisioned before there was any. When it is there, the gateway starts again by itself."""
     file = fleet.robot_files / "nothing-tls.pem"
@@ -199,6 +200,7 @@ def test_a_robot_without_the_certificate_to_test_with_is_not_engaged_until_it_ha
         fleet.engages()
 
 
+@pytest.mark.night
 def test_a_router_that_is_open_when_it_returns_keeps_the_robot_from_being_engaged_anew(fleet: Fleet) -> None:
     """A robot that lost its router stays as it was; another router is tested."""
     with ExitStack() as first:
@@ -213,6 +215,7 @@ def test_a_router_that_is_open_when_it_returns_keeps_the_robot_from_being_engage
                 fleet.refuses()
 
 
+@pytest.mark.night
 def test_a_gateway_that_finds_no_router_tests_itself_when_it_has_one(fleet: Fleet) -> None:
     """Until then it says for what it waits."""
     with (fleet.robot_files / "robot.toml").open("a") as file:
@@ -242,6 +245,7 @@ def test_a_gateway_whose_router_is_away_starts_and_joins_it_later(fleet: Fleet) 
     assert passed < engaged
 
 
+@pytest.mark.night
 def test_a_gateway_that_joins_an_open_router_late_keeps_the_robot_from_being_engaged(fleet: Fleet) -> None:
     """As one that finds it at its start."""
     change(fleet.router_file, switched_off)
@@ -266,7 +270,7 @@ def test_a_robot_whose_router_is_away_is_stopped_all_the_same(fleet: Fleet) -> N
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ("", "the test of itself has passed"),
+        by_night("", "the test of itself has passed"),
         (
             "#enable_mtls=false",
             "has not passed: {0} lets in who shows no certificate: leave out what the endpoint {0}#",
@@ -332,6 +336,7 @@ def test_a_robot_that_lost_its_disk_is_let_in_anew(fleet: Fleet, tmp_path: Path)
         fleet.engages()
 
 
+@pytest.mark.night
 def test_a_latched_stop_outlives_a_renewal(fleet: Fleet) -> None:
     """It keeps no file from being renewed, and stays latched, with its reason, until somebody resets it."""
     with fleet.running() as process:

@@ -397,7 +397,7 @@ def _of_another_authority(files: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
-        (lambda files: (files / "authority.json").unlink(), "authority.json is not there"),
+        by_night(lambda files: (files / "authority.json").unlink(), "authority.json is not there"),
         by_night(lambda files: (files / "authority.json").write_text("{}"), "authority.json is damaged"),
         (_of_another_authority, "the robot's own grant is of the authority"),
     ],
@@ -423,7 +423,8 @@ def test_a_stop_by_somebody_whose_clock_is_behind_is_no_silence(
         assert word.cure == "set this computer's clock: it is behind"
 
 
-@pytest.mark.parametrize("name", ["robot.key", by_night("robot.grant")])
+@pytest.mark.night
+@pytest.mark.parametrize("name", ["robot.key", "robot.grant"])
 def test_a_stop_of_a_robot_without_its_own_files_is_no_silence(site: Site, name: str) -> None:
     """It stops, and cannot sign that it does. ``cruiser why`` shows the file and the cure, not verified."""
     (Path(site.robot_settings).parent / name).unlink()
@@ -456,6 +457,7 @@ def word_of_a_stop(site: Site, operator: str) -> remote_stop.Unverified:
     return words[0]
 
 
+@pytest.mark.night
 def test_a_robot_whose_grant_is_over_says_so_to_who_asks(site: Site) -> None:
     """With the date, this computer's clock, and the cure; and by ``cruiser why``, not verified."""
     now_s = int(time.time())
@@ -496,7 +498,7 @@ def test_a_stop_fails_for_no_grant_that_is_over_and_for_no_clock(site: Site, fro
     [
         (lambda files: (files / "robot.key").unlink(), "robot.key is not there"),
         by_night(lambda files: (files / "robot.key").chmod(0o644), "can be read by others; chmod 600"),
-        (lambda files: (files / "robot.grant").write_text("x"), "robot.grant is no grant"),
+        by_night(lambda files: (files / "robot.grant").write_text("x"), "robot.grant is no grant"),
         by_night(lambda files: (files / "authority.json").write_text("{}"), "authority.json is damaged"),
     ],
 )
@@ -547,6 +549,7 @@ def test_a_latched_robot_takes_renewed_files_over_and_stays_latched(site: Site) 
             assert robot.wait_for(lambda state: not state.latched, 30)
 
 
+@pytest.mark.night
 def test_a_stopped_robot_without_a_grant_takes_one_over_and_stays_latched(site: Site) -> None:
     """Nobody could reset it before: no operator believes a robot without a grant."""
     files = Path(site.robot_settings).parent

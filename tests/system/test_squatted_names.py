@@ -13,6 +13,7 @@ from gateway.zenoh.client import close_session, open_session
 from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes.gateway import chassis, gateway, run
 from tests.support.signed_site import Site
 from tests.support.waiting import wait_until
@@ -52,7 +53,7 @@ def test_a_squatted_token_keeps_no_robot_from_starting() -> None:
     assert "no gateway answers there" in told[0]["text"]
 
 
-@pytest.mark.parametrize("listen_only", [[], ["--listen-only"]])
+@pytest.mark.parametrize("listen_only", [[], by_night(["--listen-only"])])
 def test_a_gateway_that_lives_keeps_its_name(listen_only: list[str]) -> None:
     """One name is one robot: the second says so and ends, with exit code 5; the first serves on."""
     endpoint = free_endpoint()

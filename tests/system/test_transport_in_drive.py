@@ -144,6 +144,7 @@ def assert_lawful(speeds: list[int]) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.night
 def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_stop(site: SecuredSite) -> None:
     """The link goes, the deadman stops the robot along its ramp, and who drove cannot come back with it."""
     with running(site) as (gateway, witness):
@@ -154,10 +155,12 @@ def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_sto
             with pytest.raises((Stopped, Unreachable, LeaseLost)):
                 wait_until(lambda: False, lambda: lease.drive(WANTED_MPS))
             is_early = time.time() < ends_s
-            why = gateway.wait_says("stopping: .*")[0]
-            # On a busy machine another rule may end the drive before the certificate ends.
+            # On a busy machine another rule, or the guard, may end the drive before the certificate ends.
+            why = gateway.wait_says("stopping: .*|the guard has stopped the robot")[0]
             assert is_early or TEXTS[Reason.DEADMAN].means in why
-            gateway.wait_says("stopped: the robot is told nothing, and stands")
+            gateway.wait_says(
+                "stopped: the robot is told nothing, and stands|the guard's stop has ended: .* stands"
+            )
         wait_until(lambda: time.time() > ends_s + 1)
         told = list(witness.speeds)
         assert_lawful(told)

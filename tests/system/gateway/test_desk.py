@@ -20,6 +20,7 @@ from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
 from tests.support.messages import STATE
 from tests.support.metrics import received
+from tests.support.nights import by_night
 from tests.support.processes.desk import (
     DeskScene,
     chromium,
@@ -32,7 +33,7 @@ from tests.support.processes.desk import (
     texts,
 )
 from tests.support.processes.gateway import run
-from tests.support.processes.letting_go import hide_the_page, let_go_of_the_pointer, lose_the_focus, shut_the_lid
+from tests.support.processes.letting_go import let_go_of_the_pointer, lose_the_focus, shut_the_lid
 from tests.support.provisioning import ProvisionedFleet
 from tests.support.rigs.scenarios import front_bumper, recorded
 from tests.support.waiting import wait_until
@@ -109,9 +110,7 @@ def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserCo
 
 
 # All ways, each of them twenty times over, by night: tests/nightly/test_desk.py.
-@pytest.mark.parametrize(
-    "let_go", [let_go_of_the_pointer, hide_the_page, shut_the_lid], ids=lambda way: way.__name__
-)
+@pytest.mark.parametrize("let_go", [let_go_of_the_pointer, shut_the_lid], ids=lambda way: way.__name__)
 def test_whatever_takes_the_pointer_away_stops_the_robot(
     scene: DeskScene, running_browser: Browser, let_go: Callable[[Page], None]
 ) -> None:
@@ -177,7 +176,7 @@ def test_stop_all_never_says_more_than_is_known(context: BrowserContext) -> None
         page.get_by_text("NOT SENT").wait_for()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", [by_night(signal.SIGKILL), signal.SIGSTOP])
 def test_a_desk_that_dies_while_somebody_drives_stops_the_robot(
     number: signal.Signals, context: BrowserContext
 ) -> None:
@@ -489,6 +488,7 @@ def test_no_other_page_gets_in(scene: DeskScene) -> None:
         assert ask(scene.address, path).status == 404
 
 
+@pytest.mark.night
 def test_logs_and_reports_are_read_from_the_page(context: BrowserContext, tmp_path: Path) -> None:
     """A log of this robot, and its report, which reaches neither the desk nor the browser's key."""
     log = recorded(front_bumper)

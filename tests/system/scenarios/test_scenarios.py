@@ -8,7 +8,7 @@ import pytest
 from tests.support.nights import seeds
 from tests.system.scenarios.scenario import run, scenario
 
-SEEDS = seeds(12, 70)
+SEEDS = seeds(6, 70)
 RUN_AGAIN_EVERY = 10
 
 

@@ -65,6 +65,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     return Demo(json.loads(done.stdout), out)
 
 
+@pytest.mark.night
 def test_the_demo_records_everything(demo: Demo) -> None:
     """A whole log, with all but what came too late on a busy machine; the robot drove and was hit in it."""
     summary = demo.summary

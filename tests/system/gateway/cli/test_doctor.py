@@ -56,9 +56,8 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
 
 
 def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:
-    """A chassis that is well: nothing is missing but the gateway. What is wrong with the bus is found in turn."""
+    """A chassis that is well: nothing is missing but the gateway. Then a frame of it is."""
     logs = ["--logs", str(tmp_path), "--timeout", "0.5"]
-    connect = ["--connect", free_endpoint()]
 
     def finds() -> tuple[int, list[str], str]:
         code, found, summary = examine(bus, *logs, "--timeout", "2")
@@ -68,6 +67,13 @@ def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Pat
     wait_until(lambda: finds() == (1, ["gateway_missing"], ""))
     fault(bus, "silence", "Auto_GearFeedBack")
     assert "Auto_GearFeedBack" in examine(bus, *logs)[1]["feedback_missing"]
+
+
+@pytest.mark.night
+def test_each_trouble_of_a_bus_is_told_from_the_others(bus: str, tmp_path: Path) -> None:
+    """Nobody speaks, somebody else does, or nobody is understood."""
+    logs = ["--logs", str(tmp_path), "--timeout", "0.5"]
+    connect = ["--connect", free_endpoint()]
     fault(bus, "silence", "all")
     assert list(examine(bus, *logs, *connect)[1]) == ["bus_silent", "router_unreachable"]
     fault(bus, "foreign", "siblings")

@@ -16,7 +16,7 @@ from gateway.zenoh.late_node import AGAIN_S
 from gateway.zenoh.router import open_local_router
 from schemas.exit_codes import ExitCode
 from tests.support.fakes.peer import free_endpoint
-from tests.support.nights import by_night
+from tests.support.nights import by_night, some_by_day
 from tests.support.processes.gateway import Running, chassis
 from tests.support.routers import router_process
 from tests.support.secured import Network
@@ -144,7 +144,7 @@ def test_by_hand_it_ends_with_the_same_line(tmp_path: Path, monkeypatch: pytest.
         assert recorder.process.wait(30) == ExitCode.UNREACHABLE
 
 
-@pytest.mark.parametrize("command", SERVICES)
+@pytest.mark.parametrize("command", some_by_day([*SERVICES], len(SERVICES)))
 @pytest.mark.parametrize(
     ("born_s", "says"),
     [

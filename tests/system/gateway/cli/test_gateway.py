@@ -34,6 +34,7 @@ from schemas.reasons import Reason
 from schemas.settings import CanSettings, GatewaySettings, Settings, ZenohSettings
 from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes.gateway import chassis, gateway, run
 from tests.support.processes.guard import listening
 from tests.support.processes.holding import is_done
@@ -454,7 +455,7 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
             assert running.stop() == 0
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("how", [by_night(signal.SIGTERM), signal.SIGKILL])
 def test_a_remote_stop_is_latched_until_a_reset_whatever_is_restarted(how: signal.Signals) -> None:
     """Whoever stopped the robot goes up to it: a restart of the process makes nobody's stop undone."""
     endpoint = free_endpoint()

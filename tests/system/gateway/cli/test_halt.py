@@ -12,6 +12,7 @@ from gateway.host.stop_note import StopNote
 from schemas.messages import Mode
 from schemas.settings import CanSettings, Settings
 from tests.support.commands import run_command
+from tests.support.nights import by_night
 from tests.support.processes.gateway import Running, chassis, run
 from tests.support.processes.guard import COMMANDS, listening, watched
 from tests.support.processes.other_computer import leave_rolling
@@ -23,7 +24,7 @@ def halt(address: str, *words: str) -> subprocess.CompletedProcess[str]:
     return run(["halt", "--interface", "socketcand", "--channel", address, *words])
 
 
-@pytest.mark.parametrize("words", [(), ("--variant", "coarse")])
+@pytest.mark.parametrize("words", [(), by_night(("--variant", "coarse"))])
 def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> None:
     """Whether its scale is known or not; it says what it found and what it did."""
     with chassis() as (_, address), listening(address) as listener:
@@ -42,7 +43,8 @@ def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> Non
         assert " halt: the robot stands; " in note
         wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
         wait_until(lambda: len(listener.bursts) > heard + 30)
-        assert {len(burst.frames) for burst in listener.bursts} == {5, 8}
+        # Of the driver's last burst the end may be lost, and the very last one may still be coming in.
+        assert {len(burst.frames) for burst in listener.bursts[heard + 1 : -1]} == {5, 8}
 
 
 def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
@@ -120,7 +122,8 @@ def test_it_waits_for_a_guard_at_work() -> None:
         halting.wait_says("another sender commands the chassis")
         running.send_signal(signal.SIGKILL)
         assert halting.process.wait(60) == 0, halting.said
-        halting.wait_says("there is nothing to stop")
+        # Where frames come late, the chassis may read auto for a moment longer: then it stops what stands.
+        halting.wait_says("there is nothing to stop|mode auto, the robot stands")
         running.wait_guard_gone()
 
 

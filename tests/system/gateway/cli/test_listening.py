@@ -15,6 +15,7 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.settings import ZenohSettings
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes.gateway import Running, chassis, gateway, run, wait_for_chassis
 from tests.support.processes.listening import listening
 from tests.support.secured import Network
@@ -109,12 +110,12 @@ def test_the_port_for_commands_can_be_said(monkeypatch: pytest.MonkeyPatch) -> N
             assert listening(running.process.pid) == sockets([listen])
 
 
-@pytest.mark.parametrize("with_file", [False, True])
-def test_a_gateway_that_dials_out_listens_on_nothing(tmp_path: Path, *, with_file: bool) -> None:
+@pytest.mark.parametrize("said_by", [by_night("flags alone"), "a file"])
+def test_a_gateway_that_dials_out_listens_on_nothing(tmp_path: Path, said_by: str) -> None:
     """With any Zenoh file and without one; it is commanded through the router."""
     file = tmp_path / "zenoh.json5"
     file.write_text("{ transport: { link: { tx: { keep_alive: 5 } } } }")
-    words = ["--zenoh-config", str(file)] if with_file else []
+    words = ["--zenoh-config", str(file)] if said_by == "a file" else []
     with router() as endpoint, dialling("--connect", endpoint, *words) as running:
         running.wait_says(re.escape(f"cruiser-1 listens on nothing, connects to {endpoint}, bus"))
         info = info_of(endpoint)

@@ -69,7 +69,7 @@ def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
     ("words", "count"),
     [
         (("sim", "--fleet", "1", "--endpoint", "ENDPOINT"), 3),  # a chassis, its gateway and the guard
-        (("demo", "--seconds", "60"), 4),
+        by_night(("demo", "--seconds", "60"), 4),
         by_night(("demo-fleet", "--hold"), 6),
         (("demo-desk", "--robots", "1", "--no-browser", "--listen", "127.0.0.1:0", "--endpoint", "ENDPOINT"), 5),
     ],

@@ -19,6 +19,7 @@ from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CanSettings, Settings, ZenohSettings
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes import operator_session as operator_program
 from tests.support.processes.busy import burning
 from tests.support.processes.gateway import chassis, gateway
@@ -74,7 +75,7 @@ def driven() -> Iterator[Scene]:
         yield Scene(stack)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, operator_program.HANG])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, by_night(operator_program.HANG)])
 def test_the_robot_of_an_operator_who_fails_comes_to_rest(number: signal.Signals) -> None:
     """Row 'deadman'. It stays so when a stopped program goes on, and the lease is free after its time."""
     with driven() as scene:

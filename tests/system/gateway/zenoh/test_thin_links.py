@@ -22,6 +22,7 @@ from schemas.egress import PUBLISHED
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes.paced_link import PacedLink, paced_link
 from tests.support.waiting import wait_until
 
@@ -150,7 +151,7 @@ def test_a_stop_and_its_reply_wait_for_nothing_that_fills_the_link(thin: Thin) -
     assert len(came_s) == 1
 
 
-@pytest.mark.parametrize("priority", [zenoh.Priority.DATA, zenoh.Priority.DATA_LOW])
+@pytest.mark.parametrize("priority", [by_night(zenoh.Priority.DATA), zenoh.Priority.DATA_LOW])
 def test_who_the_gateway_is_still_fits_through(thin: Thin, priority: zenoh.Priority) -> None:
     """Its reply is the largest, and comes whole; the small buffers hold it, and drop nothing of it."""
     channel: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(4)

@@ -290,6 +290,7 @@ def test_a_start_recovers_what_a_killed_recorder_left(tmp_path: Path) -> None:
     assert all(check_log(path).whole for path in tmp_path.iterdir())
 
 
+@pytest.mark.night
 def test_recorders_killed_at_random_instants_lose_but_the_last_moment(tmp_path: Path) -> None:
     """Each next start makes whole what the one before left: no holes, nothing twice, and no log without its end.
 

@@ -19,6 +19,7 @@ from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.fakes.recorders import a_reply, answering
 from tests.support.logs import logs_in
 from tests.support.messages import gear, sample_of
+from tests.support.nights import by_night
 from tests.support.processes.recorder import Told, ask, heard, link, recording, whole
 from tests.support.waiting import wait_until
 
@@ -187,12 +188,12 @@ def test_recorders_of_one_name_are_asked_one_by_one(
     assert "a recorder depot is there already; this one is depot-2" in process.ready + err
 
 
-def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str) -> None:
+@pytest.mark.parametrize("action", ["status", *map(by_night, ("start", "stop", "split", "mark"))])
+def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str, action: str) -> None:
     """Exit code 4, one clear line; whom it looked for."""
     assert peer
     words = ["--connect", endpoint, "--timeout", "0.5"]
-    for action in ("status", "start", "stop", "split", "mark"):
-        assert ask(action, *words) == (ExitCode.UNREACHABLE, "", "cruiser record: no recorder answers\n")
+    assert ask(action, *words) == (ExitCode.UNREACHABLE, "", "cruiser record: no recorder answers\n")
     expected = "cruiser record: recorder depot does not answer\n"
     assert ask("status", "depot", *words) == (ExitCode.UNREACHABLE, "", expected)
 

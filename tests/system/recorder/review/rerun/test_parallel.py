@@ -17,6 +17,7 @@ from tests.support.waiting import wait_until
 from tests.unit.recorder.review.rerun.test_parallel import LENGTH_NS, NAME, Change, alone, changed, day_log
 
 
+@pytest.mark.night
 def test_processes_do_it(tmp_path: Path) -> None:
     """Two robots at a time, in segments."""
     for robot in ("a", "b"):
