@@ -105,7 +105,7 @@ def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str
     why = page.locator(".why")
     wait_until(lambda: waits.is_visible() or why.get_by_role("button", name="Reset").is_visible())
     if not waits.is_visible():
-        print(why.inner_text(), page.locator(".events").inner_text())  # noqa: T201 - whoever reads the figures wants it
+        print(why.inner_text(), page.locator(".events").first.inner_text())  # noqa: T201 - whoever reads the figures wants it
         reset(page, page.locator(".drive"))
     return page
 
