@@ -24,6 +24,7 @@ import msgspec
 import pytest
 
 from tests.support.fakes.peer import free_endpoint
+from tests.support.nights import by_night
 from tests.support.processes.nobody import NOBODY, become_nobody
 from tests.support.waiting import wait_until
 
@@ -320,19 +321,23 @@ def newcomer() -> Iterator[Newcomer]:
 
 @pytest.mark.long
 @pytest.mark.timeout(800)
-def test_the_commands_of_the_page_do_what_it_says(newcomer: Newcomer) -> None:
+@pytest.mark.parametrize(
+    ("pages", "leaves"),
+    [
+        (PAGES[:1], {"demo-log", "logs"}),
+        by_night(PAGES, {"dataset", "demo-log", "depot-logs", "logs", "report.html"}),
+    ],
+    ids=["README", "all"],
+)
+def test_the_commands_of_the_page_do_what_it_says(
+    newcomer: Newcomer, pages: tuple[str, ...], leaves: set[str]
+) -> None:
     """Each that can be run here, one after the other."""
-    for name, text in commands():
+    for name, text in commands(pages):
         match COMMANDS[name]:
             case Run() as what:
                 newcomer.run(name, text, what)
             case Start() as what:
                 newcomer.start(name, text, what)
     newcomer.end_all()
-    assert {path.name for path in newcomer.home.iterdir()} >= {
-        "dataset",
-        "demo-log",
-        "depot-logs",
-        "logs",
-        "report.html",
-    }
+    assert {path.name for path in newcomer.home.iterdir()} >= leaves

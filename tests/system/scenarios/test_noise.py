@@ -9,7 +9,7 @@ from tests.system.scenarios.plant import Build
 from tests.system.scenarios.rig import Leg
 from tests.system.scenarios.scenario import CORRUPTION, DAMAGE_SHOWS_S, LOSS, Play, Scenario
 
-SECONDS = 120.0
+SECONDS = 40.0
 
 
 def causeless_stops(seed: int, seconds: float) -> list[str]:

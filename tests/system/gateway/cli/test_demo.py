@@ -78,6 +78,7 @@ def test_the_demo_records_everything(demo: Demo) -> None:
     assert any(state.front_bumper for state in states)
 
 
+@pytest.mark.night
 def test_the_demo_tells_what_the_arbiter_did(demo: Demo) -> None:
     """Engaged, stopped by the bumper, reset, stopped by the stalled link, driven on by a second operator."""
     told = "\n".join(entry["what"] for entry in demo.summary["timeline"])
@@ -96,6 +97,7 @@ def test_the_demo_tells_what_the_arbiter_did(demo: Demo) -> None:
     assert_in_order(told, steps)
 
 
+@pytest.mark.night
 def test_the_demo_is_of_the_robot_that_the_configuration_says(demo: Demo) -> None:
     """Chassis, gateway and recorder read the demo's --config: names, variants, all of it."""
     with demo.log.open("rb") as stream:
@@ -110,6 +112,7 @@ def test_the_demo_is_of_the_robot_that_the_configuration_says(demo: Demo) -> Non
     assert len(summary.chunk_indexes) > 10
 
 
+@pytest.mark.night
 def test_the_summary_is_for_people(demo: Demo) -> None:
     """It tells frames, messages, losses, the log's path and what opens it."""
     quiet = {"frames_lost": 0, "samples_missed": 0}
