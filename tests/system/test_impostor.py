@@ -76,11 +76,11 @@ def test_replies_that_contradict_each_other_are_said_to() -> None:
 
         def is_contradicted() -> bool:
             done = run(["stop", ROBOT, "--connect", endpoint])
-            assert done.returncode == ExitCode.PARTIAL
-            assert done.stdout == ""
-            return "contradict each other" in done.stderr
+            is_said = "contradict each other" in done.stderr
+            assert not is_said or (done.returncode, done.stdout) == (ExitCode.PARTIAL, "")
+            return is_said
 
-        # On a busy machine the robot may reply when the command has ended.
+        # On a busy machine one of the two may reply when the command has ended.
         wait_until(is_contradicted)
 
 

@@ -30,7 +30,7 @@ from gateway.zenoh.client import close_session, open_session
 from schemas.dbc_files import dbc_text
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import CanSettings, GatewaySettings, Settings, ZenohSettings
 from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
 from tests.support.fakes.peer import free_endpoint
@@ -495,13 +495,10 @@ def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
         wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, lambda: lease.drive(1.0))
         running.process.kill()
         with gateway(address, endpoint) as after, Robot.connect("cruiser-1", "second", settings, 30) as other:
-            events: list[SafetyEvent] = []
             # On a busy machine the guard may be done before; then its words are with the latch.
-            wait_until(
-                lambda: any(one.reason is Reason.GUARD and "the robot stands" in one.text for one in events),
-                lambda: events.extend(other.events()),
-            )
-            assert [one for one in events if one.reason is Reason.OTHER_COMMANDER] == []
+            after.wait_says(r"gateway\.loop: .*guard.*: the robot stands")
+            assert [one for one in other.events() if one.reason is Reason.OTHER_COMMANDER] == []
+            assert not any(TEXTS[Reason.OTHER_COMMANDER].means in line for line in after.said), after.said
             assert after.stop() == 0
 
 
