@@ -119,9 +119,11 @@ class Library:
                 self.state = LibraryState(len(logs), len(had), is_reading=True, fault=self.state.fault)
                 is_done, fault = await self._refresh(round_s)
                 has = await asyncio.to_thread(self._cataloged)
-                # A log that came after the look may be cataloged, and gone at the next look. What took too long is
-                # read on in the next round; a log that takes longer by itself gets the time.
-                known = logs if is_done and has <= set(map(name_in_row, logs)) else None
+                # A log that came after the look may be cataloged, and gone at the next look. A catalog that stays
+                # as it was is left alone: the directory, or the catalog itself, may be out of reach.
+                is_current = has == had or has <= set(map(name_in_row, logs))
+                # What took too long is read on in the next round; a log that takes longer by itself gets the time.
+                known = logs if is_done and is_current else None
                 round_s = ROUND_S[0] if is_done or has != had else min(2 * round_s, ROUND_S[1])
                 self.state = LibraryState(len(logs), len(has), not is_done, fault if logs or has else "")
             # What is not done is gone on with, at once if it took its time.

@@ -185,6 +185,29 @@ def test_a_log_that_came_and_went_while_the_catalog_was_made_is_not_shown(
     assert seen == [0, 2]
 
 
+def test_a_catalog_that_cannot_be_made_anew_is_not_tried_again_and_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has a log that is gone, and stays as it is until the directory changes."""
+    logs = library(tmp_path, row())
+    asked: list[object] = []
+    looks: list[Path] = []
+
+    async def ask(*words: object) -> JobDone:
+        asked.append(words)
+        return JobDone(1, b"", "cruiser review: cannot write the catalog")
+
+    def look(directory: Path) -> Any:  # noqa: ANN401 - what the library's own look gives
+        looks.append(directory)
+        return _look(directory)
+
+    monkeypatch.setattr(library_module, "ask_review", ask)
+    monkeypatch.setattr(library_module, "_look", look)
+    monkeypatch.setattr(library_module, "LOOK_S", (0.0, 0.0))
+    asyncio.run(asyncio.wait_for(logs.keep_current(lambda: len(looks) == 4), 60))
+    assert len(asked) == 1
+
+
 @pytest.mark.parametrize(
     ("done", "fault"),
     [
