@@ -116,7 +116,7 @@ def test_the_hand_transmitter_may_take_over_during_the_stop() -> None:
 
 
 def test_it_waits_for_a_guard_at_work() -> None:
-    """As systemd starts it right after the gateway died: it sends nothing, for the guard has done all."""
+    """As systemd starts it right after the gateway died: it sends nothing while the guard does."""
     bus_words = ["--interface", "socketcand", "--wait", "60", "--channel"]
     with watched() as running, Running("halt", *bus_words, running.address) as halting:
         halting.wait_says("another sender commands the chassis")

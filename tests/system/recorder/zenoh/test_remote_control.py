@@ -374,8 +374,10 @@ def test_recorders_of_one_name_are_told_apart(
         second = stack.enter_context(closing(RemoteControl(settings(endpoint))))
         assert (first.name, second.name) == ("bench", "bench-2")
         wait_until(lambda: len(client.tokens()) == 2)
+        third = stack.enter_context(closing(RemoteControl(settings(endpoint))))
+        assert third.name == "bench-3"
         first.close()
-        wait_until(lambda: client.tokens() == {"fleet/@recorder/bench-2"})
+        wait_until(lambda: client.tokens() == {"fleet/@recorder/bench-2", "fleet/@recorder/bench-3"})
         again = stack.enter_context(closing(RemoteControl(settings(endpoint))))
         assert again.name == "bench"
     assert "a recorder bench is there already; this one is bench-2" in caplog.text
