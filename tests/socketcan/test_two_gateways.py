@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from gateway.client.refusal import Refused, Stopped, Unreachable
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Robot
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
@@ -30,6 +30,18 @@ def is_blocked(robot: Robot, reason: Reason) -> bool:
         return False
 
 
+def said_to_engage(robot: Robot) -> str:
+    """Why it refuses. Nothing if a request is not answered in time, as by one that comes last."""
+    try:
+        with robot.lease() as lease:
+            lease.engage()
+    except Refused as refusal:
+        return str(refusal)
+    except (Unreachable, LeaseLost):
+        return ""
+    raise AssertionError("it engaged beside another commander")
+
+
 def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness: Candump, tmp_path: Path) -> None:
     """It hears the first one's frames, says so, refuses, and sends none; then the first one rests, and it may.
 
@@ -49,9 +61,7 @@ def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness
         come_last(other.process.pid)
         with driving(first, SPEED_MPS) as drive:
             wait_until(lambda: is_blocked(second, Reason.OTHER_COMMANDER), drive.keep)
-            with second.lease() as lease, pytest.raises(Refused) as refusal:
-                lease.engage()
-            assert Reason.OTHER_COMMANDER.value in str(refusal.value)
+            wait_until(lambda: Reason.OTHER_COMMANDER.value in said_to_engage(second), drive.keep)
             begun = len(commands.of(witness.frames))
             wait_until(lambda: len(commands.of(witness.frames)) > begun + 250, drive.keep)
             drive.lease.disengage()
