@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from tests.support.processes.forked import Forked
 from tests.support.waiting import wait_until
 
 
@@ -20,13 +20,7 @@ class Running:
     """A ``cruiser`` command in a process of its own. ``said`` collects its stderr line by line."""
 
     def __init__(self, *words: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", *words],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        self.process = Forked(words, os.environ)
         self.said: list[str] = []
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
@@ -41,9 +35,8 @@ class Running:
             kill_all(self.process.pid)
         self.process.wait()
         self._thread.join()
-        for stream in (self.process.stdout, self.process.stderr):
-            if stream is not None:
-                stream.close()
+        self.process.stdout.close()
+        self.process.stderr.close()
 
     def wait_says(self, pattern: str) -> re.Match[str]:
         """Wait for a line on stderr that has this in it.
@@ -70,7 +63,7 @@ class Running:
         return self.process.wait(30)
 
     def _listen(self) -> None:
-        for line in self.process.stderr or ():
+        for line in self.process.stderr:
             self.said.append(line.rstrip("\n"))
 
 
@@ -109,14 +102,9 @@ def gateway(address: str, endpoint: str, *words: str) -> Iterator[Running]:
 
 def run(words: Sequence[str], timeout_s: float = 100, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
-    return subprocess.run(
-        [sys.executable, "-m", "gateway", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=timeout_s,
-        env=os.environ | environment,
-    )
+    command = Forked(words, os.environ | environment)
+    out, err = command.communicate(timeout_s)
+    return subprocess.CompletedProcess(words, command.wait(), out, err)
 
 
 def wait_for_chassis(connect: str, *words: str) -> None:

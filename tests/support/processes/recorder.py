@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +21,7 @@ from schemas.recording import RecorderEvent, RecorderEventKind, RecorderHealth, 
 from tests.support.fakes.peer import Peer
 from tests.support.logs import logs_in
 from tests.support.messages import FakeSample
+from tests.support.processes.forked import Forked
 from tests.support.waiting import wait_until
 
 CRUISER = str(Path(sys.executable).with_name("cruiser"))
@@ -38,14 +39,8 @@ def environment() -> dict[str, str]:
 class Process:
     """A running recorder."""
 
-    def __init__(self, command: Sequence[str], words: Sequence[str]) -> None:
-        self._process = subprocess.Popen(
-            [*command, "record", *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=environment(),
-        )
+    def __init__(self, process: Forked | subprocess.Popen[str]) -> None:
+        self._process = process
         self.ready = self.read_line()
 
     def read_line(self) -> str:
@@ -58,7 +53,7 @@ class Process:
         if number is not None:
             self._process.send_signal(number)
         out, err = self._process.communicate(timeout=30)
-        return self._process.returncode, out, err
+        return self._process.wait(), out, err
 
     def signal(self, number: int) -> None:
         """Send a signal."""
@@ -74,9 +69,20 @@ class Process:
 
 
 @contextmanager
-def recording(*words: str, command: Sequence[str] = (CRUISER,)) -> Iterator[Process]:
-    """A recorder that does not outlive the test."""
-    process = Process(command, words)
+def recording(*words: str, ulimit: str = "") -> Iterator[Process]:
+    """A recorder that does not outlive the test. With ``ulimit`` a shell bounds what it may have."""
+    if ulimit:
+        process = Process(
+            subprocess.Popen(
+                ["/bin/sh", "-c", f'ulimit {ulimit}; exec "$0" record "$@"', CRUISER, *words],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                env=environment(),
+            )
+        )
+    else:
+        process = Process(Forked(["record", *words], environment()))
     try:
         yield process
     finally:
@@ -86,10 +92,9 @@ def recording(*words: str, command: Sequence[str] = (CRUISER,)) -> Iterator[Proc
 
 def ask(*words: str) -> tuple[int, str, str]:
     """Run ``cruiser record`` with an action; exit code, stdout and stderr."""
-    done = subprocess.run(
-        [CRUISER, "record", *words], check=False, capture_output=True, text=True, timeout=60, env=environment()
-    )
-    return done.returncode, done.stdout, done.stderr
+    command = Forked(["record", *words], environment())
+    out, err = command.communicate(60)
+    return command.wait(), out, err
 
 
 def link(peer: Peer, directory: Path) -> None:

@@ -18,7 +18,7 @@ from tests.bench import recorder_kills
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.logs import logs_in, small_log
 from tests.support.messages import MS, FakeSample, batch, feedback, gear, info, key_of, sample_of
-from tests.support.processes.recorder import CRUISER, counts, heard, link, readable, recording, whole
+from tests.support.processes.recorder import counts, heard, link, readable, recording, whole
 from tests.support.waiting import wait_until
 
 FLUSH_S = 0.5
@@ -164,9 +164,8 @@ def test_wrong_words_are_a_usage_error(tmp_path: Path, words: list[str], complai
 def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
     """The log goes on in further files, each readable alone. The shell bounds what a file may hold."""
     endpoint = free_endpoint()
-    shell = ["sh", "-c", 'ulimit -f 2048; exec "$0" "$@"', CRUISER]
     words = ["-o", str(tmp_path), "--connect", endpoint, "--json"]
-    with Peer(endpoint) as peer, recording(*words, command=shell) as process:
+    with Peer(endpoint) as peer, recording(*words, ulimit="-f 2048") as process:
         wait_until(partial(heard, peer, tmp_path, "small"))
 
         def has_gone_on() -> bool:

@@ -19,7 +19,7 @@ from schemas.recording import GapReason
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.logs import logs_in
 from tests.support.messages import FakeSample, gear, key_of, sample_of
-from tests.support.processes.recorder import CRUISER, Told, counts, recording, sequences, whole
+from tests.support.processes.recorder import Told, counts, recording, sequences, whole
 from tests.support.waiting import wait_until
 
 
@@ -131,10 +131,9 @@ def test_hundreds_of_robots_and_thousands_of_keys(peer: Peer, endpoint: str, tmp
 
 def test_more_robots_than_files_may_be_open_cost_no_log(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """Those beyond it share one: a log that cannot be opened would hold up all others."""
-    shell = ["sh", "-c", 'ulimit -n 200; exec "$0" "$@"', CRUISER]
     robots = [f"robot-{number}" for number in range(250)]
     words = ["-o", str(tmp_path), "--connect", endpoint, "--name", "bench"]
-    with recording(*words, command=shell) as process:
+    with recording(*words, ulimit="-n 200") as process:
         told = Told(peer)
         put_until_told(peer, told, [f"fleet/{robot}/key" for robot in robots], len(robots))
         code, _, err = process.end()

@@ -1,0 +1,108 @@
+"""``cruiser`` commands as processes of their own, without the imports that are most of what their start takes.
+
+Each is forked from a process that has imported all commands, and that has no thread and no file of a test open.
+Other tests give commands to a shell, and start the interpreter with them.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import IO, Final
+
+from gateway.cli.main import COMMANDS, main
+
+_CONTEXT: Final = get_context("forkserver")
+_CONTEXT.set_forkserver_preload([__name__, *(place.partition(":")[0] for place, _ in COMMANDS.values())])
+
+
+class Forked:
+    """A command that was started. It has the names of ``subprocess.Popen`` for what can be done with it."""
+
+    def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
+        self._words = list(words)
+        (out, to_out), (err, to_err) = os.pipe(), os.pipe()
+        with Connection(to_out, readable=False) as stdout, Connection(to_err, readable=False) as stderr:
+            self._process = _CONTEXT.Process(
+                target=_run, args=(self._words, dict(environment), str(Path.cwd()), stdout, stderr)
+            )
+            self._process.start()
+        self.stdout: Final[IO[str]] = open(out, encoding="utf-8")  # noqa: PTH123, SIM115 - a descriptor
+        self.stderr: Final[IO[str]] = open(err, encoding="utf-8")  # noqa: PTH123, SIM115 - a descriptor
+
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        assert self._process.pid is not None
+        return self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """The exit code, or the negative number of the signal that ended it; None while it runs."""
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        """The exit code so far."""
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end. Returns the exit code.
+
+        Raises:
+            subprocess.TimeoutExpired: it runs on.
+        """
+        self._process.join(timeout)
+        code = self.returncode
+        if code is None:
+            raise subprocess.TimeoutExpired(["cruiser", *self._words], timeout or 0.0)
+        return code
+
+    def communicate(self, timeout: float) -> tuple[str, str]:
+        """Wait for the end. Returns what was still to be read of stdout and stderr; kills what runs on.
+
+        Raises:
+            subprocess.TimeoutExpired: it ran on.
+        """
+        with ThreadPoolExecutor(2) as readers, self.stdout, self.stderr:
+            out, err = readers.submit(self.stdout.read), readers.submit(self.stderr.read)
+            try:
+                self.wait(timeout)
+            except subprocess.TimeoutExpired:
+                self.kill()
+                raise
+            return out.result(), err.result()
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless the process has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self.send_signal(signal.SIGKILL)
+
+
+def _run(
+    words: list[str], environment: Mapping[str, str], directory: str, stdout: Connection, stderr: Connection
+) -> None:
+    """Become that command, in the process that was forked for it."""
+    os.chdir(directory)
+    os.environ.clear()
+    os.environ.update(environment)
+    with stdout, stderr, open(os.devnull, "rb") as stdin:  # noqa: PTH123
+        for number, descriptor in enumerate((stdin.fileno(), stdout.fileno(), stderr.fileno())):
+            os.dup2(descriptor, number)
+    sys.stdin = open(0, encoding="utf-8")  # noqa: SIM115 - as the interpreter does
+    sys.stdout = open(1, "w", encoding="utf-8")  # noqa: SIM115 - the same
+    sys.stderr = open(2, "w", encoding="utf-8", errors="backslashreplace", buffering=1)  # noqa: SIM115 - the same
+    sys.argv = ["cruiser", *words]
+    sys.exit(main())
