@@ -160,8 +160,9 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
         bus = ReconnectingBus(lambda: _open_bus(settings), _first_bus(settings))
         closing.callback(bus.close)
         mode = "listen-only" if inbox is None else "commands through the arbiter"
+        is_shared = inbox is not None and closing.enter_context(BusClaim(settings.can)).is_shared
         sys.stderr.write(f"gateway: {settings.robot.name} {place}, bus {describe(settings.can)}, {mode}\n")
-        if inbox is not None and closing.enter_context(BusClaim(settings.can)).is_shared:
+        if is_shared:
             log.warning("%s", _shared(settings))
         if node.warning and core.command is None:
             log.warning("%s", node.warning)
