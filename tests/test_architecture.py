@@ -89,7 +89,7 @@ def test_only_one_room_knows_how_mcap_is_framed() -> None:
     assert any(framing_in(path) >= {"recorder.mcap.framing", "mcap.opcode"} for path in room.glob("*.py"))
 
 
-SAID_TWICE = {"Drive", "Light"}
+SAID_TWICE = {name: ["schemas/messages.py", "schemas/requests.py"] for name in ("Drive", "Light")}
 """A report of the chassis, and a request: both stand in the names of schemas that clients know."""
 
 
@@ -114,4 +114,4 @@ def test_no_public_class_has_the_name_of_another() -> None:
             for node in ast.parse(path.read_text(encoding="utf-8")).body:
                 if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                     places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
-    assert {name: found for name, found in places.items() if len(found) > 1 and name not in SAID_TWICE} == {}
+    assert {name: found for name, found in places.items() if len(found) > 1} == SAID_TWICE

@@ -13,10 +13,10 @@ from recorder.record.accounting import KeyReport
 from recorder.review.report.drives import REST_NS, Drives
 from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog, is_stop
 from recorder.review.report.findings import (
-    Drive,
     Driver,
     Outage,
     Refusal,
+    ReportedDrive,
     RobotCharts,
     RobotReport,
     RobotSummary,
@@ -229,7 +229,7 @@ class Account:
         drives = self._drives.drives()
         return RobotReport(summary, self._draw(), drives, self._drives.more, self._is_apart(drives))
 
-    def _is_apart(self, drives: Sequence[Drive]) -> bool:
+    def _is_apart(self, drives: Sequence[ReportedDrive]) -> bool:
         if len(drives) != 1:
             return bool(drives)
         return max(drives[0].start_ns - self._start_ns, self._end_ns - drives[0].end_ns) > REST_NS

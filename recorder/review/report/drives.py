@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.report.findings import Drive
+from recorder.review.report.findings import ReportedDrive
 from recorder.review.timeline.entries import Entry
 from schemas.decisions import Severity
 
@@ -71,10 +71,10 @@ class Drives:
                     one.worst, one.worst_text = entry.severity, entry.marked
                 return
 
-    def drives(self) -> list[Drive]:
+    def drives(self) -> list[ReportedDrive]:
         """The drives, by time."""
         found = [
-            Drive(
+            ReportedDrive(
                 start_ns=one.start_ns,
                 end_ns=one.end_ns,
                 log_start_ns=one.log_start_ns,

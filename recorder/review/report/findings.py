@@ -205,7 +205,7 @@ class RobotCharts(msgspec.Struct, frozen=True):
     outages: list[tuple[int, int]]
 
 
-class Drive(msgspec.Struct, frozen=True):
+class ReportedDrive(msgspec.Struct, frozen=True):
     """A time of being commanded, or of moving, behind a long rest and before another one.
 
     Attributes:
@@ -237,7 +237,7 @@ class RobotReport(msgspec.Struct, frozen=True):
 
     summary: RobotSummary
     charts: RobotCharts
-    drives: list[Drive] = []
+    drives: list[ReportedDrive] = []
     more_drives: int = 0
     is_apart: bool = False
 

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from recorder.reading.times import in_words
 from recorder.review.report.drives import MARGIN_NS
-from recorder.review.report.findings import Drive, Moment, Report, RobotSummary, Why
+from recorder.review.report.findings import Moment, Report, ReportedDrive, RobotSummary, Why
 from recorder.review.report.markup import text
 
 _SEVERAL: Final = 2
@@ -48,7 +48,7 @@ class PageLinks:
         """Report whether a moment of a robot is on some time axis."""
         return any(from_ns <= time_ns <= to_ns for from_ns, to_ns in self._drawn.get(robot.key, ()))
 
-    def command(self, robot: str, drive: Drive) -> str:
+    def command(self, robot: str, drive: ReportedDrive) -> str:
         """The command that makes the report of one drive."""
         from_ns, to_ns = max(0, drive.log_start_ns - MARGIN_NS), drive.log_end_ns + MARGIN_NS
         file = shlex.quote(f"{robot}-{re.sub('[-:]', '', iso(drive.start_ns)[:19])}Z.html".replace("/", "-"))

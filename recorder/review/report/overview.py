@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 
 from recorder.reading.times import in_words
-from recorder.review.report.findings import Drive, Moment, Report, RobotReport
+from recorder.review.report.findings import Moment, Report, ReportedDrive, RobotReport
 from recorder.review.report.links import PageLinks
 from recorder.review.report.markup import Html, Row, counted, table_of, text
 from recorder.review.report.words import duration, metres
@@ -23,7 +23,7 @@ class _Line(msgspec.Struct, frozen=True):
     """A row to be."""
 
     robot: int
-    drive: Drive
+    drive: ReportedDrive
     drawn: int | None
 
 
@@ -82,7 +82,7 @@ def _lines(number: int, robot: RobotReport, numbers: dict[int, int]) -> Iterator
     summary = robot.summary
     worst = max(robot.charts.moments, key=_rank, default=None)
     is_told = worst is not None and _rank(worst) > 0
-    whole = Drive(
+    whole = ReportedDrive(
         start_ns=summary.start_ns,
         end_ns=summary.end_ns,
         log_start_ns=summary.start_ns,

@@ -19,7 +19,7 @@ import msgspec
 from recorder.reading.times import in_words
 from recorder.review.report.drive_cards import drawn, events, refusals
 from recorder.review.report.figures import on_map, over_time, placed
-from recorder.review.report.findings import Drive, Report, ReportedFile, RobotReport, RobotSummary
+from recorder.review.report.findings import Report, ReportedDrive, ReportedFile, RobotReport, RobotSummary
 from recorder.review.report.links import PageLinks, Whys
 from recorder.review.report.markup import card, counted, definitions, folded, safe_json, table_of, text
 from recorder.review.report.overview import is_needed, overview
@@ -132,7 +132,7 @@ def _beginning(summary: RobotSummary, *, is_part: bool = False) -> Iterator[str]
     yield from _figures(summary, is_part=is_part)
 
 
-def _drive(number: int, drive: Drive, robot: RobotReport, links: PageLinks) -> Iterator[str]:
+def _drive(number: int, drive: ReportedDrive, robot: RobotReport, links: PageLinks) -> Iterator[str]:
     lasted = duration((drive.end_ns - drive.start_ns) / 1e9)
     yield f'<section class="drive" aria-labelledby="of-{number}">'
     yield f'<h3 id="of-{number}">{text(robot.summary.name)}, {text(in_words(drive.start_ns))}: {text(lasted)}</h3>'

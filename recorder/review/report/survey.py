@@ -14,7 +14,7 @@ from recorder.reading.topics import Topic
 from recorder.review.report.account import TAKEN, Account
 from recorder.review.report.drives import MARGIN_NS
 from recorder.review.report.event_log import CLOCKS_APART_NS
-from recorder.review.report.findings import Drive, Report, ReportedFile, RobotReport
+from recorder.review.report.findings import Report, ReportedDrive, ReportedFile, RobotReport
 from recorder.review.report.margins import Margins, of_robot, read_margins, versions_of
 from recorder.review.report.versions import Versions
 from recorder.review.timeline.entries import Entry
@@ -93,7 +93,7 @@ def _drawn(
     places = {(key, start_ns) for _, _, start_ns, key in chosen}
     share = min(1.0, WHOLE_SHARES / max(1, len(chosen) + whole))
 
-    def drawn(robot: RobotReport, drive: Drive) -> Drive:
+    def drawn(robot: RobotReport, drive: ReportedDrive) -> ReportedDrive:
         if (robot.summary.key, drive.start_ns) not in places:
             return drive
         report = _of_drive(robot, drive, logs, selection, share, progress)
@@ -109,7 +109,7 @@ def _drawn(
 
 def _of_drive(
     robot: RobotReport,
-    drive: Drive,
+    drive: ReportedDrive,
     logs: Sequence[LogFile],
     selection: Selection,
     share: float,
@@ -149,7 +149,7 @@ class _Fleet:
         asked: Selection,
         versions: dict[str, Versions],
         faults: Faults,
-        drive: Drive | None = None,
+        drive: ReportedDrive | None = None,
         share: float = 1.0,
     ) -> None:
         self.others: set[str] = set()
