@@ -17,6 +17,7 @@ from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import Refused
 from gateway.client.robot import Robot
 from gateway.zenoh.late_node import AGAIN_S
+from schemas.decisions import ArbiterState
 from schemas.exit_codes import ExitCode
 from schemas.messages import Mode
 from schemas.reasons import Reason
@@ -309,6 +310,9 @@ def test_renewed_files_are_taken_over_while_the_robot_stands_and_nobody_holds_it
                 process.wait_says("the gateway starts again with them once the robot stands")
                 if not robot.state().state.engaged:
                     # A busy machine held it up while its files were renewed, and it obeyed no more by its rules.
+                    if robot.state().state.latched:
+                        wait_until(lambda: robot.state().state.state is ArbiterState.STANDBY)
+                        lease.reset()
                     waits(robot)
                     lease.engage()
                 lease.unpark()

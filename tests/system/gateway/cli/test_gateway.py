@@ -370,6 +370,39 @@ def test_no_bytes_on_any_command_key_change_anything(monkeypatch: pytest.MonkeyP
         assert not [line for line in running.said if "Traceback" in line or "ERROR" in line]
 
 
+class RawDrive:
+    """A stream of drive commands that the test itself packs."""
+
+    def __init__(self, listener: Listener) -> None:
+        self._listener = listener
+        self._lease = 0
+        self._numbers = itertools.count()
+
+    def begin(self) -> None:
+        """Engage the robot, and allow its parking brake to be released."""
+        listener = self._listener
+        listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
+        self._lease = listener.ask("acquire")["lease"]
+        self._numbers = itertools.count()
+        assert listener.ask("engage", lease=self._lease, challenge=listener.latest[STATE]["challenge"])["ok"]
+        self._put(0.0)
+        assert listener.ask("unpark", lease=self._lease)["ok"]
+        listener.wait_for(STATE, lambda said: said["state"] != "standby")
+
+    def keep(self, speed_mps: float) -> None:
+        """One command. A robot that a busy machine has stopped is engaged again."""
+        if self._listener.latest[STATE]["state"] == "standby":
+            self.begin()
+        self._put(speed_mps)
+
+    def _put(self, speed_mps: float) -> None:
+        challenge = self._listener.latest[STATE]["challenge"]
+        command = {"lease": self._lease, "seq": next(self._numbers), "challenge": challenge}
+        payload = msgpack.packb(command | {"speed_mps": speed_mps, "angle_deg": 5.0})
+        self._listener.session.put("fleet/cruiser-1/@cmd/first/drive", payload)
+        self._listener.hear()
+
+
 def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """SIGTERM: the speed ramps down, then neutral, the parking brake, no enables; then it ends with 0."""
     monkeypatch.setenv("CRUISER_GATEWAY_ACCEPT_UNGUARDED", "true")
@@ -377,22 +410,10 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     with chassis() as (_, address), gateway(address, endpoint) as running:
         listener = Listener(endpoint)
         try:
-            listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
-            lease = listener.ask("acquire")["lease"]
-            assert listener.ask("engage", lease=lease, challenge=listener.latest[STATE]["challenge"])["ok"]
-            numbers = itertools.count()
-
-            def drive(speed_mps: float) -> None:
-                challenge = listener.latest[STATE]["challenge"]
-                command = {"lease": lease, "seq": next(numbers), "challenge": challenge}
-                payload = msgpack.packb(command | {"speed_mps": speed_mps, "angle_deg": 5.0})
-                listener.session.put("fleet/cruiser-1/@cmd/first/drive", payload)
-                listener.hear()
-
-            drive(0.0)
-            assert listener.ask("unpark", lease=lease)["ok"]
+            drive = RawDrive(listener)
+            drive.begin()
             moves = "fleet/cruiser-1/state"
-            wait_until(lambda: (listener.latest[moves]["speed_mps"] or 0) > 0.6, lambda: drive(0.8))
+            wait_until(lambda: (listener.latest[moves]["speed_mps"] or 0) > 0.6, lambda: drive.keep(0.8))
             listener.heard.clear()
             assert running.stop() == 0
             listener.hear()

@@ -13,7 +13,7 @@ import pytest
 
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.frames import FrameMaker
-from gateway.guard.beat import Cause
+from gateway.guard.beat import Cause, StopOutcome
 from gateway.host.guard_process import GuardProcess, NoGuard, start_guard
 from gateway.host.stop_note import StopNote
 from schemas.messages import Mode, Variant
@@ -77,7 +77,9 @@ def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop()
         running.wait_says("sending False")
         running.wait_says(f"cause {Cause.LATE.value}")
         running.wait_says(f"says {Cause.LATE.value}")
-        running.wait_says(f"says {Cause.LATE.value}; the robot stands")
+        # On a busy machine its feedback may come too late for the guard to see that it stands.
+        ends = {f"says {Cause.LATE.value}; {end.value}" for end in (StopOutcome.STANDS, StopOutcome.UNSEEN)}
+        wait_until(lambda: not ends.isdisjoint(running.said))
         # What was under way when it was stopped may have gone out; after that there is nothing of the gateway's.
         after = [burst for burst in running.listener.bursts if not burst.is_by_guard][len(by_gateway) :]
         assert len(after) <= 1
