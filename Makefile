@@ -26,10 +26,9 @@ demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operato
 demo-desk: $(DEMO)  ## a virtual fleet and the desk, in your browser, until Ctrl-C
 	$(BIN)/cruiser demo-desk --out demo-desk
 
-# Tests that only reckon take the processor time that the tests of processes leave over (SCHED_IDLE), so that they hold up
-# no robot.
+# Tests that only reckon take the processor time that the tests of processes leave over, so that they hold up no robot.
 test: $(STAMP)  ## the whole test suite
-	$(MAKE) --jobs 2 --keep-going --output-sync=target test-system test-unit ASIDE="chrt --idle 0"
+	$(MAKE) --jobs 2 --keep-going --output-sync=target test-system test-unit ASIDE=tests/support/aside.sh
 
 test-unit: $(STAMP)  ## what needs no process and no socket
 	$(ASIDE) $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --ignore tests/system --timeout 600 tests
