@@ -395,6 +395,14 @@ class RawDrive:
             self.begin()
         self._put(speed_mps)
 
+    @property
+    def speed_mps(self) -> float:
+        """The measured speed of the robot; zero while a stop is under way."""
+        newest = self._listener.latest
+        return (
+            (newest["fleet/cruiser-1/state"]["speed_mps"] or 0.0) if newest[STATE]["state"] == "engaged" else 0.0
+        )
+
     def _put(self, speed_mps: float) -> None:
         challenge = self._listener.latest[STATE]["challenge"]
         command = {"lease": self._lease, "seq": next(self._numbers), "challenge": challenge}
@@ -412,8 +420,7 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
         try:
             drive = RawDrive(listener)
             drive.begin()
-            moves = "fleet/cruiser-1/state"
-            wait_until(lambda: (listener.latest[moves]["speed_mps"] or 0) > 0.6, lambda: drive.keep(0.8))
+            wait_until(lambda: drive.speed_mps > 0.6, lambda: drive.keep(0.8))
             listener.heard.clear()
             assert running.stop() == 0
             listener.hear()

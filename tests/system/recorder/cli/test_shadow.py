@@ -16,7 +16,7 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings, ZenohSettings
 from tests.support.commands import run_command
 from tests.support.fakes.peer import Peer, free_endpoint
-from tests.support.processes.gateway import Running, chassis, gateway
+from tests.support.processes.gateway import Running, chassis, gateway, wait_for_chassis
 from tests.support.waiting import DEADLINE_S, wait_until
 
 
@@ -119,6 +119,8 @@ def test_a_lower_limit_shows_and_one_that_is_not_reached_does_not_also_across_a_
 def test_without_the_past_it_waits_for_a_checkpoint_and_says_so(scene: Scene) -> None:
     """Ended before one came, nothing is claimed."""
     with gateway(scene.address, scene.endpoint):
+        # Its beginning is past.
+        wait_for_chassis(scene.endpoint)
         words = ("cruiser-1", "--connect", scene.endpoint, "--set", "command.deadman_s=0.2", "--json")
         running = scene.stack.enter_context(Running("shadow", *words))
         running.wait_says("shadow: command.deadman_s is .*, tried 0.2")
