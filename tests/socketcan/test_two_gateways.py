@@ -30,8 +30,8 @@ def is_blocked(robot: Robot, reason: Reason) -> bool:
         return False
 
 
-def said_to_engage(robot: Robot) -> str:
-    """Why it refuses. Nothing if a request is not answered in time, as by one that comes last."""
+def refusal_to_engage(robot: Robot) -> str:
+    """The refusal in words. Empty where a request is not answered in time, as by a robot that comes last."""
     try:
         with robot.lease() as lease:
             lease.engage()
@@ -61,7 +61,7 @@ def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness
         come_last(other.process.pid)
         with driving(first, SPEED_MPS) as drive:
             wait_until(lambda: is_blocked(second, Reason.OTHER_COMMANDER), drive.keep)
-            wait_until(lambda: Reason.OTHER_COMMANDER.value in said_to_engage(second), drive.keep)
+            wait_until(lambda: Reason.OTHER_COMMANDER.value in refusal_to_engage(second), drive.keep)
             begun = len(commands.of(witness.frames))
             wait_until(lambda: len(commands.of(witness.frames)) > begun + 250, drive.keep)
             drive.lease.disengage()

@@ -399,9 +399,9 @@ class RawDrive:
     def speed_mps(self) -> float:
         """The measured speed of the robot; zero while a stop is under way."""
         newest = self._listener.latest
-        return (
-            (newest["fleet/cruiser-1/state"]["speed_mps"] or 0.0) if newest[STATE]["state"] == "engaged" else 0.0
-        )
+        if newest[STATE]["state"] != "engaged":
+            return 0.0
+        return newest["fleet/cruiser-1/state"]["speed_mps"] or 0.0
 
     def _put(self, speed_mps: float) -> None:
         challenge = self._listener.latest[STATE]["challenge"]

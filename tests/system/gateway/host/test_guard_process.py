@@ -66,6 +66,16 @@ def said_after_a_kill() -> str:
 
 def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop() -> None:
     """SIGSTOP, and SIGCONT in the middle: the guard carries its stop through, and watches again."""
+    ended = end_after_a_pause()
+    for _ in range(2):
+        # On a busy machine its feedback may come too late for the guard to see that it stands.
+        if ended is StopOutcome.UNSEEN:
+            ended = end_after_a_pause()
+    assert ended is StopOutcome.STANDS
+
+
+def end_after_a_pause() -> StopOutcome:
+    """Stop a gateway and let it go on while the guard sends. Returns the end that the gateway learns of."""
     with watched() as running:
         running.send_signal(signal.SIGSTOP)
         wait_until(lambda: len(running.listener.by_guard()) > 20)
@@ -77,9 +87,8 @@ def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop()
         running.wait_says("sending False")
         running.wait_says(f"cause {Cause.LATE.value}")
         running.wait_says(f"says {Cause.LATE.value}")
-        # On a busy machine its feedback may come too late for the guard to see that it stands.
-        ends = {f"says {Cause.LATE.value}; {end.value}" for end in (StopOutcome.STANDS, StopOutcome.UNSEEN)}
-        wait_until(lambda: not ends.isdisjoint(running.said))
+        ends = {f"says {Cause.LATE.value}; {end.value}": end for end in (StopOutcome.STANDS, StopOutcome.UNSEEN)}
+        wait_until(lambda: not ends.keys().isdisjoint(running.said))
         # What was under way when it was stopped may have gone out; after that there is nothing of the gateway's.
         after = [burst for burst in running.listener.bursts if not burst.is_by_guard][len(by_gateway) :]
         assert len(after) <= 1
@@ -87,6 +96,7 @@ def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop()
         running.send_signal(signal.SIGTERM)
         running.process.wait(30)
         running.wait_guard_gone()
+        return next(ends[line] for line in running.said if line in ends)
 
 
 def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
