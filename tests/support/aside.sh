@@ -6,5 +6,5 @@
 # a whole. A terminal's Ctrl-C does not reach another session, and is handed on.
 setsid sh -c '(echo 19 >/proc/$$/autogroup) 2>/dev/null; exec chrt --idle 0 "$@"' sh "$@" &
 command=$!
-trap 'kill -TERM -- "-$command" 2>/dev/null; wait "$command"; exit 130' INT TERM HUP
+trap 'kill -TERM "-$command" 2>/dev/null; wait "$command"; exit 130' INT TERM HUP
 wait "$command"
