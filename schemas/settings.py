@@ -269,7 +269,7 @@ GUARD_GIVES_UP_NS: Final = 30_000_000_000
 """A guard whose gateway is gone, and that gets no bus to stop the robot on, tries for this long."""
 
 HALT_LISTEN_NS: Final = 300_000_000
-"""`cruiser halt` listens to the bus for this long before it judges the chassis."""
+"""`cruiser halt` judges the chassis once it has heard no other sender for this long."""
 
 HALT_YIELD_NS: Final = 15_000_000_000
 """`cruiser halt` waits this long for another sender, which may be the guard at work, to have done."""

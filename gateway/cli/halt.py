@@ -25,7 +25,6 @@ from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode, Variant
 from schemas.settings import (
-    COMMANDER_NS,
     GUARD_GIVES_UP_NS,
     GUARD_POLL_NS,
     HALT_LISTEN_NS,
@@ -129,7 +128,6 @@ class HaltSequence:
             if not self._wait_while(self._is_commanded):
                 outcome = "it sends on, so nothing is sent from here; --force sends all the same"
                 return self._end(outcome, ExitCode.REFUSED)
-            self._listen(HALT_LISTEN_NS)
         if self._is_remote():
             _say(f"{REMOTE}: waiting until it gives it back")
             if not self._wait_while(self._is_remote):
@@ -156,8 +154,9 @@ class HaltSequence:
         return Variant.UNKNOWN if self._detector.contradicted else self._detector.variant
 
     def _is_commanded(self) -> bool:
+        """Return True if a sender was heard while we listened. A guard begins only once its gateway is late."""
         heard_ns = self._view.commander_ns
-        return heard_ns is not None and time.monotonic_ns() - heard_ns < COMMANDER_NS
+        return heard_ns is not None and time.monotonic_ns() - heard_ns < HALT_LISTEN_NS
 
     def _is_remote(self) -> bool:
         return self._view.mode(time.monotonic_ns()) is Mode.REMOTE
