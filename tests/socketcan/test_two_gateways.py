@@ -1,5 +1,6 @@
 """Two computers that would command one chassis, on a real interface."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -59,9 +60,11 @@ def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness
     ):
         wait_engageable(second)
         come_last(other.process.pid)
-        with driving(first, SPEED_MPS) as drive:
+        with driving(first, SPEED_MPS) as drive, ThreadPoolExecutor() as aside:
             wait_until(lambda: is_blocked(second, Reason.OTHER_COMMANDER), drive.keep)
-            wait_until(lambda: Reason.OTHER_COMMANDER.value in refusal_to_engage(second), drive.keep)
+            refused = aside.submit(wait_until, lambda: Reason.OTHER_COMMANDER.value in refusal_to_engage(second))
+            wait_until(refused.done, drive.keep)
+            refused.result()
             begun = len(commands.of(witness.frames))
             wait_until(lambda: len(commands.of(witness.frames)) > begun + 250, drive.keep)
             drive.lease.disengage()
