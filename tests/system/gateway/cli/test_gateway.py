@@ -107,7 +107,7 @@ def test_every_subject_is_published_as_the_table_says(variant: str) -> None:
         try:
             of_a_stop = {"fleet/r-1/safety/event", "fleet/r-1/safety/decision"}
             listener.wait_for("fleet/r-1/state", lambda state: state["mode"] == "stop")
-            # A put goes nowhere before the two sessions have found each other; a late gateway has events of its own.
+            # A put goes nowhere before the sessions have found each other; a late gateway has events of its own.
             wait_until(lambda: of_a_stop <= listener.latest.keys(), lambda: listener.stop("r-1"))
             for subject in SUBJECTS:
                 # A robot that stands by is sent nothing, and in open mode nobody proves anything.
@@ -593,7 +593,8 @@ def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
             run_gateway(Namespace(seconds=None), settings, lambda: False)
         assert link.is_closed
         if link.is_watching:
-            assert listener.speed_mps() > 0.4
+            # A chassis that was told to stop never says so again. On a busy machine its feedback may be late.
+            wait_until(lambda: listener.speed_mps() > 0.5)
         else:
             wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
             assert " gateway: the loop has failed" in StopNote.of(settings).read(), "latched at the next start"

@@ -24,6 +24,8 @@ ROBOT: Final = "fleet/cruiser-1"
 COMMANDS: Final = f"{ROBOT}/@cmd/*/*"
 STATE: Final = f"{ROBOT}/safety/state"
 
+ATTEMPTS: Final = 3
+
 RECEIVES: Final = rf"a subscription to ({STATE}|fleet/\*\*) receives"
 
 HOLES: Final = {
@@ -122,9 +124,10 @@ def test_each_hole_of_a_router_is_found(surrounded: Surrounded, hole: str) -> No
         access["policies"].append({"rules": ["hole"], "subjects": ["nothing"]})
 
     with surrounded.behind(change) as sessions:
-        attempt = surrounded.intrude(*sessions)
+        # On a busy machine a message may take longer than an attempt waits.
+        attempts = (surrounded.intrude(*sessions) for _ in range(ATTEMPTS))
+        attempt = next(one for one in attempts if one.deeds)
     assert attempt.is_connected
-    assert attempt.deeds
     assert all(re.fullmatch(deed, one) for one in attempt.deeds), attempt
 
 
