@@ -44,7 +44,7 @@ def gateway(channel: str, endpoint: str, *words: str) -> Iterator[Running]:
     """A gateway that is ready."""
     bus = ["--interface", "socketcan", "--channel", channel, "--listen", endpoint]
     with Running("gateway", *bus, *words) as running:
-        running.wait_says("gateway: ")
+        running.wait_says("^gateway: ")
         yield running
 
 

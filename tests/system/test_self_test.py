@@ -70,7 +70,7 @@ class Fleet(ProvisionedFleet):
         with chassis() as (_, address):
             bus = ["--interface", "socketcand", "--channel", address]
             with Running("gateway", "--config", str(self.robot_files / "robot.toml"), *bus, *words) as running:
-                running.wait_says("gateway: ")
+                running.wait_says("^gateway: ")
                 yield running
 
     @contextmanager

@@ -123,7 +123,7 @@ def running(site: SecuredSite) -> Iterator[tuple[Running, Witness]]:
         _, address = stack.enter_context(chassis())
         bus = ("--interface", "socketcand", "--channel", address)
         gateway = stack.enter_context(Running("gateway", *bus, "--config", site.robot_settings))
-        gateway.wait_says("gateway: ")
+        gateway.wait_says("^gateway: ")
         witness = Witness(address)
         stack.callback(witness.close)
         yield gateway, witness

@@ -4,8 +4,9 @@ import json
 import socket
 import threading
 from contextlib import suppress
+from random import SystemRandom
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 import zenoh
 
@@ -13,16 +14,18 @@ from recorder.encoding.received_sample import ReceivedSample
 from schemas.settings import ZenohSettings
 from schemas.zenoh_link import session_settings
 
+PORTS: Final = range(10_000, 32_000)
+"""Below those that Linux gives to whoever connects: a gateway that starts again has its ports again."""
 
-def free_endpoint() -> str:
-    """A TCP endpoint of this machine that nobody listens on, nor on the port after it: a gateway takes both."""
+
+def free_endpoint(protocol: str = "tcp") -> str:
+    """An endpoint of this machine that nobody listens on, nor on the port after it: a gateway takes both."""
     while True:
-        with socket.socket() as probe, socket.socket() as after:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-            with suppress(OSError, OverflowError):
-                after.bind(("127.0.0.1", port + 1))
-                return f"tcp/127.0.0.1:{port}"
+        port = SystemRandom().choice(PORTS)
+        with socket.socket() as probe, socket.socket() as after, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            after.bind(("127.0.0.1", port + 1))
+            return f"{protocol}/127.0.0.1:{port}"
 
 
 class Peer:

@@ -96,7 +96,7 @@ def gateway(address: str, endpoint: str, *words: str) -> Iterator[Running]:
     """A gateway on the bus of a virtual chassis, ready."""
     bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint]
     with Running("gateway", *bus, *words) as running:
-        running.wait_says("gateway: ")
+        running.wait_says("^gateway: ")
         yield running
 
 

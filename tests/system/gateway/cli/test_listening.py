@@ -62,7 +62,7 @@ def dialling(*words: str) -> Iterator[Running]:
         chassis() as (_, address),
         Running("gateway", "--interface", "socketcand", "--channel", address, *words) as running,
     ):
-        running.wait_says("gateway: ")
+        running.wait_says("^gateway: ")
         yield running
 
 

@@ -126,7 +126,7 @@ def test_a_robot_in_signed_mode_says_when_its_keys_end(tmp_path: Path) -> None:
             Running("gateway", "--config", str(robot / "robot.toml"), *bus) as gateway,
             Running("metrics", "--config", str(viewer / "viewer.toml"), "--listen", "127.0.0.1:0") as metrics,
         ):
-            gateway.wait_says("gateway: ")
+            gateway.wait_says("^gateway: ")
             where = metrics.wait_says(r"(http://[^,]+)")[1]
             wait_until(lambda: scrape(where).get(UP) == 1)
             found = scrape(where)

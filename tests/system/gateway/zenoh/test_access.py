@@ -8,7 +8,6 @@ without the rules that it was given.
 
 from __future__ import annotations
 
-import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -46,6 +45,7 @@ from tests.support.access import (
     VERB,
     R,
 )
+from tests.support.fakes.peer import free_endpoint
 from tests.support.routers import EVERYTHING, WatchedRouter, routing
 from tests.support.secured import Network, pem, write
 from tests.support.waiting import wait_until
@@ -54,18 +54,11 @@ MODES: Final = ("client", "peer")
 """Of the sessions that attack: their files are their owners'. Who should be there is a client, as provisioned."""
 
 
-def free_endpoint() -> str:
-    """An endpoint that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tls/127.0.0.1:{probe.getsockname()[1]}"
-
-
 class Secured:
     """A router, and one session for each role: those that attack, and an honest robot and an honest operator."""
 
     def __init__(self, directory: Path, mode: str) -> None:
-        self.network = Network(directory, free_endpoint())
+        self.network = Network(directory, free_endpoint("tls"))
         router = self.network.node(TransportRole.ROUTER, "127.0.0.1")
         self.router = WatchedRouter(self.network, router / "router.json5")
         self.attackers = {
@@ -350,7 +343,7 @@ def test_a_stop_passes_whatever_its_size(secured: Secured) -> None:
 
 def test_a_robot_refuses_what_a_router_without_rules_sends(secured: Secured) -> None:
     """Its own file holds for the router too: commands under its own name, and a stop of all, reach it."""
-    network = Network(Path(tempfile.mkdtemp(dir=secured.network.directory)), free_endpoint())
+    network = Network(Path(tempfile.mkdtemp(dir=secured.network.directory)), free_endpoint("tls"))
     config = zenoh.Config.from_file(str(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"))
     config.insert_json5("access_control/enabled", "false")
     with zenoh.open(config) as router, network.session(TransportRole.ROBOT, "cruiser-1", "cruiser-1") as robot:
@@ -369,7 +362,7 @@ def test_a_robot_refuses_what_a_router_without_rules_sends(secured: Secured) -> 
 
 def test_who_is_in_no_row_gets_nothing(tmp_path: Path) -> None:
     """A certificate of the authority lets somebody connect; what it may say or see stands in the rows."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     reached, seen, leaked = Arrivals(), Arrivals(), Arrivals()
     with (
         routing(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"),
@@ -424,7 +417,7 @@ def test_a_late_joiner_gets_what_was_published_before(secured: Secured) -> None:
 
 def test_a_link_ends_with_its_certificate(tmp_path: Path) -> None:
     """In the middle of a session; and who comes with one that is over does not connect."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1")
     lives_s = 5
     ann = network.node(TransportRole.OPERATOR, "ann", born_s=int(time.time()) - LEAF_DAYS * 86_400 + lives_s)
@@ -523,7 +516,7 @@ def test_who_plays_a_router_gets_no_more(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_a_robot_that_listens_in_spite_of_its_file_obeys_a_router_alone(tmp_path: Path, mode: str) -> None:
     """With a certificate that serves: who connects to it directly gets nothing in and nothing out, by any role."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     serving = network.node(TransportRole.ROUTER, "127.0.0.1")
     config = configuration(network, TransportRole.ROBOT, "cruiser-1")
     for path, value in {
@@ -576,9 +569,9 @@ def test_a_robot_that_listens_in_spite_of_its_file_obeys_a_router_alone(tmp_path
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])
 def test_a_robot_cannot_listen_by_its_settings(tmp_path: Path, protocol: str) -> None:
     """Its file allows TLS alone, and has no certificate to listen with."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     file = network.node(TransportRole.ROBOT, "cruiser-1", "cruiser-1") / "robot.json5"
-    listen = free_endpoint().replace("tls/", f"{protocol}/")
+    listen = free_endpoint(protocol)
     for given in ((), ("mode",)):
         settings = ZenohSettings(config=str(file), mode="peer", given=frozenset(given))
         with pytest.raises(CommandError, match="cannot open Zenoh"):
@@ -609,7 +602,7 @@ def test_who_has_no_certificate_of_the_authority_does_not_connect(secured: Secur
 @pytest.mark.parametrize("role", [TransportRole.OPERATOR, TransportRole.RECORDER, TransportRole.ROBOT])
 def test_a_certificate_that_only_dials_out_serves_nobody(tmp_path: Path, role: TransportRole) -> None:
     """Who puts up a router with an operator's certificate is refused by every client."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1")
     impostor = network.node(role, "127.0.0.1")
     config = zenoh.Config.from_file(str(router / "router.json5"))
@@ -625,7 +618,7 @@ def test_a_certificate_that_only_dials_out_serves_nobody(tmp_path: Path, role: T
 
 def test_what_a_site_certifies_serves_nobody(tmp_path: Path) -> None:
     """Who has a site's key makes certificates of clients: its own limits all below it, whatever they say."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1")
     now_s, site, key = int(time.time()), new_key(), new_key()
     above = issue_site(new_request(site, "site", ["depot"]), network.certificate, network.key, now_s, now_s + 3600)
@@ -644,7 +637,7 @@ def test_what_a_site_certifies_serves_nobody(tmp_path: Path) -> None:
 
 def test_a_desk_that_plays_the_router_commands_nobody(tmp_path: Path) -> None:
     """Its certificate serves, and says desk: a robot takes nothing from it, and gives it nothing."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1")
     desk = network.node(TransportRole.DESK, "127.0.0.1")
     config = zenoh.Config.from_file(str(router / "router.json5"))
@@ -678,7 +671,7 @@ def test_an_endpoint_without_certificates_is_refused() -> None:
 @pytest.mark.parametrize("has_rows", [True, False])
 def test_a_router_says_nothing_of_itself(tmp_path: Path, has_rows: bool, may_read: bool) -> None:  # noqa: FBT001
     """With its admin space on, as zenohd has it: rows or permissions are enough; with neither it answers."""
-    network = Network(tmp_path, free_endpoint())
+    network = Network(tmp_path, free_endpoint("tls"))
     with (
         network.session(
             TransportRole.ROUTER,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,6 +17,7 @@ from gateway.authority.transport import CERTIFICATE_FILE, TLS_KEY_FILE, Transpor
 from gateway.zenoh.intruder import Attempt, enters_without_certificate, intrude
 from gateway.zenoh.router import open_router
 from schemas.settings import Settings, ZenohSettings
+from tests.support.fakes.peer import free_endpoint
 from tests.support.secured import Network
 
 ROBOT: Final = "fleet/cruiser-1"
@@ -53,18 +53,11 @@ HOLES: Final = {
 """What a router lets somebody of the role ``nothing`` do: flows, messages, keys, and how it is found."""
 
 
-def free_endpoint() -> str:
-    """An endpoint that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tls/127.0.0.1:{probe.getsockname()[1]}"
-
-
 class Surrounded:
     """A robot's two sessions, behind a router or where the robot itself listens, and an intruder's files."""
 
     def __init__(self, directory: Path) -> None:
-        self.network = Network(directory, free_endpoint())
+        self.network = Network(directory, free_endpoint("tls"))
         self.place = self.network.node(TransportRole.ROBOT, "cruiser-1", "cruiser-1")
         nothing = self.network.node(TransportRole.NOTHING, "cruiser-1")
         self.certificate = nothing / CERTIFICATE_FILE.format(who="nothing")
@@ -151,7 +144,7 @@ def test_an_open_router_lets_everything_pass(surrounded: Surrounded) -> None:
 def test_where_nobody_answers_nothing_was_tried(surrounded: Surrounded) -> None:
     """Neither passed nor failed."""
     with surrounded.behind() as sessions:
-        surrounded.network.endpoint = free_endpoint()
+        surrounded.network.endpoint = free_endpoint("tls")
         assert surrounded.intrude(*sessions) == Attempt(is_connected=False)
 
 

@@ -444,7 +444,7 @@ def test_a_gateway_on_the_replayed_bus_says_what_the_first_one_said(log: str) ->
         host, _, port = address.partition(":")
         bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint, "--variant", "coarse"]
         with Running("gateway", *bus, "--listen-only", "--robot", "replayed") as gateway:
-            gateway.wait_says("gateway: ")
+            gateway.wait_says("^gateway: ")
             config = zenoh.Config()
             config.insert_json5("scouting/multicast/enabled", "false")
             config.insert_json5("connect/endpoints", json.dumps([endpoint]))

@@ -59,7 +59,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> SignedDrive:
     with virtual_chassis() as (_, address):
         bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint]
         with Running("gateway", "--config", str(configuration), *bus) as gateway:
-            gateway.wait_says("gateway: ")
+            gateway.wait_says("^gateway: ")
             # It comes later than the gateway: what was published before, it has to ask for.
             with Running("record", "-o", str(logs), "--connect", endpoint) as recording:
                 recording.wait_says("writing")
