@@ -15,7 +15,7 @@ from schemas.settings import ZenohSettings
 from schemas.zenoh_link import session_settings
 
 PORTS: Final = range(10_000, 32_000)
-"""Below those that Linux gives to whoever connects: a gateway that starts again has its ports again."""
+"""Ports below those that Linux gives to whoever connects: a gateway that starts again finds its own free."""
 
 
 def free_endpoint(protocol: str = "tcp") -> str:
