@@ -1,6 +1,7 @@
 """A drive of real processes, recorded, and run again from its log alone."""
 
 import signal
+from collections import defaultdict
 from contextlib import suppress
 from pathlib import Path
 
@@ -71,18 +72,26 @@ def check(log: ReadBack) -> list[tuple[int, bytes]]:
 
 
 def is_whole(directory: Path) -> bool:
-    """Does the log that is being written hold a journal from its first input on to the newest?"""
-    journals = []
+    """Does the log that is being written hold the whole drive?
+
+    That is a journal from its first input on to the newest, the last decision, and the last event: each comes for
+    itself.
+    """
+    read = defaultdict(list)
     for path in directory.glob("*.part"):
         with path.open("rb") as stream, suppress(McapError):
             reader = NonSeekingReader(stream, decoder_factories=[DecoderFactory()])
-            for _, _, _, journal in reader.iter_decoded_messages(log_time_order=False):
-                if journal.DESCRIPTOR.name == "Journal":
-                    journals.append(
-                        Journal(**{name: getattr(journal, name) for name in Journal.__struct_fields__})
-                    )
-    reached = reach(journals)
-    return bool(journals) and reached[journals[-1].run] >= max(one.first + one.count for one in journals)
+            for _, _, _, message in reader.iter_decoded_messages(log_time_order=False):
+                read[message.DESCRIPTOR.name].append(message)
+    journals = [
+        Journal(**{name: getattr(one, name) for name in Journal.__struct_fields__}) for one in read["Journal"]
+    ]
+    return (
+        bool(journals)
+        and reach(journals)[journals[-1].run] >= max(one.first + one.count for one in journals)
+        and any(one.request == "release" for one in read["Decision"])
+        and any(one.text.startswith("stopped: ") for one in read["SafetyEvent"])
+    )
 
 
 def test_a_recorder_that_is_there_first_misses_nothing(tmp_path: Path) -> None:
