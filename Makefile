@@ -34,19 +34,23 @@ test-unit: $(STAMP)  ## what needs no process and no socket
 	$(ASIDE) $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --ignore tests/system --timeout 600 tests
 
 # Some have the machine to themselves: a browser that drives at 50 Hz stalls beside others, and the robot stops by its
-# deadman, as it should; floods, crowds and demos would make others late. The others wait more than they reckon, so that one
-# more runs than there are processors (tests/support/spreading.py hands them out).
+# deadman, as it should; floods, crowds and demos would make others late. The others wait more than they reckon, so that two
+# run for each processor (tests/support/spreading.py hands them out).
 ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_crowd.py test_floods.py test_large_fleets.py \
 	test_readme.py gateway/cli/test_demo.py gateway/cli/test_demo_fleet.py)
+# Chromium without the parts that nobody sees takes two thirds of the processor time; `make nightly` has all of it.
+test-system: export TEST_BROWSER ?= $(shell command -v chromium-headless-shell)
 test-system: $(STAMP)  ## what starts processes: gateways, recorders, browsers
 	$(BIN)/python -m pytest $(ALONE)
-	$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder \
+	$(BIN)/python -m pytest --numprocesses $$((2 * $$(nproc))) --dist loadfile --no-loadscope-reorder \
 		$(addprefix --ignore ,$(ALONE)) tests/system
 
+PAGES = $(addprefix tests/system/,gateway/test_desk.py gateway/test_accessibility.py recorder/serve recorder/review/report)
 nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties thirtyfold, 10,000 random scenarios, the fuzzer, clients of other languages, Zenoh's own router; two hours and a half
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal -m "hypothesis or night" --hypothesis-profile nightly --timeout 600 tests/unit
 	$(BIN)/python -m pytest -m night --hypothesis-profile nightly tests/system
+	$(BIN)/python -m pytest $(PAGES)
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
 	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs 2
 	$(MAKE) drive-clients

@@ -10,7 +10,7 @@ from typing import Final
 import msgspec
 
 NAMES: Final = ("chromium", "chromium-browser", "google-chrome")
-"""What it may be called."""
+"""What it may be called. Another program is named by ``TEST_BROWSER``."""
 
 FLAGS: Final = (
     "--headless=new",
@@ -47,7 +47,7 @@ class Opened(msgspec.Struct):
 
 def browser() -> str | None:
     """Where it is; None if there is none."""
-    return next(filter(None, map(shutil.which, NAMES)), None)
+    return os.environ.get("TEST_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
 
 
 def open_page(page: Path, scratch: Path) -> Opened:
