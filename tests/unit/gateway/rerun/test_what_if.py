@@ -12,6 +12,7 @@ from schemas.messages import Message, Mode, RobotState, Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings, Settings
 from schemas.subjects import BY_NAME
+from tests.support.nights import by_night
 from tests.support.rigs.day import Day
 from tests.support.rigs.gateway import GatewayRig, Operator
 
@@ -152,7 +153,9 @@ def test_nothing_comes_of_nothing() -> None:
 NESTED = b"\x91" * 1000 + b"\x01"
 
 
-@pytest.mark.parametrize("payload", [NESTED, b"\x81\x91\x01\x01", b"\xc1", b"\x81\xa9challenge\x91\x01"])
+@pytest.mark.parametrize(
+    "payload", [NESTED, *map(by_night, [b"\x81\x91\x01\x01", b"\xc1", b"\x81\xa9challenge\x91\x01"])]
+)
 def test_whatever_somebody_asked_is_asked_of_both(payload: bytes) -> None:
     """A request is anybody's bytes, nested as deep as it may be."""
 

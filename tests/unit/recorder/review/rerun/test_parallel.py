@@ -154,7 +154,7 @@ def changed(path: Path, change: Callable[[str, Message], list[Message]]) -> Path
 
 @pytest.mark.parametrize(
     "name",
-    ["losses", "nonsense", *map(by_night, ["gaps", "nothing", "other_decisions", "latecomers"])],
+    ["nonsense", *map(by_night, ["losses", "gaps", "nothing", "other_decisions", "latecomers"])],
 )
 def test_the_answer_is_the_one_that_a_single_process_gives(name: str, tmp_path: Path) -> None:
     """Whatever is in the log, with the same differences, counts and faults."""
