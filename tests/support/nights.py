@@ -25,20 +25,29 @@ def some_by_day(values: Sequence[Any], step: int) -> list[Any]:
     return [by_night(value) if number % step else value for number, value in enumerate(values)]
 
 
+def every_value(*factors: Sequence[Any]) -> list[Any]:
+    """Every combination of these values; by day as few as have each value at least once."""
+    return _covering(1, factors)
+
+
 def every_pair(*factors: Sequence[Any]) -> list[Any]:
     """Every combination of these values; by day as few as have each two values together at least once."""
+    return _covering(2, factors)
+
+
+def _covering(many: int, factors: Sequence[Sequence[Any]]) -> list[Any]:
     rows = list(product(*map(range, map(len, factors))))
-    missing = {pair for row in rows for pair in _pairs(row)}
+    missing = {part for row in rows for part in _parts(row, many)}
     by_day = set()
     while missing:
-        best = max(rows, key=lambda row: len(missing & _pairs(row)))
+        best = max(rows, key=lambda row: len(missing & _parts(row, many)))
         by_day.add(best)
-        missing -= _pairs(best)
+        missing -= _parts(best, many)
     return [
         values if row in by_day else by_night(*values) for row, values in zip(rows, product(*factors), strict=True)
     ]
 
 
-def _pairs(row: tuple[int, ...]) -> set[tuple[tuple[int, int], tuple[int, int]]]:
-    """Each two factors with their values: ``((0, 2), (1, 0))``."""
-    return set(combinations(enumerate(row), 2))
+def _parts(row: tuple[int, ...], many: int) -> set[tuple[tuple[int, int], ...]]:
+    """Each so many factors with their values: of two ``((0, 2), (1, 0))``."""
+    return set(combinations(enumerate(row), many))

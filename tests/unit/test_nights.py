@@ -4,7 +4,7 @@ from itertools import combinations, product
 
 import pytest
 
-from tests.support.nights import by_night, every_pair
+from tests.support.nights import by_night, every_pair, every_value
 
 
 def is_by_day(row: object) -> bool:
@@ -22,6 +22,16 @@ def test_by_day_each_two_values_are_tried_together() -> None:
     for first, second in combinations(range(4), 2):
         tried = {(row[first], row[second]) for row in by_day}
         assert tried == set(product(factors[first], factors[second]))
+
+
+def test_by_day_each_value_is_tried() -> None:
+    """In as few rows as the longest factor has values, and by night every combination."""
+    factors = (range(4), "ab", (True, False))
+    rows = every_value(*factors)
+    assert [tuple(getattr(row, "values", row)) for row in rows] == list(product(*factors))
+    by_day = [row for row in rows if is_by_day(row)]
+    assert len(by_day) == 4
+    assert [set(tried) for tried in zip(*by_day, strict=True)] == [set(factor) for factor in factors]
 
 
 @pytest.mark.parametrize("row", [1, by_night(2)])

@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Page
 
 from tests.support.axe import assert_for_everybody
 from tests.support.desk_states import desk_of_all_states
-from tests.support.nights import by_night, every_pair
+from tests.support.nights import by_night, every_value
 from tests.support.processes.desk import chromium
 from tests.support.rigs.scenarios import front_bumper, recorded
 
@@ -76,9 +76,9 @@ def report(page: Page, address: str) -> None:
 @pytest.mark.parametrize(
     ("look", "theme", "language"),
     [
-        *every_pair((overview, wall, robot, kiosk), ("light", "dark"), ("en-GB", "zh-CN")),
+        *every_value((overview, wall, robot, kiosk), ("light", "dark"), ("en-GB", "zh-CN")),
         (report, "light", "en-GB"),
-        (report, "dark", "en-GB"),
+        by_night(report, "dark", "en-GB"),
     ],
     ids=lambda value: getattr(value, "__name__", value),
 )

@@ -23,7 +23,7 @@ from schemas.exit_codes import ExitCode
 from tests.support.axe import assert_for_everybody
 from tests.support.drives import HOSTILE, drive_messages, write_messages
 from tests.support.messages import event
-from tests.support.nights import every_pair
+from tests.support.nights import every_value
 from tests.support.processes.desk import chromium
 from tests.support.processes.gateway import Running, run
 from tests.support.rigs.scenarios import deadman, front_bumper, recorded
@@ -292,7 +292,7 @@ def log(page: Page, address: str) -> None:
 
 @pytest.mark.parametrize(
     ("look", "theme", "language"),
-    every_pair((home, day, log), ("light", "dark"), ("en-GB", "zh-CN")),
+    every_value((home, day, log), ("light", "dark"), ("en-GB", "zh-CN")),
     ids=lambda value: getattr(value, "__name__", value),
 )
 def test_every_page_is_for_everybody(

@@ -119,7 +119,7 @@ def test_an_address_names_the_robot_where_there_are_several(page: Page, drive: P
         by_night("#t=%E0%A4%A", "The address names no time: %E0%A4%A"),
         by_night("#t=", "The address names no time: "),
         by_night("#t=2027-01-15T08:00:04Z&robot=r-9", "This report draws no drive of r-9."),
-        (
+        by_night(
             "#t=2027-01-16T00:00:00Z",
             "This report draws nothing of 2027-01-16T00:00:00.000Z. The nearest moment is shown.",
         ),
