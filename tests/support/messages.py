@@ -3,7 +3,7 @@
 The constants are whole messages to be changed by ``msgspec.structs.replace``; the functions make one of a series.
 """
 
-from functools import cache
+from functools import lru_cache
 from hashlib import sha256
 from typing import Any, Final
 
@@ -177,7 +177,7 @@ class FakeSample(msgspec.Struct, frozen=True):
     is_reply: bool = False
 
 
-@cache
+@lru_cache(32)
 def key_of(kind: type[Message], robot: str = ROBOT, root: str = ROOT) -> str:
     """The key of a subject's samples."""
     subject = BY_TYPE[kind]
