@@ -48,6 +48,11 @@ if TYPE_CHECKING:
 
 _RETRIES: Final = re.compile(r" in [\d.]+\S*s(, after [^-]*retry_timeout: \S+)? *- ")
 
+_ADDRESS: Final = re.compile(r"https?://\S+")
+
+_GIVES_CREDENTIALS: Final = "//169.254.169.254/"
+"""Where the library asks for credentials if it was given none: a machine in a cloud has them there."""
+
 _CREDENTIALS: Final = {
     "s3://": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
     "gs://": "GOOGLE_APPLICATION_CREDENTIALS",
@@ -145,10 +150,11 @@ class ObstoreObjects:
 
 
 def _with_cure(line: str) -> str:
-    lowered = line.lower()
-    if "403" in lowered or "401" in lowered or "credential" in lowered or "imds" in lowered:
+    # Ports and names of logs may have any of these words in them.
+    said = _ADDRESS.sub("", line).lower()
+    if _GIVES_CREDENTIALS in line or any(word in said for word in ("403", "401", "credential", "imds")):
         return f"{line}: give credentials that may read it"
-    if any(word in lowered for word in ("timed out", "timeout", "connect", "sending request", "dns")):
+    if any(word in said for word in ("timed out", "timeout", "connect", "sending request", "dns")):
         return f"{line}: is the store's endpoint right, and the network there?"
     return line
 

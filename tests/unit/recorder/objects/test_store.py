@@ -76,6 +76,20 @@ def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
             "error sending request: is the store's endpoint",
         ),
         (GenericError("Server returned 403 Forbidden"), "403 Forbidden: give credentials"),
+        (
+            GenericError(
+                "Generic S3 error: Error performing PUT http://169.254.169.254/latest/api/token in 2.4s - "
+                "HTTP error: error sending request"
+            ),
+            "error sending request: give credentials",
+        ),
+        (
+            GenericError(
+                "Generic HTTP error: Error performing HEAD http://127.0.0.1:40321/credential-401/a in 448.03µs - "
+                "HTTP error: error sending request"
+            ),
+            "error sending request: is the store's endpoint",
+        ),
         (GenericError("strange"), "strange"),
     ],
 )
