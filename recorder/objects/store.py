@@ -50,6 +50,8 @@ _RETRIES: Final = re.compile(r" in [\d.]+\S*s(, after [^-]*retry_timeout: \S+)? 
 
 _ADDRESS: Final = re.compile(r"https?://\S+")
 
+_REFUSED: Final = ("403 forbidden", "401 unauthorized", "credential", "imds")
+
 _GIVES_CREDENTIALS: Final = "//169.254.169.254/"
 """Where the library asks for credentials if it was given none: a machine in a cloud has them there."""
 
@@ -152,7 +154,7 @@ class ObstoreObjects:
 def _with_cure(line: str) -> str:
     # Ports and names of logs may have any of these words in them.
     said = _ADDRESS.sub("", line).lower()
-    if _GIVES_CREDENTIALS in line or any(word in said for word in ("403", "401", "credential", "imds")):
+    if _GIVES_CREDENTIALS in line or any(word in said for word in _REFUSED):
         return f"{line}: give credentials that may read it"
     if any(word in said for word in ("timed out", "timeout", "connect", "sending request", "dns")):
         return f"{line}: is the store's endpoint right, and the network there?"

@@ -114,7 +114,6 @@ def test_a_liveliness_token_is_no_sign_that_anybody_drives() -> None:
             close_session(session)
 
 
-@pytest.mark.night
 def test_a_machine_that_is_too_busy_drives_or_stops_and_never_jumps() -> None:
     """Whatever the scheduler does: whole bursts, each counter goes on, no speed rises by more than is allowed."""
     with driven() as scene, burning():

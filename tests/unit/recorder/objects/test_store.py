@@ -1,5 +1,6 @@
 """What obstore says of a store becomes bytes, or one line with its cure."""
 
+import re
 from pathlib import Path
 
 import obstore
@@ -90,6 +91,7 @@ def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
             ),
             "error sending request: is the store's endpoint",
         ),
+        (GenericError("Unable to open file /logs/403/a.mcap"), r"Unable to open file /logs/403/a\.mcap$"),
         (GenericError("strange"), "strange"),
     ],
 )
@@ -107,7 +109,7 @@ def test_what_goes_wrong_is_a_line_with_its_cure(
     for ask in (lambda: objects.look("a"), lambda: objects.read("a", 0, 1, ""), lambda: list(objects.names())):
         with pytest.raises(StoreError) as raised:
             ask()
-        assert line in str(raised.value)
+        assert re.search(line, str(raised.value))
         assert "\n" not in str(raised.value)
 
 
