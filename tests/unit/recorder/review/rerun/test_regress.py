@@ -174,7 +174,6 @@ def _from(time_ns: int) -> bytes:
         rig.recorded = whole
 
 
-@pytest.mark.night
 def test_the_most_novel_alone(tmp_path: Path) -> None:
     """What was not run is not claimed; the rarest thing of the log is in what was."""
     found = regress(tmp_path / NAME, driven_log(), speed_limit(1.0), most=2)
