@@ -45,6 +45,7 @@ test-system: $(STAMP)  ## what starts processes: gateways, recorders, browsers
 	$(BIN)/python -m pytest --numprocesses $$((2 * $$(nproc))) --dist loadfile --no-loadscope-reorder \
 		$(addprefix --ignore ,$(ALONE)) tests/system
 
+# By night once more, in the whole of Chromium.
 PAGES = $(addprefix tests/system/,gateway/test_desk.py gateway/test_accessibility.py recorder/serve recorder/review/report)
 nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties thirtyfold, 10,000 random scenarios, the fuzzer, clients of other languages, Zenoh's own router; two hours and a half
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly

@@ -35,19 +35,19 @@ def every_pair(*factors: Sequence[Any]) -> list[Any]:
     return _covering(2, factors)
 
 
-def _covering(many: int, factors: Sequence[Sequence[Any]]) -> list[Any]:
+def _covering(strength: int, factors: Sequence[Sequence[Any]]) -> list[Any]:
     rows = list(product(*map(range, map(len, factors))))
-    missing = {part for row in rows for part in _parts(row, many)}
+    missing = {part for row in rows for part in _parts(row, strength)}
     by_day = set()
     while missing:
-        best = max(rows, key=lambda row: len(missing & _parts(row, many)))
+        best = max(rows, key=lambda row: len(missing & _parts(row, strength)))
         by_day.add(best)
-        missing -= _parts(best, many)
+        missing -= _parts(best, strength)
     return [
         values if row in by_day else by_night(*values) for row, values in zip(rows, product(*factors), strict=True)
     ]
 
 
-def _parts(row: tuple[int, ...], many: int) -> set[tuple[tuple[int, int], ...]]:
-    """Each so many factors with their values: of two ``((0, 2), (1, 0))``."""
-    return set(combinations(enumerate(row), many))
+def _parts(row: tuple[int, ...], strength: int) -> set[tuple[tuple[int, int], ...]]:
+    """Every so many factors of a row, with their values: two of them as ``((0, 2), (1, 0))``."""
+    return set(combinations(enumerate(row), strength))
