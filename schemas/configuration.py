@@ -254,7 +254,7 @@ def _checked(given: Given) -> object:
     except (msgspec.ValidationError, RecursionError, OverflowError) as error:
         raise _wrong_value(given) from error
     # '$' in a pattern also matches before a line end, which msgspec lets through.
-    if isinstance(setting.kind, inspect.StrType) and setting.kind.pattern and str(value).endswith("\n"):
+    if str(value).endswith("\n") and isinstance(setting.kind, inspect.StrType) and setting.kind.pattern:
         raise _wrong_value(given)
     return right
 

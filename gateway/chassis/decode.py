@@ -115,7 +115,7 @@ def compile_message(layout: MessageLayout, rules: Sequence[tuple[str, Rule]]) ->
     """
     subject = BY_DBC_MESSAGE[layout.name]
     by_field = {signal.field: signal for signal in layout.signals}
-    annotations = {field.name: field.type for field in msgspec.structs.fields(subject.type)}
+    annotations = _annotations(subject.type)
     fields = [name for name in annotations if name not in {"time_ns", "sequence"}]
     if set(fields) != {ALIVE_COUNTER_FIELD, *(signal.field for signal in layout.payload_signals)}:
         raise ValueError(f"{subject.type.__name__} and {layout.name} do not have the same fields")
@@ -135,6 +135,12 @@ def compile_message(layout: MessageLayout, rules: Sequence[tuple[str, Rule]]) ->
         build=_compile(message, "data, time_ns, sequence", scope),
         undefined=_compile(" or ".join(tests), "data", {}) if tests else None,
     )
+
+
+@cache
+def _annotations(kind: type[msgspec.Struct]) -> dict[str, Any]:
+    """The fields of a class with their types, looked up once for all cores that run a log again."""
+    return {field.name: field.type for field in msgspec.structs.fields(kind)}
 
 
 ROUNDING_STEPS: Final = 1e-6

@@ -94,7 +94,7 @@ class RecordedRig(GatewayRig):
         """
         log = Log()
         began_ns = ticked_ns = self.recorded[0][0] if self.recorded else 0
-        root = self.settings.robot.root
+        keys_of = {name: self._key(robot, name) for name in {sample.subject for _, sample in self.recorded}}
         answer = msgspec.structs.replace(info(), configuration=to_toml(self.settings))
         for number, (at_ns, sample) in enumerate(self.recorded):
             log_ns = at_ns - self.robot_ahead_ns + lag_ns
@@ -103,19 +103,22 @@ class RecordedRig(GatewayRig):
             if sample.subject in without:
                 continue
             subject = BY_NAME[sample.subject]
-            key = keys.build(root, robot, subject, "can0" if "{bus}" in subject.name else "")
             payload = sample.payload
             if sample.subject == "journal":
                 message = codec.decode(subject, payload)
                 assert isinstance(message, Journal)
                 payload = codec.encode(journal(message))
-            log.receive(FakeSample(key, subject.encoding, payload), now_ns=at_ns - began_ns, wall_ns=log_ns)
+            one = FakeSample(keys_of[sample.subject], subject.encoding, payload)
+            log.receive(one, now_ns=at_ns - began_ns, wall_ns=log_ns)
             if tick_ns and at_ns - ticked_ns >= tick_ns:
                 ticked_ns = at_ns
                 log.tick(at_ns - began_ns)
         for said in recorder_says:
-            log.add_own(keys.of_recorder(root, "bench", "event"), said, 0)
+            log.add_own(keys.of_recorder(self.settings.robot.root, "bench", "event"), said, 0)
         return log.close()
+
+    def _key(self, robot: str, subject: str) -> str:
+        return keys.build(self.settings.robot.root, robot, BY_NAME[subject], "can0" if "{bus}" in subject else "")
 
 
 @cache
