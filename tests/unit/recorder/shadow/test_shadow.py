@@ -38,11 +38,11 @@ def driven() -> RecordedRig:
         rig.run(0.6)
         operator = Operator(rig)
         operator.engage()
-        operator.drive(0.5, 2.0, 6.0)
+        operator.drive(0.5, 2.0, 3.0)
         operator.drive(1.2, 2.0, 3.0)
-        operator.drive(0.5, 2.0, 4.0)
+        operator.drive(0.5, 2.0, 2.0)
         rig.run(0.2)
-        operator.drive(0.5, 2.0, 6.0)
+        operator.drive(0.5, 2.0, 4.5)
     return rig
 
 
@@ -112,7 +112,7 @@ def test_in_mid_drive_it_begins_at_a_checkpoint_as_if_the_setting_had_been_chang
     """The robot is faster than the other limit, and would have slowed down."""
     rig = driven()
     fast = next(
-        number for number, one in enumerate(rig.journals) if one.time_ns > rig.journals[0].time_ns + 7 * SECOND
+        number for number, one in enumerate(rig.journals) if one.time_ns > rig.journals[0].time_ns + 4 * SECOND
     )
     both = Shadowed(rig, {"command.speed_limit_mps": 0.6}, fast)
     assert not both.shadow.is_clear
