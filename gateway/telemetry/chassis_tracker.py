@@ -170,7 +170,7 @@ class Encoders:
         if pulses is None or not pulses.valid:
             self._before, self._direction = None, 0
             self._counted.clear()
-        elif pulses is not self._before:
+        elif pulses != self._before:  # By value: a core that resumes has two objects of one frame.
             if self._before is not None:
                 periods = (pulses.alive_counter - self._before.alive_counter) % COUNTER_SPAN
                 self._counted.append((_counted(pulses, self._before), max(1, periods)))
