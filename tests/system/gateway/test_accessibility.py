@@ -98,8 +98,7 @@ def test_every_page_is_for_everybody(
         page = context.new_page()
         look(page, address)
         assert_for_everybody(page)
-        if look is not report:
-            assert_fits_a_small_phone(page)
+        assert_fits_a_small_phone(page)
     finally:
         context.close()
 
