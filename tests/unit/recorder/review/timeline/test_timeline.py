@@ -29,7 +29,6 @@ from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, Recor
 from tests.support.logs import Log
 from tests.support.messages import MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, safety_event, sample_of
 from tests.support.messages import refusal as refused
-from tests.support.nights import some_by_day
 from tests.support.rigs import gateway, scenarios
 from tests.support.rigs.recorded import RecordedRig
 from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
@@ -114,7 +113,7 @@ def test_what_events_say_is_not_derived_once_more(scenario: Scenario, path: Path
     assert {entry.kind for entry in derived} <= {EntryKind.GUARD}
 
 
-@pytest.mark.parametrize("scenario", some_by_day(list(SCENARIOS), 3), ids=lambda one: one.__name__)
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
 def test_without_events_the_states_tell_the_same_kinds(scenario: Scenario, path: Path) -> None:
     """Of stops, latches, engages and takeovers, each with its reason, and marked as derived."""
     kinds = {EntryKind.STOP, EntryKind.STOPPED, EntryKind.LATCH, EntryKind.ENGAGED, EntryKind.TAKEOVER}
