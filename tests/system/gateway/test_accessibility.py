@@ -8,7 +8,7 @@ from typing import Final, Literal
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.support.axe import assert_for_everybody
+from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.desk_states import desk_of_all_states
 from tests.support.nights import by_night, every_value
 from tests.support.processes.desk import chromium
@@ -101,11 +101,3 @@ def test_every_page_is_for_everybody(
         assert_fits_a_small_phone(page)
     finally:
         context.close()
-
-
-def assert_fits_a_small_phone(page: Page) -> None:
-    """Narrow the page, and see that nothing of it stands outside."""
-    page.set_viewport_size({"width": 320, "height": 640})
-    assert page.evaluate("document.documentElement.scrollWidth") <= 320
-    outside = "[...document.querySelectorAll('button')].filter(one => one.getBoundingClientRect().right > 320)"
-    assert page.evaluate(f"{outside}.map(one => one.innerText)") == []

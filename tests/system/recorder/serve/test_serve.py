@@ -20,7 +20,7 @@ from playwright.sync_api import Browser, BrowserContext, Page
 
 from recorder.reading.read_log import read_log
 from schemas.exit_codes import ExitCode
-from tests.support.axe import assert_for_everybody
+from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.drives import HOSTILE, drive_messages, write_messages
 from tests.support.messages import event
 from tests.support.nights import every_value
@@ -303,8 +303,7 @@ def test_every_page_is_for_everybody(
         page = context.new_page()
         look(page, address)  # type: ignore[operator]
         assert_for_everybody(page)
-        page.set_viewport_size({"width": 320, "height": 640})
-        assert page.evaluate("document.documentElement.scrollWidth") <= 320
+        assert_fits_a_small_phone(page)
 
 
 @pytest.mark.parametrize(
