@@ -68,9 +68,13 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 TAKE_HANGUPS: Final = frozenset({"record"})
 """Commands to which SIGHUP says something: until they hear it, it says nothing. The others it ends."""
 
+END_AT_ONCE: Final = frozenset({"upload"})
+"""Commands whose process ends without Python's finalization: a thread of obstore that still needs Python then
+aborts the process, and where all had gone well, a shell would see a crash."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The entry point of ``cruiser``. Returns the exit code."""
+    """The entry point of ``cruiser``. Returns the exit code, but for commands that end at once: they end here."""
     # Until a command takes its signals, Ctrl-C ends the process at once: a traceback tells nobody anything.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     if sys.stdout is None or sys.stderr is None:
@@ -79,6 +83,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     words = list(sys.argv[1:] if argv is None else argv)
     end_with_parent()
+    code = _written_answer(words)
+    if words and words[0] in END_AT_ONCE:
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+def _written_answer(words: list[str]) -> int:
+    """Run the command, and see that what it printed is written."""
     try:
         code = _answer(words)
         sys.stdout.flush()

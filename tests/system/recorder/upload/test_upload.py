@@ -41,6 +41,17 @@ def test_what_is_killed_in_the_middle_is_done_again(tmp_path: Path) -> None:
     assert set(SafeLogReader(logs).read()) == {LOG}
 
 
+def test_a_library_that_aborts_when_python_ends_makes_no_failure_of_an_upload(tmp_path: Path) -> None:
+    """As obstore does now and then, on a busy machine more often."""
+    logs, store = tmp_path / "logs", tmp_path / "store"
+    saved(logs / LOG, own_log([gears(0, 3, 0)]))
+    aborts = "import atexit, os, runpy; atexit.register(os.abort); runpy.run_module('gateway', None, '__main__')"
+    interpreter, _, _, *command = words(logs, store, 0, "--once", "--json")
+    done = subprocess.run([interpreter, "-c", aborts, *command], stdout=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == ExitCode.OK
+    assert '"uploaded":1' in done.stdout
+
+
 def test_it_ends_in_the_middle_when_it_is_told_to(tmp_path: Path) -> None:
     """Without waiting for a log that takes an hour, and says what waits."""
     logs, store = tmp_path / "logs", tmp_path / "store"
