@@ -1,7 +1,8 @@
 """``cruiser`` commands as processes of their own, without the imports that are most of what their start takes.
 
 Each is forked from a process that has imported all commands, and that has no thread and no file of a test open.
-Other tests give commands to a shell, and start the interpreter with them.
+What PYTHONPATH names may be another version: a new interpreter imports it. Other tests give commands to a shell,
+and start the interpreter with them.
 """
 
 import os
@@ -101,6 +102,8 @@ def _run(
     with stdout, stderr, open(os.devnull, "rb") as stdin:  # noqa: PTH123
         for number, descriptor in enumerate((stdin.fileno(), stdout.fileno(), stderr.fileno())):
             os.dup2(descriptor, number)
+    if "PYTHONPATH" in environment:
+        os.execve(sys.executable, [sys.executable, "-m", "gateway", *words], environment)  # noqa: S606
     sys.stdin = open(0, encoding="utf-8")  # noqa: SIM115 - as the interpreter does
     sys.stdout = open(1, "w", encoding="utf-8")  # noqa: SIM115 - the same
     sys.stderr = open(2, "w", encoding="utf-8", errors="backslashreplace", buffering=1)  # noqa: SIM115 - the same
