@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from itertools import accumulate, count
+from itertools import accumulate
 from typing import Final
 
 import msgspec
@@ -59,12 +59,13 @@ class Disturbances:
         self._messages = messages
         self._active: dict[_Slot, _Active] = {}
         self._waiting: list[tuple[int, int, FaultLine]] = []
-        self._order = count()
+        self._injected = 0
         self._now_ns = 0
 
     def inject(self, line: FaultLine, at_ns: int) -> None:
         """Begins a fault, once ``advance`` reaches its time."""
-        heapq.heappush(self._waiting, (at_ns, next(self._order), line))
+        heapq.heappush(self._waiting, (at_ns, self._injected, line))
+        self._injected += 1
 
     def advance(self, now_ns: int) -> None:
         """Begins and ends what is due."""
