@@ -45,6 +45,7 @@ def let_go_and_watch(scene: DeskScene, page: Page, let_go: Callable[[Page], None
     return max(0.0, (faster_ns[-1] - let_go_ns) / 1e9)
 
 
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("let_go", WAYS, ids=lambda way: way.__name__)
 def test_each_way_to_let_go_stops_the_robot_twenty_times(
     scene: DeskScene, running_browser: Browser, let_go: Callable[[Page], None]
