@@ -47,11 +47,17 @@ class Burst(msgspec.Struct):
 
 
 class Listener:
-    """Hears the bus on a thread of its own."""
+    """Hears the bus on a thread of its own.
+
+    Attributes:
+        bursts: all that were heard.
+        silence: frames of feedback since the last command.
+    """
 
     def __init__(self, bus: Bus) -> None:
         self.view = ChassisView()
         self.bursts: list[Burst] = []
+        self.silence = 0
         self._bus = bus
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._listen)
@@ -86,6 +92,7 @@ class Listener:
                 continue
             now_ns = time.monotonic_ns()
             self.view.receive(frame, now_ns)
+            self.silence = 0 if frame.can_id in COMMANDS else self.silence + 1
             if COMMANDS.get(frame.can_id) == MOTION_FRAMES[0] or (frame.can_id in COMMANDS and not self.bursts):
                 self.bursts.append(Burst(now_ns, [frame]))
             elif frame.can_id in COMMANDS:

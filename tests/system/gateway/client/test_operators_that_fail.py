@@ -27,6 +27,9 @@ from tests.support.processes.guard import COMMANDS, Listener
 from tests.support.processes.holding import STARVED, is_done
 from tests.support.waiting import DEADLINE_S, wait_until
 
+SILENCE = 100
+"""Frames of feedback, which a chassis sends in 0.2 s."""
+
 
 class Scene:
     """A robot that first's program drives, seen by second and by somebody on the bus."""
@@ -57,9 +60,13 @@ class Scene:
         return any(event.kind is kind and event.reason in reasons for event in self.events)
 
     def wait_at_rest(self) -> None:
-        """Wait until nothing is told to a chassis that stands, out of auto."""
+        """Wait until nothing is told to a chassis that stands, out of auto.
+
+        The last bursts may be on their way to the listener when the arbiter already says that it is standing by.
+        """
         assert self.second.wait_for(lambda state: state.state is ArbiterState.STANDBY, DEADLINE_S)
         wait_until(lambda: self.listener.stands() and self.listener.mode() is Mode.STOP)
+        wait_until(lambda: self.listener.silence > SILENCE)
 
     def _end_program(self) -> None:
         self.program.kill()
