@@ -45,21 +45,31 @@ test-system: $(STAMP)  ## what starts processes: gateways, recorders, browsers
 	$(BIN)/python -m pytest --numprocesses $$((2 * $$(nproc))) --dist loadfile --no-loadscope-reorder \
 		$(addprefix --ignore ,$(ALONE)) tests/system
 
-# By night once more, in the whole of Chromium.
-PAGES = $(addprefix tests/system/,gateway/test_desk.py gateway/test_accessibility.py recorder/serve recorder/review/report)
-nightly: $(STAMP) .venv-tools/installed  ## what takes too long for every day: the gate's whole domain, whole matrices, properties thirtyfold, 10,000 random scenarios, the fuzzer, clients of other languages, Zenoh's own router; two hours and a half
-	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal tests/nightly
+# By night once more, in the whole of Chromium, and each way to let go of a robot twenty times.
+PAGES = tests/nightly/test_desk.py \
+	$(addprefix tests/system/,gateway/test_desk.py gateway/test_accessibility.py recorder/serve recorder/review/report)
+NIGHT = night-long night-rows night-system night-pages night-scenarios night-fuzz drive-clients test-zenohd test-store \
+	test-image test-cluster test-robot night-robot
+# One after the other; a part that fails keeps no other from running.
+nightly:  ## what takes too long for every day: the gate's whole domain, whole matrices, properties thirtyfold, 10,000 random scenarios, the fuzzer, clients of other languages, Zenoh's own router; four hours
+	$(MAKE) --keep-going $(NIGHT)
+
+.PHONY: $(filter night-%,$(NIGHT))
+night-long night-rows night-system night-pages night-scenarios: $(STAMP)
+night-fuzz: .venv-tools/installed
+night-long:
+	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --ignore tests/nightly/test_desk.py tests/nightly
+night-rows:
 	$(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal -m "hypothesis or night" --hypothesis-profile nightly --timeout 600 tests/unit
+night-system:
 	$(BIN)/python -m pytest -m night --hypothesis-profile nightly tests/system
+night-pages:
 	$(BIN)/python -m pytest $(PAGES)
-	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs 2 --seed 1
-	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs 2
-	$(MAKE) drive-clients
-	$(MAKE) test-zenohd
-	$(MAKE) test-store
-	$(MAKE) test-image
-	$(MAKE) test-cluster
-	$(MAKE) test-robot
+night-scenarios:
+	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs $$(nproc) --seed 1
+night-fuzz:
+	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs $$(nproc)
+night-robot: zenohd
 	ROBOT_ZENOHD=$(ZENOHD)/bin/zenohd $(MAKE) test-robot RELEASE=trixie TESTS="tests/robot/test_power_cut.py tests/robot/test_signed.py"
 
 test-socketcan: $(STAMP)  ## the gateway on a real SocketCAN interface; boots user-mode Linux where the kernel has none
