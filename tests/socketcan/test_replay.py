@@ -23,6 +23,7 @@ from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
 ROBOT: Final = "fleet/cruiser-1/"
+STATE: Final = f"{ROBOT}safety/state"
 LOG_S: Final = 5
 WALL_NS: Final = 1_700_000_000_000_000_000
 MESSAGES: Final = load(Variant.COARSE).messages
@@ -46,11 +47,13 @@ class Heard:
         self._subscriber = session.declare_subscriber(f"{ROBOT}**", zenoh.handlers.FifoChannel(100_000))
         self.counters: dict[int, list[int]] = {can_id: [] for can_id in CHASSIS.values()}
         self.raw: list[tuple[int, bytes]] = []
+        self.keys: set[str] = set()
 
     def hear(self) -> None:
         """Take what has come."""
         while (sample := self._subscriber.try_recv()) is not None:
             key = str(sample.key_expr)
+            self.keys.add(key)
             if key in CHASSIS:
                 payload = msgspec.msgpack.decode(sample.payload.to_bytes())
                 self.counters[CHASSIS[key]].append(payload["alive_counter"])
@@ -61,10 +64,12 @@ class Heard:
 
 @contextmanager
 def hearing(endpoint: str) -> Iterator[Heard]:
-    """A subscriber that the gateway knows."""
+    """A subscriber that the gateway knows: it hears of the arbiter, which speaks without a chassis."""
     session = open_session(ZenohSettings(mode="client"), [endpoint], [])
     try:
-        yield Heard(session)
+        heard = Heard(session)
+        wait_until(lambda: STATE in heard.keys, heard.hear)
+        yield heard
     finally:
         close_session(session)
 
