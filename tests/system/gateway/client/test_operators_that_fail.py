@@ -97,7 +97,7 @@ def test_the_robot_of_an_operator_who_fails_comes_to_rest(number: signal.Signals
         bursts = len(scene.listener.bursts)
         with scene.second.lease():
             assert scene.second.state().state.output_speed_mps == 0
-        assert scene.listener.stands()
+        wait_until(scene.listener.stands)
         assert len(scene.listener.bursts) == bursts, "nothing was sent any more"
 
 
