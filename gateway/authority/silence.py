@@ -7,7 +7,7 @@ forward only lengthens the silence.
 
 An answer to the robot's challenge is of now. A list of revocations, or a rotation, is as old as it says: whoever
 kept one back, and shows it today, ends no silence with it. By a clock that is behind the list
-seems younger than it is.
+seems younger than it is; whatever the clock, a restart later counts from the date that it says.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ class AuthoritySilence:
         self.is_heard = False
         self._begun_ns = boot_ns - on_s * _S
         self._since_s = since_s
+        self._dated_s: int | None = None  # what the word of this run says of itself
 
     def hear_answer(self, boot_ns: int) -> None:
         """An answer to a challenge was received: it is of now."""
-        self.is_heard, self._begun_ns, self._since_s = True, boot_ns, None
+        self.is_heard, self._begun_ns, self._since_s, self._dated_s = True, boot_ns, None, None
 
     def hear_statement(self, at_s: int, boot_ns: int, now_s: int) -> None:
         """A newer statement was received, which may have been signed long ago.
@@ -48,7 +49,7 @@ class AuthoritySilence:
         """
         age_ns = max(0, now_s - at_s) * _S
         if age_ns < self.length_ns(boot_ns, now_s):
-            self._begun_ns, self._since_s = boot_ns - age_ns, None
+            self._begun_ns, self._since_s, self._dated_s = boot_ns - age_ns, None, at_s
 
     def length_ns(self, boot_ns: int, now_s: int) -> int:
         """The time since the last word.
@@ -63,7 +64,9 @@ class AuthoritySilence:
     def kept(self, boot_ns: int, now_s: int) -> tuple[int, int]:
         """The time that the robot was on since the last word, and when that was.
 
-        A word of this run is dated anew each time: a clock that is right only minutes later dates it too.
+        An answer of this run is dated anew each time: a clock that is right only minutes later dates it too.
         """
         on_s = (boot_ns - self._begun_ns) // _S
-        return on_s, now_s - on_s if self._since_s is None else self._since_s
+        if self._since_s is not None:
+            return on_s, self._since_s
+        return on_s, now_s - on_s if self._dated_s is None else self._dated_s

@@ -128,6 +128,7 @@ class Robot:
 @example([("list", 23 * HOUR_S, "right"), ("on", 2 * HOUR_S, "right"), ("machine restarts", 60, "right")])
 @example([("on", 30 * HOUR_S, "right"), ("list", 29 * HOUR_S, "right"), ("list", HOUR_S, "right")])
 @example([("on", 0, "ahead"), ("on", 65873, "behind"), ("list", 65878, "ahead"), ("on", 20518, "ahead")])
+@example([("on", 30_000, "right"), ("list", 30_000, "behind"), ("gateway restarts", 30_000, "right")])
 @given(steps)
 @settings(max_examples=5 * settings().max_examples)
 def test_silence_is_noticed_and_only_silence(taken: list[Step]) -> None:
