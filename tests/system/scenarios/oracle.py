@@ -151,11 +151,13 @@ class Oracle:
         self._rest_is_stop = False
         self._rest_bound_m = 0.0
         self._best_m: float | None = None
+        self._start_bound_m = 0.0
         self._asked_sign = 0.0
         self._stop_record: tuple[float, float, float, float] | None = None
         self._shadow_deg = 0.0
         self._explained = {1.0: 0.0, -1.0: 0.0}
         self._frozen_m: float | None = None
+        self._frozen_wheels_s = -9.0
         self._struck: str | None = None
         self._struck_s = self._clear_s = self._pressed_s = -9.0
         self._acknowledged = False
@@ -189,7 +191,7 @@ class Oracle:
             standing = self._was_engaged and self._is_permitted and now_s - self._zero_since_s > 0.1
             if not fields["ok"] and standing and not self._asked_mps and fields["reason"] != "not_engaged":
                 self._fail("park_refused", now_s, f"{fields['reason']} at {plant.speed_mps:.2f} m/s")
-        elif verb == "stop" and self._remote.lasts(now_s, holds=self._is_remote()) > 0.2:
+        elif verb == "stop" and self._remote.lasts(now_s, holds=self._is_remote(now_s)) > 0.2:
             if fields["ok"] and not fields["detail"]:
                 self._fail("stop_lies", now_s, "ok alone, while the remote control has the robot")
         elif verb == "reset" and fields["ok"]:
@@ -300,8 +302,8 @@ class Oracle:
         in_stop = self._plant is not None and self._mode(self._plant) == STOP and not self._plant.is_away
         if self._timer("stop").lasts(now_s, holds=in_stop and order.speed_mps > 0) > SEEING_S:
             self._fail("speed_in_mode_stop", now_s, f"{order.speed_mps:.2f} m/s")
-        taken_s = self._remote.lasts(now_s, holds=self._is_remote())
-        if taken_s > 0.1 and now_s >= self._blind_until_s and self._plant is not None and self._plant.sticks:
+        taken_s = self._remote.lasts(now_s, holds=self._is_remote(now_s))
+        if taken_s > 0.1 and self._plant is not None and self._plant.sticks:
             self._fail("talks_to_remote", now_s, "a frame, 100 ms after the remote control took over")
         self._order, self._order_s = order, now_s
 
@@ -436,13 +438,25 @@ class Oracle:
         body = plant.shown.get(BODY)
         return plant.mode if body is not None and body[5] == plant.mode and BODY not in plant.frozen else None
 
-    def _is_remote(self) -> bool:
-        return self._plant is not None and not self._plant.is_away and self._mode(self._plant) == REMOTE
+    def _is_remote(self, now_s: float) -> bool:
+        plant = self._plant
+        return (
+            plant is not None
+            and not plant.is_away
+            and self._mode(plant) == REMOTE
+            and now_s >= self._blind_until_s
+        )
+
+    @staticmethod
+    def _hides_auto(plant: Plant) -> bool:
+        """It obeys its last command, and says that the remote control has it: nobody can know."""
+        body = plant.shown.get(BODY)
+        return plant.mode == AUTO and body is not None and body[5] == REMOTE
 
     # The motion.
 
     def _judge_remote(self, plant: Plant, now_s: float) -> None:
-        if self._remote.lasts(now_s, holds=self._is_remote()) > 0.1:
+        if self._remote.lasts(now_s, holds=self._is_remote(now_s)) > 0.1:
             self._cause_stop("taken over", now_s, at_once=False)
         # Given back while it obeys an old command: told to stop at once.
         is_left = self._mode(plant) == AUTO and self._left_mps is not None and now_s - self._order_s > 1.0
@@ -490,15 +504,19 @@ class Oracle:
             self._best_m = plant.x_m
         self._best_m = max(self._best_m * sign, plant.x_m * sign) * sign
         rolled_m = (self._best_m - plant.x_m) * sign
-        bound_m = UNSTARTED_M + (0.0 if plant.can_hold else _dead_motor_m(plant) + 0.2)
-        if rolled_m > bound_m:
+        if not rolled_m:
+            self._start_bound_m = 0.0
+        if not plant.can_hold:
+            # What it rolls by then it has rolled, also when the motor comes back.
+            self._start_bound_m = max(self._start_bound_m, _dead_motor_m(plant) + 0.2)
+        if rolled_m > UNSTARTED_M + self._start_bound_m:
             self._fail("roll_back_at_start", now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg")
 
     def _judge_stop(self, plant: Plant, now_s: float) -> None:
         """A stop ends: standing, the parking brake applied, and not far away."""
         if self._stop_record is None:
             return
-        if not self._is_reachable(now_s):
+        if not self._is_reachable(now_s) or self._hides_auto(plant):
             self._stop_record = None
             return
         began_s, x_m, speed_mps, _ = self._stop_record
@@ -536,6 +554,8 @@ class Oracle:
             self._explained = {1.0: plant.speed_mps, -1.0: -plant.speed_mps}
             return
         speed_mps = plant.speed_mps
+        if WHEELS in plant.frozen:
+            self._frozen_wheels_s = now_s
         # Rolling: faster one way than the last commands that way, and a drive that follows them late, explain.
         for sign in (1.0, -1.0):
             told_mps = max(order.signed_mps * sign, 0.0)
@@ -546,7 +566,9 @@ class Oracle:
                 and order.signed_mps * sign <= 0
             )
             lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking)
-            allowed_s = 0.1 + SEEING_S + (PULSES_S if WHEELS in plant.frozen else 0.0)
+            allowed_s = 0.1 + SEEING_S
+            if now_s - self._frozen_wheels_s <= allowed_s:
+                allowed_s += PULSES_S
             if lasts_s > allowed_s + (GUARD_BRAKE_S if self._is_guards else 0.0):
                 kind = "rolling_against" if order.speed_mps else "rolling_unnoticed"
                 self._fail(kind, now_s, f"{speed_mps:.2f} m/s, told {order.signed_mps:.2f}, no parking request")
