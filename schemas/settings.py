@@ -179,6 +179,9 @@ PULSES_MOVING_FRAMES: Final = 16
 PULSES_STEADY: Final = 0.9
 """Share of the first half of these pulses that the second half must reach."""
 
+PULSES_REST_S: Final = 0.45
+"""They show that it rolls once it was to stand for so long: for their second half, and a frame."""
+
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not accept are a failure."""
 

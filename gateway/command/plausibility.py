@@ -21,6 +21,7 @@ from schemas.settings import (
     IMPLAUSIBLE_RATIO,
     OVERSPEED_MPS,
     OVERSPEED_NS,
+    PULSES_REST_S,
     REFERENCE_DECELERATION_MPS2,
     ROLLING_MPS,
     ROLLING_NS,
@@ -101,6 +102,8 @@ class Plausibility:
         """Begin anew, with a robot that already has this signed speed and this angle."""
         self.details: dict[Reason, str] = {}
         self._envelope = Envelope(speed_mps, angle_deg)
+        # For how long the envelope has been at rest, by the sign of the way.
+        self._rest_s = {1: PULSES_REST_S, -1: PULSES_REST_S}
         self._since_ns: dict[str, int] = {}
         self._checked_ns: int | None = None
 
@@ -116,6 +119,8 @@ class Plausibility:
         elapsed_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / 1e9
         self._checked_ns = now_ns
         self._envelope.follow(told, elapsed_s)
+        for sign, left_mps in self._left_mps.items():
+            self._rest_s[sign] = self._rest_s[sign] + elapsed_s if left_mps < STANDSTILL_MPS else 0.0
         self._count_way(chassis, elapsed_s)
         frozen = f"for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
         found = (
@@ -156,16 +161,22 @@ class Plausibility:
             return f"the wheels turn at {wheel_mps:.2f} m/s, the drive feedback says {drive_mps:.2f} m/s{fit}"
         return ""
 
+    @property
+    def _left_mps(self) -> dict[int, float]:
+        """The highest speed that the robot may still have, by the sign of the way."""
+        return {1: self._envelope.forward_mps, -1: self._envelope.backward_mps}
+
     def _rolling(self, chassis: ChassisState, told: Actuation, bound_mps: float) -> str:
         """Moves a way that is not commanded, faster than the bound beyond what is left of a ramp."""
         told_mps, wheels_mps = told.signed_speed_mps, chassis.wheel_speed_mps or 0.0
-        left_mps = {1: self._envelope.forward_mps, -1: self._envelope.backward_mps}
+        left_mps = self._left_mps
         for sign, way in ((1, "forward"), (-1, "backward")):
             if told_mps * sign > 0:
                 continue
             if wheels_mps * sign > left_mps[sign] + bound_mps:
                 return f"{way} at {abs(wheels_mps):.2f} m/s by the wheels"
-            if chassis.pulses == sign and left_mps[sign] < STANDSTILL_MPS:
+            # Before that, half of them may be of the ramp up and the other half of the ramp down, and seem steady.
+            if chassis.pulses == sign and self._rest_s[sign] >= PULSES_REST_S:
                 return f"{way} by the wheel pulses"
         fastest_mps = chassis.fastest_mps or 0.0
         if not told_mps and fastest_mps > max(left_mps.values()) + bound_mps:

@@ -142,22 +142,20 @@ class Oracle:
         self._excused_until_s = self._blind_until_s = 0.0
         self.is_damaged: Callable[[], bool] = lambda: False
         self._was_excused = False
-        self._disturbed_until_s = -9.0
+        self._disturbed_until_s = self._frozen_wheels_s = -9.0
         self._left_mps: float | None = None
         self._remote = Since()
         self._seen_mps = 0.0
         self._rest_m: float | None = None
         self._rest_sign = 0.0
         self._rest_is_stop = False
-        self._rest_bound_m = 0.0
+        self._rest_bound_m = self._start_bound_m = 0.0
         self._best_m: float | None = None
-        self._start_bound_m = 0.0
         self._asked_sign = 0.0
         self._stop_record: tuple[float, float, float, float] | None = None
         self._shadow_deg = 0.0
         self._explained = {1.0: 0.0, -1.0: 0.0}
         self._frozen_m: float | None = None
-        self._frozen_wheels_s = -9.0
         self._struck: str | None = None
         self._struck_s = self._clear_s = self._pressed_s = -9.0
         self._acknowledged = False

@@ -8,7 +8,8 @@ import pytest
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.chassis_state import ChassisState
 from gateway.command.plausibility import Plausibility, exceeds, fits, fitting_scale
-from schemas.messages import GearPosition
+from gateway.telemetry.chassis_tracker import Encoders
+from schemas.messages import GearPosition, WheelPulse
 from schemas.reasons import Reason
 
 MS = 1_000_000
@@ -189,6 +190,59 @@ def test_a_robot_that_rolls_is_found_after_100_ms(chassis: ChassisState, actuati
 def test_what_stands_or_goes_as_it_is_told_does_not_roll(chassis: ChassisState, actuation: Actuation) -> None:
     """Row 'rolling: over the standstill bound'."""
     assert Watched().found_after_ms(Reason.ROLLING, chassis, actuation) is None
+
+
+class Counted(Watched):
+    """A robot of which nothing is seen but its wheel pulses, each 50 ms, so many in a metre of each wheel."""
+
+    def __init__(self, pulses_per_m: float) -> None:
+        super().__init__()
+        self._pulses_per_m = pulses_per_m
+        self._encoders = Encoders()
+        self._frame: WheelPulse | None = None
+        self.actual_mps = self._travelled_m = 0.0
+
+    def drive(self, actuation: Actuation, seconds: float, *, obeys: bool = True) -> list[int]:
+        """Follow what it is told with the lag, or go on as before. Returns when it is found to roll, in ms."""
+        found_ms: list[int] = []
+        begun_ms = self.now_ms
+        for _ in range(round(seconds * 100)):
+            if obeys:
+                self.actual_mps += (actuation.signed_speed_mps - self.actual_mps) * 0.01 / LAG_S
+            self._travelled_m += self.actual_mps * 0.01
+            if self.now_ms % 50 == 0:
+                counted = int(self._travelled_m * self._pulses_per_m)
+                self._frame = WheelPulse(
+                    time_ns=self.now_ms * MS,
+                    sequence=0,
+                    alive_counter=self.now_ms // 50 % 16,
+                    valid=True,
+                    rear_left_pulses=counted,
+                    rear_right_pulses=counted,
+                )
+            pulses = self._encoders.direction(self._frame)
+            if Reason.ROLLING in self.run(seen(None, None, pulses=pulses), actuation):
+                found_ms.append(self.now_ms - begun_ms)
+        return found_ms
+
+
+@pytest.mark.parametrize("pulses_per_m", [800, 2000])
+@pytest.mark.parametrize("speed_mps", [0.1, 0.2])
+def test_a_short_slow_drive_of_a_slow_chassis_does_not_roll(speed_mps: float, pulses_per_m: float) -> None:
+    """Row 'rolling: beyond the ramp': as many pulses on the way down as on the way up are no steady motion."""
+    for tenths in range(3, 21):
+        watched = Counted(pulses_per_m)
+        assert watched.drive(told(speed_mps), tenths / 10) == []
+        assert watched.drive(AT_REST, 3) == [], f"driven for {tenths / 10} s"
+
+
+def test_a_robot_that_goes_on_at_zero_command_is_found_by_its_pulses() -> None:
+    """Row 'rolling: moving by wheels or pulses, whichever shows': within a second of the command."""
+    watched = Counted(800)
+    watched.drive(told(0.1), 2)
+    found_ms = watched.drive(AT_REST, 2, obeys=False)
+    assert found_ms, "not found"
+    assert found_ms[0] < 1_000
 
 
 @pytest.mark.parametrize("sign", [1, -1])
