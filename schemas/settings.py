@@ -180,7 +180,7 @@ PULSES_STEADY: Final = 0.9
 """Share of the first half of these pulses that the second half must reach."""
 
 PULSES_REST_S: Final = 0.45
-"""They show that it rolls once it was to stand for so long: for their second half, and a frame."""
+"""Wheel pulses show that a robot rolls once it should have stood for their second half, and a frame."""
 
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not accept are a failure."""

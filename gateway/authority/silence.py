@@ -6,8 +6,8 @@ restart on the longer of both counts: a clock that is set back hides at most the
 forward only lengthens the silence.
 
 An answer to the robot's challenge is of now. A list of revocations, or a rotation, is as old as it says: whoever
-kept one back, and shows it today, ends no silence with it. By a clock that is behind the list
-seems younger than it is; whatever the clock, a restart later counts from the date that it says.
+kept one back, and shows it today, ends no silence with it. Where the clock is behind, the list
+seems younger than it is; after a restart its own date counts, whatever the clock says.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class AuthoritySilence:
         self.is_heard = False
         self._begun_ns = boot_ns - on_s * _S
         self._since_s = since_s
-        self._dated_s: int | None = None  # what the word of this run says of itself
+        self._dated_s: int | None = None  # when the word of this run was signed, if it says so
 
     def hear_answer(self, boot_ns: int) -> None:
         """An answer to a challenge was received: it is of now."""

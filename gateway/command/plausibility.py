@@ -61,12 +61,14 @@ class Envelope:
 
     Attributes:
         forward_mps, backward_mps: the highest speed each way.
+        forward_rest_s, backward_rest_s: for how long that has been a robot's at rest, ``PULSES_REST_S`` at most.
         left_deg, right_deg: the furthest angles, left positive.
     """
 
     def __init__(self, speed_mps: float, angle_deg: float) -> None:
         self.forward_mps = max(0.0, speed_mps)
         self.backward_mps = max(0.0, -speed_mps)
+        self.forward_rest_s = self.backward_rest_s = PULSES_REST_S
         self.left_deg = self.right_deg = angle_deg
 
     def follow(self, told: Actuation, elapsed_s: float) -> None:
@@ -74,6 +76,8 @@ class Envelope:
         told_mps = told.signed_speed_mps
         self.forward_mps = _fallen(self.forward_mps, max(told_mps, 0.0), elapsed_s)
         self.backward_mps = _fallen(self.backward_mps, max(-told_mps, 0.0), elapsed_s)
+        self.forward_rest_s = _rested(self.forward_rest_s, self.forward_mps, elapsed_s)
+        self.backward_rest_s = _rested(self.backward_rest_s, self.backward_mps, elapsed_s)
         turned_deg = STEERING_FOLLOWS_DEGPS * elapsed_s
         self.left_deg = max(told.angle_deg, self.left_deg - turned_deg)
         self.right_deg = min(told.angle_deg, self.right_deg + turned_deg)
@@ -83,6 +87,11 @@ def _fallen(before_mps: float, told_mps: float, elapsed_s: float) -> float:
     """Return the speed that a slow chassis may still have, on its way down to the commanded one."""
     lag_mps = (before_mps - told_mps) * min(1.0, elapsed_s / DRIVE_LAG_S)
     return max(told_mps, before_mps - min(lag_mps, REFERENCE_DECELERATION_MPS2 * elapsed_s))
+
+
+def _rested(before_s: float, speed_mps: float, elapsed_s: float) -> float:
+    """Return for how long it has been at rest, if it was for so long before."""
+    return min(before_s + elapsed_s, PULSES_REST_S) if speed_mps < STANDSTILL_MPS else 0.0
 
 
 class Plausibility:
@@ -102,8 +111,6 @@ class Plausibility:
         """Begin anew, with a robot that already has this signed speed and this angle."""
         self.details: dict[Reason, str] = {}
         self._envelope = Envelope(speed_mps, angle_deg)
-        # For how long the envelope has been at rest, by the sign of the way.
-        self._rest_s = {1: PULSES_REST_S, -1: PULSES_REST_S}
         self._since_ns: dict[str, int] = {}
         self._checked_ns: int | None = None
 
@@ -119,8 +126,6 @@ class Plausibility:
         elapsed_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / 1e9
         self._checked_ns = now_ns
         self._envelope.follow(told, elapsed_s)
-        for sign, left_mps in self._left_mps.items():
-            self._rest_s[sign] = self._rest_s[sign] + elapsed_s if left_mps < STANDSTILL_MPS else 0.0
         self._count_way(chassis, elapsed_s)
         frozen = f"for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
         found = (
@@ -161,25 +166,23 @@ class Plausibility:
             return f"the wheels turn at {wheel_mps:.2f} m/s, the drive feedback says {drive_mps:.2f} m/s{fit}"
         return ""
 
-    @property
-    def _left_mps(self) -> dict[int, float]:
-        """The highest speed that the robot may still have, by the sign of the way."""
-        return {1: self._envelope.forward_mps, -1: self._envelope.backward_mps}
-
     def _rolling(self, chassis: ChassisState, told: Actuation, bound_mps: float) -> str:
         """Moves a way that is not commanded, faster than the bound beyond what is left of a ramp."""
         told_mps, wheels_mps = told.signed_speed_mps, chassis.wheel_speed_mps or 0.0
-        left_mps = self._left_mps
-        for sign, way in ((1, "forward"), (-1, "backward")):
+        envelope = self._envelope
+        for sign, way, left_mps, rest_s in (
+            (1, "forward", envelope.forward_mps, envelope.forward_rest_s),
+            (-1, "backward", envelope.backward_mps, envelope.backward_rest_s),
+        ):
             if told_mps * sign > 0:
                 continue
-            if wheels_mps * sign > left_mps[sign] + bound_mps:
+            if wheels_mps * sign > left_mps + bound_mps:
                 return f"{way} at {abs(wheels_mps):.2f} m/s by the wheels"
             # Before that, half of them may be of the ramp up and the other half of the ramp down, and seem steady.
-            if chassis.pulses == sign and self._rest_s[sign] >= PULSES_REST_S:
+            if chassis.pulses == sign and rest_s >= PULSES_REST_S:
                 return f"{way} by the wheel pulses"
         fastest_mps = chassis.fastest_mps or 0.0
-        if not told_mps and fastest_mps > max(left_mps.values()) + bound_mps:
+        if not told_mps and fastest_mps > max(envelope.forward_mps, envelope.backward_mps) + bound_mps:
             return f"at {fastest_mps:.2f} m/s"
         return ""
 

@@ -447,7 +447,7 @@ class Oracle:
 
     @staticmethod
     def _hides_auto(plant: Plant) -> bool:
-        """It obeys its last command, and says that the remote control has it: nobody can know."""
+        """True if the robot obeys its last command, and says that the remote control has it: nobody can know."""
         body = plant.shown.get(BODY)
         return plant.mode == AUTO and body is not None and body[5] == REMOTE
 
@@ -505,7 +505,7 @@ class Oracle:
         if not rolled_m:
             self._start_bound_m = 0.0
         if not plant.can_hold:
-            # What it rolls by then it has rolled, also when the motor comes back.
+            # This remains allowed when the motor comes back: by then it has rolled so far.
             self._start_bound_m = max(self._start_bound_m, _dead_motor_m(plant) + 0.2)
         if rolled_m > UNSTARTED_M + self._start_bound_m:
             self._fail("roll_back_at_start", now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg")
@@ -514,8 +514,12 @@ class Oracle:
         """A stop ends: standing, the parking brake applied, and not far away."""
         if self._stop_record is None:
             return
-        if not self._is_reachable(now_s) or self._hides_auto(plant):
+        if not self._is_reachable(now_s):
             self._stop_record = None
+            return
+        if self._hides_auto(plant):
+            # The stop begins when it can be known.
+            self._stop_record = (now_s, plant.x_m, plant.speed_mps, plant.slope_deg)
             return
         began_s, x_m, speed_mps, _ = self._stop_record
         if self._is_permitted:
