@@ -179,8 +179,8 @@ PULSES_MOVING_FRAMES: Final = 16
 PULSES_STEADY: Final = 0.9
 """Share of the first half of these pulses that the second half must reach."""
 
-PULSES_REST_S: Final = 0.45
-"""Wheel pulses show that a robot rolls once it should have stood for their second half, and a frame."""
+PULSES_REST_S: Final = 0.55
+"""Wheel pulses show that a robot rolls once it should have stood for their second half, and three frames."""
 
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not accept are a failure."""

@@ -61,7 +61,8 @@ class Envelope:
 
     Attributes:
         forward_mps, backward_mps: the highest speed each way.
-        forward_rest_s, backward_rest_s: for how long that has been a robot's at rest, ``PULSES_REST_S`` at most.
+        forward_rest_s, backward_rest_s: for how long no speed that way was commanded, and that has been a robot's
+            at rest; ``PULSES_REST_S`` at most.
         left_deg, right_deg: the furthest angles, left positive.
     """
 
@@ -73,11 +74,11 @@ class Envelope:
 
     def follow(self, told: Actuation, elapsed_s: float) -> None:
         """Advance the expected motion by the time since the last call, under this command."""
-        told_mps = told.signed_speed_mps
-        self.forward_mps = _fallen(self.forward_mps, max(told_mps, 0.0), elapsed_s)
-        self.backward_mps = _fallen(self.backward_mps, max(-told_mps, 0.0), elapsed_s)
-        self.forward_rest_s = _rested(self.forward_rest_s, self.forward_mps, elapsed_s)
-        self.backward_rest_s = _rested(self.backward_rest_s, self.backward_mps, elapsed_s)
+        forward_mps, backward_mps = max(told.signed_speed_mps, 0.0), max(-told.signed_speed_mps, 0.0)
+        self.forward_mps = _fallen(self.forward_mps, forward_mps, elapsed_s)
+        self.backward_mps = _fallen(self.backward_mps, backward_mps, elapsed_s)
+        self.forward_rest_s = _rested(self.forward_rest_s, forward_mps, self.forward_mps, elapsed_s)
+        self.backward_rest_s = _rested(self.backward_rest_s, backward_mps, self.backward_mps, elapsed_s)
         turned_deg = STEERING_FOLLOWS_DEGPS * elapsed_s
         self.left_deg = max(told.angle_deg, self.left_deg - turned_deg)
         self.right_deg = min(told.angle_deg, self.right_deg + turned_deg)
@@ -89,9 +90,9 @@ def _fallen(before_mps: float, told_mps: float, elapsed_s: float) -> float:
     return max(told_mps, before_mps - min(lag_mps, REFERENCE_DECELERATION_MPS2 * elapsed_s))
 
 
-def _rested(before_s: float, speed_mps: float, elapsed_s: float) -> float:
-    """Return for how long it has been at rest, if it was for so long before."""
-    return min(before_s + elapsed_s, PULSES_REST_S) if speed_mps < STANDSTILL_MPS else 0.0
+def _rested(before_s: float, told_mps: float, speed_mps: float, elapsed_s: float) -> float:
+    """Return for how long it has been at rest, if it was for so long before; who is told to creep never is."""
+    return 0.0 if told_mps or speed_mps >= STANDSTILL_MPS else min(before_s + elapsed_s, PULSES_REST_S)
 
 
 class Plausibility:
