@@ -221,8 +221,29 @@ def _legs(random: Random, speed_limit_mps: float) -> list[Leg]:
     return legs
 
 
+def _legs_by_stick(random: Random, speed_limit_mps: float) -> list[Leg]:
+    """Taps, turns and gaps, most of them shorter than a ramp, and some slower than what counts as standing."""
+    legs: list[Leg] = []
+    while sum(leg.lasts_s for leg in legs) < SCRIPT_S:
+        speed_mps = random.choice((-1.0, 1.0, 1.0)) * random.choice(
+            (0.02, 0.04, 0.1, random.uniform(0, speed_limit_mps))
+        )
+        angle_deg = random.choice((0.0, random.uniform(-30, 30)))
+        legs.append(Leg(random.uniform(0.04, 1.2), speed_mps, angle_deg))
+        match random.choice(("tap", "turn", "gap", "go on")):
+            case "tap":
+                legs.append(Leg(random.uniform(0.02, 1.5), 0.0, angle_deg))
+            case "turn":
+                legs.append(Leg(random.uniform(0.1, 2.0), -speed_mps, -angle_deg))
+            case "gap":
+                legs.append(Leg(random.uniform(0.1, 0.6), streams=False))
+            case _:
+                pass
+    return legs
+
+
 def scenario(seed: int) -> Scenario:
-    """The scenario of a seed."""
+    """The scenario of a seed. In every third one the operator has a stick."""
     random = Random(seed)  # noqa: S311 - scenarios keep no secrets
     kind = random.choices(("undisturbed", "disturbed", "guard", "found"), (30, 50, 15, 5))[0]
     found = frozenset({random.choice((DRIVE, BODY, WHEELS))} if kind == "found" and random.random() < 0.6 else ())
@@ -261,7 +282,7 @@ def scenario(seed: int) -> Scenario:
         link_s=random.choice((0.0, 0.02, 0.1)),
         loss=LOSS if is_lossy else 0.0,
         corruption=CORRUPTION if is_lossy else 0.0,
-        legs=_legs(random, speed_limit_mps),
+        legs=(_legs if seed % 3 else _legs_by_stick)(random, speed_limit_mps),
         gives_up_s=random.uniform(0.3, 2.0),
         recovers=random.random() < 0.8,
         acts=sorted(acts, key=lambda act: act.at_s),
