@@ -6,6 +6,7 @@ than those whose hashes it names, and nothing be fetched.
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
@@ -46,7 +47,7 @@ def page(report: Report, plotly_js: str, whys: Whys = MappingProxyType({}), logs
 
     Args:
         report: its content.
-        plotly_js: the library that draws; it is part of the page.
+        plotly_js: the library that draws; it is part of the page, packed.
         whys: the reasons of the stops, as far as they were looked for.
         logs: the logs, as a shell has them, for commands that the page names.
     """
@@ -79,7 +80,7 @@ def page(report: Report, plotly_js: str, whys: Whys = MappingProxyType({}), logs
         files="\n".join(_files(report)),
         version=text(report.version),
         charts=safe_json(charts),
-        plotly=plotly_js,
+        plotly=b64encode(gzip.compress(plotly_js.encode(), compresslevel=6, mtime=0)).decode(),
         script=script,
     )
 

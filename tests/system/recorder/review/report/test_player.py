@@ -132,6 +132,15 @@ def test_an_address_that_leads_nowhere_is_said_so(page: Page, drive: Path, addre
     assert page.locator("#note").text_content() == said
 
 
+def test_a_browser_that_cannot_unpack_the_charts_says_so(page: Page, drive: Path) -> None:
+    """One from before 2023; all else is on the page."""
+    page.add_init_script("delete window.DecompressionStream")
+    page.goto(drive.as_uri())
+    page.locator("#note", has_text="a browser of 2023 or later").wait_for()
+    assert page.locator("#drive-1 tr[data-ms]", has_text="front_bumper").first.is_visible()
+    assert page.locator(".main-svg").count() == 0
+
+
 def test_an_events_link_leads_to_its_moment_and_back(page: Page, drive: Path) -> None:
     """The address has it, and its row is marked; the way back is the browser's."""
     opened(page, drive)

@@ -1,7 +1,10 @@
 """The page of a report, as text."""
 
+import gzip
+import hashlib
 import json
 import re
+from base64 import b64decode, b64encode
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -71,6 +74,17 @@ def test_the_page_names_nothing_outside_itself(report: Report) -> None:
     (policy,) = (one["content"] or "" for one in elements.of("meta") if "http-equiv" in one)
     assert policy.startswith("default-src 'none'")
     assert "unsafe-inline" not in policy.partition("script-src")[2]
+
+
+def test_the_library_that_draws_is_packed_and_no_other_script_may_run(report: Report) -> None:
+    """The policy names the hash of what comes out, by which a browser lets it run."""
+    library = "draw();\n" * 10_000
+    html = page(report, library)
+    (packed,) = re.findall(r'<script type="text/plain" id="plotly">([^<]*)</script>', html)
+    assert len(packed) < len(library) / 10
+    assert gzip.decompress(b64decode(packed)).decode() == library
+    assert f"'sha256-{b64encode(hashlib.sha256(library.encode()).digest()).decode()}'" in html
+    assert page(report, library) == html
 
 
 def test_the_page_can_be_read_without_seeing_it(report: Report) -> None:
