@@ -38,7 +38,8 @@ CHANGES: Final[dict[int, str]] = {
     4: "a drive command whose seq is more than 1,000 above the last accepted one is refused; "
     "five wrong checksums in a second stop the robot, three before; "
     "wheel pulses are counted per period, so that a lost frame makes no slowing robot look steady",
-    5: "wheel pulses alone show that a robot rolls only 0.55 s after it should have come to rest",
+    5: "wheel pulses alone show that a robot rolls only 0.55 s after it should have come to rest; "
+    "drive feedback beyond what the chassis can do shows that it moves",
 }
 """The changes that each version of the rules brought."""
 

@@ -102,7 +102,7 @@ class ChassisTracker:
             speed_mps=drive.speed_mps if drive is not None else None,
             wheel_speed_mps=_mean_mps(wheels),
             fastest_wheel_mps=_fastest_mps(wheels),
-            turns=self._turns(),
+            turns=self._turns(now_ns),
             pulses=self._encoders.direction(self._latest(WHEEL_PULSE, WheelPulse)),
             angle_deg=steering.angle_deg if steering is not None else None,
             front_bumper=front or (_bumper(body, body.front_bumper) if body is not None else None),
@@ -147,10 +147,13 @@ class ChassisTracker:
             if implausible.faults and implausible.has_failed(now_ns):
                 yield name
 
-    def _turns(self) -> bool | None:
+    def _turns(self, now_ns: int) -> bool | None:
         """Return whether the drive feedback is not zero, in whatever scale: in motion no variant shows."""
-        data = self._streams[DRIVE].data
-        return None if data is None else int.from_bytes(data[1:3], "little") >= TURNING_RAW_MIN
+        drive = self._streams[DRIVE]
+        if drive.data is None:
+            # Beyond what this chassis can do is not zero either, as it reads where the wrong scale is configured.
+            return drive.supervisor.implausible.has_failed(now_ns) or None
+        return int.from_bytes(drive.data[1:3], "little") >= TURNING_RAW_MIN
 
 
 class Encoders:

@@ -728,6 +728,23 @@ def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str,
     assert found.speed_mps == 0
 
 
+@pytest.mark.parametrize("configured", ["coarse", "fine"])
+@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
+@pytest.mark.parametrize("speed_mps", [0.1, -2.0])
+def test_a_robot_found_moving_is_stopped_whatever_scale_is_configured(
+    speed_mps: float, variant: Variant, configured: str
+) -> None:
+    """Row 'found at start: moving by drive': read in the wrong scale it is beyond belief; and no pulses come."""
+    rig, _ = driving(speed_mps, variant=variant)
+    found = GatewayRig(variant, configured=configured, now_ns=rig.now_ns)
+    found.chassis = rig.chassis
+    found.fault("silence Auto_WheelPulseFeedback")
+    found.run(0.3)
+    assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
+    found.until(lambda: found.says.state is ArbiterState.STANDBY, 8)
+    assert found.speed_mps == 0
+
+
 def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
     """Row 'standing by: silent on the bus (another computer may own it)'."""
     rig, _ = driving(1.0)
