@@ -153,7 +153,7 @@ class Oracle:
         self._best_m: float | None = None
         self._asked_sign = 0.0
         self._stop_record: tuple[float, float, float, float] | None = None
-        self._shadow_deg = 0.0
+        self._left_deg = self._right_deg = 0.0
         self._explained = {1.0: 0.0, -1.0: 0.0}
         self._frozen_m: float | None = None
         self._struck: str | None = None
@@ -552,7 +552,7 @@ class Oracle:
         if not self._gateway_lives or not commands or order is None or is_blind:
             for name in ("roll1.0", "roll-1.0", "stuck", "fast", "lateral", "drive", "brake"):
                 self._timer(name).lasts(now_s, holds=False)
-            self._shadow_deg = plant.angle_deg
+            self._left_deg = self._right_deg = plant.angle_deg
             self._explained = {1.0: plant.speed_mps, -1.0: -plant.speed_mps}
             return
         speed_mps = plant.speed_mps
@@ -574,12 +574,12 @@ class Oracle:
             if lasts_s > allowed_s + (GUARD_BRAKE_S if self._is_guards else 0.0):
                 kind = "rolling_against" if order.speed_mps else "rolling_unnoticed"
                 self._fail(kind, now_s, f"{speed_mps:.2f} m/s, told {order.signed_mps:.2f}, no parking request")
-        # Steering: as it is shown, against a follower that is slower than any chassis.
+        # Steering: as it is shown, between what was told lately and followers that are slower than any chassis.
         shown_deg = (int.from_bytes(shown[STEERING][1:3], "little") & 0xFFF) * 0.043945 - 90
-        follow = 25.0 * TICK_S
-        self._shadow_deg += max(-follow, min(follow, order.angle_deg - self._shadow_deg))
-        low, high = sorted((self._shadow_deg, order.angle_deg))
-        off = not low - STUCK_DEG < shown_deg < high + STUCK_DEG
+        follow_deg = 25.0 * TICK_S
+        self._left_deg = max(order.angle_deg, self._left_deg - follow_deg)
+        self._right_deg = min(order.angle_deg, self._right_deg + follow_deg)
+        off = not self._right_deg - STUCK_DEG < shown_deg < self._left_deg + STUCK_DEG
         self._expect_latch("stuck", "steering_unnoticed", 0.3, now_s, f"{shown_deg:.1f} deg", holds=off)
         fast = self._is_permitted and abs(speed_mps) > self._limit_mps + 0.3 + 2 * self._bit_mps
         self._expect_latch("fast", "overspeed_unnoticed", 0.3, now_s, f"{speed_mps:.2f} m/s", holds=fast)
