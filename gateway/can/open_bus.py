@@ -6,6 +6,7 @@ import logging
 import select
 import socket
 from collections.abc import Collection
+from contextlib import ExitStack, suppress
 from typing import Any, Final
 
 import can
@@ -93,15 +94,39 @@ def _probe(host: str, port: int) -> None:
 
 
 class _SocketcandBus(SocketCanDaemonBus):
-    """python-can's socketcand client, which gives up a server that does not answer its handshake."""
+    """python-can's socketcand client, but for how it reads the handshake's answers.
+
+    python-can waits for them without end, and takes whatever has arrived by then for the answer: on a busy bus the
+    first frames too, which fails the handshake.
+    """
 
     def _expect_msg(self, msg: str) -> None:
-        # python-can receives without a timeout.
         stream = stream_socket(self)
-        if stream is not None and not select.select([stream], [], [], HANDSHAKE_TIMEOUT_S)[0]:
-            stream.close()
-            raise TimeoutError(f"the server did not answer with {msg!r} within {HANDSHAKE_TIMEOUT_S:g} s")
-        super()._expect_msg(msg)  # type: ignore[no-untyped-call]
+        if stream is None:  # A python-can that keeps it elsewhere.
+            super()._expect_msg(msg)  # type: ignore[no-untyped-call]
+            return
+        with ExitStack() as failing:
+            failing.callback(stream.close)
+            answer = _read(stream, len(msg))
+            if answer != msg.encode():
+                with suppress(BlockingIOError):
+                    answer += stream.recv(256, socket.MSG_DONTWAIT)
+                said = answer.decode("ascii", "replace")
+                raise can.CanError(f"the server answered {said!r}, not {msg!r}")
+            failing.pop_all()
+
+
+def _read(stream: socket.socket, count: int) -> bytes:
+    """Return the next bytes of an answer, so many."""
+    read = b""
+    while len(read) < count:
+        if not select.select([stream], [], [], HANDSHAKE_TIMEOUT_S)[0]:
+            raise TimeoutError(f"the server did not answer within {HANDSHAKE_TIMEOUT_S:g} s")
+        part = stream.recv(count - len(read))
+        if not part:
+            raise can.CanError("the server hung up instead of answering")
+        read += part
+    return read
 
 
 def _is_library_missing(error: Exception) -> bool:

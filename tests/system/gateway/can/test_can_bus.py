@@ -48,8 +48,10 @@ def test_no_server_is_a_lost_bus() -> None:
 
 
 @contextmanager
-def server(greeting: bytes, answers: int = 2) -> Iterator[tuple[str, Callable[[], None]]]:
-    """A TCP server that greets, answers so many lines with ok, and hangs up when told to."""
+def server(
+    greeting: bytes, answers: int = 2, answer: bytes = b"< ok >", last: bytes = b""
+) -> Iterator[tuple[str, Callable[[], None]]]:
+    """A TCP server that greets, answers so many lines, the last one with more, and hangs up when told to."""
     hang_up = threading.Event()
 
     def serve() -> None:
@@ -67,8 +69,8 @@ def server(greeting: bytes, answers: int = 2) -> Iterator[tuple[str, Callable[[]
                         if not client.recv(256):
                             break
                         if answered < answers:
-                            client.sendall(b"< ok >")
                             answered += 1
+                            client.sendall(answer + (last if answered == answers else b""))
                     except TimeoutError:
                         continue
 
@@ -99,7 +101,28 @@ def test_a_server_that_falls_silent_is_a_lost_bus(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("gateway.can.open_bus.HANDSHAKE_TIMEOUT_S", 0.5)
     with (
         server(b"< hi >", answers) as (channel, _),
-        pytest.raises(BusLost, match=f"{channel}: the server did not answer with '< ok >' within 0.5 s"),
+        pytest.raises(BusLost, match=f"{channel}: the server did not answer within 0.5 s"),
+    ):
+        open_bus(CanSettings(interface="socketcand", channel=channel))
+
+
+def test_frames_right_behind_the_handshake_are_frames() -> None:
+    """On a busy bus they come in one segment with the answer."""
+    with server(b"< hi >", last=b"< frame 18C4D1EF 23.424242 0102030405060708 >") as (channel, _):
+        bus = open_bus(CanSettings(interface="socketcand", channel=channel))
+        try:
+            frame = bus.receive(DEADLINE_S)
+            assert frame is not None
+            assert (frame.can_id, frame.data) == (EXTENDED | 0x18C4D1EF, bytes(range(1, 9)))
+        finally:
+            bus.close()
+
+
+def test_a_server_that_refuses_the_bus_is_told_in_its_words() -> None:
+    """As socketcand says it of a bus that is not there."""
+    with (
+        server(b"< hi >", answer=b"< error could not open bus >") as (channel, _),
+        pytest.raises(BusLost, match="the server answered '< error could not open bus >', not '< ok >'"),
     ):
         open_bus(CanSettings(interface="socketcand", channel=channel))
 
