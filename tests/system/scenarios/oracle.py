@@ -375,6 +375,10 @@ class Oracle:
         self._begin_stop(now_s)
         self.disturb(now_s, 6.0)
 
+    def gateway_returns(self) -> None:
+        """Another gateway begins. It knows of no bumper that was acknowledged, and of no latch but the guard's."""
+        self._latched, self._acknowledged = [], False
+
     def line(self, now_s: float) -> str:
         """What is asked, told and true now, for a person."""
         order, plant = self._order, self._plant

@@ -48,11 +48,15 @@ class Gateway:
         samples: all that was published, if it is kept.
     """
 
-    def __init__(self, settings: Settings, random: Random, *, keeps: bool) -> None:
+    def __init__(
+        self, settings: Settings, random: Random, *, keeps: bool, now_ns: int = 0, stopped_before: bool = False
+    ) -> None:
         self._settings = settings
         self._random = random
         self._run = random.getrandbits(48)
-        self._core = Core(settings, "", 0, self._run)
+        self._core = Core(settings, "", now_ns, self._run)
+        if stopped_before:
+            self._core.latch_guard_stop("the guard stopped the robot", now_ns)
         self._takes_challenge = "challenge" in signature(Core.tick).parameters
         self._known_links = set(Links.__struct_fields__)
         self._requests: list[tuple[str, Fields]] = []
@@ -86,8 +90,8 @@ class Gateway:
             if self._keeps and sample is not None:
                 self.samples.append(sample)
 
-    def tick(self, now_ns: int, late_ns: int, guard: GuardView) -> list[CanFrame]:
-        """One tick of the loop; the bus takes all frames, unless the guard has the robot."""
+    def tick(self, now_ns: int, late_ns: int, guard: GuardView, *, former_sends: bool = False) -> list[CanFrame]:
+        """One tick of the loop; the bus takes all frames, unless a guard has the robot: ours or the former."""
         for verb, fields in self._requests:
             self._handle += 1
             handle = 0 if verb in PUTS else self._handle
@@ -98,7 +102,7 @@ class Gateway:
         links = {
             "bus_up": True,
             "guarded": guard.is_watching,
-            "guard_sends": guard.is_sending,
+            "guard_sends": guard.is_sending or (former_sends and self._core.hears_commands(now_ns)),
             "guard_stops": guard.stops,
             "realtime": True,
         }
@@ -161,6 +165,14 @@ class Guard:
         self._guardian = Guardian(settings)
         self._beat: Beat | None = None
         self.lines: list[str] = []
+
+    @property
+    def is_sending(self) -> bool:
+        return self._guardian.is_sending
+
+    @property
+    def has_stopped(self) -> bool:
+        return self._guardian.stops > 0
 
     def view(self, now_ns: int) -> GuardView:
         """The guard, as the loop sees it."""
@@ -363,6 +375,7 @@ class Rig:
     """Everything together, tick by tick.
 
     Attributes:
+        guards: that of the gateway last, before it those of the gateways that died.
         hangs: the gateway's process stands still; ``dead``: it is gone.
         now_s: since the start.
     """
@@ -370,7 +383,8 @@ class Rig:
     def __init__(
         self, plant: Plant, gateway: Gateway, operator: Operator, bus: Bus, judge: Judge, guard: Guard | None
     ) -> None:
-        self.plant, self.gateway, self.operator, self.bus, self.guard = plant, gateway, operator, bus, guard
+        self.plant, self.gateway, self.operator, self.bus = plant, gateway, operator, bus
+        self.guards = [] if guard is None else [guard]
         self.judge = judge
         self.hangs = self.dead = False
         self.now_ns = 0
@@ -390,14 +404,21 @@ class Rig:
             self.now_ns += STEP_NS
             frames = self.bus.carry(self.plant.step(), self.now_ns)
             self._waiting += frames
-            if self.guard is not None:
-                self.guard.hear(frames, self.now_ns)
+            self._let_hear(frames)
             if self.now_ns % TICK_NS == 0:
                 self.judge.motion(self.plant, self.now_s, gateway_lives=not self.hangs and not self.dead)
                 self._operate()
                 self._run_gateway()
-            if self.guard is not None:
-                self._send(self.guard.tick(self.now_ns, parent_lives=not self.dead), by_guard=True)
+            for guard in self.guards:
+                lives = guard is self.guards[-1] and not self.dead
+                self._send(guard.tick(self.now_ns, parent_lives=lives), guard)
+
+    def succeed(self, gateway: Gateway, guard: Guard) -> None:
+        """Another gateway begins in the place of the dead one, whose guard may still be stopping the robot."""
+        self.gateway, self.dead, self.hangs = gateway, False, False
+        self.guards.append(guard)
+        self._hung_ns, self._waiting = 0, []
+        self._up.clear()
 
     def ask(self, verb: str) -> None:
         """Somebody else asks for something that needs no lease."""
@@ -426,28 +447,33 @@ class Rig:
             _, verb, fields = self._up.popleft()
             self.gateway.ask(verb, fields)
             self.judge.requests(verb, fields, self.now_s)
-        view = self.guard.view(now_ns) if self.guard is not None else GuardView(is_watching=True)
+        view = self.guards[-1].view(now_ns) if self.guards else GuardView(is_watching=True)
         before = self.gateway.state
-        frames = self.gateway.tick(now_ns, late_ns, view)
+        former_sends = any(guard.is_sending for guard in self.guards[:-1])
+        frames = self.gateway.tick(now_ns, late_ns, view, former_sends=former_sends)
         for verb, reply in self.gateway.replies:
             self._down.append((now_ns + self.link_ns, verb, reply))
             self.judge.reply(verb, reply, self.now_s)
         if self.gateway.state is not before:
             self._down.append((now_ns + self.link_ns, "", self.gateway.state))
             self.judge.state(self.gateway.state, self.now_s)
-        self._send(frames, by_guard=False)
-        if self.guard is not None:
-            self.guard.told(self.gateway, now_ns)
+        self._send(frames)
+        if self.guards:
+            self.guards[-1].told(self.gateway, now_ns)
 
-    def _send(self, frames: list[CanFrame], *, by_guard: bool) -> None:
-        if not by_guard or frames:
-            self.judge.frames(frames, self.now_s, by_guard=by_guard)
+    def _let_hear(self, frames: list[CanFrame], sender: Guard | None = None) -> None:
+        for guard in self.guards:
+            if guard is not sender:
+                guard.hear(frames, self.now_ns)
+
+    def _send(self, frames: list[CanFrame], guard: Guard | None = None) -> None:
+        if guard is None or frames:
+            self.judge.frames(frames, self.now_s, by_guard=guard is not None)
         if not frames:
             return
         arrived = self.bus.carry(frames, self.now_ns)
         for identifier, data in arrived:
             self.plant.receive(identifier, data)
-        if by_guard:
+        if guard is not None:
             self._waiting += arrived
-        elif self.guard is not None:
-            self.guard.hear(arrived, self.now_ns)
+        self._let_hear(arrived, guard)

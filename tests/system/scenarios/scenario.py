@@ -60,6 +60,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         found_mps: at the start the chassis drives by itself at this speed; 0 if it stands.
         fails_s, hangs_s: when the gateway's process fails, and for how long; without a guard never.
+        returns_s: so long after one that fails for ever, another one begins; 0: none does.
         limit_s: it ends then.
     """
 
@@ -79,6 +80,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     found_mps: float = 0.0
     fails_s: float = 0.0
     hangs_s: float = 0.0
+    returns_s: float = 0.0
     limit_s: float = LIMIT_S
 
     @property
@@ -290,6 +292,7 @@ def scenario(seed: int) -> Scenario:
         found_mps=random.uniform(0.3, 1.8) if kind == "found" else 0.0,
         fails_s=fails_s,
         hangs_s=random.choice((FOREVER_S, random.uniform(0.15, 2.0))) if fails_s else 0.0,
+        returns_s=random.choice((0.0, random.uniform(0.4, 8.0))) if fails_s else 0.0,
     )
 
 
@@ -304,7 +307,8 @@ class Play:
         self.plant.pedal_gain = plan.pedal_gain
         if plan.found_mps:
             self.plant.found_driving(random.choice((GEAR_D, GEAR_R)), plan.found_mps)
-        settings = Settings(
+        self._random, self._keeps = random, keeps
+        self._settings = settings = Settings(
             command=CommandSettings(speed_limit_mps=plan.speed_limit_mps),
             chassis=ChassisSettings(variant="fine" if plan.build.fine else "coarse"),
         )
@@ -374,11 +378,14 @@ class Play:
     def _fail_gateway(self, now_s: float) -> None:
         rig, oracle = self.rig, self.oracle
         rig.hangs, rig.dead = True, self.plan.hangs_s == FOREVER_S
+        returns_s = now_s + (self.plan.returns_s or FOREVER_S)
+        if rig.dead:
+            self._checks.append((returns_s, self._begin_gateway))
         if oracle.is_commanded:
             speed_mps = abs(self.plant.speed_mps)
             self._checks.append((now_s + GUARD_S, lambda at_s: oracle.expect_frames(at_s, "guard_late")))
             rest_s = now_s + speed_mps / 1.2 + 4.0
-            if self.plan.hangs_s == FOREVER_S:
+            if rig.dead and returns_s > rest_s:
                 # One that comes back may drive again by then.
                 self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest")))
             oracle.gateway_fails(now_s)
@@ -386,6 +393,19 @@ class Play:
     def _revive_gateway(self, now_s: float) -> None:
         del now_s
         self.rig.hangs = False
+
+    def _begin_gateway(self, now_s: float) -> None:
+        del now_s
+        rig = self.rig
+        self.gateway = Gateway(
+            self._settings,
+            self._random,
+            keeps=self._keeps,
+            now_ns=rig.now_ns,
+            stopped_before=rig.guards[-1].has_stopped,
+        )
+        rig.succeed(self.gateway, Guard(self._settings.command))
+        self.oracle.gateway_returns()
 
     def _turn_knobs(self) -> None:
         now_s = self.rig.now_s
