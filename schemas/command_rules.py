@@ -39,7 +39,8 @@ CHANGES: Final[dict[int, str]] = {
     "five wrong checksums in a second stop the robot, three before; "
     "wheel pulses are counted per period, so that a lost frame makes no slowing robot look steady",
     5: "wheel pulses alone show that a robot rolls only 0.55 s after it should have come to rest; "
-    "drive feedback beyond what the chassis can do shows that it moves",
+    "drive feedback beyond what the chassis can do shows that it moves; where there is none, so do wheel speeds "
+    "of an unknown scale",
 }
 """The changes that each version of the rules brought."""
 

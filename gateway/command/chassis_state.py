@@ -24,7 +24,8 @@ class ChassisState(msgspec.Struct, frozen=True):
         speed_mps: the drive feedback, a magnitude.
         wheel_speed_mps: mean of the rear wheels, signed.
         fastest_wheel_mps: the faster of the two, a magnitude.
-        turns: the raw drive feedback is not zero: the robot moves, in whatever scale.
+        turns: the raw drive feedback is not zero, or there is none and the raw wheel speeds are not those of
+            standstill: the robot moves, in whatever scale.
         pulses: the direction in which the wheel encoders count, 1 forward, -1 backward; 0 while they stand still
             or are not known. The manual gives no resolution, so they give a direction and no speed.
         commander_ns: when another computer's command frame was last received; None if never.

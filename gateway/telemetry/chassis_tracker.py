@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import TypeVar
 
 from gateway.chassis.cruiser.frames import BODY, DRIVE, GEAR, PARKING, STEERING, WHEEL_PULSE, WHEEL_SPEED
-from gateway.chassis.cruiser.variant import VariantDetector
+from gateway.chassis.cruiser.variant import StandstillEvidence, VariantDetector
 from gateway.chassis.supervision import silence_ns
 from gateway.command.chassis_state import ChassisState
 from gateway.telemetry.feedback import FeedbackStream
@@ -52,6 +52,7 @@ class ChassisTracker:
         self._encoders = Encoders()
         self._hits = [False, False]
         self._detector = detector
+        self._evidence = StandstillEvidence()
         # A frame that says that it is not valid is waited for as long as one that stays away.
         self._patience_ns = {
             name: silence_ns(self._streams[name].layout.period_ns) for name in (WHEEL_SPEED, BODY)
@@ -148,12 +149,17 @@ class ChassisTracker:
                 yield name
 
     def _turns(self, now_ns: int) -> bool | None:
-        """Return whether the drive feedback is not zero, in whatever scale: in motion no variant shows."""
-        drive = self._streams[DRIVE]
-        if drive.data is None:
+        """Return whether the drive feedback is not zero, in whatever scale: in motion no variant shows.
+
+        Where there is none, the wheels tell.
+        """
+        drive, wheels = self._streams[DRIVE], self._streams[WHEEL_SPEED]
+        if drive.data is not None:
+            return int.from_bytes(drive.data[1:3], "little") >= TURNING_RAW_MIN
+        if drive.supervisor.implausible.has_failed(now_ns):
             # Beyond what this chassis can do is not zero either, as it reads where the wrong scale is configured.
-            return drive.supervisor.implausible.has_failed(now_ns) or None
-        return int.from_bytes(drive.data[1:3], "little") >= TURNING_RAW_MIN
+            return True
+        return None if wheels.data is None else self._evidence.turns(wheels.data)
 
 
 class Encoders:

@@ -48,6 +48,11 @@ class StandstillEvidence:
                 return variant
         return Variant.UNKNOWN
 
+    def turns(self, data: bytes) -> bool | None:
+        """Return True if these eight bytes are of no standing robot in any variant; None if they are not valid."""
+        read, _ = self._readers[Variant.COARSE]
+        return self.of(data) is Variant.UNKNOWN if read(data)["Valid"] else None
+
 
 class VariantDetector:
     """Collects evidence until it is enough; afterwards watches for evidence to the contrary.

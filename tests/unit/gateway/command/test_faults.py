@@ -745,6 +745,21 @@ def test_a_robot_found_moving_is_stopped_whatever_scale_is_configured(
     assert found.speed_mps == 0
 
 
+@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
+@pytest.mark.parametrize("speed_mps", [0.2, -2.0])
+def test_a_robot_found_moving_is_stopped_by_wheels_of_unknown_scale(speed_mps: float, variant: Variant) -> None:
+    """Row 'found at start: moving by drive, wheels or pulses': neither of the others comes."""
+    rig, _ = driving(speed_mps, variant=variant)
+    found = GatewayRig(variant, configured="auto", now_ns=rig.now_ns)
+    found.chassis = rig.chassis
+    found.fault("silence Auto_DriveFeedBack")
+    found.fault("silence Auto_WheelPulseFeedback")
+    found.run(0.4)
+    assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
+    found.until(lambda: found.says.state is ArbiterState.STANDBY, 8)
+    assert found.speed_mps == 0
+
+
 def test_a_robot_that_another_computer_drives_is_left_alone() -> None:
     """Row 'standing by: silent on the bus (another computer may own it)'."""
     rig, _ = driving(1.0)

@@ -180,12 +180,37 @@ def test_a_frame_that_falls_silent_is_missing(name: str) -> None:
     unknown = {
         "Auto_GearFeedBack": seen.gear is GearPosition.UNDEFINED,
         "Auto_SteeringFeedBack": seen.angle_deg is None,
-        DRIVE: seen.speed_mps is None and seen.turns is None,
+        # The wheels tell in its place that nothing turns.
+        DRIVE: seen.speed_mps is None and seen.turns is False,
         WHEEL_SPEED: seen.wheel_speed_mps is None,
         "Auto_ParkingFeedBack": seen.brake is ParkingStatus.UNDEFINED,
         BODY: (seen.mode, seen.front_bumper, seen.rear_bumper) == (Mode.UNDEFINED, None, None),
     }
     assert unknown.get(name, True)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "turns"),
+    [
+        ({}, False),
+        ({"RearLeftSpeed": 0.2, "RearRightSpeed": 0.2}, True),
+        ({"RearLeftSpeed": -0.2, "RearRightSpeed": 0.2}, True),
+        ({"Valid": False}, None),
+        (None, None),
+    ],
+)
+@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
+def test_without_drive_feedback_the_wheels_tell_that_something_turns(
+    variant: Variant, wheels: dict[str, Value] | None, *, turns: bool | None
+) -> None:
+    """In a scale that nobody knows; wheels that are not valid, or do not come, tell nothing."""
+    eye = Eye(variant)
+    for stream in eye.streams.values():
+        stream.withhold()
+    eye.show_all(but=(DRIVE, WHEEL_SPEED))
+    if wheels is not None:
+        eye.show(WHEEL_SPEED, wheels)
+    assert eye.look().turns is turns
 
 
 @pytest.mark.parametrize("name", [WHEEL_SPEED, BODY])
