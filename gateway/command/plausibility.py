@@ -91,7 +91,7 @@ def _fallen(before_mps: float, told_mps: float, elapsed_s: float) -> float:
 
 
 def _rested(before_s: float, told_mps: float, speed_mps: float, elapsed_s: float) -> float:
-    """Return for how long it has been at rest, if it was for so long before; who is told to creep never is."""
+    """Return for how long it has been at rest, if it was for so long before. Told to creep, it never is."""
     return 0.0 if told_mps or speed_mps >= STANDSTILL_MPS else min(before_s + elapsed_s, PULSES_REST_S)
 
 

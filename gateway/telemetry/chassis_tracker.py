@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import TypeVar
 
 from gateway.chassis.cruiser.frames import BODY, DRIVE, GEAR, PARKING, STEERING, WHEEL_PULSE, WHEEL_SPEED
-from gateway.chassis.cruiser.variant import StandstillEvidence, VariantDetector
+from gateway.chassis.cruiser.variant import VariantDetector
 from gateway.chassis.supervision import silence_ns
 from gateway.command.chassis_state import ChassisState
 from gateway.telemetry.feedback import FeedbackStream
@@ -52,7 +52,6 @@ class ChassisTracker:
         self._encoders = Encoders()
         self._hits = [False, False]
         self._detector = detector
-        self._evidence = StandstillEvidence()
         # A frame that says that it is not valid is waited for as long as one that stays away.
         self._patience_ns = {
             name: silence_ns(self._streams[name].layout.period_ns) for name in (WHEEL_SPEED, BODY)
@@ -159,7 +158,7 @@ class ChassisTracker:
         if drive.supervisor.implausible.has_failed(now_ns):
             # Beyond what this chassis can do is not zero either, as it reads where the wrong scale is configured.
             return True
-        return None if wheels.data is None else self._evidence.turns(wheels.data)
+        return None if wheels.data is None else self._detector.evidence.turns(wheels.data)
 
 
 class Encoders:

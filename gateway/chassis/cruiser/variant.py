@@ -61,11 +61,12 @@ class VariantDetector:
         variant: the configured variant, or the one that the evidence confirmed, or UNKNOWN.
         confirmed: the evidence agrees with ``variant``.
         contradicted: the evidence is against it; no speed can be trusted.
+        evidence: reads it in a frame.
     """
 
     def __init__(self, configured: Variant) -> None:
         self._configured = configured
-        self._evidence = StandstillEvidence()
+        self.evidence = StandstillEvidence()
         self.reset()
 
     def reset(self) -> None:
@@ -78,7 +79,7 @@ class VariantDetector:
 
     def receive_wheel_speed(self, data: bytes) -> FaultKind | None:
         """Take a valid wheel speed frame as evidence. Returns a fault if it speaks for another variant."""
-        evidence = self._evidence.of(data)
+        evidence = self.evidence.of(data)
         self._streak = self._streak + 1 if evidence == self._candidate else 1
         self._candidate = evidence
         if evidence is Variant.UNKNOWN:

@@ -239,8 +239,6 @@ def _legs_by_stick(random: Random, speed_limit_mps: float) -> list[Leg]:
                 legs.append(Leg(random.uniform(0.1, 2.0), -speed_mps, -angle_deg))
             case "gap":
                 legs.append(Leg(random.uniform(0.1, 0.6), streams=False))
-            case _:
-                pass
     return legs
 
 
@@ -378,14 +376,14 @@ class Play:
     def _fail_gateway(self, now_s: float) -> None:
         rig, oracle = self.rig, self.oracle
         rig.hangs, rig.dead = True, self.plan.hangs_s == FOREVER_S
-        returns_s = now_s + (self.plan.returns_s or FOREVER_S)
+        next_s = now_s + (self.plan.returns_s or FOREVER_S)
         if rig.dead:
-            self._checks.append((returns_s, self._begin_gateway))
+            self._checks.append((next_s, self._begin_gateway))
         if oracle.is_commanded:
             speed_mps = abs(self.plant.speed_mps)
             self._checks.append((now_s + GUARD_S, lambda at_s: oracle.expect_frames(at_s, "guard_late")))
             rest_s = now_s + speed_mps / 1.2 + 4.0
-            if rig.dead and returns_s > rest_s:
+            if rig.dead and next_s > rest_s:
                 # One that comes back may drive again by then.
                 self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest")))
             oracle.gateway_fails(now_s)
