@@ -8,11 +8,12 @@ of ``SEEING_S``: a 50 ms frame, one of them lost, and a tick.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import radians, tan
+from math import radians, sqrt, tan
 from typing import Any, Final
 
 import msgspec
 
+from schemas.settings import CommandSettings
 from tests.system.scenarios.plant import (
     AUTO,
     BODY,
@@ -41,10 +42,7 @@ BELIEVED_MPS: Final = 3.0
 MOVES_MPS: Final = 0.1
 """Seen to move for certain: the standstill bound, 0.05 m/s, and a coarse bit."""
 
-ACCELERATION_MPS2, DECELERATION_MPS2, EMERGENCY_MPS2 = 0.8, 1.2, 2.0
-LATERAL_MPS2: Final = 1.5
-STEERING_DEG, STEERING_DEGPS, ANGLE_BIT_DEG = 24.0, 60.0, 0.044
-DEADMAN_S: Final = 0.3
+ANGLE_BIT_DEG: Final = 0.044
 GUARD_BRAKE_S: Final = 1.0
 """The guard knows a stop alone: while the robot slows down it waits so long at zero speed for it to stand."""
 
@@ -67,8 +65,8 @@ STUCK_DEG: Final = 6.5
 LAGGING_S, LAGGING_MPS2 = 0.4, 0.8
 """The slowest drive that a gateway has to allow for: its lag, and how fast it slows down."""
 
-FOLLOWS_MPS2: Final = 1.5
-"""With less than this the motor cannot follow the ramps down this hill, and a stop is no false one."""
+FOLLOWS_MPS2: Final = 0.3
+"""With less than this beyond the ramps the motor cannot follow them down this hill, and a stop is no false one."""
 
 Fields = dict[str, Any]
 
@@ -108,11 +106,11 @@ class Oracle:
         was_driven_m: metres travelled, so that a suite in which nothing moves is noticed.
     """
 
-    def __init__(self, speed_limit_mps: float, *, fine: bool, is_undisturbed: bool, lag_s: float) -> None:
+    def __init__(self, limits: CommandSettings, *, fine: bool, is_undisturbed: bool, lag_s: float) -> None:
         self.violations: dict[str, Violation] = {}
         self.stops = 0
         self.worst_release_m = self.worst_stop_m = self.was_driven_m = 0.0
-        self._limit_mps = speed_limit_mps
+        self._limits = limits
         self._fine = fine
         self._bit_mps = 0.001 if fine else 0.04
         self._is_undisturbed = is_undisturbed
@@ -136,7 +134,7 @@ class Oracle:
         self._ceiling_mps = 0.0
         self._excess_s: float | None = None
         self._excess_mps = 0.0
-        self._excess_rate = DECELERATION_MPS2
+        self._excess_rate = self._falls_mps2(at_once=False)
         # What happens.
         self._plant: Plant | None = None
         self._excused_until_s = self._blind_until_s = 0.0
@@ -238,7 +236,7 @@ class Oracle:
         # the gateway could keep: only what is told is judged, and its motion anew from half a second after.
         if plant.hand or plant.sticks or plant.is_away or plant.button:
             self._excused_until_s = max(self._excused_until_s, now_s + RETURNS_S)
-        if not plant.can_hold or plant.slows_mps2 < FOLLOWS_MPS2:
+        if not plant.can_hold or not self._follows(plant):
             self.disturb(now_s, 3.0)
         self._expect_deadman(now_s)
         is_back = self._was_excused and now_s >= self._excused_until_s
@@ -273,6 +271,7 @@ class Oracle:
     # The bytes.
 
     def _judge_order(self, order: Told, now_s: float) -> None:
+        limits = self._limits
         before = self._order if now_s - self._order_s < PAUSE_S else None
         gap_s = max(now_s - self._order_s, TICK_S / 2)
         lateral_mps2 = order.speed_mps**2 * tan(radians(abs(order.angle_deg))) / WHEELBASE_M
@@ -280,18 +279,19 @@ class Oracle:
         # Out of auto it obeys nobody: a stop begins anew, with the gear and at the angle that are seen.
         obeys = order.enabled and last.enabled and self._plant is not None and self._plant.mode == AUTO
         shifts = obeys and order.gear != last.gear
+        allowed_mps2 = limits.lateral_acceleration_mps2 + 0.03 + 2 * order.speed_mps * self._bit_mps
         turned_deg = abs(order.angle_deg - last.angle_deg)
-        turns_deg = STEERING_DEGPS * max(gap_s, TICK_S) + 2 * ANGLE_BIT_DEG
+        turns_deg = limits.steering_rate_degps * max(gap_s, TICK_S) + 2 * ANGLE_BIT_DEG
         broken = {
             "partly_enabled": order.any_enabled != order.enabled,
             "neutral_unbraked": order.enabled and order.gear == GEAR_N and not order.parking,
             "gear_change_unbraked": shifts and not (order.parking and last.parking),
             "gear_reserved": order.gear not in {*SIGN, GEAR_N},
             "speed_against_brake": order.speed_mps > 0 and order.parking,
-            "over_limit": order.speed_mps > self._limit_mps + self._bit_mps / 2,
-            "angle": abs(order.angle_deg) > STEERING_DEG + ANGLE_BIT_DEG,
+            "over_limit": order.speed_mps > limits.speed_limit_mps + self._bit_mps / 2,
+            "angle": abs(order.angle_deg) > limits.steering_limit_deg + ANGLE_BIT_DEG,
             "steering_rate": obeys and turned_deg > turns_deg,
-            "lateral_told": lateral_mps2 > LATERAL_MPS2 + 0.03 + 2 * order.speed_mps * self._bit_mps,
+            "lateral_told": lateral_mps2 > allowed_mps2,
         }
         for kind, is_broken in broken.items():
             if is_broken:
@@ -309,7 +309,7 @@ class Oracle:
         """The told speed: never up without leave, never faster than the ramps, down when it has to be."""
         speed_mps, bit_mps = order.speed_mps, self._bit_mps
         before_mps = before.speed_mps if before is not None and before.gear == order.gear else 0.0
-        is_fresh = self._is_permitted and now_s - self._asked_s <= DEADMAN_S + 0.02
+        is_fresh = self._is_permitted and now_s - self._asked_s <= self._limits.deadman_s + 0.02
         same_way = self._asked_mps * order.signed_mps > 0
         goal_mps = abs(self._asked_mps) if is_fresh and same_way and self._cause_s is None else 0.0
         if before is not None and speed_mps > before_mps + 1e-9:
@@ -320,7 +320,7 @@ class Oracle:
             elif speed_mps > goal_mps + bit_mps and now_s - self._zero_since_s > 0.03:
                 self._fail("rises_unasked", now_s, f"to {speed_mps:.3f} m/s, asked {self._asked_mps:.3f}")
         if before is not None and self._is_permitted:
-            self._ceiling_mps += ACCELERATION_MPS2 * gap_s
+            self._ceiling_mps += self._limits.acceleration_mps2 * gap_s
             if speed_mps > self._ceiling_mps + bit_mps + 0.002:
                 self._fail("acceleration", now_s, f"{speed_mps:.3f} m/s, at most {self._ceiling_mps:.3f}")
         self._ceiling_mps = min(self._ceiling_mps, speed_mps) if before is not None else speed_mps
@@ -333,7 +333,7 @@ class Oracle:
         self._judge_fall(speed_mps, goal_mps, now_s, begins=before is None)
 
     def _judge_fall(self, speed_mps: float, goal_mps: float, now_s: float, *, begins: bool) -> None:
-        rate = (EMERGENCY_MPS2 if self._emergency else DECELERATION_MPS2) * 0.9
+        rate = self._falls_mps2(at_once=self._emergency)
         if begins:
             self._excess_s = None
         if speed_mps <= goal_mps + self._bit_mps:
@@ -341,7 +341,7 @@ class Oracle:
             return
         if self._excess_s is None or rate != self._excess_rate:
             self._excess_s, self._excess_mps, self._excess_rate = now_s, speed_mps, rate
-        grace_s = 0.03 + (DEADMAN_S if not self._is_permitted and self._cause_s is None else 0.0)
+        grace_s = 0.03 + (self._limits.deadman_s if not self._is_permitted and self._cause_s is None else 0.0)
         most_mps = max(goal_mps, self._excess_mps - rate * max(0.0, now_s - self._excess_s - grace_s))
         if speed_mps > most_mps + self._bit_mps + 0.02:
             why = self._cause or f"asked {self._asked_mps:.2f}"
@@ -370,7 +370,7 @@ class Oracle:
     def gateway_fails(self, now_s: float) -> None:
         """The gateway's process stands still or is gone: within 100 ms the guard is to begin a stop."""
         self._cause_stop("the gateway failed", now_s + GUARD_S, at_once=False)
-        self._excess_s, self._excess_rate = now_s + GUARD_S, DECELERATION_MPS2 * 0.9
+        self._excess_s, self._excess_rate = now_s + GUARD_S, self._falls_mps2(at_once=False)
         self._excess_mps = self._order.speed_mps if self._order is not None else 0.0
         self._begin_stop(now_s)
         self.disturb(now_s, 6.0)
@@ -408,18 +408,35 @@ class Oracle:
         )
 
     def _expect_deadman(self, now_s: float) -> None:
-        if self._is_permitted and now_s - self._asked_s > DEADMAN_S + 0.03:
+        if self._is_permitted and now_s - self._asked_s > self._limits.deadman_s + 0.03:
             self._cause_stop("deadman", now_s, at_once=False)
 
     def _find_cause(self, state: Fields, now_s: float) -> None:
         """The gateway has stopped the robot, and nobody of us asked it to."""
         reason = state["stop_reason"]
         is_free = now_s < max(self._disturbed_until_s, self._excused_until_s) or self.is_damaged()
-        if not is_free and not (reason == "deadman" and now_s - self._asked_s > DEADMAN_S - 0.03):
+        if not is_free and not (reason == "deadman" and now_s - self._asked_s > self._limits.deadman_s - 0.03):
             self._fail("false_stop", now_s, f"{reason}; latched {state['latched']}")
         if reason in LATCHING and reason not in state["latched"]:
             self._fail("not_latched", now_s, f"{reason}; latched {state['latched']}")
         self._cause_s, self._cause, self._is_permitted = now_s, reason, False
+
+    def _falls_mps2(self, *, at_once: bool) -> float:
+        """The least by which the told speed falls in a stop: a tenth is for bits and ticks."""
+        limits = self._limits
+        return 0.9 * (limits.emergency_deceleration_mps2 if at_once else limits.deceleration_mps2)
+
+    def _follows(self, plant: Plant) -> bool:
+        """The motor can slow the robot down as fast as it is told."""
+        return plant.slows_mps2 >= self._limits.deceleration_mps2 + FOLLOWS_MPS2
+
+    @property
+    def _straightens_s(self) -> float:
+        """So long it takes to slow down from the highest speed to what the largest steering angle allows."""
+        limits = self._limits
+        bend = tan(radians(limits.steering_limit_deg))
+        slow_mps = sqrt(limits.lateral_acceleration_mps2 * WHEELBASE_M / bend)
+        return max(0.0, limits.speed_limit_mps - slow_mps) / limits.deceleration_mps2
 
     def _begin_stop(self, now_s: float) -> None:
         plant = self._plant
@@ -529,17 +546,18 @@ class Oracle:
         if self._is_permitted:
             self._stop_record = None
             return
+        slows_mps2 = self._limits.deceleration_mps2
         # 0.3 s until it is seen not to slow, the brake's delay and the drive's lag, then the lesser of the ramp
         # and of what the parking brake has left on this hill.
         grip = (PARKING_MPS2 + 0.2) - abs(plant.load_mps2)
         reach_m = abs(speed_mps) * (0.6 + plant.build.brake_delay_s + self._lag_s)
-        reach_m += (abs(speed_mps) + 0.5) ** 2 / (2 * min(DECELERATION_MPS2, grip)) + STOP_M
-        if plant.slows_mps2 < FOLLOWS_MPS2:
+        reach_m += (abs(speed_mps) + 0.5) ** 2 / (2 * min(slows_mps2, grip)) + STOP_M
+        if not self._follows(plant):
             # It slows, but less than it is told: the brake comes where the ramp has ended.
-            reach_m += 0.75 * speed_mps**2 / DECELERATION_MPS2
+            reach_m += 0.75 * speed_mps**2 / slows_mps2
         if abs(plant.x_m - x_m) > reach_m:
             self._fail("stop_distance", now_s, f"{abs(plant.x_m - x_m):.1f} m from {speed_mps:.2f} m/s")
-        due_s = abs(speed_mps) / DECELERATION_MPS2 + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
+        due_s = abs(speed_mps) / slows_mps2 + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
         if now_s - began_s > due_s:
             self._stop_record = None
             # One that was given back and stands in mode stop is told nothing, and one whose mode frame is frozen.
@@ -585,14 +603,15 @@ class Oracle:
         self._right_deg = min(order.angle_deg, self._right_deg + follow_deg)
         off = not self._right_deg - STUCK_DEG < shown_deg < self._left_deg + STUCK_DEG
         self._expect_latch("stuck", "steering_unnoticed", 0.3, now_s, f"{shown_deg:.1f} deg", holds=off)
-        fast = self._is_permitted and abs(speed_mps) > self._limit_mps + 0.3 + 2 * self._bit_mps
+        fast = self._is_permitted and abs(speed_mps) > self._limits.speed_limit_mps + 0.3 + 2 * self._bit_mps
         self._expect_latch("fast", "overspeed_unnoticed", 0.3, now_s, f"{speed_mps:.2f} m/s", holds=fast)
         lateral = max(order.speed_mps, abs(speed_mps)) ** 2
         lateral *= tan(radians(max(abs(order.angle_deg), abs(plant.angle_deg)))) / WHEELBASE_M
-        # From full speed to what full lock allows takes 0.6 s; the drive lags.
+        # So long it takes from full speed to what full lock allows; the drive lags.
+        leans = lateral > self._limits.lateral_acceleration_mps2 + 0.4
         if (
-            self._timer("lateral").lasts(now_s, holds=self._is_permitted and lateral > LATERAL_MPS2 + 0.4)
-            > 0.75 + 2 * self._lag_s + SEEING_S
+            self._timer("lateral").lasts(now_s, holds=self._is_permitted and leans)
+            > self._straightens_s + 2 * self._lag_s + 2 * SEEING_S
         ):
             self._fail("lateral_measured", now_s, f"{lateral:.2f} m/s2")
         shown_mps = int.from_bytes(shown[DRIVE][1:3], "little") * self._bit_mps

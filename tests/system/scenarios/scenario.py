@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from random import Random
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import msgspec
 
@@ -58,6 +58,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     """All that a seed decides.
 
     Attributes:
+        finds_variant: the gateway is not told which variant the chassis is.
         found_mps: at the start the chassis drives by itself at this speed; 0 if it stands.
         fails_s, hangs_s: when the gateway's process fails, and for how long; without a guard never.
         returns_s: so long after one that fails for ever, another one begins; 0: none does.
@@ -68,7 +69,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     build: Build
     slope_deg: float
     pedal_gain: float
-    speed_limit_mps: float
+    command: CommandSettings
+    finds_variant: bool = False
     link_s: float
     loss: float
     corruption: float
@@ -242,6 +244,26 @@ def _legs_by_stick(random: Random, speed_limit_mps: float) -> list[Leg]:
     return legs
 
 
+def _command(random: Random, speed_limit_mps: float, link_s: float) -> CommandSettings:
+    """In every third one all that may be set is drawn from where it may be; a link lets its commands be so old."""
+    if random.random() < 2 / 3:
+        return CommandSettings(speed_limit_mps=speed_limit_mps)
+    deceleration_mps2 = random.uniform(0.3, 2.0)
+    return CommandSettings(
+        lease_s=random.uniform(0.5, 10.0),
+        deadman_s=random.uniform(0.05, 0.5),
+        max_age_s=random.uniform(2 * link_s + 0.15, 1.0),
+        travel_delay_m=random.uniform(0.2, 5.0),
+        speed_limit_mps=speed_limit_mps,
+        acceleration_mps2=random.uniform(0.1, 1.5),
+        deceleration_mps2=deceleration_mps2,
+        emergency_deceleration_mps2=random.uniform(max(0.5, deceleration_mps2), 3.0),
+        steering_limit_deg=random.uniform(1.0, 24.0),
+        steering_rate_degps=random.uniform(5.0, 60.0),
+        lateral_acceleration_mps2=random.uniform(0.2, 3.0),
+    )
+
+
 def scenario(seed: int) -> Scenario:
     """The scenario of a seed. In every third one the operator has a stick."""
     random = Random(seed)  # noqa: S311 - scenarios keep no secrets
@@ -260,6 +282,7 @@ def scenario(seed: int) -> Scenario:
     )
     is_lossy = random.random() < 0.5
     speed_limit_mps = random.choice((2.222, 2.222, 1.0, 0.5))
+    link_s = random.choice((0.0, 0.02, 0.1))
     names: list[str] = []
     acts: list[Act] = []
     if kind == "disturbed":
@@ -278,8 +301,9 @@ def scenario(seed: int) -> Scenario:
             (0.0, random.uniform(-20, 20), random.uniform(-20, 20), random.choice((-20.0, 20.0)))
         ),
         pedal_gain=random.choice((0.0, 0.0, 0.3, 1.0)),
-        speed_limit_mps=speed_limit_mps,
-        link_s=random.choice((0.0, 0.02, 0.1)),
+        command=_command(random, speed_limit_mps, link_s),
+        finds_variant=random.random() < 0.25,
+        link_s=link_s,
         loss=LOSS if is_lossy else 0.0,
         corruption=CORRUPTION if is_lossy else 0.0,
         legs=(_legs if seed % 3 else _legs_by_stick)(random, speed_limit_mps),
@@ -292,6 +316,12 @@ def scenario(seed: int) -> Scenario:
         hangs_s=random.choice((FOREVER_S, random.uniform(0.15, 2.0))) if fails_s else 0.0,
         returns_s=random.choice((0.0, random.uniform(0.4, 8.0))) if fails_s else 0.0,
     )
+
+
+def _variant(plan: Scenario) -> Literal["auto", "fine", "coarse"]:
+    if plan.finds_variant:
+        return "auto"
+    return "fine" if plan.build.fine else "coarse"
 
 
 class Play:
@@ -307,11 +337,11 @@ class Play:
             self.plant.found_driving(random.choice((GEAR_D, GEAR_R)), plan.found_mps)
         self._random, self._keeps = random, keeps
         self._settings = settings = Settings(
-            command=CommandSettings(speed_limit_mps=plan.speed_limit_mps),
-            chassis=ChassisSettings(variant="fine" if plan.build.fine else "coarse"),
+            command=plan.command,
+            chassis=ChassisSettings(variant=_variant(plan)),
         )
         self.oracle = Oracle(
-            plan.speed_limit_mps,
+            plan.command,
             fine=plan.build.fine,
             is_undisturbed=plan.is_undisturbed,
             lag_s=plan.build.drive_lag_s,
@@ -361,7 +391,7 @@ class Play:
             checks = [
                 (1.2, lambda now_s: oracle.expect_frames(now_s, "found_moving_ignored")),
                 (
-                    1.2 + plan.found_mps / 1.2 + 4.0,
+                    1.2 + plan.found_mps / plan.command.deceleration_mps2 + 4.0,
                     lambda now_s: oracle.expect_rest(now_s, "found_moving_no_rest"),
                 ),
             ]
@@ -382,7 +412,7 @@ class Play:
         if oracle.is_commanded:
             speed_mps = abs(self.plant.speed_mps)
             self._checks.append((now_s + GUARD_S, lambda at_s: oracle.expect_frames(at_s, "guard_late")))
-            rest_s = now_s + speed_mps / 1.2 + 4.0
+            rest_s = now_s + speed_mps / self.plan.command.deceleration_mps2 + 4.0
             if rig.dead and next_s > rest_s:
                 # One that comes back may drive again by then.
                 self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest")))

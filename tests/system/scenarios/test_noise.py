@@ -5,6 +5,7 @@ An hour of it is played each night (``tests/nightly``).
 
 from random import Random
 
+from schemas.settings import CommandSettings
 from tests.system.scenarios.plant import Build
 from tests.system.scenarios.rig import Leg
 from tests.system.scenarios.scenario import CORRUPTION, DAMAGE_SHOWS_S, LOSS, Play, Scenario
@@ -35,7 +36,7 @@ def causeless_stops(seed: int, seconds: float) -> list[str]:
         build=Build(fine=seed % 2 == 0),
         slope_deg=random.choice((-5.0, 0.0, 5.0)),
         pedal_gain=0.0,
-        speed_limit_mps=2.222,
+        command=CommandSettings(),
         link_s=0.02,
         loss=LOSS,
         corruption=CORRUPTION,

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from schemas.settings import CommandSettings
 from tests.system.scenarios.oracle import Oracle
 from tests.system.scenarios.plant import (
     AUTO,
@@ -28,7 +29,7 @@ class Stage:
     """An oracle, a plant that it may believe, and whoever commands it."""
 
     def __init__(self, slope_deg: float = 0.0) -> None:
-        self.oracle = Oracle(1.0, fine=True, is_undisturbed=True, lag_s=0.1)
+        self.oracle = Oracle(CommandSettings(speed_limit_mps=1.0), fine=True, is_undisturbed=True, lag_s=0.1)
         self.plant = Plant(Build(fine=True, drive_lag_s=0.1), Random(1), slope_deg)  # noqa: S311
         self.now_s = 1.0
         self.state: dict[str, Any] = {"latched": [], "engaged": True, "stop_reason": "none"}
@@ -130,7 +131,6 @@ def steering_rate(stage: Stage) -> None:
 
 def lateral_told(stage: Stage) -> None:
     """Full speed at 22 deg."""
-    stage.oracle._limit_mps = 3.0
     stage.burst(GEAR_D, 2.0, raw_angle=2048 + 500)
 
 
