@@ -23,6 +23,9 @@ from schemas.versions import member_of
 RENAMED: Final = {"REASON_TICK_UNKNOWN": "REASON_CHALLENGE_UNKNOWN"}
 """Values of enumerations that older logs call otherwise."""
 
+PROTO3: Final = "proto3"
+"""The syntax of our schemas. In another one a field that is not in a record may have any value."""
+
 _KEPT: Final = 256
 
 
@@ -39,14 +42,18 @@ def means_the_same(kind: type[msgspec.Struct], descriptors: bytes) -> bool:
     messages = {name: one for file in files for name, one in _by_name(file.package, file.message_type)}
     enums = {(file.package, one.name): one for file in files for one in file.enum_type}
     # All of theirs: one that fits, of the same name, may stand beside one by which others read.
-    return all(
-        name not in messages or _fits(messages[name], one)
-        for file in theirs.file
-        for name, one in _by_name(file.package, file.message_type)
-    ) and all(
-        (file.package, one.name) not in enums or _numbers_fit(enums[file.package, one.name], one)
-        for file in theirs.file
-        for one in file.enum_type
+    return (
+        all(file.syntax == PROTO3 and not file.extension for file in theirs.file)
+        and all(
+            name not in messages or _fits(messages[name], one)
+            for file in theirs.file
+            for name, one in _by_name(file.package, file.message_type)
+        )
+        and all(
+            (file.package, one.name) not in enums or _numbers_fit(enums[file.package, one.name], one)
+            for file in theirs.file
+            for one in file.enum_type
+        )
     )
 
 
@@ -73,12 +80,11 @@ def _by_name(package: str, messages: Iterable[DescriptorProto]) -> Iterable[tupl
 
 
 def _fits(ours: DescriptorProto, theirs: DescriptorProto) -> bool:
-    mine = {one.number: (one.name, one.type, one.label, one.type_name) for one in ours.field}
+    """A field of both is the same in all that its descriptor says."""
+    mine = {one.number: one for one in ours.field}
     numbers = {one.name: one.number for one in ours.field}
-    return all(
-        mine.get(one.number, (one.name, one.type, one.label, one.type_name))
-        == (one.name, one.type, one.label, one.type_name)
-        and numbers.get(one.name, one.number) == one.number
+    return theirs.options == ours.options and all(
+        mine.get(one.number, one) == one and numbers.get(one.name, one.number) == one.number
         for one in theirs.field
     )
 
@@ -86,7 +92,8 @@ def _fits(ours: DescriptorProto, theirs: DescriptorProto) -> bool:
 def _numbers_fit(ours: EnumDescriptorProto, theirs: EnumDescriptorProto) -> bool:
     names = {one.number: one.name for one in ours.value}
     numbers = {one.name: one.number for one in ours.value}
-    return all(
+    counted = sorted(one.number for one in theirs.value) == list(range(len(theirs.value)))
+    return counted and all(
         names.get(one.number, name) == name and numbers.get(name, one.number) == one.number
         for one in theirs.value
         for name in (RENAMED.get(one.name, one.name),)

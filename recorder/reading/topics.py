@@ -214,7 +214,8 @@ def _expression(name: str, field: inspect.Type, names: dict[str, Any], descripto
 
 def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any], descriptors: bytes) -> str:
     if isinstance(field, inspect.EnumType):
-        names[f"of_{name}"] = [*field.cls, *newer_members(field.cls, descriptors)]
+        # A dictionary: in a list a number below zero would be that of another member.
+        names[f"of_{name}"] = dict(enumerate([*field.cls, *newer_members(field.cls, descriptors)]))
         return f"of_{name}[{value}]"
     if isinstance(field, inspect.StructType):
         names[f"of_{name}"] = _builder(field.cls, descriptors)

@@ -31,7 +31,7 @@ from recorder.review.verifying.chains import (
 from recorder.review.verifying.commands import CommandRecord, Holder, RefusedProof, SignedVerb
 from recorder.review.verifying.file_statements import file_statements
 from recorder.review.verifying.findings import ProofFault, ProofFinding
-from recorder.review.verifying.links import LinkEncoder, link_encoder
+from recorder.review.verifying.links import LinkReader, link_reader
 from schemas import codec, keys
 from schemas.authority.chain import CHAINED
 from schemas.authority.trust import Trust, fits
@@ -175,7 +175,7 @@ class _Verification:
         self._trusts, self._statements = trusts, list(statements)
         self._statements += [one for one in file_statements(logs, faults) if one.robot == robot]
         self._findings: list[ProofFinding] = []
-        self._encoders: dict[Topic, LinkEncoder | None] = {}
+        self._readers: dict[Topic, LinkReader | None] = {}
         self._ticks: list[int] = []
         self._unsigned: dict[tuple[str, Hashable], tuple[int, int]] = {}
         self._signed_runs: set[Hashable] = set()
@@ -279,15 +279,18 @@ class _Verification:
 
     def _read_links(self, chains: RobotChains, progress: Progress) -> None:
         for row, message in self._rows(CHAINED, progress):
-            if row.topic not in self._encoders:
-                self._encoders[row.topic] = link_encoder(row.topic)
-            encode = self._encoders[row.topic]
-            if encode is None:
+            if row.topic not in self._readers:
+                self._readers[row.topic] = link_reader(row.topic)
+            reader = self._readers[row.topic]
+            if reader is None:
                 what = f"{row.topic.subject} has fields of a newer version: verify it with that one"
                 self._find(ProofFault.UNPROVEN, what, message.time_ns)
                 continue
+            if reader.hides(row.data):
+                what = f"{row.topic.subject}: samples with fields that only some readers see"
+                self._find(ProofFault.CHANGED, what, message.time_ns)
             run_id = self._run_of(message)
-            link = ChainLink(message.sequence, message.time_ns, run_id, encode(message), message)
+            link = ChainLink(message.sequence, message.time_ns, run_id, reader.encode(message), message)
             if not chains.add(row.topic.subject, link):
                 self._take_unsigned(row.topic.subject, run_id, message.time_ns, message.time_ns)
 

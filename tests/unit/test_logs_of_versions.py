@@ -122,7 +122,6 @@ def changed(what: str) -> bytes:
     """The schema of safety/event in which a number means something else."""
     files = FileDescriptorSet.FromString(descriptor_set(SafetyEvent))
     fields = files.file[-1].message_type[0].field
-    reason = next(enum for file in files.file for enum in file.enum_type if enum.name == "Reason")
     match what:
         case "two fields in each other's place":
             fields[2].name, fields[6].name = fields[6].name, fields[2].name
@@ -130,6 +129,19 @@ def changed(what: str) -> bytes:
             fields[2].type = FieldDescriptorProto.TYPE_DOUBLE
         case "a field renamed":
             fields[2].name = "tack"
+        case "a value from another syntax":
+            files.file[-1].syntax = "proto2"
+        case "a field of another name in JSON":
+            fields[2].json_name = "tack"
+        case _:
+            change_values(files, what)
+    return files.SerializeToString()
+
+
+def change_values(files: FileDescriptorSet, what: str) -> None:
+    """Change the numbers of reasons, or what they are called."""
+    reason = next(enum for file in files.file for enum in file.enum_type if enum.name == "Reason")
+    match what:
         case "two values in each other's place":
             reason.value[1].name, reason.value[2].name = reason.value[2].name, reason.value[1].name
         case "a value in place of another":
@@ -138,12 +150,19 @@ def changed(what: str) -> bytes:
             elsewhere = files.file.add(name="elsewhere.proto", package="elsewhere", syntax="proto3")
             elsewhere.enum_type.add().CopyFrom(reason)
             reason.value[1].name, reason.value[2].name = reason.value[2].name, reason.value[1].name
-    return files.SerializeToString()
+        case "a number below zero":
+            reason.value.add(name="REASON_ICE", number=-1)
+        case "a number that is left out":
+            reason.value.add(name="REASON_ICE", number=len(reason.value) + 1)
 
 
 @pytest.mark.parametrize(
     "what",
     [
+        "a value from another syntax",
+        "a field of another name in JSON",
+        "a number below zero",
+        "a number that is left out",
         "two fields in each other's place",
         "a field of another type",
         "a field renamed",

@@ -11,26 +11,51 @@ from typing import Any, Final
 
 import msgspec
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 
-from recorder.reading.topics import Topic
+from recorder.encoding.protobuf_schema import descriptor_set, message_class
+from recorder.reading.topics import Topic, foreign_class
 from schemas import codec
 
-LinkEncoder = Callable[[Any], bytes]
-"""A message of a log to the bytes that were published."""
+
+class LinkReader(msgspec.Struct, frozen=True):
+    """Reads the records of a topic as links of a chain.
+
+    Attributes:
+        encode: a message to the bytes that were published.
+        hides: whether a record holds fields that the log's schema or this version does not have. What a viewer
+            shows by the schema would be other than what is verified, or the reverse.
+    """
+
+    encode: Callable[[Any], bytes]
+    hides: Callable[[bytes], bool]
 
 
-def link_encoder(topic: Topic) -> LinkEncoder | None:
-    """The encoder of a topic; None if its messages have fields that are not known here."""
+def link_reader(topic: Topic) -> LinkReader | None:
+    """The reader of a topic; None if its schema cannot be read, or has fields that are not known here."""
     if topic.kind is None:
         return None
     known = topic.kind.__struct_fields__
+    if topic.schema_data == descriptor_set(topic.kind):
+        return LinkReader(codec.encode, _hides(message_class(topic.kind)))
     logged = _fields_of(topic)
-    if logged == known:
-        return codec.encode
-    if not logged or logged != known[: len(logged)]:
+    viewed = foreign_class(topic.schema, topic.schema_data)
+    if viewed is None or not logged or logged != known[: len(logged)]:
         return None
-    return lambda message: _ENCODER.encode({name: getattr(message, name) for name in logged})
+    return LinkReader(
+        lambda message: _ENCODER.encode({name: getattr(message, name) for name in logged}),
+        _hides(message_class(topic.kind), viewed),
+    )
+
+
+def _hides(*kinds: type[Any]) -> Callable[[bytes], bool]:
+    return lambda data: any(_has_unknown(kind.FromString(data)) for kind in kinds)
+
+
+def _has_unknown(message: Message) -> bool:
+    length = message.ByteSize()
+    message.DiscardUnknownFields()
+    return message.ByteSize() != length
 
 
 def _fields_of(topic: Topic) -> tuple[str, ...]:

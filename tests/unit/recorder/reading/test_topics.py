@@ -10,9 +10,17 @@ from hypothesis import strategies as st
 from mcap import records
 from msgspec import inspect
 
-from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, fields, optional_part, schema_name
+from recorder.encoding.protobuf_schema import (
+    LOGGED,
+    descriptor_set,
+    fields,
+    message_class,
+    optional_part,
+    schema_name,
+)
 from recorder.encoding.transcode import compile_encoder
 from recorder.reading.topics import UNREADABLE, Topic, topic_of, typed_decoder
+from schemas.decisions import Decision
 from schemas.messages import Gear
 from tests.support.logs import ENCODE_GEAR, GEAR_TOPIC
 from tests.support.messages import gear
@@ -121,3 +129,11 @@ def test_an_enumeration_of_a_newer_version_is_unreadable() -> None:
     data[-1] = 0x7F
     with pytest.raises(UNREADABLE):
         typed_decoder(Gear)(bytes(data))
+
+
+@pytest.mark.parametrize("number", [-1, 1000])
+def test_a_number_that_no_member_has_is_no_message(number: int) -> None:
+    """The last one counted from behind is none."""
+    read: Any = message_class(Decision)
+    with pytest.raises(UNREADABLE):
+        typed_decoder(Decision)(read(reason=number).SerializeToString())

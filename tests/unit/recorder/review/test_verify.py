@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pyarrow as pa
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap import records
 from mcap.opcode import Opcode
 
 from gateway.command.request import Credentials
+from recorder.encoding.protobuf_schema import descriptor_set, message_class, schema_name
 from recorder.encoding.transcode import compile_encoder
+from recorder.mcap.channel import LogChannel
 from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
@@ -292,24 +295,89 @@ def test_what_the_log_says_of_a_sample_is_held_against_the_sample(tmp_path: Path
 
 def log_of_shifted(samples: Sequence[Message], place: int) -> bytes:
     """The log of these samples, one of them at another publish time."""
-    kinds = list(dict.fromkeys(type(one) for one in samples))
+    return log_of_changed(
+        samples,
+        [
+            (sequence, at_ns, publish_ns + (number == place), data)
+            for number, (sequence, at_ns, publish_ns, data) in enumerate(map(row_of, samples))
+        ],
+    )
+
+
+def log_of_changed(
+    samples: Sequence[Message],
+    rows: Sequence[tuple[int, int, int, bytes]],
+    schema: Callable[[bytes], bytes] = bytes,
+) -> bytes:
+    """The log of these samples with these records, and with the schemas that this makes of ours."""
     disk = Disk()
     file = McapFile(disk, "test")
-    for number, kind in enumerate(kinds, start=1):
-        file.add_channel(channel_of(kind, number, key_of(kind)))
-    rows = [
-        (
-            kinds.index(type(one)) + 1,
-            one.sequence,
-            one.time_ns,
-            one.time_ns + (number == place),
-            compile_encoder(type(one))(one),
-        )
-        for number, one in enumerate(samples)
-    ]
-    file.write_chunk(sealed(rows))
+    for number, kind in enumerate(KINDS, start=1):
+        file.add_channel(LogChannel(number, key_of(kind), schema_name(kind), schema(descriptor_set(kind))))
+    file.write_chunk(sealed((KINDS.index(type(one)) + 1, *row) for one, row in zip(samples, rows, strict=True)))
     file.finish()
     return disk.getvalue()
+
+
+def with_defaults(schema: bytes) -> bytes:
+    """A schema by which a decision that says nothing of its reason, and gives no words, says something else."""
+    files = FileDescriptorSet.FromString(schema)
+    if not any(message.name == "Decision" for file in files.file for message in file.message_type):
+        return schema
+    for file in files.file:
+        file.syntax = "proto2"
+        for field in (field for message in file.message_type for field in message.field):
+            field.ClearField("proto3_optional")
+            if field.name == "reason":
+                field.default_value = "REASON_REMOTE_STOP"
+    return files.SerializeToString()
+
+
+def with_number_below_zero(schema: bytes) -> bytes:
+    """A schema that has a word for the last reason counted from behind."""
+    files = FileDescriptorSet.FromString(schema)
+    for enum in (enum for file in files.file for enum in file.enum_type if enum.name == "Reason"):
+        enum.value.add(name="REASON_SOMEBODY_WAS_RUN_OVER", number=-len(Reason) - 1)
+    return files.SerializeToString()
+
+
+def without_zeros(message: Message) -> bytes:
+    """Its record by any other writer of protobuf: a field that is zero is left out."""
+    return message_class(type(message)).FromString(row_of(message)[3]).SerializeToString()
+
+
+def from_behind(message: Message) -> bytes:
+    """Its record, in which a reason is counted from behind."""
+    record: Any = message_class(type(message)).FromString(row_of(message)[3])
+    if isinstance(message, Decision | SafetyEvent):
+        record.reason -= len(Reason) + 1
+    data: bytes = record.SerializeToString()
+    return data
+
+
+@pytest.mark.parametrize(
+    ("schema", "record"),
+    [
+        (with_defaults, without_zeros),
+        (with_number_below_zero, from_behind),
+        (bytes, lambda message: row_of(message)[3] + b"\xfa\x3e\x04evil"),
+    ],
+)
+def test_a_log_of_which_others_read_something_else_does_not_hold(
+    tmp_path: Path, schema: Callable[[bytes], bytes], record: Callable[[Message], bytes]
+) -> None:
+    """By the schema in the log, or by fields that are in none."""
+    rows = [(*row_of(one)[:3], record(one)) for one in SAMPLES]
+    log = saved(tmp_path / "log.mcap", log_of_changed(SAMPLES, rows, schema))
+    report = verified_files([log], FLEET.trust)
+    assert faults_of(report) & {ProofFault.CHANGED, ProofFault.MISSING}
+
+
+def test_a_log_that_another_writer_of_protobuf_wrote_holds(tmp_path: Path) -> None:
+    """What it says is the same."""
+    rows = [(*row_of(one)[:3], without_zeros(one)) for one in SAMPLES]
+    log = saved(tmp_path / "log.mcap", log_of_changed(SAMPLES, rows))
+    assert faults_of(verified_files([log], FLEET.trust)) == set()
 
 
 KINDS = list(dict.fromkeys(type(one) for one in SAMPLES))

@@ -10,7 +10,7 @@ from mcap import records
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.transcode import compile_encoder
 from recorder.reading.topics import Topic, topic_of
-from recorder.review.verifying.links import link_encoder
+from recorder.review.verifying.links import link_reader
 from schemas import codec
 from schemas.authority.chain import CHAINED
 from schemas.decisions import Decision
@@ -35,10 +35,11 @@ def test_a_message_comes_out_of_a_log_with_the_bytes_that_were_published(name: s
     subject = BY_NAME[name]
     published = codec.encode(data.draw(message_of(subject.type)))
     received = codec.decode(subject, published)
-    logged, encode = compile_encoder(subject.type)(received), link_encoder(of := topic(subject.type))
-    assert encode is not None
+    logged, reader = compile_encoder(subject.type)(received), link_reader(of := topic(subject.type))
+    assert reader is not None
     assert of.decode is not None
-    assert encode(of.decode(logged)) == published
+    assert reader.encode(of.decode(logged)) == published
+    assert not reader.hides(logged)
 
 
 def test_a_gateway_publishes_what_is_decoded_and_encoded_the_same() -> None:
@@ -60,6 +61,7 @@ def _schema(*, fields: int = 0, more: str = "") -> bytes:
     )
     if fields:
         del message.field[fields:]
+        del message.oneof_decl[sum(one.proto3_optional for one in message.field) :]
     if more:
         message.field.add(name=more, number=len(message.field) + 1, type=9, label=1)
     return files.SerializeToString()
@@ -67,16 +69,29 @@ def _schema(*, fields: int = 0, more: str = "") -> bytes:
 
 def test_of_a_log_of_before_a_field_came_the_field_is_left_out() -> None:
     """Its gateway did not publish it."""
-    encode = link_encoder(topic(Decision, _schema(fields=5)))
-    assert encode is not None
+    reader = link_reader(topic(Decision, _schema(fields=5)))
+    assert reader is not None
     decision = RecordedRig.driving()[0].recorded
     payload = next(sample.payload for _, sample in decision if sample.subject == "safety/decision")
     message = codec.decode(BY_NAME["safety/decision"], payload)
     names = list(Decision.__struct_fields__)[:5]
-    assert list(msgspec.msgpack.decode(encode(message))) == names
+    assert list(msgspec.msgpack.decode(reader.encode(message))) == names
 
 
 @pytest.mark.parametrize("schema", [_schema(more="news"), b"", b"\xff"])
-def test_a_schema_that_is_not_known_has_no_encoder(schema: bytes) -> None:
+def test_a_schema_that_is_not_known_has_no_reader(schema: bytes) -> None:
     """Whoever guessed would say that a sound log was changed."""
-    assert link_encoder(topic(Decision, schema)) is None
+    assert link_reader(topic(Decision, schema)) is None
+
+
+def test_a_field_that_only_some_readers_see_is_hidden() -> None:
+    """One of no schema, and one that this version has, and the log's schema has not."""
+    own, older = link_reader(topic(Decision)), link_reader(topic(Decision, _schema(fields=5)))
+    assert own is not None
+    assert older is not None
+    recorded = RecordedRig.driving()[0].recorded
+    payload = next(sample.payload for _, sample in recorded if sample.subject == "safety/decision")
+    record = compile_encoder(Decision)(codec.decode(BY_NAME["safety/decision"], payload))
+    assert not own.hides(record)
+    assert own.hides(record + b"\xfa\x3e\x04evil")
+    assert older.hides(record)
