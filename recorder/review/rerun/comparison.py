@@ -19,7 +19,7 @@ WAITING_MAX: Final = 200_000
 """Records and samples that wait for their counterpart; beyond it the oldest are given up, and counted."""
 
 COPIES_MAX: Final = 100_000
-"""Compared messages without a sequence that are remembered: two recorders write each of them."""
+"""Compared messages of a subject that are remembered: two recorders write each of them."""
 
 SAME_RUN_NS: Final = 10_000_000_000
 """The two sides of a message have the same time. Where they do not by far, a sequence has begun anew."""
@@ -68,7 +68,7 @@ class Comparison:
         differences: the first ones.
         difference_count: all of them.
         unrecorded: messages that come out again and are not in the log, by subject: it lost them.
-        given_up: messages that waited too long for their counterpart.
+        given_up: messages that waited too long for their counterpart, or came too long after it.
         begins_ns, ends_ns: the times of the first and the newest message that came out again, since 1970;
             ``begins_ns`` is None before.
     """
@@ -84,9 +84,10 @@ class Comparison:
         self.begins_ns: int | None = None
         self.ends_ns = 0
         self._recorded: OrderedDict[Key, RecordedOutput] = OrderedDict()
+        self._others: OrderedDict[tuple[Key, RecordedOutput], None] = OrderedDict()
         self._again: OrderedDict[Key, RecordedOutput] = OrderedDict()
-        self._newest: dict[str, int] = {}
-        self._compared: OrderedDict[Key, None] = OrderedDict()
+        self._compared: dict[str, OrderedDict[Hashable, int]] = {}
+        self._forgotten: dict[str, Any] = {}
 
     def record(self, key: Key, said: RecordedOutput) -> None:
         """A message of the log."""
@@ -95,8 +96,8 @@ class Comparison:
         again = _counterpart(self._again, key, said)
         if again is not None:
             self._compare(key, said, again)
-        elif said.time_ns > self.ends_ns or not self._is_repeated(key):
-            self._wait(self._recorded, key, said)
+        elif said.time_ns > self.ends_ns or not self._is_copy(key, said):
+            self._wait_recorded(key, said)
 
     def say_again(self, key: Key, said: RecordedOutput) -> None:
         """A message that comes out of the inputs."""
@@ -105,15 +106,18 @@ class Comparison:
         self.ends_ns = max(self.ends_ns, said.time_ns)
         if not self._holds(said.time_ns):
             return
-        if isinstance(key[1], int):
-            self._newest[key[0]] = key[1]
-        recorded = _counterpart(self._recorded, key, said)
+        if self._others and (key, said) in self._others:
+            # What was recorded before it under the same key does not come again.
+            del self._others[key, said]
+            recorded: RecordedOutput | None = said
+        else:
+            recorded = _counterpart(self._recorded, key, said)
         if recorded is not None:
             self._compare(key, recorded, said)
         else:
             self._wait(self._again, key, said)
 
-    def end(self) -> dict[Key, RecordedOutput]:
+    def end(self) -> list[tuple[Key, RecordedOutput]]:
         """Nothing more comes out. Returns what was recorded later than that: it belongs to what follows.
 
         What was recorded before the first message that came out again belongs to nothing.
@@ -122,30 +126,35 @@ class Comparison:
         last_ns = self.ends_ns - BATCH_NS
         self.unrecorded.update(key[0] for key, said in self._again.items() if said.time_ns <= last_ns)
         self._again.clear()
-        later: dict[Key, RecordedOutput] = {}
+        later: list[tuple[Key, RecordedOutput]] = []
         begins_ns = self.begins_ns or 0
-        for key, said in self._recorded.items():
+        for key, said in (*self._recorded.items(), *self._others):
             if said.time_ns > self.ends_ns - BATCH_NS:
-                later[key] = said
-            elif said.time_ns >= begins_ns and not self._is_repeated(key):
+                later.append((key, said))
+            elif said.time_ns >= begins_ns and not self._is_copy(key, said):
                 self._differ(
                     Difference(key[0], said.time_ns, "only recorded", message=self._decode(key[0], said.data))
                 )
         self._recorded.clear()
+        self._others.clear()
         return later
 
-    def _is_repeated(self, key: Key) -> bool:
-        """Report whether it is a second copy of what was compared already: the sequence has passed it."""
-        if isinstance(key[1], int):
-            return key[1] <= self._newest.get(key[0], -1)
-        return key in self._compared
+    def _is_copy(self, key: Key, said: RecordedOutput) -> bool:
+        """Report whether it is a second copy of what was compared already, or comes too late to tell."""
+        subject, value = key
+        compared = self._compared.setdefault(subject, OrderedDict()).get(value)
+        if compared is not None:
+            return compared == hash(said)
+        is_forgotten = subject in self._forgotten and value <= self._forgotten[subject]
+        self.given_up += is_forgotten
+        return is_forgotten
 
     def _compare(self, key: Key, recorded: RecordedOutput, again: RecordedOutput) -> None:
         subject = key[0]
-        if not isinstance(key[1], int):
-            self._compared[key] = None
-            if len(self._compared) > COPIES_MAX:
-                self._compared.popitem(last=False)
+        compared = self._compared.setdefault(subject, OrderedDict())
+        compared[key[1]] = hash(recorded)
+        if len(compared) > COPIES_MAX:
+            self._forgotten[subject], _ = compared.popitem(last=False)
         if recorded.data == again.data:
             self.same[subject] += 1
             return
@@ -165,7 +174,17 @@ class Comparison:
         if len(self.differences) < DIFFERENCES_TOLD:
             self.differences.append(difference)
 
-    def _wait(self, waiting: OrderedDict[Key, RecordedOutput], key: Key, said: RecordedOutput) -> None:
+    def _wait_recorded(self, key: Key, said: RecordedOutput) -> None:
+        """Keep it, beside what waits under its key: of another run, or put in by somebody."""
+        first = self._recorded.get(key)
+        if first is None:
+            self._wait(self._recorded, key, said)
+        elif first != said:
+            if abs(first.time_ns - said.time_ns) > SAME_RUN_NS:
+                self._recorded[key], said = said, first
+            self._wait(self._others, (key, said), None)
+
+    def _wait(self, waiting: OrderedDict[Any, Any], key: Hashable, said: RecordedOutput | None) -> None:
         waiting[key] = said
         if len(waiting) > WAITING_MAX:
             waiting.popitem(last=False)

@@ -237,7 +237,7 @@ class RerunPlayer:
     def _result(self, start_ns: int) -> RerunResult:
         comparison, self.comparison = self.comparison, Comparison(_decode, self._segment.holds)
         end = self._tape.end
-        for key, said in comparison.end().items():
+        for key, said in comparison.end():
             self.comparison.record(key, said)
         return RerunResult(
             robot=self._robot,

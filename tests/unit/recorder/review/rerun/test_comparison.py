@@ -44,7 +44,7 @@ def test_either_side_may_be_ahead(changed: list[bool], seed: int) -> None:
             comparison.say_again((SUBJECT, number), event(number, "x" if changed[number] else ""))
         else:
             comparison.record((SUBJECT, number), event(number))
-    assert comparison.end() == {}
+    assert comparison.end() == []
     assert comparison.same[SUBJECT] == changed.count(False)
     assert comparison.difference_count == changed.count(True)
     assert all(one.fields == {"text": ("", "x")} for one in comparison.differences)
@@ -71,7 +71,7 @@ def test_what_was_recorded_and_does_not_come_again_is_one() -> None:
     comparison.record((SUBJECT, 0), event(0))
     comparison.record((SUBJECT, 1), event(1))
     comparison.record((SUBJECT, 12), event(12))
-    assert list(comparison.end()) == [(SUBJECT, 12)]
+    assert comparison.end() == [((SUBJECT, 12), event(12))]
     [difference] = comparison.differences
     assert (difference.what, difference.time_ns, difference.message.sequence) == ("only recorded", 1, 1)
 
@@ -83,7 +83,7 @@ def test_a_second_copy_in_the_log_is_no_difference() -> None:
         comparison.say_again((SUBJECT, number), event(number))
         comparison.record((SUBJECT, number), event(number))
     comparison.record((SUBJECT, 1), event(1))
-    assert comparison.end() == {}
+    assert comparison.end() == []
     assert (comparison.same[SUBJECT], comparison.difference_count) == (3, 0)
 
 
@@ -108,7 +108,7 @@ def test_what_was_recorded_before_anything_came_again_is_not_compared() -> None:
         comparison.record((SUBJECT, number), event(number))
     comparison.say_again((SUBJECT, 3), event(3))
     comparison.say_again(("safety/state", 9), event(BATCH_NS + 9))
-    assert comparison.end() == {}
+    assert comparison.end() == []
     assert (comparison.same[SUBJECT], comparison.difference_count) == (1, 1)
 
 
@@ -120,7 +120,7 @@ def test_a_sequence_that_began_anew_is_another_message() -> None:
     comparison.say_again((SUBJECT, 9), event(9))
     later = event(60 * SAME_RUN_NS)
     comparison.record((SUBJECT, 2), later)
-    assert comparison.end() == {(SUBJECT, 2): later}
+    assert comparison.end() == [((SUBJECT, 2), later)]
     assert comparison.difference_count == 0
 
 
@@ -133,5 +133,39 @@ def test_a_second_copy_of_what_has_no_sequence_is_no_difference() -> None:
         comparison.say_again(key, event(number))
         comparison.record(key, event(number))
     comparison.say_again(("safety/state", 9), event(BATCH_NS + 9))
-    assert comparison.end() == {}
+    assert comparison.end() == []
     assert (comparison.same[SUBJECT], comparison.difference_count) == (3, 0)
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize("is_late", [True, False])
+def test_what_was_put_in_beside_a_message_is_a_difference(is_first: bool, is_late: bool) -> None:  # noqa: FBT001
+    """Under its key, before it or after it, before it comes out again or after that."""
+    comparison = compared()
+    copies = [event(1), RecordedOutput(1, event(1, "forged").data)]
+    comparison.say_again((SUBJECT, 0), event(0))
+    recorded = copies[::-1] if is_first else copies
+    comparison.record((SUBJECT, 1), recorded[0])
+    if not is_late:
+        comparison.record((SUBJECT, 1), recorded[1])
+    comparison.say_again((SUBJECT, 1), event(1))
+    comparison.say_again((SUBJECT, 2), event(2))
+    if is_late:
+        comparison.record((SUBJECT, 1), recorded[1])
+    comparison.say_again(("safety/state", 9), event(BATCH_NS + 9))
+    assert comparison.end() == []
+    assert comparison.difference_count >= 1
+    assert {one.time_ns for one in comparison.differences} == {1}
+
+
+def test_a_copy_that_comes_too_late_to_tell_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether it is one is not known any more."""
+    monkeypatch.setattr(comparison_module, "COPIES_MAX", 2)
+    comparison = compared()
+    for number in range(5):
+        comparison.say_again((SUBJECT, number), event(number))
+        comparison.record((SUBJECT, number), event(number))
+    comparison.record((SUBJECT, 4), event(4))
+    assert comparison.given_up == 0
+    comparison.record((SUBJECT, 1), event(1))
+    assert (comparison.given_up, comparison.difference_count) == (1, 0)
