@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-COMMAND_RULES: Final = 5
+COMMAND_RULES: Final = 6
 """The rules of this version. To be raised, with a row below, by every change that decides something otherwise."""
 
 _UNNUMBERED: Final = 0
@@ -41,6 +41,9 @@ CHANGES: Final[dict[int, str]] = {
     5: "wheel pulses alone show that a robot rolls only 0.55 s after it should have come to rest; "
     "drive feedback beyond what the chassis can do shows that it moves; where there is none, so do wheel speeds "
     "of an unknown scale",
+    6: "a robot that is found moving, or is given back in motion, is told no more than its steering angle allows; "
+    "a speed of less than one bit of the drive command counts as none where the robot rolls; "
+    "wheels that follow a slow change of the steering angle with a lag of 0.2 s do follow",
 }
 """The changes that each version of the rules brought."""
 

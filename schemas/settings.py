@@ -167,6 +167,9 @@ STEERING_DEVIATION_NS: Final = 300_000_000
 STEERING_FOLLOWS_DEGPS: Final = 30.0
 """Rate of turning the wheels at which a chassis still follows."""
 
+STEERING_LAG_S: Final = 0.2
+"""The wheels follow a commanded angle with no more lag than this (chosen: the manual says nothing)."""
+
 FROZEN_BODY_M: Final = 3.0
 """The mileage counts whole metres: after this way without a change, the body frame is frozen."""
 

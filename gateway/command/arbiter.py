@@ -10,7 +10,7 @@ from __future__ import annotations
 from random import Random
 from typing import Final
 
-from gateway.command.actuation import AT_REST, Actuation
+from gateway.command.actuation import Actuation
 from gateway.command.chassis_state import ChassisState
 from gateway.command.engagement import Engagement
 from gateway.command.lease import Leases
@@ -168,8 +168,7 @@ class Arbiter:
 
     def _stop_for_faults(self, now_ns: int, late_ns: int) -> None:
         # During a stop too: a graver cause hastens it, and may latch.
-        told = self.output.actuation or AT_REST
-        for reason in self.monitor.faults(told, self.setpoint.limits.speed_mps, late_ns, now_ns):
+        for reason in self.monitor.faults(self.output.told, self.setpoint.limits.speed_mps, late_ns, now_ns):
             self.engagement.begin_stop(reason, now_ns, self.monitor.fault_detail(reason, late_ns))
         if self.output.variant is Variant.UNKNOWN:
             self.engagement.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)

@@ -21,7 +21,7 @@ def inferred_actuation(chassis: ChassisState, limits: MotionLimits, left: Actuat
 
     Args:
         chassis: the chassis now.
-        limits: the configured ones; no speed is above them.
+        limits: the configured ones; no speed is above them, nor above what they allow at the steering angle.
         left: the command that we left it with, if it may execute that again: no speed is above that one. If
             others left it, the parking brake is applied where the gear is that of a parked robot, or is not known:
             released, it may set a standing robot going.
@@ -29,16 +29,17 @@ def inferred_actuation(chassis: ChassisState, limits: MotionLimits, left: Actuat
     rolls = chassis.gear in IN_GEAR
     angle_deg = inferred_angle_deg(chassis, limits)
     # The feedback is off by a degree: what we told goes on where the wheels still are there.
-    is_ours = left is not None and abs(left.angle_deg - angle_deg) <= STEERING_DEVIATION_DEG
+    if left is not None and abs(left.angle_deg - angle_deg) <= STEERING_DEVIATION_DEG:
+        angle_deg = left.angle_deg
     gear = GearPosition.NEUTRAL if left is None else left.gear
     parking = chassis.gear in {GearPosition.PARK, GearPosition.UNDEFINED} if left is None else left.parking
-    speed_mps = min(chassis.slowest_mps, limits.speed_mps)
+    speed_mps = min(chassis.slowest_mps, limits.speed_at(max(abs(angle_deg), abs(chassis.angle_deg or 0.0))))
     if left is not None:
         speed_mps = min(speed_mps, left.speed_mps) if left.gear is chassis.gear else 0.0
     return Actuation(
         enabled=True,
         gear=chassis.gear if rolls else gear,
         speed_mps=speed_mps if rolls and not parking else 0.0,
-        angle_deg=left.angle_deg if is_ours and left is not None else angle_deg,
+        angle_deg=angle_deg,
         parking=parking,
     )

@@ -5,7 +5,9 @@ from __future__ import annotations
 from copy import copy
 from typing import Final
 
-from gateway.command.actuation import Actuation
+import msgspec
+
+from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.chassis_monitor import ChassisMonitor
 from gateway.command.link_age import LinkAge
 from gateway.command.motion import MotionConstraints, MotionProfile, Target
@@ -49,6 +51,14 @@ class Output:
     def stop_phase(self) -> StopPhase:
         """The phase of the stop; IDLE if there is none."""
         return StopPhase.IDLE if self.sequence is None else self.sequence.phase
+
+    @property
+    def told(self) -> Actuation:
+        """The chassis's command as its frames say it: at rest if there is none, and zero speed below one bit."""
+        actuation = self.actuation or AT_REST
+        if 0 < actuation.speed_mps < SPEED_BIT_MPS.get(self.variant, 0.0):
+            return msgspec.structs.replace(actuation, speed_mps=0.0)
+        return actuation
 
     def begin(self, variant: Variant) -> None:
         """Begin to command the chassis, in the scale of this variant."""

@@ -29,6 +29,7 @@ from schemas.settings import (
     STEERING_DEVIATION_DEG,
     STEERING_DEVIATION_NS,
     STEERING_FOLLOWS_DEGPS,
+    STEERING_LAG_S,
 )
 
 _HAIR: Final = 1e-9
@@ -79,15 +80,20 @@ class Envelope:
         self.backward_mps = _fallen(self.backward_mps, backward_mps, elapsed_s)
         self.forward_rest_s = _rested(self.forward_rest_s, forward_mps, self.forward_mps, elapsed_s)
         self.backward_rest_s = _rested(self.backward_rest_s, backward_mps, self.backward_mps, elapsed_s)
-        turned_deg = STEERING_FOLLOWS_DEGPS * elapsed_s
-        self.left_deg = max(told.angle_deg, self.left_deg - turned_deg)
-        self.right_deg = min(told.angle_deg, self.right_deg + turned_deg)
+        self.left_deg = told.angle_deg + _turned(max(0.0, self.left_deg - told.angle_deg), elapsed_s)
+        self.right_deg = told.angle_deg - _turned(max(0.0, told.angle_deg - self.right_deg), elapsed_s)
 
 
 def _fallen(before_mps: float, told_mps: float, elapsed_s: float) -> float:
     """Return the speed that a slow chassis may still have, on its way down to the commanded one."""
     lag_mps = (before_mps - told_mps) * min(1.0, elapsed_s / DRIVE_LAG_S)
     return max(told_mps, before_mps - min(lag_mps, REFERENCE_DECELERATION_MPS2 * elapsed_s))
+
+
+def _turned(off_deg: float, elapsed_s: float) -> float:
+    """Return how far off slow wheels may still be, on their way to the commanded angle."""
+    lag_deg = off_deg * min(1.0, elapsed_s / STEERING_LAG_S)
+    return off_deg - min(lag_deg, STEERING_FOLLOWS_DEGPS * elapsed_s)
 
 
 def _rested(before_s: float, told_mps: float, speed_mps: float, elapsed_s: float) -> float:

@@ -128,7 +128,7 @@ class Oracle:
         # What is told.
         self._order: Told | None = None
         self._order_s = -9.0
-        self._is_guards = False
+        self._is_guards = self._was_auto = False
         self._bytes: dict[int, bytes] = {}
         self._counters: dict[int, int] = {}
         self._ceiling_mps = 0.0
@@ -277,7 +277,8 @@ class Oracle:
         lateral_mps2 = order.speed_mps**2 * tan(radians(abs(order.angle_deg))) / WHEELBASE_M
         last = order if before is None else before
         # Out of auto it obeys nobody: a stop begins anew, with the gear and at the angle that are seen.
-        obeys = order.enabled and last.enabled and self._plant is not None and self._plant.mode == AUTO
+        is_auto = order.enabled and self._plant is not None and self._plant.mode == AUTO
+        obeys = is_auto and last.enabled and self._was_auto
         shifts = obeys and order.gear != last.gear
         allowed_mps2 = limits.lateral_acceleration_mps2 + 0.03 + 2 * order.speed_mps * self._bit_mps
         turned_deg = abs(order.angle_deg - last.angle_deg)
@@ -303,7 +304,7 @@ class Oracle:
         taken_s = self._remote.lasts(now_s, holds=self._is_remote(now_s))
         if taken_s > 0.1 and self._plant is not None and self._plant.sticks:
             self._fail("talks_to_remote", now_s, "a frame, 100 ms after the remote control took over")
-        self._order, self._order_s = order, now_s
+        self._order, self._order_s, self._was_auto = order, now_s, is_auto
 
     def _judge_speed(self, order: Told, before: Told | None, gap_s: float, now_s: float) -> None:
         """The told speed: never up without leave, never faster than the ramps, down when it has to be."""

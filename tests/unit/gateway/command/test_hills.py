@@ -14,6 +14,7 @@ from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
+from schemas.settings import CommandSettings
 from tests.support.nights import by_night, every_pair
 from tests.support.rigs.gateway import GatewayRig, Operator, driving
 
@@ -43,8 +44,14 @@ class Hill(GatewayRig):
         rolled_back_m: how far it is behind the furthest place that it reached, since ``watch``.
     """
 
-    def __init__(self, slope_deg: float, payload_kg: float = 0.0, pedal_gain: float = 0.0) -> None:
-        super().__init__()
+    def __init__(
+        self,
+        slope_deg: float,
+        payload_kg: float = 0.0,
+        pedal_gain: float = 0.0,
+        command: CommandSettings | None = None,
+    ) -> None:
+        super().__init__(command=command)
         conditions = Conditions(slope_deg=slope_deg, payload_kg=payload_kg, pedal_gain=pedal_gain)
         self.chassis = VirtualChassis(load(Variant.COARSE), 0, conditions=conditions)
         self._sign = 0.0
@@ -146,6 +153,19 @@ def test_a_motor_that_dies_is_noticed_by_the_wheels(slope_deg: float) -> None:
     assert hill.speed_mps == 0
     assert Reason.ROLLING in hill.says.latched
     assert Reason.ROLLING in hill.event_reasons(EventKind.STOP)
+
+
+@pytest.mark.parametrize("acceleration_mps2", [0.1, 0.3])
+def test_a_robot_that_rolls_off_before_a_speed_is_told_is_braked(acceleration_mps2: float) -> None:
+    """Row 'rolling': at zero command for 100 ms, be the ramp that begins as slow as it may: a bit is 0.04 m/s."""
+    hill = Hill(-20.0, command=CommandSettings(acceleration_mps2=acceleration_mps2))
+    hill.operator.drive(0.0, seconds=0.2)
+    hill.fault("motor 0")
+    before_m = hill.chassis.state.x_m
+    hill.operator.drive(0.5, seconds=3.0)
+    assert hill.speed_mps == 0
+    assert abs(hill.chassis.state.x_m - before_m) < STOP_MAX_M
+    assert Reason.ROLLING in hill.says.latched
 
 
 @pytest.mark.parametrize("slope_deg", [-20.0, -8.0, 0.0])

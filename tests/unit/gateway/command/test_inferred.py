@@ -1,5 +1,7 @@
 """What is seen of a chassis, and where a stop begins that nobody of us led up to."""
 
+from math import radians, tan
+
 import msgspec
 import pytest
 
@@ -65,6 +67,15 @@ def test_what_stands_and_what_moves(changes: dict[str, object], *, is_slow: bool
     """
     chassis = msgspec.structs.replace(SLOW, **changes)
     assert (chassis.is_slow, chassis.moves) == (is_slow, moves)
+
+
+@pytest.mark.parametrize("seen_deg", [-30.0, -17.0, 17.0])
+def test_no_speed_is_told_that_the_angle_does_not_allow(seen_deg: float) -> None:
+    """Row 'lateral acceleration', of a robot that is given back in a bend: v^2 tan(angle) / 0.660 m."""
+    chassis = ChassisState(speed_mps=3.0, fastest_wheel_mps=3.0, gear=DRIVE, angle_deg=seen_deg)
+    limits = MotionLimits.of(CommandSettings())
+    told = inferred_actuation(chassis, limits)
+    assert told.speed_mps**2 * tan(radians(abs(seen_deg))) / 0.660 == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize(("seen_deg", "told_deg"), [(None, 0.0), (-30.0, -10.0), (30.0, 10.0), (4.0, 4.0)])

@@ -330,6 +330,17 @@ def test_steering_that_turns_slowly_follows(sign: int) -> None:
             assert watched.run(seen(0.0, angle_deg=actual_deg), told(0.0, target_deg)) == []
 
 
+@pytest.mark.parametrize("rate_degps", [5, 20, 28, 30, 32, 40, 60])
+def test_steering_that_lags_follows(rate_degps: float) -> None:
+    """Row 'steering': with a lag of 0.2 s, at each rate that may be set, from one side to the other."""
+    watched = Watched(0.0, 24.0)
+    told_deg = actual_deg = 24.0
+    for _ in range(1000):
+        told_deg = max(-24.0, told_deg - rate_degps / 100)
+        actual_deg += (told_deg - actual_deg) * 0.01 / 0.2
+        assert watched.run(seen(0.0, angle_deg=actual_deg), told(0.0, told_deg)) == []
+
+
 def test_steering_that_is_stuck_is_found() -> None:
     """Row 'steering': at full lock while straight on is told."""
     watched = Watched(0.0, 24.0)
