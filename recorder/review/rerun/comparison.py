@@ -67,10 +67,11 @@ class Comparison:
         same: number of equal messages, by subject.
         differences: the first ones.
         difference_count: all of them.
-        unrecorded: messages that come out again and are not in the log, by subject: it lost them.
+        unrecorded: messages that come out again and are not in the log, by subject: it lost them. A subject of
+            which nothing was compared was not to be recorded.
         given_up: messages that waited too long for their counterpart, or came too long after it.
-        begins_ns, ends_ns: the times of the first and the newest message that came out again, since 1970;
-            ``begins_ns`` is None before.
+        begins_ns, ends_ns: the times of the first message with a sequence and of the newest of all that came out
+            again, since 1970; ``begins_ns`` is None before.
     """
 
     def __init__(self, decode: Callable[[str, bytes], Any], holds: Callable[[int], bool] = lambda _: True) -> None:
@@ -101,7 +102,8 @@ class Comparison:
 
     def say_again(self, key: Key, said: RecordedOutput) -> None:
         """A message that comes out of the inputs."""
-        if self.begins_ns is None:
+        if self.begins_ns is None and isinstance(key[1], int):
+            # Not with a frame that was received: behind a place of rest the next state comes at another time.
             self.begins_ns = said.time_ns
         self.ends_ns = max(self.ends_ns, said.time_ns)
         if not self._holds(said.time_ns):
@@ -124,7 +126,9 @@ class Comparison:
         """
         # What was said last is in a batch that may not have been published any more.
         last_ns = self.ends_ns - BATCH_NS
-        self.unrecorded.update(key[0] for key, said in self._again.items() if said.time_ns <= last_ns)
+        self.unrecorded.update(
+            key[0] for key, said in self._again.items() if said.time_ns <= last_ns and key[0] in self._compared
+        )
         self._again.clear()
         later: list[tuple[Key, RecordedOutput]] = []
         begins_ns = self.begins_ns or 0

@@ -33,8 +33,12 @@ GROUP: Final = "cruiser.rerun"
 """The group of entry points."""
 
 SENT: Final = "can/{bus}/tx"
-COMPARED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
-"""The subjects that must come out the same."""
+DECIDED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
+"""The subjects that tell what the arbiter decided."""
+
+RECEIVED: Final = "can/{bus}/rx"
+COMPARED: Final = (*DECIDED, RECEIVED)
+"""The subjects that must come out the same. No rule changes received frames: they show whether the log is true."""
 
 NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
 NO_PLACE: Final = (
@@ -267,10 +271,10 @@ class RerunPlayer:
 def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
     """Return the key that distinguishes a record of its subject, on either side.
 
-    It is the sequence; but batches of sent frames may be cut elsewhere when they come again, so of these it is
-    time and identifier: each goes out once in a tick at most.
+    It is the sequence; but batches of frames may be cut elsewhere when they come again, so of these it is time and
+    identifier: each goes out once in a tick at most.
     """
-    if subject != SENT:
+    if subject not in {SENT, RECEIVED}:
         return subject, sequence
     return subject, (time_ns, identifier_in(data))
 

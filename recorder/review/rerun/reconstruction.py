@@ -31,7 +31,7 @@ from recorder.reading.survey import survey
 from recorder.reading.topics import ORIGIN, RECONSTRUCTED_CHUNK, UNREADABLE
 from recorder.review.rerun.holes import STATES, StateHole, holes, pieces
 from recorder.review.rerun.player import (
-    COMPARED,
+    DECIDED,
     DETAIL_MAX,
     Rerun,
     SampleAgain,
@@ -52,7 +52,7 @@ FROM_JOURNAL: Final = "from the journal"
 OTHERWISE: Final = "from the journal, by an arbiter that decides otherwise than the recorded one"
 
 MADE_AGAIN: Final = frozenset(
-    {*COMPARED, *(one.name for one in SUBJECTS if issubclass(one.type, Feedback | CanFrames | RobotState))}
+    {*DECIDED, *(one.name for one in SUBJECTS if issubclass(one.type, Feedback | CanFrames | RobotState))}
 )
 """The subjects that follow from the journal; health, which does not, is lost."""
 
@@ -416,7 +416,7 @@ class _Remaking:
 
         Where of its states none was recorded, and others were, the journal is that of another robot or run.
         """
-        own = {topic for topic, subject in self._subjects.items() if subject in COMPARED}
+        own = {topic for topic, subject in self._subjects.items() if subject in DECIDED}
         said = {key: one for key, one in self._said.items() if key[0] in own}
         for topic in own & self._missing.keys():
             said |= {key: hash(one.data) for key, one in self._missing[topic].items() if key in self._recorded}
@@ -440,7 +440,7 @@ class _Remaking:
         A core that begins at a place of rest, or with its run, counts or dates some of it anew: nothing that it
         decides depends on that.
         """
-        if self._subjects[topic] in COMPARED:
+        if self._subjects[topic] in DECIDED:
             return True
         beside = [self._recorded.get(key) == said for key, said in self._said.items() if key[0] == topic]
         return 2 * sum(beside) > len(beside)
@@ -450,7 +450,7 @@ def _part(subject: str, sequence: int, data: bytes) -> object:
     """Return the part by which messages of one topic and one time are told apart."""
     if BY_NAME[subject].type is CanFrames:
         return identifier_in(data)
-    return sequence if subject in COMPARED else None
+    return sequence if subject in DECIDED else None
 
 
 @cache

@@ -1,12 +1,14 @@
 """Logs, run again."""
 
 from collections.abc import Iterable, Iterator
+from copy import copy
 from functools import cache
 from pathlib import Path
 
 import msgspec
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Message, Schema
 from mcap.writer import Writer
 
 from gateway import core
@@ -15,7 +17,7 @@ from gateway.telemetry.sample import Sample
 from recorder.reading.configurations import CONFIGURATION, settings_from
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.review.rerun.player import Rerun, RerunResult, installed, rerun_logs
+from recorder.review.rerun.player import COMPARED, Rerun, RerunResult, installed, rerun_logs
 from schemas import codec
 from schemas.codec import encode
 from schemas.configuration import to_toml
@@ -47,6 +49,9 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
+LoggedMessage = tuple[Schema | None, Channel, Message]
+
+
 def run_again(path: Path, again: Rerun | None = None) -> tuple[list[RerunResult], Faults]:
     """What comes of the logs there."""
     faults = Faults()
@@ -54,12 +59,12 @@ def run_again(path: Path, again: Rerun | None = None) -> tuple[list[RerunResult]
 
 
 def test_all_comes_out_byte_for_byte(log: Path) -> None:
-    """Decisions, events, states and sent frames; by the arbiter that is installed."""
+    """Decisions, events, states, sent and received frames; by the arbiter that is installed."""
     [result], faults = run_again(log)
     assert not faults
     assert (result.robot, result.detail, result.difference_count) == ("cruiser-1", "", 0)
     assert min(result.same.values()) > 10
-    assert set(result.same) == {"safety/decision", "safety/event", "safety/state", "can/{bus}/tx"}
+    assert set(result.same) == set(COMPARED)
     assert 10e9 < result.end_ns - result.start_ns < 20e9
 
 
@@ -219,28 +224,70 @@ def split(log: Path, directory: Path) -> tuple[Path, Path]:
     """The log in two files, by the half of its messages."""
     directory.mkdir()
     paths = (directory / "cruiser-1-20260102T030405Z.mcap", directory / "cruiser-1-20260102T030410Z.mcap")
-    with log.open("rb") as stream:
-        reader = make_reader(stream)
-        messages = list(reader.iter_messages(log_time_order=False))
-        attachments = list(reader.iter_attachments())
+    messages, attachments = read(log)
     half = len(messages) // 2
     for path, part, begins in ((paths[0], messages[:half], 0), (paths[1], messages[half:], half)):
-        with path.open("wb") as stream:
-            writer = Writer(stream)
-            writer.start()
-            ids: dict[int, int] = {}
-            for one in attachments:
-                writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
-            for number, (schema, channel, message) in enumerate(part, start=begins):
-                assert schema is not None
-                if channel.id not in ids:
-                    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                    ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-                # In this log all times of receipt are the same.
-                log_ns = message.log_time + number
-                writer.add_message(ids[channel.id], log_ns, message.data, message.publish_time, message.sequence)
-            writer.finish()
+        write(path, part, attachments, begins)
     return paths
+
+
+def read(log: Path) -> tuple[list[LoggedMessage], list[Attachment]]:
+    """Messages, with schema and channel, and attachments."""
+    with log.open("rb") as stream:
+        reader = make_reader(stream)
+        return list(reader.iter_messages(log_time_order=False)), list(reader.iter_attachments())
+
+
+def write(
+    path: Path, messages: Iterable[LoggedMessage], attachments: Iterable[Attachment], begins: int = 0
+) -> None:
+    """A log of these."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        ids: dict[int, int] = {}
+        for one in attachments:
+            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        for number, (schema, channel, message) in enumerate(messages, start=begins):
+            assert schema is not None
+            if channel.id not in ids:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
+            # In this log all times of receipt are the same.
+            log_ns = message.log_time + number
+            writer.add_message(ids[channel.id], log_ns, message.data, message.publish_time, message.sequence)
+        writer.finish()
+
+
+@pytest.mark.parametrize("topic", ["can/can0/rx", "can/can0/tx", "safety/state", "safety/event"])
+@pytest.mark.parametrize("is_put_in", [True, False])
+def test_what_was_changed_or_put_in_is_a_difference(
+    tmp_path: Path, log: Path, topic: str, *, is_put_in: bool
+) -> None:
+    """Whatever the journal says otherwise."""
+    messages, attachments = read(log)
+    [*places] = (place for place, one in enumerate(messages) if one[1].topic.endswith(topic))
+    place = places[len(places) // 2]
+    schema, channel, message = messages[place]
+    forged = copy(message)
+    forged.data = message.data[:-1] + bytes([message.data[-1] ^ 1])
+    messages[place : place + (not is_put_in)] = [(schema, channel, forged)]
+    write(changed := tmp_path / "changed.mcap", messages, attachments)
+    [result], _ = run_again(changed)
+    assert result.difference_count > 0
+    assert result.differences[0].subject.rpartition("/")[2] == topic.rpartition("/")[2]
+
+
+def test_what_was_not_to_be_recorded_is_not_called_lost(tmp_path: Path, log: Path) -> None:
+    """A log need not hold the received frames."""
+    messages, attachments = read(log)
+    write(
+        fewer := tmp_path / "fewer.mcap",
+        (one for one in messages if not one[1].topic.endswith("/rx")),
+        attachments,
+    )
+    [result], _ = run_again(fewer)
+    assert (result.unrecorded, result.difference_count) == ({}, 0)
 
 
 def test_a_log_without_a_configuration_is_not_run_with_another(log: Path) -> None:
