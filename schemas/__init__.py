@@ -1,4 +1,6 @@
-"""Messages, requests, keys and encodings of the wire. Pure: no I/O, no clocks, no other package of ours.
+"""Messages, requests, keys and encodings of the wire. Knows no other package of ours.
+
+Pure: no I/O, no clock, but for ``web``, the server of pages for browsers, and two generators, which write files.
 
 - ``messages``  the typed messages, with units in their names; ``decisions`` those of the arbiter, and its replies
 - ``requests``  what may be asked of a robot, untrusted; ``reasons`` why it is refused, or the robot stopped

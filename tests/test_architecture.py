@@ -2,6 +2,8 @@
 
 import ast
 import configparser
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -36,6 +38,12 @@ def contracts() -> dict[str, set[str]]:
     }
 
 
+def lint_imports(tree: Path) -> subprocess.CompletedProcess[str]:
+    """Hold a tree to its contracts."""
+    linter = Path(sys.executable).with_name("lint-imports")
+    return subprocess.run([linter, "--no-cache"], cwd=tree, capture_output=True, text=True, check=False)
+
+
 def rooms() -> set[str]:
     """The folders and modules right below gateway and recorder."""
     return {
@@ -49,9 +57,24 @@ def rooms() -> set[str]:
 
 def test_the_import_contracts_hold() -> None:
     """The layers are exhaustive: a folder that stands in none breaks them."""
-    linter = Path(sys.executable).with_name("lint-imports")
-    outcome = subprocess.run([linter, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
+    outcome = lint_imports(ROOT)
     assert outcome.returncode == 0, outcome.stdout
+
+
+def test_a_socket_or_a_process_breaks_the_contracts_of_who_may_have_none(tmp_path: Path) -> None:
+    """Of a core, of what is said, and of the files of keys; each import is named."""
+    shutil.copy(ROOT / ".importlinter", tmp_path)
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__", "page"))
+    wrong = {"gateway.core", "schemas.keys", "schemas.authority.proof", "gateway.provisioning.issuer"}
+    for module in wrong:
+        with (tmp_path / module.replace(".", "/")).with_suffix(".py").open("a", encoding="utf-8") as file:
+            file.write("import socket\nimport subprocess\n")
+    outcome = lint_imports(tmp_path)
+    assert outcome.returncode == 1
+    assert set(re.findall(r"^-   (\S+) -> (\S+) ", outcome.stdout, flags=re.MULTILINE)) == {
+        (module, imported) for module in wrong for imported in ("socket", "subprocess")
+    }
 
 
 def test_every_room_has_a_contract_of_what_it_may_touch() -> None:
