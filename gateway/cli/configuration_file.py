@@ -21,14 +21,15 @@ ZENOH_ENDING: Final = ".json5"
 SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")
 """The settings of a robot's services. ``cruiser doctor`` reads them where no file is named."""
 
-_PEOPLE: Final = ("list", "watch", "drive", "stop", "why", "reset", "lease", "park", "unpark", "light", "horn")
+_LOOKING: Final = ("list", "watch", "view", "shadow", "why")
+_DRIVING: Final = ("drive", "stop", "reset", "lease", "park", "unpark", "light", "horn", "odometer")
 OWN_FILES: Final[Mapping[str, tuple[str, ...]]] = {
     "gateway": ("robot.toml",),
     "doctor": ("robot.toml",),
     "record": ("recorder.toml",),
     "desk": ("desk.toml",),
     "metrics": ("viewer.toml",),
-    **dict.fromkeys((*_PEOPLE, "odometer"), ("operator.toml", "viewer.toml")),
+    **dict.fromkeys((*_LOOKING, *_DRIVING), ("operator.toml", "viewer.toml")),
 }
 """Settings files that ``cruiser provision install`` writes for the user of a command."""
 

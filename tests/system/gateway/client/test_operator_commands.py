@@ -2,11 +2,13 @@ import argparse
 import json
 import re
 from collections.abc import Callable
+from pkgutil import resolve_name
 
 import msgspec
 import pytest
 
 from gateway.cli import drive, lease, reset, stop, watch, why
+from gateway.cli.main import COMMANDS
 from gateway.cli.verbs import HORN, LIGHT, ODOMETER, PARK, UNPARK
 from gateway.client.robot import Robot
 from schemas.decisions import ArbiterState
@@ -99,6 +101,12 @@ def test_drive_says_why_the_robot_stopped() -> None:
         with pytest.raises(CommandError, match="front_bumper") as caught:
             run(drive, fake.listen, "cruiser-1", "--speed", "1", "--seconds", "100", until=hit)
         assert caught.value.code is ExitCode.FAILURE
+
+
+def test_every_command_of_one_verb_is_tried_here() -> None:
+    """By the table of commands: one that is new would stand in it, and not here."""
+    commands = [resolve_name(place) for place, _ in COMMANDS.values() if place.startswith("gateway.cli.verbs:")]
+    assert [module for module, _ in ACTIONS.values()] == commands
 
 
 @pytest.mark.parametrize("verb", ACTIONS)

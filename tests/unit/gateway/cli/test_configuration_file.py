@@ -1,4 +1,6 @@
+import argparse
 import os
+import pkgutil
 from pathlib import Path
 
 import pytest
@@ -122,9 +124,16 @@ def _unread(command: str, environ: dict[str, str] | None = None, connect: str = 
     return unread_file(command, None, given, settings)
 
 
-def test_every_command_with_a_settings_file_of_its_own_is_one() -> None:
-    """A command that was renamed would be warned of no more."""
-    assert set(OWN_FILES) <= set(COMMANDS)
+def _connects(command: str) -> bool:
+    """Return True if a command takes a place to connect to as a flag of its own."""
+    parser = argparse.ArgumentParser()
+    pkgutil.resolve_name(COMMANDS[command][0]).add_arguments(parser)
+    return "--connect ENDPOINT" in parser.format_help()
+
+
+def test_every_command_that_connects_has_a_settings_file_of_its_users() -> None:
+    """One that had none would run in open mode beside it, and say nothing; one that was renamed too."""
+    assert set(OWN_FILES) == {command for command in COMMANDS if _connects(command)}
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from schemas.decisions import ArbiterState, EventKind
 from schemas.reasons import Reason
 from schemas.requests import Role
 from schemas.subjects import BY_VERB, Asking
+from tests.support.requests import REQUESTS
 from tests.support.rigs.arbiter import ArbiterRig
 
 OPERATOR = Credentials(Reason.NONE, role=Role.OPERATOR)
@@ -31,25 +32,14 @@ def test_a_request_whose_proof_does_not_hold_is_refused_with_its_reason(verb: st
     rig = granted()
     rig.engage()
     rig.credentials = Credentials(reason, "so many")
-    fields = (
-        {"seq": 99, "challenge": rig.challenge(), "speed_mps": 0.1, "angle_deg": 0.0} if verb == "drive" else {}
-    )
-    fields |= {"on": True} if verb == "horn" else {}
+    own = {"lease": rig.lease, "challenge": rig.challenge(), "seq": 99}
+    fields = {name: own.get(name, value) for name, value in REQUESTS[verb].items()}
     handle = 0 if verb == "drive" else 1
     before = rig.arbiter.leases.held
-    ruling = rig.send(verb, payload_of(rig, verb, **fields), handle=handle)
+    ruling = rig.send(verb, msgspec.msgpack.encode(fields), handle=handle)
     assert (ruling.reason, ruling.detail) == (reason, "so many")
     assert rig.arbiter.state is ArbiterState.ENGAGED
     assert rig.arbiter.leases.held == before
-
-
-def payload_of(rig: ArbiterRig, verb: str, **fields: object) -> bytes:
-    """The payload of a verb of the holder."""
-    if verb not in {"acquire", "take", "stop"}:
-        fields = {"lease": rig.lease} | fields
-    if verb == "engage":
-        fields = {"challenge": rig.challenge()} | fields
-    return msgspec.msgpack.encode(fields)
 
 
 def test_without_credentials_nothing_is_accepted() -> None:
