@@ -1,6 +1,6 @@
 """Both flows on one page. No I/O, no clock: time is an argument.
 
-    TELEMETRY  frame   > ``receive_frame``   > check, supervise, decode    > Sample     at the pace of the bus
+    TELEMETRY  frame   > ``receive_frame``   > check, decode, supervise    > Sample     at the pace of the bus
                time    > ``tick``            > batches, state, health      > Samples    every 10 ms
     COMMAND    request > ``receive_request`` > waits for the tick
                time    > ``tick``            > arbitrate, encode, gate     > frames, replies, Samples

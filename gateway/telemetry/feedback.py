@@ -1,4 +1,4 @@
-"""One feedback frame's stream: check, supervise, decode, make the sample."""
+"""One feedback frame's stream: check, decode, supervise, make the sample."""
 
 from __future__ import annotations
 
