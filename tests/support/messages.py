@@ -344,8 +344,8 @@ def refusal(number: int, **fields: Any) -> Decision:  # noqa: ANN401 - any field
     return msgspec.structs.replace(known, **fields)
 
 
-def health(number: int, lost: int, losses: int = 0) -> GatewayHealth:
-    """The gateway's health at that time: so many frames and buses lost since it started."""
+def health(number: int, lost: int, losses: int = 0, faults: dict[str, int] | None = None) -> GatewayHealth:
+    """The gateway's health at that time: so many frames and buses lost, and other faults, since it started."""
     frame = msgspec.structs.replace(HEALTH.feedback[0], valid=1000, lost=lost)
     return msgspec.structs.replace(
         HEALTH,
@@ -354,7 +354,7 @@ def health(number: int, lost: int, losses: int = 0) -> GatewayHealth:
         uptime_s=1.0,
         bus_losses=losses,
         frames=1000,
-        faults={},
+        faults=faults or {},
         feedback=[frame],
     )
 

@@ -29,6 +29,7 @@ from recorder.review.report.versions import Versions
 from recorder.review.timeline.clock import RobotClock
 from recorder.review.timeline.ending import SILENT_NS, LogEnding
 from recorder.review.timeline.entries import Entry
+from recorder.review.timeline.health_changes import FRAME_COUNTS, fault_words
 from recorder.review.timeline.repeats import Repeats
 from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
@@ -37,6 +38,7 @@ REMOTE_CONTROL: Final = "the remote control (RC)"
 
 REFUSALS_MAX: Final = 200
 DRIVERS_MAX: Final = 200
+FAULTS_MAX: Final = 200
 OTHERS: Final = "(others)"
 
 REMEMBERED: Final = 4096
@@ -44,6 +46,9 @@ REMEMBERED: Final = 4096
 
 CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000
 """A time that is further from the receipt is of no use."""
+
+_COUNTED_BY_FRAME: Final = frozenset(kind for _, kind, _ in FRAME_COUNTS)
+"""Kinds of faults that each frame of the health counts for itself."""
 
 LINES: Final = (
     "speed_mps",
@@ -303,11 +308,13 @@ class Account:
             "losses of the bus": health.bus_losses,
             "samples that Zenoh did not take": health.publish_failures,
             "requests dropped unread": health.inbox_drops,
+            **{fault_words(kind): n for kind, n in health.faults.items() if kind not in _COUNTED_BY_FRAME},
         }
         for name, count in counts.items():
             # The first one tells of the time before the log; a count that fell was begun anew.
-            grown = count - self._counts.get(name, count)
-            self._health[name] += grown if grown >= 0 else count
+            grown = count - self._counts.get(name, 0) if self._counts else 0
+            if name in self._health or len(self._health) < FAULTS_MAX:
+                self._health[name] += grown if grown >= 0 else count
         self._counts = counts
 
 

@@ -27,7 +27,7 @@ _COUNTS: Final[tuple[tuple[str, str], ...]] = (
 )
 """Counters since the start whose rise makes an entry."""
 
-_FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
+FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
     ("checksum_faults", "checksum", "frames with a wrong checksum"),
     ("implausible", "implausible", "frames with a value that the chassis cannot have"),
     ("lost", "alive_lost", "frames that should have come, and did not; they are counted when that is known"),
@@ -36,6 +36,11 @@ _FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
 
 _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame", "fd_frame"})
 """Frames of others on the bus, mostly."""
+
+
+def fault_words(kind: str) -> str:
+    """The words for faults of this kind, of all frames together."""
+    return f"faults of frames: {kind}"
 
 
 class Risen(msgspec.Struct, frozen=True):
@@ -101,7 +106,7 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
         for failure in frame.failures
         if frame.name in were and failure not in were[frame.name].failures
     }
-    for field, kind, words in _FRAME_COUNTS:
+    for field, kind, words in FRAME_COUNTS:
         rises = {
             frame.name: getattr(frame, field) - getattr(were[frame.name], field)
             for frame in now.feedback
@@ -116,7 +121,7 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
         rise = count - before.faults.get(kind, 0)
         if rise > 0 and kind not in said:
             severity = Severity.INFO if kind in _HARMLESS else Severity.WARNING
-            yield Risen(f"fault {kind}", EntryKind.FAULT, severity, f"faults of frames: {kind}", rise)
+            yield Risen(f"fault {kind}", EntryKind.FAULT, severity, fault_words(kind), rise)
     for field, words in _COUNTS:
         rise = getattr(now, field) - getattr(before, field)
         if rise > 0:

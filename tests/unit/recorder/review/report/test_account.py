@@ -11,6 +11,7 @@ from recorder.reading.rows import END_OF_TIME_NS, Row
 from recorder.reading.topics import Topic
 from recorder.review.report.account import (
     DRIVERS_MAX,
+    FAULTS_MAX,
     OTHERS,
     REFUSALS_MAX,
     REMOTE_CONTROL,
@@ -169,6 +170,28 @@ def test_health_counts_what_came_while_the_log_was_written() -> None:
         health(0, lost=5), health(20, lost=7), health(40, lost=3, losses=1), health(60, lost=3, losses=1)
     )
     assert summary.health == {"lost frames": 5, "losses of the bus": 1}
+
+
+def test_faults_that_no_frame_counts_are_counted_too() -> None:
+    """By kind, in the words of the events; what the frames count is not said twice."""
+    summary = summary_of(
+        health(0, lost=0, faults={"period": 4}),
+        health(20, lost=1, faults={"period": 15, "silence": 10, "alive_lost": 1}),
+        health(40, lost=0, faults={"period": 2}),
+    )
+    assert summary.health == {
+        "lost frames": 1,
+        "faults of frames: period": 13,
+        "faults of frames: silence": 10,
+    }
+
+
+def test_kinds_of_faults_without_end_cost_no_memory_without_end() -> None:
+    """A damaged log may hold any."""
+    summary = summary_of(
+        *(health(number, lost=0, faults={f"kind-{number}": 1}) for number in range(2 * FAULTS_MAX))
+    )
+    assert 0 < len(summary.health) <= FAULTS_MAX
 
 
 def test_names_without_end_cost_no_memory_without_end() -> None:
