@@ -129,7 +129,7 @@ class Recorded(msgspec.Struct, frozen=True):
         lost_link: samples that never reached the recorder, by the gaps in their sequence.
         lost_queue: samples that were dropped unread; ``lost_size`` those that were larger than may be recorded.
         lost_full: messages that came while the disk might hold no more.
-        lost_disk: messages that the disk did not take.
+        lost_disk: messages that the disk did not take or keep.
         is_hung: the disk did not answer at the end: what it was given last may be lost, too.
         incidents: incidents that were begun.
         keys: per topic, what was received, written and lost.

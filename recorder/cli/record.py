@@ -338,7 +338,7 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
         f", {recorded.incidents} incidents" if recorded.incidents else "",
         f"; {dropped} samples dropped" if dropped else "",
         f"; no room for {full} messages" if full else "",
-        f"; the disk did not take {recorded.lost_disk} messages" if recorded.lost_disk else "",
+        f"; the disk did not take or keep {recorded.lost_disk} messages" if recorded.lost_disk else "",
         f"; {recorded.unfinished} files are not whole" if recorded.unfinished else "",
     ]
     sys.stderr.write(

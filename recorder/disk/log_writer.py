@@ -114,7 +114,7 @@ class LogWriter:
         self.bytes = 0
         """Bytes of the files that are ended; ``files`` of them."""
         self.lost = 0
-        """Messages that were received, and that the disk did not take."""
+        """Messages that were received, and that the disk did not take or keep."""
         self.is_hung = False
         """The disk did not answer at the end: what it was given last may be lost, too."""
         self._thread = threading.Thread(target=self._run, name="log writer", daemon=True)
@@ -435,6 +435,12 @@ class LogWriter:
             return []
         self._unkept_bytes -= file.unkept_bytes
         unkept = file.salvage()
+        if file.is_removed and file.kept_counts:
+            if not chain.is_incident:
+                with self._changed:
+                    self.lost += file.kept_counts.total()
+            span_ns = file.kept_from_ns, file.kept_to_ns
+            self._notices.append(Lost(chain.name, dict(file.kept_counts), *span_ns, file.name))
         self._notices.append(Ended(chain.name, file.name, file.size))
         if file.is_left:
             self._left.append(file.path)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, wait
 from contextlib import contextmanager, suppress
@@ -17,6 +17,7 @@ from typing import Final
 
 from recorder.encoding.event_digest import EventDigest
 from recorder.layouts.attached import COUNT as LAYOUTS
+from recorder.mcap.chunk import NO_LIMIT
 from recorder.mcap.writer import McapFile
 from recorder.record.actions import (
     CloseLog,
@@ -130,6 +131,12 @@ class PartFile:
         """Memory of the chunks that were written, and that the disk may not keep yet."""
         self._unkept: deque[tuple[int, WriteChunk]] = deque()
         """Those chunks, each with its end in the file: they may have to be written again."""
+        self.kept_counts: Counter[int] = Counter()
+        """Messages of each channel that the disk keeps."""
+        self.kept_from_ns, self.kept_to_ns = NO_LIMIT, 0
+        """Their first and last log time."""
+        self.is_removed = False
+        """Somebody has removed it before it was ended."""
         with clear_errors(part):
             self._mcap = McapFile(stream, library, digest=EventDigest())
 
@@ -186,7 +193,12 @@ class PartFile:
     def release(self) -> None:
         """Forget the chunks that the disk keeps by now."""
         while self._unkept and self._unkept[0][0] <= self.kept_size:
-            self.unkept_bytes -= self._unkept.popleft()[1].bytes
+            _, action = self._unkept.popleft()
+            self.unkept_bytes -= action.bytes
+            chunk = action.chunk
+            self.kept_counts.update(chunk.counts)
+            self.kept_from_ns = min(self.kept_from_ns, chunk.start_ns)
+            self.kept_to_ns = max(self.kept_to_ns, chunk.end_ns)
 
     def sync(self) -> None:
         """Have the disk keep all that is written so far. Does not wait for it."""
@@ -208,7 +220,8 @@ class PartFile:
         """
         if not self._stream.closed:
             self._end()
-        unkept = [action for end, action in self._unkept if self.is_doubtful and end > self.kept_size]
+        self.release()
+        unkept = [action for _, action in self._unkept] if self.is_doubtful else []
         self._unkept.clear()
         self.unkept_bytes = 0
         return unkept
@@ -228,7 +241,8 @@ class PartFile:
                 self._cut_to_kept()
         with suppress(OSError):
             if not self._stream.closed:
-                self.is_left = self._mcap.messages > 0 and os.fstat(self._stream.fileno()).st_nlink > 0
+                self.is_removed = os.fstat(self._stream.fileno()).st_nlink == 0
+                self.is_left = self._mcap.messages > 0 and not self.is_removed
                 self.path = self._find()
         with suppress(OSError):
             self._stream.close()

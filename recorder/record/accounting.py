@@ -36,7 +36,7 @@ class KeyReport(msgspec.Struct, frozen=True):
         lost_queue: samples that the recorder dropped unread, as too many waited.
         lost_size: samples that are larger than the recorder may record.
         lost_full: messages that came while the disk could hold no more.
-        lost_disk: messages that the disk did not take.
+        lost_disk: messages that the disk did not take or keep.
     """
 
     sent: int | None = None

@@ -27,12 +27,17 @@ class Ended(msgspec.Struct, frozen=True):
 
 
 class Lost(msgspec.Struct, frozen=True):
-    """The disk did not take a chunk: so many messages of each channel, received between these times since 1970."""
+    """Messages of each channel that the disk did not take or keep, received between these times since 1970.
+
+    Attributes:
+        file: somebody has removed it with them, while it was written; empty if they were in none.
+    """
 
     log: str
     counts: dict[int, int]
     first_ns: int
     last_ns: int
+    file: str = ""
 
 
 class DiskFault(msgspec.Struct, frozen=True):
@@ -133,6 +138,10 @@ def announcement_of(notice: Notice) -> Announcement | None:
             return Announcement(RecorderEventKind.DISK, Severity.ERROR, f"the disk takes no logs: {notice.detail}")
         case DiskBack():
             return Announcement(RecorderEventKind.DISK, Severity.INFO, "the disk takes the logs again")
+        case Lost(file=file) if file:
+            count = sum(notice.counts.values())
+            text = f"somebody has removed {file} while it was written: {count} messages are gone with it"
+            return Announcement(RecorderEventKind.DISK, Severity.ERROR, text, file)
         case Deleted():
             text = f"{notice.file} was deleted for want of room: {notice.bytes} bytes"
             return Announcement(RecorderEventKind.DELETED, Severity.INFO, text, notice.file)

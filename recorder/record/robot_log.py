@@ -578,7 +578,7 @@ class RobotLog:
             self.incident_file = ""
 
     def receive_lost(self, lost: Lost) -> None:
-        """Count messages that the disk did not take. Those of an incident the log itself may have."""
+        """Count messages that the disk did not take or keep. Those of an incident the log itself may have."""
         if lost.log == self.name:
             self._lose_written(lost.counts, GapReason.DISK, lost.first_ns, lost.last_ns)
 

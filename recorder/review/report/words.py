@@ -33,7 +33,7 @@ _LOSSES: Final = {
     "lost_queue": "samples that the recorder dropped unread",
     "lost_size": "samples too large to be recorded",
     "lost_full": "messages while the disk was full",
-    "lost_disk": "messages that the disk did not take",
+    "lost_disk": "messages that the disk did not take or keep",
 }
 
 

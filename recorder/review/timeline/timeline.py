@@ -351,7 +351,7 @@ class Timeline:
 
 _GAPS: Final = {
     "queue": "they came faster than they could be recorded",
-    "disk": "the disk did not take them",
+    "disk": "the disk did not take or keep them",
     "full": "there was no room on the disk",
     "size": "they were too large",
 }

@@ -266,8 +266,31 @@ def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
         number += 1
     writer.submit(on_log([chunk(number), CloseLog("x")]))
     writer.close()
-    assert sequences(next(directory.glob("*.mcap")))[-1] == number
-    assert writer.lost == 0
+    found = sequences(next(directory.glob("*.mcap")))
+    assert found == list(range(writer.lost + 1, number + 1))
+
+
+@pytest.mark.parametrize("is_incident", [False, True])
+def test_what_is_removed_with_a_log_is_lost(tmp_path: Path, writer: LogWriter, *, is_incident: bool) -> None:
+    """It is told; of an incident it does not count, for the log may have it."""
+    begin = [OpenLog("x", "x", WALL_NS, is_incident=is_incident), *BEGIN[1:]]
+    writer.submit(on_log([*begin, chunk(1), chunk(2), SyncLog("x")]))
+
+    def is_kept() -> bool:
+        file = writer._chains["x"].file
+        return file is not None and file.has_synced and file.kept_size == file.size
+
+    wait_until(is_kept)
+    (part,) = tmp_path.iterdir()
+    part.unlink()
+    writer.submit(on_log([chunk(3), CloseLog("x")]))
+    writer.close()
+    (left,) = tmp_path.iterdir()
+    assert sequences(left) == [3]
+    assert writer.lost == (0 if is_incident else 2)
+    first, last = chunk(1).chunk, chunk(2).chunk
+    lost = Lost("x", {1: 2}, first.start_ns, last.end_ns, part.name.removesuffix(".part"))
+    assert [notice for notice in writer.notices() if isinstance(notice, Lost)] == [lost]
 
 
 def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path, writer: LogWriter) -> None:

@@ -28,6 +28,7 @@ from schemas.recording import RecorderEventKind
         (DiskFault("it is gone"), RecorderEventKind.DISK, Severity.ERROR, "", "it is gone"),
         (DiskBack(), RecorderEventKind.DISK, Severity.INFO, "", "again"),
         (Deleted("a.mcap", 7), RecorderEventKind.DELETED, Severity.INFO, "a.mcap", "7 bytes"),
+        (Lost("a", {1: 3, 2: 4}, 0, 0, "a.mcap"), RecorderEventKind.DISK, Severity.ERROR, "a.mcap", "7 messages"),
         (Recovered("a.mcap", 7), RecorderEventKind.RECOVERED, Severity.INFO, "a.mcap", "7 messages"),
     ],
 )

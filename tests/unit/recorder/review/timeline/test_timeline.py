@@ -312,7 +312,7 @@ def test_what_the_recorder_says_is_told(path: Path) -> None:
         (EntryKind.GAP, ROBOT, 12, ""),
         (EntryKind.RECORDER, "", 1, "operator-1"),
     ]
-    assert "the disk did not take them" in entries[0].text
+    assert "the disk did not take or keep them" in entries[0].text
 
 
 def test_a_gateway_that_only_listens_has_faults_and_no_more(path: Path) -> None:
