@@ -46,7 +46,7 @@ class _QuestionParser(argparse.ArgumentParser):
     def __init__(self, *, module: str, **given: Any) -> None:  # noqa: ANN401 - argparse's own arguments
         super().__init__(**given, formatter_class=argparse.RawDescriptionHelpFormatter)
         self._module = module
-        self._is_ready = False
+        self._is_ready = self._is_parsing = False
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
@@ -57,7 +57,14 @@ class _QuestionParser(argparse.ArgumentParser):
             self.epilog = f"example:\n{module.EXAMPLE}"
             module.add_arguments(self)
             self._is_ready = True
-        return super().parse_known_args(args, namespace)
+        if self._is_parsing:
+            return super().parse_known_args(args, namespace)
+        self._is_parsing = True
+        try:
+            # Options may stand between a statement and the logs. It calls this method for its steps.
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._is_parsing = False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -45,6 +45,17 @@ def test_people_get_a_table(asked: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out == "  gear_position  n   x\n  drive          20  7.5\n"
 
 
+def test_options_may_stand_anywhere(asked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also between the statement and the log; what is no option is told."""
+    sql = "SELECT count(*) AS n FROM chassis_gear"
+    for words in (("--json", sql, asked), (sql, "--json", asked), (sql, asked, "--json")):
+        assert run("query", *words) == ExitCode.OK
+        assert capsys.readouterr().out == '{"n":20}\n'
+    with pytest.raises(SystemExit):
+        run("query", sql, "--nothing", asked)
+    assert "unrecognized arguments: --nothing" in capsys.readouterr().err
+
+
 def test_programs_get_json_or_csv(asked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An object a line; a head and lines."""
     sql = "SELECT sequence, log_time, data FROM can_rx LIMIT 2"

@@ -89,11 +89,11 @@ def test_a_log_that_is_not_there_is_said_in_a_line(bucket: FakeObjects) -> None:
         review("why", "s3://logs")
 
 
-@pytest.mark.parametrize("question", ["check", "export", "report", "merge"])
-def test_other_questions_say_that_they_read_files(question: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("words", ["check", "export -o out", "report", "merge -o out"])
+def test_other_questions_say_that_they_read_files(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     """And not that there is no such file."""
     with pytest.raises(SystemExit):
-        review(question, "s3://logs/a.mcap")
+        review(*words.split(), "s3://logs/a.mcap")
     assert "copy the logs here" in capsys.readouterr().err
 
 
