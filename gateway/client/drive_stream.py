@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from math import dist
+from math import dist, isfinite
+from numbers import Real
 from typing import Final
 
 import msgspec
@@ -153,8 +154,14 @@ class DriveStream:
         """Set the motion to ask for from now on.
 
         Raises:
+            TypeError: a value is no number.
             ValueError: the set point cannot be, or it would hold for too long.
         """
+        # The robot would refuse each command, and a stop by the deadman would look like a fault of the network.
+        given = msgspec.structs.asdict(set_point).items()
+        set_point = SetPoint(
+            **{name: _finite(name, value) for name, value in given if value is not None or name == "speed_mps"}
+        )
         if not 0 < hold_s <= HOLD_MAX_S:
             raise ValueError(f"hold_s must be above 0 and at most {HOLD_MAX_S:g} s")
         angle_deg = steering_angle_deg(set_point.command(0, 0, b"", 0))
@@ -244,6 +251,16 @@ class DriveStream:
         self.ending = ending
         self._is_wanted = self._is_asked = self.engaged = False
         self._set_point = None
+
+
+def _finite(name: str, value: object) -> float:
+    """Return a value as a float: a number of any library, but no truth value and no text."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} must be a number, and is {value!r}")
+    number = float(value)
+    if not isfinite(number):
+        raise ValueError(f"{name} must be a finite number, and is {number}")
+    return number
 
 
 def _loss_of(state: SafetyState) -> Reason:

@@ -313,6 +313,7 @@ class Lease:
         """Set the stream's set point for ``hold_s``; straight on if no angle, curvature or yaw rate is given.
 
         Raises:
+            TypeError: a value is no number.
             ValueError: more than one of angle, curvature and yaw rate is given, or a value cannot be.
             Refused: the robot was never engaged.
             Stopped, LeaseLost, Unreachable: it does not accept drive commands any more.

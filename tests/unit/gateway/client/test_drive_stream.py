@@ -1,4 +1,7 @@
+from math import inf, nan
+
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -133,6 +136,11 @@ def test_zero_speed_needs_no_renewal() -> None:
         (SetPoint(1.0), 0.5),
         (SetPoint(1.0, angle_deg=1.0, curvature_1pm=0.1), 0.5),
         (SetPoint(0.0, yaw_rate_radps=0.1), 0.5),
+        (SetPoint(nan, angle_deg=1.0), 0.5),
+        (SetPoint(-inf, angle_deg=1.0), 0.5),
+        (SetPoint(1.0, angle_deg=nan), 0.5),
+        (SetPoint(1.0, curvature_1pm=inf), 0.5),
+        (SetPoint(1.0, yaw_rate_radps=nan), 0.5),
     ],
 )
 def test_a_set_point_that_cannot_be_changes_nothing(set_point: SetPoint, hold_s: float) -> None:
@@ -144,6 +152,31 @@ def test_a_set_point_that_cannot_be_changes_nothing(set_point: SetPoint, hold_s:
     command = stream.command(START_NS)
     assert command is not None
     assert command.speed_mps == 0.5
+
+
+@pytest.mark.parametrize("value", ["0.3", b"0.3", None, True, [0.3], np.True_])
+def test_what_is_no_number_is_named_and_changes_nothing(value: object) -> None:
+    """The robot would refuse each such command, and stop because none came in time."""
+    stream = stream_that_saw(ENGAGED)
+    wanted = SetPoint(0.5, angle_deg=2.0)
+    stream.aim(wanted, 0.5, START_NS)
+    for field in ("speed_mps",) if value is None else ("speed_mps", "angle_deg"):
+        with pytest.raises(TypeError, match=f"{field} must be a number, and is"):
+            stream.aim(msgspec.structs.replace(wanted, **{field: value}), 0.5, START_NS)
+    command = stream.command(START_NS)
+    assert command is not None
+    assert (command.speed_mps, command.angle_deg) == (0.5, 2.0)
+
+
+@pytest.mark.parametrize("one", [1, np.float64(1), np.float32(1), np.int16(1)])
+def test_a_number_of_any_library_is_sent_as_a_float(one: float) -> None:
+    """The wire knows no other kind."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(one, curvature_1pm=one), 0.5, START_NS)
+    command = stream.command(START_NS)
+    assert command is not None
+    assert [type(command.speed_mps), type(command.curvature_1pm)] == [float, float]
+    assert (command.speed_mps, command.curvature_1pm) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize("state", [STOPPED, STANDBY, ENGAGING])
