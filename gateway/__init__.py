@@ -18,15 +18,17 @@ sent. ``guard`` is a second process, which stops the robot when this one dies or
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
     from gateway.client.robot import Robot
+    from schemas.exit_codes import CommandError
 
-__all__ = ["Robot"]
+__all__ = ["CommandError", "LeaseLost", "Refused", "Robot", "Stopped", "Unreachable"]
 
 
 def __getattr__(name: str) -> object:
     """``from gateway import Robot``: loaded when it is asked for, because the guard's process needs no Zenoh."""
-    if name == "Robot":
-        from gateway.client.robot import Robot  # noqa: PLC0415 - as said
+    if name in __all__:
+        from gateway.client import robot  # noqa: PLC0415 - as said
 
-        return Robot
+        return getattr(robot, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

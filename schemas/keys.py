@@ -66,8 +66,8 @@ def build(root: str, robot: str, subject: Subject, bus: str = "") -> str:
     return f"{root}/{robot}/{subject.name.format(bus=bus)}"
 
 
-def _check(what: str, text: str, pattern: str) -> None:
-    if re.fullmatch(pattern, text) is None:
+def _check(what: str, text: object, pattern: str) -> None:
+    if not isinstance(text, str) or re.fullmatch(pattern, text) is None:
         raise ValueError(f"{what} {text!r} is not of the form {pattern}")
 
 

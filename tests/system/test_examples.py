@@ -23,6 +23,14 @@ SETTINGS = Settings(zenoh=ZenohSettings(connect=["{endpoint}"]))
 """What a program says for a robot that is not where the default is."""
 
 
+def run(name: str, fake: FakeRobot) -> subprocess.CompletedProcess[str]:
+    """Run a program against this robot."""
+    program = (EXAMPLES / name).read_text("utf-8")
+    program = program.replace('Robot.connect("cruiser-1")', 'Robot.connect("cruiser-1", settings=SETTINGS)')
+    words = [sys.executable, "-c", ELSEWHERE.format(endpoint=fake.listen) + program, fake.listen]
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+
+
 def test_every_python_example_is_run_here() -> None:
     """And what is run here is there."""
     assert {path.name for path in EXAMPLES.iterdir() if path.suffix in {".py", ".ipynb"}} == TESTED
@@ -32,20 +40,17 @@ def test_every_python_example_is_run_here() -> None:
 def test_a_client_drives_and_leaves_the_robot_to_others(name: str) -> None:
     """It drives at half a metre a second, and the lease is free afterwards."""
     with FakeRobot() as fake:
-        program = (EXAMPLES / name).read_text("utf-8")
-        program = program.replace('Robot.connect("cruiser-1")', 'Robot.connect("cruiser-1", settings=SETTINGS)')
-        words = [sys.executable, "-c", ELSEWHERE.format(endpoint=fake.listen) + program, fake.listen]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+        done = run(name, fake)
         assert (done.returncode, done.stderr) == (0, "")
         assert max(one.output_speed_mps for one in fake.accepted("drive")) == 0.5
         assert fake.accepted("release")
 
 
-def test_a_client_that_is_refused_says_what_would_cure_it() -> None:
+@pytest.mark.parametrize("name", ["commands_client.py", "drive.py"])
+def test_a_client_that_is_refused_says_what_would_cure_it(name: str) -> None:
     """The reply of the robot, in its words, and no traceback."""
     with FakeRobot(front_bumper=True) as fake:
-        words = [sys.executable, str(EXAMPLES / "commands_client.py"), fake.listen]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+        done = run(name, fake)
     assert done.returncode == 1
     assert re.fullmatch(r".*bumper.*\. Cure: .*reset.*\n", done.stderr)
 

@@ -3,7 +3,9 @@
 import pytest
 
 import gateway
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Robot
+from schemas.exit_codes import CommandError
 
 
 def test_the_operator_s_library_is_the_package_s_own() -> None:
@@ -11,3 +13,11 @@ def test_the_operator_s_library_is_the_package_s_own() -> None:
     assert gateway.Robot is Robot
     with pytest.raises(AttributeError, match="no attribute 'Robto'"):
         gateway.Robto  # noqa: B018
+
+
+def test_every_fault_of_a_robot_is_caught_by_one_class() -> None:
+    """Those that a program tells apart are the package's own too."""
+    for kind in (Refused, Stopped, LeaseLost, Unreachable):
+        assert getattr(gateway, kind.__name__) is kind
+        assert issubclass(kind, gateway.CommandError)
+    assert gateway.CommandError is CommandError

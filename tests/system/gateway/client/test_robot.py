@@ -1,6 +1,7 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
@@ -325,8 +326,10 @@ def test_a_robot_that_is_not_there_is_unreachable() -> None:
 
 def test_a_name_that_cannot_be_is_one_clear_error() -> None:
     """A robot or an operator with a wildcard is never asked for."""
-    for name, operator in (("*", "first/.."), ("Cruiser", "first"), ("cruiser-1", "a b")):
-        with pytest.raises(CommandError) as caught:
+    nothing_at_all: Any = None
+    names = (("*", "first/.."), ("Cruiser", "first"), ("cruiser-1", "a b"), (nothing_at_all, "first"))
+    for name, operator in names:
+        with pytest.raises(CommandError, match="is not of the form") as caught:
             Robot.connect(name, operator, settings_for(free_endpoint()))
         assert caught.value.code is ExitCode.USAGE
 
