@@ -140,7 +140,8 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.BUSY: Text("the same is under way already, or too many ask at once", "wait a moment, and try again"),
     Reason.NO_LEASE: Text("this lease is not in force", f"{ACQUIRE}, and use the number that it shows"),
     Reason.LEASE_HELD: Text(
-        "someone else holds the lease", "wait until it is given back, or take it with 'cruiser lease ROBOT --take'"
+        "someone else holds the lease",
+        "wait until it is given back, or take it with 'cruiser lease ROBOT --take' once the robot stands",
     ),
     Reason.ROLE_TOO_LOW: Text(
         "the holder's role is higher",
@@ -148,7 +149,8 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.LEASE_TAKEN: Text(
         "someone else has taken the lease",
-        "ask who has it now, as 'cruiser lease ROBOT' says, or take it back with 'cruiser lease ROBOT --take'",
+        "ask who has it now, as 'cruiser lease ROBOT' says, or take it back with 'cruiser lease ROBOT --take' "
+        "once the robot stands",
     ),
     Reason.LEASE_RELEASED: Text("the lease was given back", ACQUIRE),
     Reason.LEASE_EXPIRED: Text(
@@ -173,7 +175,11 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
         "the robot is engaged already", "drive it, or leave 'cruiser drive' first (lease.disengage())"
     ),
     Reason.STOPPING: Text("the stop sequence is under way", "wait until it has ended"),
-    Reason.MOVING: Text("the robot moves", "wait until it stands; 'cruiser stop ROBOT' stops it"),
+    Reason.MOVING: Text(
+        "the robot moves",
+        "wait until it stands; 'cruiser stop ROBOT' stops it; 'cruiser lease ROBOT --take --override' takes its "
+        "lease all the same",
+    ),
     Reason.PARKED: Text(
         "the parking brake is applied",
         "allow drive commands to release it: 'cruiser unpark ROBOT --lease N', or lease.unpark()",

@@ -75,7 +75,7 @@ class Acquire(Request, frozen=True, forbid_unknown_fields=True):
 
 
 class Take(Request, frozen=True, forbid_unknown_fields=True):
-    """Take the lease from whoever holds it; it is told to the one who loses it.
+    """Take the lease from whoever holds it in no higher role, if the robot stands; the one who loses it is told.
 
     Attributes:
         role, public_key: see ``Acquire``.

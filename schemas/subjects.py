@@ -316,7 +316,13 @@ COMMANDS: Final[tuple[Command, ...]] = (
     Command("acquire", requests.Acquire, _LeaseReply, "the lease, if nobody holds it"),
     Command("renew", requests.Renew, _LeaseReply, "keep the lease; driving does so too"),
     Command("release", requests.Release, _Reply, "give the lease back; an engaged robot is stopped"),
-    Command("take", requests.Take, _LeaseReply, "the lease, from whoever holds it; an engaged robot is stopped"),
+    Command(
+        "take",
+        requests.Take,
+        _LeaseReply,
+        "the lease, from whoever holds it in no higher role; of a robot that moves with `override` alone; an "
+        "engaged robot is stopped",
+    ),
     Command("engage", requests.Engage, _Reply, "take command of the standing chassis; replies when it reads auto"),
     Command("disengage", requests.Disengage, _Reply, "stop in a controlled way and give up command"),
     Command(STOP_VERB, requests.Stop, _Reply, "the remote stop, from anyone; latched", Asking.EITHER),

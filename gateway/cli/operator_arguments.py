@@ -42,7 +42,7 @@ def add_take_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ROLE",
         help=f"{', '.join(role.value for role in Role)} (operator); a higher or equal one may take the lease",
     )
-    parser.add_argument("--take", action="store_true", help="take the lease from whoever holds it")
+    parser.add_argument("--take", action="store_true", help="take the lease from its holder, if the robot stands")
     parser.add_argument(
         "--override", action="store_true", help="take it although the robot moves; it is stopped first"
     )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gateway.command.request import RawRequest
 from schemas.decisions import ArbiterState, Bound, EventKind
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.settings import CommandSettings
 from schemas.subjects import COMMANDS, Asking, Command
 from tests.support.requests import LEASED, REQUESTS
@@ -182,11 +182,12 @@ def test_release_stops_the_robot() -> None:
 
 
 def test_take_wants_a_standing_robot_or_an_override() -> None:
-    """Row 'take': a robot that moves, or is not seen to stand."""
+    """Row 'take': a robot that moves, or is not seen to stand; the cure names the override."""
     bench = engaged()
     bench.drive_for(30, 1.0)
     refused = bench.ask("take", "second")
     assert refused.reason is Reason.MOVING
+    assert "--take --override" in TEXTS[refused.reason].cure
     low = bench.ask("take", "second", override=True, role="program")
     assert (low.reason, low.detail) == (Reason.ROLE_TOO_LOW, "first holds it as operator")
     taken = bench.ask("take", "second", override=True)
