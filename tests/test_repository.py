@@ -106,6 +106,13 @@ def test_the_page_of_commands_names_every_verb(verb: str) -> None:
     assert f"\n### {verb}\n" in page
 
 
+def test_the_index_of_the_documents_lists_every_page() -> None:
+    """By a link to the page itself, or to a part of it."""
+    docs = ROOT / "docs"
+    linked = {target.partition("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", prose(docs / "README.md"))}
+    assert {page.name for page in docs.glob("*.md")} - {"README.md"} - linked == set()
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_tour_or_the_readme_names_every_command(command: str) -> None:
     """As it is typed, or in a list of those that begin with ``cruiser``."""
