@@ -80,25 +80,6 @@ def test_every_place_in_the_tree_that_a_page_names_is_there(page: Path) -> None:
     assert [place for place in places if not (ROOT / place).exists()] == []
 
 
-def git(*words: str) -> str:
-    """What git says of this tree; empty where there is no git, or no history."""
-    try:
-        return subprocess.run(["git", "-C", ROOT, *words], capture_output=True, text=True, check=True).stdout
-    except (OSError, subprocess.CalledProcessError):
-        return ""
-
-
-@pages
-def test_every_commit_that_a_page_names_is_in_the_history(page: Path) -> None:
-    """Whoever doubts a figure goes there. A word of seven hexadecimal digits, letters among them, is a commit."""
-    if git("rev-parse", "--is-shallow-repository").strip() != "false":
-        pytest.skip("a tree without its history")
-    named = {one for one in re.findall(r"\b[0-9a-f]{7}\b", prose(page)) if not one.isdigit()}
-    named |= set(re.findall(r"\b(?:at|before|after) ([0-9a-f]{7})\b", prose(page)))
-    known = git("rev-list", "--abbrev-commit", "--abbrev=7", "HEAD").split()
-    assert sorted(named - {one[:7] for one in known} - {"ed25519"}) == []
-
-
 @pytest.mark.parametrize("verb", BY_VERB)
 def test_the_page_of_commands_names_every_verb(verb: str) -> None:
     """With a text of its own, beside the table that is generated."""
