@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -197,12 +196,6 @@ def fresh(directory: Path) -> Path:
         return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
     except OSError as error:
         raise CommandError(f"cannot write in {error.filename or directory}: {error.strerror}") from error
-
-
-def end_with_terminal() -> None:
-    """Let a terminal that is closed end a command as Ctrl-C does: its children would run on without it."""
-    if signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
-        signal.signal(signal.SIGHUP, lambda _number, _frame: signal.raise_signal(signal.SIGINT))
 
 
 def load() -> str:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 
 from gateway.cli.drive_view import Cockpit, panel
-from gateway.cli.engaged import REST_S, come_to_rest, engaged
+from gateway.cli.engaged import come_to_rest, engaged
 from gateway.cli.held_keys import HeldKeys, Wish
 from gateway.cli.keyboard import KeyDecoder
 from gateway.cli.operator_arguments import add_robot_arguments, add_take_arguments, connect, wanted_lease
@@ -83,10 +83,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Drive. Exit code 1 if the robot was stopped, or did not move.
+    """Drive. Exit code 1 if the robot was stopped, or did not move; 3 if a script's drive was ended early.
 
     Raises:
-        CommandError: it is refused, is stopped, or does not answer.
+        CommandError: it is refused, is stopped, does not come to rest, or does not answer.
     """
     by_script = arguments.seconds is not None
     if by_script and arguments.speed is None:
@@ -98,9 +98,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with connect(arguments, settings, stopped) as robot, wanted_lease(robot, arguments) as lease:
         if by_script:
             return int(_by_script(robot, lease, arguments, stopped))
-        stands_by = _Keys(robot, lease, arguments).drive(stopped)
-    if not stands_by:
-        raise CommandError(f"{robot.name} was not seen to come to rest within {REST_S:g} s: see 'cruiser why'")
+        _Keys(robot, lease, arguments).drive(stopped)
     sys.stdout.write(f"{robot.name}: left; it stands by, and the lease is given back\n")
     return int(ExitCode.OK)
 
@@ -112,21 +110,30 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
     with engaged(lease, robot, arguments.deadman):
         lease.unpark()
         sys.stderr.writelines(f"{robot.name}: {text}\n" for text in _bounds(arguments, robot.state().state))
-        end_s = time.monotonic() + arguments.seconds
-        while not stopped() and time.monotonic() < end_s:
+        begun_s = time.monotonic()
+        while not (is_early := stopped()) and time.monotonic() < begun_s + arguments.seconds:
             lease.drive(arguments.speed, angle_deg=arguments.angle or 0.0)
             time.sleep(SCRIPT_S)
             state = robot.state().state
             fastest_mps = max(fastest_mps, abs(state.output_speed_mps))
             blocked_by = state.blocked_by
             link = link_line(state) or link
+        took_s = time.monotonic() - begun_s if is_early else arguments.seconds
+    latched = robot.state().state.latched
+    if latched:
+        sys.stderr.write(f"{robot.name} was stopped\n")
+        sys.stderr.writelines(f"  {reason_line(reason, robot.name, latched)}\n" for reason in latched)
+        return ExitCode.FAILURE
     if arguments.speed and not fastest_mps:
         sys.stderr.write(f"{robot.name} did not move\n")
         sys.stderr.writelines(f"  {reason_line(reason, robot.name, blocked_by)}\n" for reason in blocked_by)
         return ExitCode.FAILURE
-    sys.stdout.write(f"{robot.name}: driven for {arguments.seconds:g} s, at most {fastest_mps:.2f} m/s\n")
+    sys.stdout.write(f"{robot.name}: driven for {took_s:.3g} s, at most {fastest_mps:.2f} m/s\n")
     if link:
         sys.stdout.write(f"  {link}\n")
+    if is_early:
+        sys.stderr.write(f"{robot.name}: ended early, of {arguments.seconds:g} s\n")
+        return ExitCode.PARTIAL
     return ExitCode.OK
 
 
@@ -155,11 +162,11 @@ class _Keys:
         self._message = ""
         self._is_leaving = False
 
-    def drive(self, stopped: Callable[[], bool]) -> bool:
-        """Until the person leaves. False if the robot was not seen to come to rest then.
+    def drive(self, stopped: Callable[[], bool]) -> None:
+        """Drive until the person leaves, and bring the robot to rest.
 
         Raises:
-            CommandError: the lease is lost, or nothing is received from the robot any more.
+            CommandError: the lease is lost, the robot is not heard any more, or was not seen to come to rest.
         """
         # On the other screen, as in 'cruiser watch': nobody reads an old view as the present one.
         with (
@@ -178,7 +185,7 @@ class _Keys:
                 if now_s >= draw_s:
                     draw_s = now_s + DRAW_S
                     live.update(panel(self._cockpit()), refresh=True)
-        return come_to_rest(self._lease, self._robot)
+        come_to_rest(self._lease, self._robot)
 
     def _hear(self, data: bytes | None) -> None:
         if data is None:

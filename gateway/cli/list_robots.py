@@ -68,6 +68,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with RobotListener.open(settings, arguments.robots) as listener:
         search = _Search(listener, settings.robot.root)
         reports = search.run(time.monotonic() + arguments.timeout, stopped)
+    if stopped():
+        # Who has not answered yet is not known to be silent.
+        raise KeyboardInterrupt
     if not reports and settings.zenoh.config:
         check_role(settings.zenoh.config)
     if not search.linked:

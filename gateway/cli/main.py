@@ -4,7 +4,8 @@ Each command is a module, or an object in one, with
 
 - ``EXAMPLE``, for its help;
 - ``add_arguments(parser)``, which declares its flags. A ``dest`` with a dot, ``can.channel``, sets that setting;
-- ``run(arguments, settings, stopped)``, which returns the exit code. SIGINT and SIGTERM make ``stopped()`` true.
+- ``run(arguments, settings, stopped)``, which returns the exit code. SIGINT, SIGTERM and SIGHUP make ``stopped()``
+  true.
 
 It is imported only when it is asked for, so that ``cruiser --help`` answers at once. This table alone names
 commands of both the gateway and the recorder; it does so by name, and neither package imports the other.
@@ -66,7 +67,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 """Name of the command, its module (and the object in it), and its line in the help."""
 
 TAKE_HANGUPS: Final = frozenset({"record"})
-"""Commands to which SIGHUP says something: until they hear it, it says nothing. The others it ends."""
+"""Commands to which SIGHUP says something: until they hear it, it says nothing. Others it ends as SIGTERM does."""
 
 END_AT_ONCE: Final = frozenset({"upload"})
 """Commands whose process ends without Python's finalization: a thread of obstore that still needs Python then
@@ -221,13 +222,19 @@ def _not_yet(_number: int, _frame: FrameType | None) -> None:
 
 
 def _stop_on_signals() -> Callable[[], bool]:
-    """A flag that SIGINT and SIGTERM raise; a second signal ends the process the usual way."""
+    """A flag that SIGINT, SIGTERM and SIGHUP raise; a second of the first two ends the process the usual way.
+
+    A terminal that is closed sends SIGHUP, and its shell does so once more: it is no wish to end at once.
+    """
     raised = threading.Event()
 
     def handle(number: int, _frame: FrameType | None) -> None:
         raised.set()
-        signal.signal(number, signal.SIG_DFL if number == signal.SIGTERM else signal.default_int_handler)
+        if number != signal.SIGHUP:
+            signal.signal(number, signal.SIG_DFL if number == signal.SIGTERM else signal.default_int_handler)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handle)
+    if signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, handle)
     return raised.is_set

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Final, Self
 
-from gateway.cli.child import Child, address_of, end_with_terminal
+from gateway.cli.child import Child, address_of
 from gateway.cli.sim_patrol import Patrol
 from gateway.zenoh.client import close_session
 from gateway.zenoh.router import open_local_router
@@ -59,7 +59,6 @@ class VirtualFleet:
         Raises:
             CommandError: the endpoint is taken, or a process does not start.
         """
-        end_with_terminal()
         with ExitStack() as stack:
             stack.callback(close_session, open_local_router(self.endpoint))
             words = [*self._words, "--listen", "127.0.0.1:0"]

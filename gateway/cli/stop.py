@@ -74,7 +74,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stderr.write(f"{name}: NO ANSWER; {sent}{seen}. {BUTTON}\n")
     if report.linked and not report.counted:
         sys.stderr.write("there may be more robots: who is connected was not said in time\n")
-    return int(_code(report, robot, settings, f"{arguments.timeout:g} s at {place(settings.zenoh)}"))
+    waited = "before it was ended" if stopped() else f"within {arguments.timeout:g} s at {place(settings.zenoh)}"
+    return int(_code(report, robot, settings, waited))
 
 
 def _stop(
@@ -103,10 +104,10 @@ def _unverified(name: str, word: Unverified) -> str:
     return plain(f"{verdict}: {word.says}. This cannot be verified: {word.why}{cure}. {look}")
 
 
-def _code(report: StopReport, robot: str, settings: Settings, where: str) -> ExitCode:
+def _code(report: StopReport, robot: str, settings: Settings, waited: str) -> ExitCode:
     unstopped = report.refused or report.unconfirmed or report.unverified
     if not report.stopped and not unstopped:
         who = "nobody answered" if report.linked else "no Zenoh node answered"
         others = who_is_there(settings, robot) if robot != keys.ALL else ""
-        raise CommandError(f"{who} within {where}{others}", ExitCode.UNREACHABLE)
+        raise CommandError(f"{who} {waited}{others}", ExitCode.UNREACHABLE)
     return ExitCode.PARTIAL if report.silent or unstopped or not report.counted else ExitCode.OK

@@ -38,6 +38,7 @@ class FakeRobot:
         deaf: queries get no answer, and do nothing.
         mute: nothing is published.
         front_bumper: is pressed.
+        loose: its parking brake never reads applied once it was released.
         health: what its gateway says of itself, in each tick.
         mode: what the chassis reads; None is what it is told.
         now_ns: its clock, monotonic: a tick for each tick that it does.
@@ -53,6 +54,7 @@ class FakeRobot:
     deaf: bool = False
     mute: bool = False
     front_bumper: bool = False
+    loose: bool = False
     health: GatewayHealth = HEALTH
     mode: Mode | None = None
     settings: Settings = PATIENT
@@ -173,7 +175,7 @@ class FakeRobot:
         if self.flow.arbiter.auxiliary.is_clearing:
             self._mileage_km = 0.0
         obeys = told is not None and told.enabled
-        parked = told is None or told.parking
+        parked = told is None or (told.parking and not self.loose)
         return msgspec.structs.replace(
             STANDING,
             mode=self.mode or (Mode.AUTO if obeys else Mode.STOP),

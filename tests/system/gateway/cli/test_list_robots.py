@@ -20,12 +20,18 @@ from tests.support.waiting import StopWhen, nothing
 Capture = pytest.CaptureFixture[str]
 
 
-def list_robots(endpoint: str, *words: str, root: str = "fleet", meanwhile: Callable[[], None] = nothing) -> int:
+def list_robots(
+    endpoint: str,
+    *words: str,
+    root: str = "fleet",
+    meanwhile: Callable[[], None] = nothing,
+    until: Callable[[], bool] = lambda: False,
+) -> int:
     """Run the command in this process. ``meanwhile`` is done again and again until it ends."""
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
-    return run(parser.parse_args(list(words)), settings, StopWhen(lambda: False, meanwhile))
+    return run(parser.parse_args(list(words)), settings, StopWhen(until, meanwhile))
 
 
 def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
@@ -145,3 +151,10 @@ def test_a_list_that_may_not_be_whole_says_so(capsys: Capture, monkeypatch: pyte
     captured = capsys.readouterr()
     assert captured.out == "cruiser-1  connected, but no health\n"
     assert captured.err == f"there may be more: not everybody answered within 2 s at {gateway.listen}\n"
+
+
+def test_a_list_that_is_ended_early_says_nothing_of_who_had_no_time_to_answer(capsys: Capture) -> None:
+    """A robot that is well would be one without health, and a node that is there would not have answered."""
+    with FakeGateway("cruiser-1") as fake, pytest.raises(KeyboardInterrupt):
+        list_robots(fake.listen, "--timeout", "20", until=lambda: True)
+    assert capsys.readouterr() == ("", "")

@@ -103,3 +103,19 @@ def test_a_settings_file_that_was_not_named_is_one_line_with_the_command(tmp_pat
         assert len(said) == warnings, done.stderr
         assert all("open mode" in one for one in said)
         assert all("cruiser list --timeout 0.1 --config operator.toml" in one for one in said)
+
+
+@pytest.mark.parametrize("is_ignored", [False, True])
+def test_a_terminal_that_is_closed_ends_a_command_in_order(*, is_ignored: bool) -> None:
+    """SIGHUP comes twice, from the kernel and from the shell: a robot comes to rest meanwhile. nohup holds."""
+    program = (
+        "import os, signal, sys\n"
+        "from gateway.cli import main\n"
+        f"signal.signal(signal.SIGHUP, signal.{'SIG_IGN' if is_ignored else 'SIG_DFL'})\n"
+        "stopped = main._stop_on_signals()\n"
+        "os.kill(os.getpid(), signal.SIGHUP)\n"
+        "os.kill(os.getpid(), signal.SIGHUP)\n"
+        "print(stopped())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (0, f"{not is_ignored}\n")

@@ -7,7 +7,7 @@ from pkgutil import resolve_name
 import msgspec
 import pytest
 
-from gateway.cli import drive, lease, reset, stop, watch, why
+from gateway.cli import drive, engaged, lease, reset, stop, watch, why
 from gateway.cli.main import COMMANDS
 from gateway.cli.verbs import HORN, LIGHT, ODOMETER, PARK, UNPARK
 from gateway.client.robot import Robot
@@ -71,23 +71,70 @@ def test_drive_says_what_the_limits_leave_of_what_is_asked(capsys: Capture) -> N
     with FakeRobot(settings=limits) as fake:
         moves = lambda: abs(fake.speed_mps) >= 0.2  # noqa: E731 - it reads as a condition
         words = ("cruiser-1", "--speed", "-2", "--angle", "15", "--seconds", "100")
-        assert run(drive, fake.listen, *words, until=moves) == 0
-        assert capsys.readouterr().err == (
-            "cruiser-1: of -2 m/s the limit in force leaves -0.25 m/s\n"
-            "cruiser-1: of 15 deg the limit in force leaves 10 deg\n"
-        )
+        assert run(drive, fake.listen, *words, until=moves) == ExitCode.PARTIAL
+        assert capsys.readouterr().err.splitlines()[:-1] == [
+            "cruiser-1: of -2 m/s the limit in force leaves -0.25 m/s",
+            "cruiser-1: of 15 deg the limit in force leaves 10 deg",
+        ]
         words = ("cruiser-1", "--speed", "0.2", "--angle", "-9", "--seconds", "100")
-        assert run(drive, fake.listen, *words, until=moves) == 0
-        assert capsys.readouterr().err == ""
+        assert run(drive, fake.listen, *words, until=moves) == ExitCode.PARTIAL
+        assert capsys.readouterr().err == "cruiser-1: ended early, of 100 s\n"
 
 
 def test_drive_for_a_script_ends_when_it_is_told_to(capsys: Capture) -> None:
-    """Ctrl-C comes to rest first."""
+    """Ctrl-C comes to rest first, and says how long it was driven."""
     with FakeRobot() as fake:
         words = ("cruiser-1", "--speed", "1", "--seconds", "100")
-        assert run(drive, fake.listen, *words, until=lambda: fake.speed_mps > 0.1) == 0
+        assert run(drive, fake.listen, *words, until=lambda: fake.speed_mps > 0.1) == ExitCode.PARTIAL
         assert fake.state is ArbiterState.STANDBY
-    assert "driven" in capsys.readouterr().out
+    told = capsys.readouterr()
+    took_s = re.search(r"driven for ([\d.]+) s", told.out)
+    assert took_s is not None
+    assert 0.1 < float(took_s[1]) < 100
+    assert "ended early" in told.err
+
+
+def test_drive_says_what_was_latched_as_it_came_to_rest(capsys: Capture) -> None:
+    """Its time was over by then; a script must not go on as if all were well."""
+    with FakeRobot() as fake:
+
+        def hit() -> bool:
+            fake.front_bumper = fake.speed_mps > 0.1
+            return fake.front_bumper
+
+        words = ("cruiser-1", "--speed", "1", "--seconds", "100")
+        assert run(drive, fake.listen, *words, until=hit) == ExitCode.FAILURE
+    told = capsys.readouterr()
+    assert "cruiser-1 was stopped\n" in told.err
+    assert "front_bumper" in told.err
+    assert "driven" not in told.out
+
+
+def test_drive_says_that_the_robot_was_not_seen_to_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its parking brake never reads applied: it stands in gear, and its motor holds it."""
+    monkeypatch.setattr(engaged, "REST_S", 3.0)
+    with FakeRobot() as fake:
+
+        def loosen() -> bool:
+            fake.loose = fake.speed_mps > 0.1
+            return fake.loose
+
+        with pytest.raises(CommandError, match="not seen to come to rest within 3 s") as caught:
+            run(drive, fake.listen, "cruiser-1", "--speed", "1", "--seconds", "100", until=loosen)
+        assert caught.value.code is ExitCode.FAILURE
+
+
+def test_drive_says_that_a_robot_is_not_heard_any_more() -> None:
+    """And not that it does not answer what cleaning up asks of it."""
+    with FakeRobot() as fake:
+
+        def vanish() -> bool:
+            fake.mute = fake.deaf = fake.speed_mps > 0.1 or fake.mute
+            return False
+
+        with pytest.raises(CommandError, match=r"not heard any more.*use its button") as caught:
+            run(drive, fake.listen, "cruiser-1", "--speed", "1", "--seconds", "100", until=vanish)
+        assert caught.value.code is ExitCode.UNREACHABLE
 
 
 def test_drive_says_why_the_robot_stopped() -> None:
@@ -181,6 +228,10 @@ def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
             run(stop, fake.listen, "cruiser-2", "--timeout", "2")
         assert caught.value.code is ExitCode.UNREACHABLE
         assert Reason.REMOTE_STOP in deaf.flow.arbiter.latches.details
+        assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
+        before = len(deaf.puts)
+        with pytest.raises(CommandError, match="nobody answered before it was ended") as caught:
+            run(stop, fake.listen, "cruiser-2", until=lambda: deaf.has_heard(before + 1))
         assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
         assert run(stop, fake.listen, "--all", "--timeout", "3") == ExitCode.PARTIAL
     for words in ([], ["cruiser-1", "--all"]):
