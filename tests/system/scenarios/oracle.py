@@ -193,6 +193,7 @@ class Oracle:
         elif verb == "reset" and fields["ok"]:
             # A hit of the very moment of the reset may have been seen before it, or after.
             self._acknowledged = self._struck is not None
+            self._emergency = False
             self._is_unsure = self._is_unsure or now_s - self._struck_s < SEEING_S
 
     def state(self, state: Fields, now_s: float) -> None:
@@ -468,10 +469,10 @@ class Oracle:
         )
 
     @staticmethod
-    def _hides_auto(plant: Plant) -> bool:
-        """True if the robot obeys its last command, and says that the remote control has it: nobody can know."""
+    def _hides_mode(plant: Plant) -> bool:
+        """True if the robot says that the remote control has it, and is in another mode: nobody can know."""
         body = plant.shown.get(BODY)
-        return plant.mode == AUTO and body is not None and body[5] == REMOTE
+        return plant.mode != REMOTE and body is not None and body[5] == REMOTE
 
     # The motion.
 
@@ -491,6 +492,9 @@ class Oracle:
             self._rest_sign = 0.0
             return
         speed_mps, x_m = plant.speed_mps, plant.x_m
+        if self._order is not None and self._order.signed_mps * speed_mps > 0:
+            # A motor that comes back in the midst of a ramp follows what is left of it.
+            self._rest_m = None
         if not wants_zero:
             self._rest_m, self._rest_sign, self._rest_is_stop, self._rest_bound_m = None, 0.0, False, 0.0
             self._judge_start(plant, now_s)
@@ -539,7 +543,7 @@ class Oracle:
         if not self._is_reachable(now_s):
             self._stop_record = None
             return
-        if self._hides_auto(plant):
+        if self._hides_mode(plant):
             # The stop begins when it can be known.
             self._stop_record = (now_s, plant.x_m, plant.speed_mps, plant.slope_deg)
             return
@@ -685,7 +689,11 @@ class Oracle:
             self._fail("cannot_engage", now_s, "6 s after it was asked")
         engaged = self._is_permitted and self._was_engaged and order is not None
         is_told_zero = order is not None and not order.speed_mps
-        holds_zero = engaged and is_told_zero and not self._asked_mps and abs(plant.speed_mps) < 0.02
+        # A speed feedback that is frozen may say that it moves.
+        shows_rest = not plant.frozen & {DRIVE, WHEELS}
+        holds_zero = (
+            engaged and is_told_zero and not self._asked_mps and abs(plant.speed_mps) < 0.02 and shows_rest
+        )
         stands_s = self._timer("hold").lasts(now_s, holds=holds_zero)
         if order is not None and stands_s > 1.0 + 0.4 and not order.parking and now_s - self._zero_since_s > 1.5:
             self._fail("no_auto_hold", now_s, f"standing for {stands_s:.1f} s without the parking brake")
