@@ -58,6 +58,7 @@ LEASE: Final = "transport/link/tx/lease"
 CONNECT: Final = "connect/endpoints"
 LISTEN: Final = "listen/endpoints"
 MULTICAST: Final = "scouting/multicast/enabled"
+GOSSIP: Final = "scouting/gossip/enabled"
 SCOUTING: Final = "scouting/delay"
 PROTOCOLS: Final = "transport/link/protocols"
 
@@ -269,7 +270,7 @@ def _entries(zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str]
         "listen/timeout_ms": 0,
         "listen/exit_on_failure": True,
         MULTICAST: False,
-        "scouting/gossip/enabled": True,
+        GOSSIP: True,
         SCOUTING: SCOUTING_MS,
         "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
         "transport/unicast/accept_timeout": OPEN_TIMEOUT_MS,

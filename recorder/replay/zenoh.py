@@ -14,7 +14,7 @@ import zenoh
 
 from recorder.replay.run import Halt
 from recorder.replay.samples import ReplaySample, overlap, root_of_token
-from recorder.zenoh.session import local_port, open_session, said_of
+from recorder.zenoh.session import listens_only, local_port, open_session, said_of
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
@@ -45,12 +45,16 @@ def key_checked(text: str) -> str:
 class ZenohOutlet:
     """A session that publishes samples, from its beginning to ``close``.
 
+    Where it is said where to listen, and nowhere to connect, it is a network of its own: who connects there shall
+    not see live robots beside those of the log.
+
     Args:
         settings: of the session.
         root: the beginning of every key.
         waits: a subscriber that is too slow holds the replay up, instead of losing samples.
 
     Attributes:
+        listen: where others are to connect; empty if nothing is said of it.
         sent: samples that Zenoh took...
         failed: ...and those that it did not.
         was_alone: for a while nobody was connected.
@@ -64,7 +68,10 @@ class ZenohOutlet:
         self.was_alone = False
         self._root = root
         self._congestion = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
-        self._session = open_session(settings, said_of(settings).listen or local_port(settings))
+        self.listen = said_of(settings).listen
+        self._session = open_session(
+            settings, self.listen or local_port(settings), is_apart=listens_only(settings)
+        )
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._gateways: set[str] = set()
         self._tokens: Any = self._session.liveliness().declare_subscriber(
@@ -77,13 +84,18 @@ class ZenohOutlet:
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
 
-    def wait_for_link(self, timeout_s: float | None, stopped: Callable[[], bool]) -> bool:
-        """Wait until somebody is connected, as long as need be if there is no timeout. Whether somebody is."""
+    def wait_for_link(self, timeout_s: float, stopped: Callable[[], bool]) -> bool:
+        """Wait until somebody is connected. False if nobody is in time."""
         # Zenoh lists no clients; that one of them subscribes is all that is known of it.
         return self._wait(lambda probe: self.is_connected or _matches(probe), timeout_s, stopped)
 
-    def wait_for_subscriber(self, timeout_s: float, stopped: Callable[[], bool]) -> bool:
-        """Wait for somebody who wants what will be published: links and declarations take their time."""
+    def wait_for_subscriber(self, timeout_s: float | None, stopped: Callable[[], bool]) -> bool:
+        """Wait for somebody who wants what will be published: links and declarations take their time.
+
+        Args:
+            timeout_s: the longest wait; None waits as long as need be.
+            stopped: gives up when it turns true.
+        """
         return self._wait(_matches, timeout_s, stopped)
 
     def _wait(

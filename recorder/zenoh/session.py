@@ -15,6 +15,7 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
 from schemas.zenoh_link import (
     ANY_LOCAL_PORT,
+    GOSSIP,
     PROTOCOLS,
     Json,
     SessionError,
@@ -38,7 +39,7 @@ BATCH_BYTES: Final = 16_384
 Zenoh's own 64 KiB a recorder of 300 robots grew to 1.4 GB. Less would leave senders too little for a stall."""
 
 
-def open_session(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.Session:
+def open_session(settings: ZenohSettings, listen: Sequence[str] = (), *, is_apart: bool = False) -> zenoh.Session:
     """A session; it connects in the background.
 
     A Zenoh router passes nothing from one peer to another (measured with 1.10.2): a session that listens on
@@ -47,11 +48,12 @@ def open_session(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.S
     Args:
         settings: of the session.
         listen: the endpoints to listen on; none if it is empty.
+        is_apart: it connects to nobody of itself, and no node that connects to it is told of another.
 
     Raises:
         CommandError: the settings are wrong, or it cannot be opened.
     """
-    session = _open(_configuration(settings, listen), listen, settings.config)
+    session = _open(_configuration(settings, listen, is_apart=is_apart), listen, settings.config)
     mode, _, _, is_given = said_of(settings)
     if listen or mode != "peer" or is_given or not finds_router(session.info, time.sleep):
         return session
@@ -85,6 +87,16 @@ def said_of(settings: ZenohSettings) -> ZenohChoice:
     file = _File(settings)
     found = said(settings, file.says)
     return found._replace(connect=found.connect or [DEFAULT_ENDPOINT])
+
+
+def listens_only(settings: ZenohSettings) -> bool:
+    """Return True if the settings say where to listen, and nowhere to connect.
+
+    Raises:
+        CommandError: the settings are wrong.
+    """
+    found = said(settings, _File(settings).says)
+    return bool(found.listen) and not found.connect
 
 
 def local_port(settings: ZenohSettings) -> list[str]:
@@ -139,13 +151,15 @@ class _File:
         return None if value == json.loads(zenoh.Config().get_json(path)) else value
 
 
-def _configuration(settings: ZenohSettings, listen: Sequence[str] = ()) -> zenoh.Config:
+def _configuration(settings: ZenohSettings, listen: Sequence[str] = (), *, is_apart: bool = False) -> zenoh.Config:
     """The configuration file, if one is set, with our settings over it."""
     file = _File(settings)
-    connect = said_of(settings).connect
+    connect = [] if is_apart else said_of(settings).connect
     ours = session_settings(settings, connect, listen, lambda path: file.says(path) is not None)
     if file.says(BATCH_SIZE) is None:
         ours[BATCH_SIZE] = BATCH_BYTES
+    if is_apart:
+        ours[GOSSIP] = False
     try:
         for path, value in ours.items():
             file.config.insert_json5(path, json.dumps(value))

@@ -137,7 +137,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="zenoh.listen",
         action="append",
         metavar="ENDPOINT",
-        help="Zenoh endpoint to listen on; the replay begins when somebody connects",
+        help="Zenoh endpoint to listen on; the replay begins when somebody subscribes there, and joins no other "
+        "node without --connect",
     )
     zenoh.add_argument(
         "--timeout",
@@ -204,13 +205,13 @@ def _to_zenoh(
         raise CommandError(NOTHING)
     player = _player(arguments, asked, lambda topic: may_hold(topic, wants), read)
     with closing(ZenohOutlet(settings.zenoh, root, waits=not player.pace.is_paced)) as outlet:
-        _meet(outlet, settings, arguments.timeout, stopped)
+        _meet(outlet, root, arguments.timeout, stopped)
         if not outlet.wait_for_subscriber(arguments.timeout, stopped) and not stopped():
             _tell(f"nobody subscribes to {root}/** yet")
         _tell(f"{len(asked.logs)} logs to {root}/**")
         replayed, halt = _play(player, outlet, f"{root}/**", stopped, takes_keys=True, is_now=arguments.now)
     # Who listens has guests that come and go.
-    was_alone = outlet.was_alone and not settings.zenoh.listen
+    was_alone = outlet.was_alone and not outlet.listen
     withheld = {"commands, and keys or encodings that are unfit": samples.withheld} if samples.withheld else {}
     return msgspec.structs.replace(replayed, withheld=withheld, was_alone=was_alone), halt
 
@@ -228,12 +229,12 @@ def _check_root(root: str, others: set[str], *, is_forced: bool) -> None:
             )
 
 
-def _meet(outlet: ZenohOutlet, settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> None:
-    """Wait for somebody to be connected, and see that it is no gateway under this root."""
-    is_listening = bool(settings.zenoh.listen)
-    if is_listening:
-        _tell(f"waits for somebody to connect to {', '.join(settings.zenoh.listen)}")
-    if not outlet.wait_for_link(None if is_listening else timeout_s, stopped) and not stopped():
+def _meet(outlet: ZenohOutlet, root: str, timeout_s: float, stopped: Callable[[], bool]) -> None:
+    """Wait for somebody to be there, and see that it is no gateway under this root."""
+    if outlet.listen:
+        _tell(f"waits for somebody who connects to {', '.join(outlet.listen)} and subscribes to {root}/**")
+        outlet.wait_for_subscriber(None, stopped)
+    elif not outlet.wait_for_link(timeout_s, stopped) and not stopped():
         raise CommandError(
             f"no Zenoh node answered within {timeout_s:g} s; with --listen {DEFAULT_ENDPOINT} others connect here",
             ExitCode.UNREACHABLE,

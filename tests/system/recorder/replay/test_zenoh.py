@@ -8,6 +8,7 @@ import zenoh
 
 from recorder.replay.samples import ReplaySample
 from recorder.replay.zenoh import ZenohOutlet
+from recorder.zenoh import session
 from schemas import codec, keys
 from schemas.decisions import SafetyEvent, SafetyState
 from schemas.exit_codes import ExitCode
@@ -215,4 +216,25 @@ def test_nobody_is_waited_for_in_vain() -> None:
     """The time is up, or somebody has stopped it."""
     with closing(ZenohOutlet(ZenohSettings(connect=[free_endpoint()]), "replay", waits=False)) as outlet:
         assert not outlet.wait_for_link(0.05, never)
-        assert not outlet.wait_for_link(None, lambda: True)
+        assert not outlet.wait_for_subscriber(None, lambda: True)
+
+
+def test_where_it_only_listens_it_is_a_network_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It does not join this machine's gateway, and tells those who connect to it nothing of each other."""
+    machine, here = free_endpoint(), free_endpoint()
+    monkeypatch.setattr(session, "DEFAULT_ENDPOINT", machine)
+    with (
+        Peer(machine) as gateway,
+        closing(ZenohOutlet(ZenohSettings(listen=[here]), "replay", waits=True)) as outlet,
+        session.open_session(ZenohSettings(connect=[here]), [free_endpoint()]) as robot,
+        session.open_session(ZenohSettings(connect=[here])) as viewer,
+    ):
+        token = robot.liveliness().declare_token(keys.liveliness("fleet", "cruiser-1"))
+        wait_until(lambda: bool(robot.info.peers_zid()) and bool(viewer.info.peers_zid()))
+        subscriber = viewer.declare_subscriber("replay/**", zenoh.handlers.FifoChannel(10))
+        assert outlet.wait_for_subscriber(20, never)
+        outlet.send(gear_sample(0), 0)
+        received(subscriber, 1)
+        assert list(viewer.liveliness().get(keys.ANY_TOKEN, timeout=1)) == []
+        assert [len(one.info.peers_zid()) for one in (robot, viewer, gateway.session)] == [1, 1, 0]
+        token.undeclare()

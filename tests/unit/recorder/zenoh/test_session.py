@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.zenoh.session import _configuration
+from recorder.zenoh.session import _configuration, listens_only
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 
@@ -28,3 +28,17 @@ def test_a_zenoh_file_gives_what_it_says(tmp_path: Path) -> None:
         with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
             _configuration(ZenohSettings(config=str(broken)), [])
         assert caught.value.code == ExitCode.USAGE
+
+
+def test_only_who_is_told_to_listen_and_nowhere_to_connect_is_apart(tmp_path: Path) -> None:
+    """By the settings, or by a Zenoh file; without a word it connects to this machine's gateway."""
+    here, there = "tcp/127.0.0.1:9", "tcp/127.0.0.1:10"
+    path = tmp_path / "zenoh.json5"
+    path.write_text(json.dumps({"connect": {"endpoints": [there]}}))
+    assert listens_only(ZenohSettings(listen=[here]))
+    assert not listens_only(ZenohSettings())
+    assert not listens_only(ZenohSettings(listen=[here], connect=[there]))
+    assert not listens_only(ZenohSettings(listen=[here], config=str(path)))
+    config = _configuration(ZenohSettings(listen=[here]), [here], is_apart=True)
+    assert config.get_json("connect/endpoints") == "[]"
+    assert config.get_json("scouting/gossip/enabled") == "false"

@@ -22,6 +22,7 @@ from recorder.cli.review import command as review
 from recorder.cli.review import replay
 from recorder.replay.can import CanPlace
 from recorder.replay.frames import ReplayedFrame
+from recorder.zenoh.session import open_session
 from schemas import codec, keys
 from schemas.can_word import EXTENDED
 from schemas.exit_codes import CommandError, ExitCode
@@ -244,20 +245,16 @@ def test_nobody_there_is_unreachable(log: str) -> None:
 
 
 def test_a_viewer_connects_to_the_replay_itself_and_ctrl_c_ends_it(log: str) -> None:
-    """No other node is needed; the replay waits for the first one, and ends cleanly."""
+    """No other node is needed; the replay waits for the first who subscribes, and ends cleanly."""
     endpoint = free_endpoint()
-    words = ["review", "replay", log, "--listen", endpoint, "--connect", endpoint, "--loop", "forever", "--json"]
+    words = ["review", "replay", log, "--listen", endpoint, "--loop", "forever", "--json"]
     process = subprocess.Popen(
         [CRUISER, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment()
     )
     try:
-        config = zenoh.Config()
-        for path, value in (("scouting/multicast/enabled", "false"), ("mode", '"client"')):
-            config.insert_json5(path, value)
-        config.insert_json5("connect/endpoints", json.dumps([endpoint]))
         assert process.stderr is not None
         assert "waits for somebody" in process.stderr.readline()
-        with zenoh.open(config) as session:
+        with open_session(ZenohSettings(connect=[endpoint])) as session:
             subscriber = session.declare_subscriber("replay/**", zenoh.handlers.RingChannel(10))
             wait_until(lambda: subscriber.try_recv() is not None)
             process.send_signal(signal.SIGINT)
@@ -270,6 +267,27 @@ def test_a_viewer_connects_to_the_replay_itself_and_ctrl_c_ends_it(log: str) -> 
     told = json.loads(out)
     assert told["ended"] == "stopped"
     assert told["sent"] > 0
+
+
+def test_a_connection_alone_does_not_begin_it(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Who lists robots connects too, and receives nothing."""
+    endpoint = free_endpoint()
+    subscribed: list[zenoh.Subscriber[None]] = []
+    looks = 0
+    with open_session(ZenohSettings(connect=[endpoint])) as session:
+
+        def subscribe_late() -> bool:
+            nonlocal looks
+            looks += bool(session.info.peers_zid())
+            if looks > 20 and not subscribed:
+                subscribed.append(session.declare_subscriber("replay/**", lambda _: None))
+            return False
+
+        settings = Settings(zenoh=ZenohSettings(listen=[endpoint]))
+        words = ("replay", log, "--speed", "max", "--timeout", "0.001")
+        assert run_command(review, *words, settings=settings, stopped=subscribe_late) == ExitCode.OK
+    assert subscribed
+    assert "nobody subscribes" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
