@@ -6,7 +6,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -37,13 +38,14 @@ from gateway.telemetry.received import Received, TokenChange
 from gateway.zenoh.client import FleetListener, PendingQuery, place
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.authority.identity import KEY_FILE
+from schemas.configuration import TomlSource, merge
 from schemas.decisions import SafetyState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayHealth, GatewayInfo, Message, RobotState
 from schemas.printable import plain
 from schemas.recording import RecorderHealth
 from schemas.setting_table import CONFIG_VARIABLE, SETTINGS
-from schemas.settings import Settings, ZenohSettings
+from schemas.settings import CanSettings, Settings, ZenohSettings
 
 EXAMPLE: Final = """\
   cruiser doctor
@@ -104,7 +106,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if getattr(arguments, "zenoh.config") is None and SETTINGS["zenoh.config"].variable not in os.environ:
         _check_role(settings)
     facts = look(settings, arguments.timeout, stopped)
-    facts = msgspec.structs.replace(facts, bus_of_file=_bus_of_file(arguments, settings))
+    bus_of_settings = facts.bus_of_settings or _bus_of_file(arguments, settings)
+    facts = msgspec.structs.replace(facts, bus_of_settings=bus_of_settings)
     return int(report(facts, diagnose(facts), as_json=arguments.json))
 
 
@@ -130,7 +133,8 @@ def _bus_of_file(arguments: argparse.Namespace, settings: Settings) -> str:
         return ""
     named = arguments.config or os.environ.get(CONFIG_VARIABLE) or (SYSTEM_FILE if SYSTEM_FILE.exists() else "")
     of_file = load_settings(str(named), os.environ, {}).can if named else settings.can
-    return "" if describe(of_file) == describe(settings.can) else f"{describe(of_file)}, by {named}"
+    is_same = describe(of_file) == describe(settings.can)
+    return "" if is_same else f"{describe(of_file)}, by {named}; flags say so"
 
 
 def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> Facts:
@@ -141,6 +145,10 @@ def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> F
     """
     now_s = time.time()
     zenoh = ask(settings, timeout_s, stopped)
+    bus_of_settings = ""
+    if zenoh.can is not None and describe(zenoh.can) != describe(settings.can):
+        bus_of_settings = f"{describe(settings.can)}, by the settings here; the gateway that runs says so"
+        settings = msgspec.structs.replace(settings, can=zenoh.can)
     return Facts(
         settings,
         version("cruiser-gateway"),
@@ -157,6 +165,7 @@ def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> F
         booted_s(),
         was_shut_down(),
         look_at_stop_note(settings),
+        bus_of_settings,
     )
 
 
@@ -196,7 +205,7 @@ def _ask(
     recorders: dict[str, RecorderHealth] = {}
     is_named, ahead_s = False, 0.0
     question: PendingQuery | None = None
-    runs: set[int] = set()
+    runs: dict[int, GatewayInfo] = {}
     linked_s: float | None = None
     end_s = time.monotonic() + timeout_s
     while not stopped() and (now_s := time.monotonic()) < end_s:
@@ -230,6 +239,7 @@ def _ask(
         ahead_s,
         _clock_moved_s(health, runs) if isinstance(health, GatewayHealth) else 0.0,
         [recorders[name] for name in sorted(recorders)],
+        _can_of(runs),
     )
 
 
@@ -238,13 +248,23 @@ def _message(received: Received) -> Message | None:
     return sample.message if sample is not None and isinstance(sample.message, Message) else None
 
 
-def _runs(replies: Iterable[Received]) -> set[int]:
-    """When the gateways that replied were started: each run once."""
+def _runs(replies: Iterable[Received]) -> dict[int, GatewayInfo]:
+    """The gateways that replied, by when they were started: each run once."""
     found = (_message(reply) for reply in replies)
-    return {info.started_ns for info in found if isinstance(info, GatewayInfo)}
+    return {info.started_ns: info for info in found if isinstance(info, GatewayInfo)}
 
 
-def _clock_moved_s(health: GatewayHealth, runs: set[int]) -> float:
+def _can_of(runs: Mapping[int, GatewayInfo]) -> CanSettings | None:
+    """The bus of the gateway by its own configuration; None where that is not known of just one."""
+    if len(runs) != 1:
+        return None
+    (info,) = runs.values()
+    with suppress(CommandError):  # It may be of another version.
+        return merge(TomlSource("gateway/info", info.configuration, is_recorded=True), {}, {}).can
+    return None
+
+
+def _clock_moved_s(health: GatewayHealth, runs: Collection[int]) -> float:
     """So far the robot's clock was set since its gateway started; zero where that is not known of just one."""
     if len(runs) != 1:
         return 0.0

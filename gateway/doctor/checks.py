@@ -225,8 +225,8 @@ def _interface_down(facts: Facts) -> Iterable[Detail]:
 
 def _other_bus(facts: Facts) -> Iterable[Detail]:
     can = facts.settings.can
-    text = f"{can.interface} {can.channel}, and not {facts.bus_of_file}; a gateway that runs has its own"
-    return _found(bool(facts.bus_of_file), text)
+    text = f"{can.interface} {can.channel}, and not {facts.bus_of_settings}"
+    return _found(bool(facts.bus_of_settings), text)
 
 
 def _bus_unreachable(facts: Facts) -> Iterable[Detail]:
@@ -548,9 +548,9 @@ _CABLE: Final = "look at the cable, at its termination (60 ohms between the wire
 CHECKS: Final = (
     Check(
         "other_bus",
-        "flags and settings file",
-        "the bus of the flags was looked at",
-        "leave out --interface and --channel to look at that of the settings file",
+        "flags, settings and gateway/info",
+        "another bus than that of the settings was looked at",
+        "leave out --interface and --channel; name the settings file of the gateway that runs: --config",
         _other_bus,
         is_note=True,
     ),

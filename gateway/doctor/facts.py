@@ -7,7 +7,7 @@ import msgspec
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, RobotState
 from schemas.recording import RecorderHealth
-from schemas.settings import Settings
+from schemas.settings import CanSettings, Settings
 
 
 class CanInterface(msgspec.Struct, frozen=True):
@@ -59,6 +59,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
         health, safety, state: the newest of the robot; None if there was none.
         ahead_s: the robot's clock against this machine's.
         clock_moved_s: so far somebody has set the robot's clock since its gateway started; below zero: back.
+        can: the bus of the one gateway that answers, by its configuration; None if that is not known.
         recorders: the newest of each recorder.
     """
 
@@ -73,6 +74,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
     ahead_s: float = 0.0
     clock_moved_s: float = 0.0
     recorders: list[RecorderHealth] = []
+    can: CanSettings | None = None
 
 
 class ServiceUnit(msgspec.Struct, frozen=True):
@@ -144,7 +146,7 @@ class Facts(msgspec.Struct, frozen=True):
         was_shut_down: before that it was shut down in order; None if its journal does not say.
         stop_note: of a stop by the guard, or by the early stop, that is latched: when and why, in one line; empty
             if there is none, or if it is not for this user to read.
-        bus_of_file: the bus of the settings file, where flags name another, which was looked at; else empty.
+        bus_of_settings: the bus of the settings and who names another, which was looked at; else empty.
         interface: the CAN interface; None where the bus is none of the kernel's.
         claims: gateways of this machine that command the bus.
         bus: what was received of it; None if it was not listened to, because a gateway reports it.
@@ -169,7 +171,7 @@ class Facts(msgspec.Struct, frozen=True):
     booted_s: float = 0.0
     was_shut_down: bool | None = None
     stop_note: str = ""
-    bus_of_file: str = ""
+    bus_of_settings: str = ""
 
     @property
     def health(self) -> GatewayHealth | None:

@@ -55,6 +55,15 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
             assert "realtime" in done.stdout
 
 
+def test_the_bus_of_the_gateway_that_runs_is_looked_at(bus: str, tmp_path: Path) -> None:
+    """With settings that name another one, as the start values do: a note says so, and nothing is to be cured."""
+    endpoint = free_endpoint()
+    with gateway(bus, endpoint):
+        found = examine("can9", "--connect", endpoint, "--logs", str(tmp_path), interface="socketcan")[1]
+    assert f"socketcand {bus}, and not socketcan can9" in found["other_bus"]
+    assert not {"interface_missing", "bus_unreachable"} & set(found)
+
+
 def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:
     """A chassis that is well: nothing is missing but the gateway. Then a frame of it is."""
     logs = ["--logs", str(tmp_path), "--timeout", "0.5"]

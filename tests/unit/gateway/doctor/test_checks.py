@@ -109,7 +109,7 @@ def dead(**changes: object) -> GatewayHealth:
 
 CASES: dict[str, tuple[Facts, str]] = {
     "other_bus": (
-        replace(WELL, bus_of_file="socketcan can5, by robot.toml"),
+        replace(WELL, bus_of_settings="socketcan can5, by robot.toml"),
         "socketcan can0, and not socketcan can5, by robot.toml",
     ),
     "interface_missing": (
