@@ -297,6 +297,12 @@ def needing_store() -> Generator[None, None, None]:
         raise missing_extra("obstore", "upload") from None
 
 
+def no_robot(faults: Faults) -> CommandError:
+    """Return the error that logs hold nothing of a robot. What cannot be read of them is told before."""
+    code = end_with(faults)
+    return CommandError("the log holds nothing of a robot", ExitCode(code or ExitCode.FAILURE))
+
+
 def end_with(faults: Faults) -> int:
     """Print on stderr what could not be read. Returns the exit code."""
     for fault in faults.told:

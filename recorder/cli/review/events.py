@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from itertools import chain, islice
 from typing import Any, Final
 
 import msgspec
@@ -17,6 +18,7 @@ from recorder.cli.review.asking import (
     chosen_robots,
     end_with,
     find,
+    no_robot,
     progress_bar,
 )
 from recorder.reading.faults import Faults
@@ -36,8 +38,8 @@ EXAMPLE: Final = """\
 DESCRIPTION: Final = (
     "What happened, in order: leases, engages, stops, latches, faults, takeovers, refusals, and what the log "
     "lacks, each with time, cause and operator. Alike refusals and faults that follow each other are told once, "
-    "with a count. What no message says, but two states of the arbiter, is marked 'derived'. Exit code 3 if a "
-    "file is not whole."
+    "with a count. What no message says, but two states of the arbiter, is marked 'derived'. Exit code 1 if the "
+    "logs hold nothing of a robot, 3 if a file is not whole."
 )
 
 
@@ -65,7 +67,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with progress_bar("events", asked.bytes, stopped, prints=True) as progress:
         logs = filled(asked.logs, asked.faults, progress, from_ns=asked.from_ns, to_ns=asked.to_ns)
         entries = read_events(logs, asked.selection, asked.faults, progress, robots=wanted, kinds=kinds)
-        for line in show(_until(entries, stopped), asked):
+        first = list(islice(entries, 1))
+        if not first and not survey(asked.logs, Faults()).robots:
+            raise no_robot(asked.faults)
+        for line in show(_until(chain(first, entries), stopped), asked):
             sys.stdout.write(f"{line}\n")
     return end_with(asked.faults)
 

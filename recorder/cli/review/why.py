@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.review.asking import Asked, add_logs, end_with, find, in_short, progress_bar
+from recorder.cli.review.asking import Asked, add_logs, end_with, find, in_short, no_robot, progress_bar
 from recorder.cli.show import show
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import logs_of
@@ -67,8 +67,7 @@ def _robot(name: str | None, robots: list[str], faults: Faults) -> str:
     """
     shown = in_short(robots)
     if not robots:
-        code = end_with(faults)
-        raise CommandError("the log holds nothing of a robot", ExitCode(code or ExitCode.FAILURE))
+        raise no_robot(faults)
     if name is None and len(robots) > 1:
         end_with(faults)
         raise CommandError(f"the logs are of several robots: give --robot, one of {shown}", ExitCode.USAGE)

@@ -7,6 +7,7 @@ import pytest
 
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
+from tests.support.logs import foreign_log, gears, own_log, saved
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import acted, recorded
 
@@ -56,6 +57,19 @@ def test_time_and_kind_bound_what_is_told(log: Path, capsys: pytest.CaptureFixtu
     )
     kinds = [json.loads(line)["kind"] for line in capsys.readouterr().out.splitlines()]
     assert kinds == ["refusal", "stop"]
+
+
+def test_a_log_without_a_robot_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty table would say that nothing happened; as it does where nothing of the wanted kind did."""
+    path = saved(tmp_path / "foreign.mcap", foreign_log())
+    for words in ((), ("--json",)):
+        with pytest.raises(CommandError, match="nothing of a robot") as refused:
+            review("events", path, *words)
+        assert refused.value.code is ExitCode.FAILURE
+        assert capsys.readouterr().out == ""
+    own = saved(tmp_path / "own.mcap", own_log([gears(0, 3, 10)]))
+    assert review("events", own, "--json", "--kind", "takeover") == ExitCode.OK
+    assert capsys.readouterr().out == ""
 
 
 def test_a_robot_that_is_not_in_the_logs_is_refused(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -116,10 +116,11 @@ def test_a_whole_log_without_a_robot_is_a_failure(log: Path, capsys: pytest.Capt
         writer = Writer(stream)
         writer.start()
         writer.finish()
-    with pytest.raises(CommandError, match="nothing of a robot") as refused:
-        review("why", log)
-    assert refused.value.code is ExitCode.FAILURE
-    assert capsys.readouterr().err == ""
+    for question in ("why", "events"):
+        with pytest.raises(CommandError, match="nothing of a robot") as refused:
+            review(question, log)
+        assert refused.value.code is ExitCode.FAILURE
+        assert capsys.readouterr() == ("", "")
 
 
 def test_damage_never_raises(log: Path) -> None:
