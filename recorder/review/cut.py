@@ -32,7 +32,7 @@ def cut(
         progress: receives the number of bytes that were read.
 
     Raises:
-        CommandError: the file is there already, or cannot be written.
+        CommandError: the file is there already, or cannot be written, or no topic is of the patterns.
     """
     about = {
         "files": ",".join(log.path.name for log in logs),
@@ -42,7 +42,7 @@ def cut(
     }
 
     def is_wanted(topic: str) -> bool:
-        return not topics or any(fnmatchcase(topic, pattern) for pattern in topics)
+        return any(fnmatchcase(topic, pattern) for pattern in topics)
 
-    wanted = JoinRange(is_wanted, selection.from_ns, selection.to_ns)
+    wanted = JoinRange(is_wanted if topics else None, selection.from_ns, selection.to_ns)
     return join(logs, path, wanted, (CUT_NAME, about), faults, progress)

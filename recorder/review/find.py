@@ -258,12 +258,10 @@ def read_words(text: str, now_ns: int) -> FindQuery:
             to_ns = min(to_ns, _date(word, next(words, "")))
         elif word in SUBJECTS and subject is None:
             subject = word
-        elif word in SUBJECTS:
-            raise _misunderstood(f"there are two subjects, {subject} and {word}: give one")
         else:
-            near = get_close_matches(word, [*SUBJECTS, "last", "from", "to"], 1)
-            hint = f"did you mean {near[0]}?" if near else f"a subject is one of {', '.join(SUBJECTS)}"
-            raise _misunderstood(f"{word!r} is no subject and no condition: {hint}")
+            raise _meaningless(word, subject)
+    if from_ns >= to_ns:
+        raise _misunderstood("there is no time between that beginning and that end")
     kind, kinds = SUBJECTS[subject or "log"]
     for one in conditions:
         _check(kind, one, subject or "log")
@@ -272,6 +270,14 @@ def read_words(text: str, now_ns: int) -> FindQuery:
 
 def _misunderstood(text: str) -> CommandError:
     return CommandError(plain(text), ExitCode.USAGE)
+
+
+def _meaningless(word: str, subject: str | None) -> CommandError:
+    if word in SUBJECTS:
+        return _misunderstood(f"there are two subjects, {subject} and {word}: give one")
+    near = get_close_matches(word, [*SUBJECTS, "last", "from", "to"], 1)
+    hint = f"did you mean {near[0]}?" if near else f"a subject is one of {', '.join(SUBJECTS)}"
+    return _misunderstood(f"{word!r} is no subject and no condition: {hint}")
 
 
 def _span_ns(text: str) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -12,6 +11,7 @@ from recorder.cli.review.asking import add_logs, add_period, end_with, find, pro
 from recorder.cli.review.merge import describe
 from recorder.cli.show import show
 from recorder.review.cut import cut
+from schemas.exit_codes import CommandError
 from schemas.settings import Settings
 
 EXAMPLE: Final = (
@@ -20,7 +20,8 @@ EXAMPLE: Final = (
 )
 DESCRIPTION: Final = (
     "Writes a part of logs into a new one: the messages of a time, by their log times, and of some topics, with "
-    "schemas, all metadata and all attachments. Nothing is overwritten. Exit code 3 if something could not be "
+    "schemas, all metadata and all attachments. Nothing is overwritten. Exit code 2 if nothing is of that time or "
+    "of those topics, 3 if something could not be "
     "read; the rest is in the new file."
 )
 
@@ -43,8 +44,11 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Cut."""
     asked = find(arguments)
     with progress_bar("cutting", asked.bytes, stopped) as progress:
-        joined = cut(asked.logs, arguments.out, asked.selection, arguments.topics, asked.faults, progress)
-    if arguments.topics and not joined.channels:
-        sys.stderr.write("cruiser review: no topic is of these patterns\n")
+        try:
+            joined = cut(asked.logs, arguments.out, asked.selection, arguments.topics, asked.faults, progress)
+        except CommandError:
+            # What cannot be read may be why.
+            end_with(asked.faults)
+            raise
     show(joined, describe(joined), as_json=arguments.json)
     return end_with(asked.faults)

@@ -25,7 +25,7 @@ from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
 from recorder.record.robots import DEVICE_NAME, METADATA_NAME
 from recorder.review.joining.ordered import in_order
 from recorder.review.joining.source import JoinSource, Row
-from schemas.exit_codes import CommandError
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import CanFrame
 from schemas.subjects import SUBJECTS
 
@@ -56,12 +56,12 @@ class JoinRange(msgspec.Struct, frozen=True):
     """The part of the sources that goes into the new file.
 
     Attributes:
-        topic: a test of topics.
+        topic: a test of topics, which one at least has to pass; None takes all.
         from_ns: the first log time, since 1970...
         to_ns: ...and the first one that is too late.
     """
 
-    topic: Callable[[str], bool] = lambda _: True
+    topic: Callable[[str], bool] | None = None
     from_ns: int = 0
     to_ns: int = END_OF_TIME_NS
 
@@ -107,7 +107,7 @@ def join(
         progress: receives the number of bytes that were read.
 
     Raises:
-        CommandError: the file is there already, or cannot be written.
+        CommandError: the file is there already, or cannot be written, or no topic is wanted.
     """
     with new_file(path) as out:
         joining = _Joining(wanted)
@@ -127,6 +127,8 @@ def join(
         for row in in_order(sources, wanted.from_ns, wanted.to_ns, faults, progress):
             joining.add(row)
         joining.end()
+        if wanted.topic is not None and not joining.channels:
+            raise CommandError("no topic is of these patterns", ExitCode.USAGE)
     return Joined(
         path=str(path),
         sources=[str(log.path) for log in logs if not log.is_reconstructed],
@@ -189,7 +191,7 @@ class _Joining:
 
     def choose(self, channel: LogChannel) -> int | None:
         """The id of a channel of any source; see ``source.Choose``."""
-        if not self._wanted.topic(channel.topic):
+        if self._wanted.topic is not None and not self._wanted.topic(channel.topic):
             return None
         identity = (
             channel.topic,

@@ -351,6 +351,8 @@ def test_every_field_can_be_asked_for() -> None:
         ("stop last 3months", "'last 3months' is no time"),
         ("stop from yesterday", "'from yesterday' is no time: give a date"),
         ("stop to 12.5", "'to 12.5' is no time"),
+        ("stop to 2026-11-27 from 2026-11-28", "there is no time between"),
+        ("log last 1d to 2026-11-27", "there is no time between"),
         ("stop text='open", "closing quotation"),
         ("log robot=cruiser-9", "the logs hold nothing of cruiser-9, but of cruiser-1"),
         ("log whole=maybe", "one of no, yes"),

@@ -50,8 +50,13 @@ def test_whoever_is_told_to_stop_leaves_nothing(tmp_path: Path, question: str) -
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
-def test_a_part_of_no_topic_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A wrong pattern looks like an empty drive."""
-    log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 10)]))
-    assert review("cut", str(log), "--topics", "nothing", "-o", str(tmp_path / "out.mcap")) == ExitCode.OK
-    assert "no topic is of these patterns" in capsys.readouterr().err
+@pytest.mark.parametrize("left_out", [0, 20])
+def test_a_part_of_no_topic_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], left_out: int) -> None:
+    """A wrong pattern would look like an empty drive. That the log is cut off is told besides."""
+    data = own_log([gears(0, 3, 10)])
+    log = saved(tmp_path / "a.mcap", data[: len(data) - left_out])
+    with pytest.raises(CommandError, match="no topic is of these patterns") as refused:
+        review("cut", log, "--topics", "nothing", "-o", tmp_path / "out.mcap")
+    assert refused.value.code is ExitCode.USAGE
+    assert ("cut off" in capsys.readouterr().err) == bool(left_out)
+    assert list(tmp_path.iterdir()) == [log]
