@@ -270,6 +270,9 @@ def _files(directory: Path) -> dict[str, _Status]:
                     found[name_in_row(name)] = _Status(name, 0, 0)
                 else:
                     found[name_in_row(name)] = _Status(name, status.st_size, status.st_mtime_ns)
+    except NotADirectoryError as error:
+        shown = plain(str(directory))
+        raise CommandError(f"{shown} is a file: give a directory of logs", ExitCode.USAGE) from error
     except OSError as error:
         why = error.strerror or error
         raise CommandError(f"cannot read {plain(str(directory))}: {why}", ExitCode.USAGE) from error

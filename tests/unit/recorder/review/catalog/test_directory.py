@@ -264,7 +264,7 @@ def test_a_disk_that_takes_no_catalog_costs_no_answer(tmp_path: Path, monkeypatc
 
 def test_a_directory_that_is_none_is_a_matter_of_usage(tmp_path: Path) -> None:
     """A catalog is of a directory of logs."""
-    with pytest.raises(CommandError, match="Not a directory") as caught:
+    with pytest.raises(CommandError, match=r"a\.mcap is a file: give a directory of logs") as caught:
         Catalog(saved(tmp_path / "a.mcap", contents()[0]), SCHEMA.names)
     assert caught.value.code is ExitCode.USAGE
 
