@@ -105,8 +105,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         settings = load_settings(str(SYSTEM_FILE), os.environ, flags)
     if getattr(arguments, "zenoh.config") is None and SETTINGS["zenoh.config"].variable not in os.environ:
         _check_role(settings)
-    facts = look(settings, arguments.timeout, stopped)
-    bus_of_settings = facts.bus_of_settings or _bus_of_file(arguments, settings)
+    names_bus = (getattr(arguments, "can.interface"), getattr(arguments, "can.channel")) != (None, None)
+    facts = look(settings, arguments.timeout, stopped, follows_gateway=not names_bus)
+    bus_of_settings = _bus_of_file(arguments, settings) if names_bus else facts.bus_of_settings
     facts = msgspec.structs.replace(facts, bus_of_settings=bus_of_settings)
     return int(report(facts, diagnose(facts), as_json=arguments.json))
 
@@ -129,16 +130,22 @@ def _check_role(settings: Settings) -> None:
 
 def _bus_of_file(arguments: argparse.Namespace, settings: Settings) -> str:
     """Return the bus of the settings file, in words, where flags name another; else an empty text."""
-    if getattr(arguments, "can.interface") is None and getattr(arguments, "can.channel") is None:
-        return ""
     named = arguments.config or os.environ.get(CONFIG_VARIABLE) or (SYSTEM_FILE if SYSTEM_FILE.exists() else "")
     of_file = load_settings(str(named), os.environ, {}).can if named else settings.can
     is_same = describe(of_file) == describe(settings.can)
     return "" if is_same else f"{describe(of_file)}, by {named}; flags say so"
 
 
-def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> Facts:
+def look(
+    settings: Settings, timeout_s: float, stopped: Callable[[], bool], *, follows_gateway: bool = False
+) -> Facts:
     """Look at everything.
+
+    Args:
+        settings: of the robot.
+        timeout_s: for answers on Zenoh.
+        stopped: ends the waiting.
+        follows_gateway: look at the bus of the gateway that runs, if that is another than the settings'.
 
     Raises:
         CommandError: a setting cannot be used at all.
@@ -146,7 +153,7 @@ def look(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> F
     now_s = time.time()
     zenoh = ask(settings, timeout_s, stopped)
     bus_of_settings = ""
-    if zenoh.can is not None and describe(zenoh.can) != describe(settings.can):
+    if follows_gateway and zenoh.can is not None and describe(zenoh.can) != describe(settings.can):
         bus_of_settings = f"{describe(settings.can)}, by the settings here; the gateway that runs says so"
         settings = msgspec.structs.replace(settings, can=zenoh.can)
     return Facts(

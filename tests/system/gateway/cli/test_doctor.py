@@ -23,8 +23,9 @@ def bus() -> Iterator[str]:
 
 
 def examine(address: str, *words: str, interface: str = "socketcand") -> tuple[int, dict[str, str], str]:
-    """Exit code, findings by name, and the summary."""
-    done = run(["doctor", "--json", "--interface", interface, "--channel", address, *words])
+    """Exit code, findings by name, and the summary; of the settings' bus if the address is empty."""
+    bus = ["--interface", interface, "--channel", address] if address else []
+    done = run(["doctor", "--json", *bus, *words])
     said: dict[str, Any] = json.loads(done.stdout)
     found = {one["check"]: f"{one['text']} -> {one['cure']}" for one in said["findings"]}
     must = {one["check"] for one in said["findings"] if not one["is_note"]}
@@ -59,9 +60,11 @@ def test_the_bus_of_the_gateway_that_runs_is_looked_at(bus: str, tmp_path: Path)
     """With settings that name another one, as the start values do: a note says so, and nothing is to be cured."""
     endpoint = free_endpoint()
     with gateway(bus, endpoint):
-        found = examine("can9", "--connect", endpoint, "--logs", str(tmp_path), interface="socketcan")[1]
-    assert f"socketcand {bus}, and not socketcan can9" in found["other_bus"]
+        found = examine("", "--connect", endpoint, "--logs", str(tmp_path))[1]
+        named = examine("can9", "--connect", endpoint, "--logs", str(tmp_path), interface="socketcan")[1]
+    assert f"socketcand {bus}, and not socketcan can0" in found["other_bus"]
     assert not {"interface_missing", "bus_unreachable"} & set(found)
+    assert "interface_missing" in named, "who names a bus wants to know of that one"
 
 
 def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_the_systems_settings_are_read_where_nobody_names_others(
     file.write_text('[robot]\nname = "depot-3"\n[can]\nchannel = "can5"\n')
     seen: list[Settings] = []
 
-    def look(settings: Settings, *_: object) -> Facts:
+    def look(settings: Settings, *_: object, **__: object) -> Facts:
         seen.append(settings)
         return FACTS
 
@@ -106,7 +106,7 @@ def test_settings_of_somebody_who_is_no_robot_are_refused_with_what_to_use(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, role: str
 ) -> None:
     """Findings and cures would be a robot's. Beside a robot's key, or named by a flag, they are asked with."""
-    monkeypatch.setattr(doctor, "look", lambda *_: FACTS)
+    monkeypatch.setattr(doctor, "look", lambda *_, **__: FACTS)
     place = _network(tmp_path).node(TransportRole(role), "ann")
     zenoh = ZenohSettings(config=str(place / f"{role}.json5"))
     settings = Settings(zenoh=zenoh, authority=AuthoritySettings(mode="signed", directory=str(place)))
@@ -124,7 +124,7 @@ def test_settings_of_somebody_who_is_no_robot_are_refused_with_what_to_use(
 
 def test_a_robots_own_settings_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As are those that name a file without certificates."""
-    monkeypatch.setattr(doctor, "look", lambda *_: FACTS)
+    monkeypatch.setattr(doctor, "look", lambda *_, **__: FACTS)
     place = _network(tmp_path).node(TransportRole.ROBOT, "cruiser-1", "cruiser-1")
     plain_file = tmp_path / "operator.json5"
     plain_file.write_text("{mode: 'client'}")
@@ -137,7 +137,9 @@ def test_the_bus_of_the_flags_is_looked_at_and_that_of_the_file_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A note, which changes no exit code; none where both are the same."""
-    monkeypatch.setattr(doctor, "look", lambda settings, *_: msgspec.structs.replace(FACTS, settings=settings))
+    monkeypatch.setattr(
+        doctor, "look", lambda settings, *_, **__: msgspec.structs.replace(FACTS, settings=settings)
+    )
     file = tmp_path / "robot.toml"
     file.write_text('[can]\nchannel = "can5"\n')
     for channel, notes in (("can6", 1), ("can5", 0)):
