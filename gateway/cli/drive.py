@@ -119,11 +119,6 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
             blocked_by = state.blocked_by
             link = link_line(state) or link
         took_s = time.monotonic() - begun_s if is_early else arguments.seconds
-    latched = robot.state().state.latched
-    if latched:
-        sys.stderr.write(f"{robot.name} was stopped\n")
-        sys.stderr.writelines(f"  {reason_line(reason, robot.name, latched)}\n" for reason in latched)
-        return ExitCode.FAILURE
     if arguments.speed and not fastest_mps:
         sys.stderr.write(f"{robot.name} did not move\n")
         sys.stderr.writelines(f"  {reason_line(reason, robot.name, blocked_by)}\n" for reason in blocked_by)

@@ -22,13 +22,14 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
     """The robot is engaged within the block, and stands by after it. A stop under way is waited for.
 
     Raises:
-        CommandError: it is refused, or was not seen to come to rest.
+        CommandError: it is refused, is stopped, or was not seen to come to rest.
         Unreachable: it is not heard any more, so that nobody knows whether it stands.
     """
     robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, REST_S)
     lease.engage(deadman_s=deadman_s)
     try:
         yield
+        lease.check()
     except BaseException as error:
         # Why the block ended is the news; that the robot does not answer now either is none.
         with suppress(CommandError):
@@ -37,6 +38,10 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
             raise Unreachable(f"{error}. Look at the robot, and use its button if it moves") from error
         raise
     come_to_rest(lease, robot)
+    if latched := robot.state().state.latched:
+        raise CommandError(
+            f"{robot.name} was stopped ({', '.join(one.value for one in latched)}): see 'cruiser why'"
+        )
 
 
 def come_to_rest(lease: Lease, robot: Robot) -> None:

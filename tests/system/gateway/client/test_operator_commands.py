@@ -103,11 +103,10 @@ def test_drive_says_what_was_latched_as_it_came_to_rest(capsys: Capture) -> None
             return fake.front_bumper
 
         words = ("cruiser-1", "--speed", "1", "--seconds", "100")
-        assert run(drive, fake.listen, *words, until=hit) == ExitCode.FAILURE
-    told = capsys.readouterr()
-    assert "cruiser-1 was stopped\n" in told.err
-    assert "front_bumper" in told.err
-    assert "driven" not in told.out
+        with pytest.raises(CommandError, match=r"stopped.*front_bumper") as caught:
+            run(drive, fake.listen, *words, until=hit)
+        assert caught.value.code is ExitCode.FAILURE
+    assert "driven" not in capsys.readouterr().out
 
 
 def test_drive_says_that_the_robot_was_not_seen_to_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
