@@ -109,6 +109,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     _add_actions(parser)
+    # Behind them, whose usage would begin with it. Of itself it would show no recording without an action.
+    parser.usage = f"{parser.prog} [options]\n       {parser.prog} [options] ACTION ..."
 
 
 def _add_actions(parser: argparse.ArgumentParser) -> None:

@@ -29,6 +29,16 @@ def test_a_time_must_be_a_time(seconds: str, capsys: pytest.CaptureFixture[str])
     assert "--seconds" in capsys.readouterr().err
 
 
+def test_the_usage_shows_that_an_action_is_not_needed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without one it records; the usage of an action is the action's own."""
+    parser = argparse.ArgumentParser(prog="cruiser record")
+    record.add_arguments(parser)
+    assert parser.format_usage().splitlines()[0] == "usage: cruiser record [options]"
+    with pytest.raises(SystemExit):
+        parser.parse_args(["status", "--help"])
+    assert capsys.readouterr().out.startswith("usage: cruiser record status [-h]")
+
+
 def test_flags_set_settings() -> None:
     """By their dotted names; a flag that is not given sets nothing."""
     parser = argparse.ArgumentParser()
