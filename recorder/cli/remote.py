@@ -113,8 +113,7 @@ def _find(client: RecorderClient, arguments: argparse.Namespace, stopped: Callab
             return found
         if time.monotonic() > end_s:
             break
-    name = arguments.recorder
-    raise CommandError(f"recorder {name} does not answer" if name else "no recorder answers", ExitCode.UNREACHABLE)
+    raise client.nobody(arguments.recorder or keys.ALL)
 
 
 def _only(found: Replies) -> str:

@@ -14,7 +14,7 @@ from typing import Any, Final, TypeVar
 import zenoh
 
 from recorder.record.admission import OPEN_TO_ALL, OrderProof
-from recorder.zenoh.session import open_session
+from recorder.zenoh.session import open_session, said_of
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.exit_codes import CommandError, ExitCode
@@ -89,6 +89,7 @@ class RecorderClient:
         self._proof = proof
         self._stopped = stopped
         self._name = re.compile(rf"{re.escape(root)}/{RECORDER_CHUNK}/({keys.ROBOT_PATTERN})/.+")
+        self._place = ", ".join(map(plain, said_of(settings).connect))
         self._session = open_session(settings)
 
     def ask(
@@ -136,8 +137,16 @@ class RecorderClient:
                 return sorted(found)
             if time.monotonic() >= end_s:
                 break
-        whom = "no recorder answers" if name == keys.ALL else f"recorder {name} does not answer"
-        raise CommandError(whom, ExitCode.UNREACHABLE)
+        raise self.nobody(name)
+
+    def nobody(self, name: str) -> CommandError:
+        """Return the error that no recorder of this name answers, or none at all if it is ALL."""
+        info = self._session.info
+        if not info.peers_zid() and not info.routers_zid():
+            who = f"no Zenoh node answered at {self._place}"
+        else:
+            who = "no recorder answers" if name == keys.ALL else f"recorder {name} does not answer"
+        return CommandError(who, ExitCode.UNREACHABLE)
 
     def backfill(self, recorder: str, request: Backfill) -> Iterator[BackfillPiece]:
         """The pieces of an answer, as they come; fewer if the link fails.

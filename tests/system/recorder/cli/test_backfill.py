@@ -26,7 +26,7 @@ from tests.support.backfill_logs import (
     write,
 )
 from tests.support.commands import run_command
-from tests.support.fakes.peer import free_endpoint
+from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.fakes.recorders import BackfillHost
 
 ROWS = sorted(
@@ -164,12 +164,16 @@ def test_only_what_is_recorded_here_is_filled(endpoint: str, depot: Path) -> Non
 
 
 def test_without_a_recorder_nothing_is_filled(endpoint: str, depot: Path) -> None:
-    """Exit code 4."""
-    with pytest.raises(CommandError, match="no recorder answers") as caught:
+    """Exit code 4, and who does not answer."""
+    with pytest.raises(CommandError, match="no Zenoh node answered") as caught:
         run(endpoint, "--timeout", "0.1", str(depot))
     assert caught.value.code == ExitCode.UNREACHABLE
-    with pytest.raises(CommandError, match="recorder robot does not answer"):
-        run(endpoint, "--timeout", "0.1", "--recorder", "robot", str(depot))
+    with Peer(endpoint):
+        with pytest.raises(CommandError, match="no recorder answers") as caught:
+            run(endpoint, "--timeout", "1", str(depot))
+        assert caught.value.code == ExitCode.UNREACHABLE
+        with pytest.raises(CommandError, match="recorder robot does not answer"):
+            run(endpoint, "--timeout", "1", "--recorder", "robot", str(depot))
 
 
 def test_without_a_log_nothing_can_be_filled(endpoint: str, tmp_path: Path) -> None:

@@ -198,6 +198,14 @@ def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str, action: str) -
     assert ask("status", "depot", *words) == (ExitCode.UNREACHABLE, "", expected)
 
 
+def test_without_a_zenoh_node_it_says_so(endpoint: str) -> None:
+    """It is not for want of a recorder, whatever was asked for."""
+    expected = f"cruiser record: no Zenoh node answered at {endpoint}\n"
+    for words in (["status"], ["status", "depot"]):
+        answer = ask(*words, "--connect", endpoint, "--timeout", "0.1")
+        assert answer == (ExitCode.UNREACHABLE, "", expected)
+
+
 def test_a_recorder_that_says_no_more_is_told(peer: Peer, endpoint: str) -> None:
     """It was there a moment ago."""
     with answering(peer, "depot", a_reply(), silent="stop"):

@@ -58,7 +58,7 @@ def test_a_recorder_that_is_not_there_does_not_answer(
     endpoint: str, client: RecorderClient, tmp_path: Path
 ) -> None:
     """Neither when nobody is there, nor when somebody else is."""
-    with pytest.raises(CommandError, match="no recorder answers") as caught:
+    with pytest.raises(CommandError, match="no Zenoh node answered") as caught:
         client.recorders(ALL, 0.1)
     assert caught.value.code == ExitCode.UNREACHABLE
     write(tmp_path / "a.mcap", log_of(gear_rows(5)))
