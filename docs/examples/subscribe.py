@@ -4,6 +4,7 @@
 Usage: python docs/examples/subscribe.py [ENDPOINT] [KEY]
 """
 
+import os
 import sys
 import time
 
@@ -25,4 +26,9 @@ with zenoh.open(zenoh.Config.from_json5(CLIENT)) as session, session.declare_sub
         # A MessagePack map with the units in its names; a value that is not known is None.
         state = msgpack.unpackb(sample.payload.to_bytes())
         fields = ("mode", "gear_position", "speed_mps", "angle_deg", "front_bumper", "rear_bumper")
-        print(key, *(f"{name}={state[name]}" for name in fields), flush=True)
+        try:
+            print(key, *(f"{name}={state[name]}" for name in fields), flush=True)
+        except BrokenPipeError:
+            # Nobody reads on, as behind "| head": what Python still holds goes nowhere.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            break
