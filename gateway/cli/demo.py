@@ -21,6 +21,7 @@ from gateway.cli.child import CRUISER, Child, address_of, free_port, fresh, load
 from gateway.cli.demo_drive import HELD_UP, DemoDrive, TimelineEntry
 from gateway.client.refusal import RobotError, Unreachable
 from gateway.sim.links import LINKS
+from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.zenoh_link import ANY_LOCAL_PORT
@@ -135,10 +136,10 @@ def _is_held_up(problem: CommandError) -> bool:
 
 
 def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not SHORTEST_S <= seconds <= 86_400:
+    duration_s = seconds(text)
+    if not SHORTEST_S <= duration_s <= 86_400:
         raise argparse.ArgumentTypeError(f"must be from {SHORTEST_S:g} to 86400")
-    return seconds
+    return duration_s
 
 
 def _record(
