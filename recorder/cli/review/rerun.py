@@ -147,8 +147,11 @@ def _change(text: str) -> tuple[str, object]:
 def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CommandError(f"cannot read {plain(str(path))}: {error}", ExitCode.USAGE) from error
+    except OSError as error:
+        why = error.strerror or error
+    except UnicodeDecodeError:
+        why = "it is no UTF-8 text"
+    raise CommandError(f"cannot read {plain(str(path))}: {why}", ExitCode.USAGE)
 
 
 def describe(result: RerunResult | WhatIfResult) -> Iterator[str]:

@@ -86,7 +86,8 @@ def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: p
         (["--set", "command.speed_limit_mps"], "SETTING=VALUE"),
         (["--set", "command.speed_limit=1"], "no such setting"),
         (["--set", "command.speed_limit_mps=fast"], "speed_limit_mps"),
-        (["--with", "/does/not/exist.toml"], "cannot read"),
+        (["--with", "/does/not/exist.toml"], r"cannot read /does/not/exist\.toml: No such file or directory$"),
+        (["--with", "/bin/sh"], "cannot read /bin/sh: it is no UTF-8 text$"),
         (["--set", "command.lease_s=1.0", "--ray", "ray://here:1"], "--ray is without --set"),
     ],
 )
