@@ -250,7 +250,8 @@ def _endpoints(value: Json, mode: str) -> list[str]:
 def _parts(endpoint: str) -> re.Match[str]:
     parts = _ENDPOINT.fullmatch(endpoint)
     if parts is None:
-        raise ValueError(f"{plain(endpoint)} has no port")
+        fault = "has no port" if "/" in endpoint else "is no endpoint, as tcp/127.0.0.1:7447 is"
+        raise ValueError(f"{plain(endpoint)} {fault}")
     return parts
 
 

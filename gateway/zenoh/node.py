@@ -487,7 +487,9 @@ def _command_listen(settings: Settings, listen: list[str]) -> list[str]:
         return list(settings.zenoh.command_listen) or next_ports(listen)
     except ValueError as error:
         raise CommandError(
-            f"where are commands to be listened for? {error}; zenoh.command_listen says it", ExitCode.USAGE
+            f"wrong Zenoh settings: to listen on: {error}; for commands it is one port on, unless "
+            "zenoh.command_listen says where",
+            ExitCode.USAGE,
         ) from error
 
 

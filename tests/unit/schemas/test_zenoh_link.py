@@ -101,10 +101,17 @@ def test_a_second_session_stands_beside_the_first(listen: str, beside: str, own:
     assert (next_ports([listen]), own_endpoint(listen)) == ([beside], own)
 
 
-@pytest.mark.parametrize("listen", ["tcp/127.0.0.1:65535", "unixsock-stream//run/robot.sock", "nonsense"])
-def test_where_no_port_comes_next_there_is_none(listen: str) -> None:
+@pytest.mark.parametrize(
+    ("listen", "fault"),
+    [
+        ("tcp/127.0.0.1:65535", "has the last port"),
+        ("unixsock-stream//run/robot.sock", "has no port"),
+        ("nonsense", "nonsense is no endpoint, as tcp/127.0.0.1:7447 is"),
+    ],
+)
+def test_where_no_port_comes_next_there_is_none(listen: str, fault: str) -> None:
     """Nothing is made up: the caller has to say where."""
-    with pytest.raises(ValueError, match="port"):
+    with pytest.raises(ValueError, match=fault):
         next_ports([listen])
 
 

@@ -105,6 +105,16 @@ def test_a_port_that_something_else_holds_is_told(default_endpoint: str) -> None
     assert error.value.code is ExitCode.UNREACHABLE
 
 
+@pytest.mark.parametrize(
+    ("listen", "fault"), [("garbage", "garbage is no endpoint"), ("unixsock-stream//run/r.sock", "has no port")]
+)
+def test_what_is_no_place_for_two_sessions_is_told(listen: str, fault: str) -> None:
+    """Before anything is listened on; what is wrong comes first."""
+    with pytest.raises(CommandError, match=rf"to listen on: .*{fault}.*zenoh\.command_listen says where") as error:
+        open_node(Settings(zenoh=ZenohSettings(listen=[listen])))
+    assert error.value.code is ExitCode.USAGE
+
+
 def test_a_health_of_before_is_not_kept(watcher: zenoh.Session) -> None:
     """Zenoh's threads hand out no old health: a gateway that hangs would look well for ever."""
     node, _ = open_node(settings("r-1"))
