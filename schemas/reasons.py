@@ -213,7 +213,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     ),
     # The remote control (RC), by its old name: this stands in events, which a journal run again gives by the byte.
     Reason.HAND_TRANSMITTER: Text(
-        "the hand transmitter has the robot", f"switch the transmitter's SA to command control, then {ENGAGE}"
+        "the hand transmitter has the robot", f"switch the remote control's SA to command control, then {ENGAGE}"
     ),
     Reason.MODE_NOT_AUTO: Text(
         "the chassis does not read auto", f"look at the robot's button and at the remote control, then {ENGAGE}"

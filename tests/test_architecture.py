@@ -116,6 +116,14 @@ SAID_TWICE = {name: ["schemas/messages.py", "schemas/requests.py"] for name in (
 """A report of the chassis, and a request: both stand in the names of schemas that clients know."""
 
 
+def test_the_list_of_questions_names_every_module() -> None:
+    """The docstring of the room is its index."""
+    room = ROOT / "recorder" / "review"
+    listed = ast.get_docstring(ast.parse((room / "__init__.py").read_text("utf-8"))) or ""
+    modules = {path.stem for path in room.iterdir() if not path.stem.startswith("__")}
+    assert {name for name in modules if f"``{name}``" not in listed} == set()
+
+
 def test_no_docstring_begins_as_a_question() -> None:
     """A docstring is an imperative or a noun phrase, and can be understood alone."""
     found = [

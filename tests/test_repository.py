@@ -103,10 +103,11 @@ def test_the_tour_or_the_readme_names_every_command(command: str) -> None:
 
 @pytest.mark.parametrize("question", QUESTIONS)
 def test_the_page_of_the_review_has_a_section_on_every_question(question: str) -> None:
-    """With a command line that asks it."""
+    """With a command line that asks it, and a row in the table at the top."""
     page = (ROOT / "docs" / "review.md").read_text("utf-8")
     assert re.search(rf"^## {question}\b", page, flags=re.MULTILINE)
     assert f"    cruiser review {question} " in page
+    assert re.search(rf"^\|.*\[`{question}`\]\(#.*\|$", page, flags=re.MULTILINE)
 
 
 def test_the_readme_is_short() -> None:

@@ -1,8 +1,11 @@
 """Questions that a log answers: each is a function here, and a command in ``recorder.cli.review``.
 
+- ``find``, ``catalog``  which of very many logs; their rows. ``days`` is the same for a calendar
 - ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``)
 - ``merge``, ``cut``     several logs in one; a part of a log (``joining``)
 - ``timeline``, ``why``  what happened; why the robot stopped or stood (``reasoning``)
+- ``verify``             who commanded, with which grant; is anything missing or changed (``verifying``)
+- ``evidence``           what logs hold around an incident, in one signed archive
 - ``rerun``              the recorded run again, with its settings or with others
 - ``report``             a drive on one page
 - ``export``, ``query``  Parquet, CSV and raw frames; SQL (``querying``); both on ``columns``
