@@ -17,7 +17,7 @@ from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Progress
-from recorder.review.export import partitions, parts
+from recorder.review.export import known_rows, partitions, parts
 from recorder.review.export.dataset import Exported, Runner, export_dataset, one_after_the_other
 from recorder.review.export.manifest import MANIFEST_NAME, Manifest, read_manifest, sha256_of
 from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask
@@ -315,6 +315,6 @@ def test_the_summary_of_a_log_is_read_once_for_all_that_come_after_it(
         read.append(Path(stream.name).name)
         return read_summary(stream)
 
-    monkeypatch.setattr("recorder.review.export.known_rows.read_summary", reading)
+    monkeypatch.setattr(known_rows, "read_summary", reading)
     export(logs, tmp_path / "dataset")
     assert sorted(read) == [log.name for log in logs]
