@@ -203,11 +203,11 @@ def stop(
     """
     stopping = _Stopping(port, root, robot, look, doubt)
     started_s = time.monotonic()
-    while not stopped():
+    while True:
         now_s = time.monotonic()
         stopping.step(now_s)
         elapsed_s = now_s - started_s
-        if elapsed_s >= timeout_s or (elapsed_s >= AT_LEAST_S and stopping.all_settled):
+        if stopped() or elapsed_s >= timeout_s or (elapsed_s >= AT_LEAST_S and stopping.all_settled):
             break
         time.sleep(POLL_S)
     return stopping.report()

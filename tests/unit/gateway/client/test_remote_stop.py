@@ -26,18 +26,20 @@ class AnsweringPort:
     Attributes:
         is_proven: the port accepts the reply; else it is rejected, as one that cannot be verified.
         rejected: of the query.
+        puts: the verbs that were put.
     """
 
     def __init__(self, *, is_proven: bool = True, reply: bytes = STOPS) -> None:
         self.is_proven = is_proven
         self.reply = reply
         self.rejected: deque[Received] = deque()
+        self.puts: list[str] = []
 
     def connected(self) -> bool:
         return True
 
-    def put(self, _verb: str, _payload: bytes) -> None:
-        """It is taken."""
+    def put(self, verb: str, _payload: bytes) -> None:
+        self.puts.append(verb)
 
     def begin(self, _verb: str, _payload: bytes, _timeout_s: float) -> "AnsweringPort":
         return self
@@ -165,3 +167,13 @@ def test_of_a_silent_robot_is_said_what_is_seen() -> None:
     said = "its states say: no remote stop is latched, and it moves at 0.30 m/s, which cannot be verified: "
     assert unproven.seen == {"cruiser-1": said + SILENT.text}
     assert report_of_strangers([], port=port).seen == {}
+
+
+def test_a_stop_that_is_interrupted_at_once_is_sent_all_the_same() -> None:
+    """Once; and of a link that is there nobody says that it is not."""
+    answering = AnsweringPort()
+    port: Any = answering
+    report = remote_stop.stop(port, ROOT, "cruiser-1", 60.0, list, lambda: True)
+    assert answering.puts == ["stop"]
+    assert report.linked
+    assert report.stopped == []
