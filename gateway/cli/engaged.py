@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
+from gateway.client.reasons_text import LOOK
 from gateway.client.refusal import Unreachable
 from gateway.client.robot import Lease, Robot
 from schemas.decisions import ArbiterState
@@ -35,7 +36,7 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
         with suppress(CommandError):
             come_to_rest(lease, robot)
         if isinstance(error, Unreachable):
-            raise Unreachable(f"{error}. Look at the robot, and use its button if it moves") from error
+            raise Unreachable(f"{error}. {LOOK}") from error
         raise
     come_to_rest(lease, robot)
     if latched := robot.state().state.latched:

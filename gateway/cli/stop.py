@@ -11,6 +11,7 @@ import msgspec
 
 from gateway.cli.operator_arguments import add_operator_arguments
 from gateway.client import remote_stop
+from gateway.client.reasons_text import LOOK
 from gateway.client.remote_stop import NotSentError, StopReport, Unverified
 from gateway.client.roll import who_is_there
 from gateway.zenoh.client import place
@@ -99,7 +100,7 @@ def _stop(
 def _unverified(name: str, word: Unverified) -> str:
     """The line on a robot whose answer cannot be verified: what it says, why, and the cure."""
     verdict = "SAYS THAT IT STOPS, NOT VERIFIED" if word.stops else "NOT KNOWN TO STOP, NOT VERIFIED"
-    look = "Look at the robot, and use its button if it moves" if word.stops else BUTTON
+    look = LOOK if word.stops else BUTTON
     cure = f". Cure: {cure_of(word.cure, name)}" if word.cure else ""
     return plain(f"{verdict}: {word.says}. This cannot be verified: {word.why}{cure}. {look}")
 

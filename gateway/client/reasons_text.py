@@ -13,6 +13,9 @@ from schemas.reasons import Reason, Text, cure_of, of_a_robot
 NEWER_S: Final = 1.0
 """An event may be so much newer than the state that was seen last."""
 
+LOOK: Final = "Look at the robot, and use its button if it moves"
+"""The sentence for whoever commanded a robot of which nobody knows whether it stands."""
+
 
 def text_of(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> Text:
     """A reason for which this robot stands still, beside others."""
