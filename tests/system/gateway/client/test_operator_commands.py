@@ -103,7 +103,7 @@ def test_drive_says_what_was_latched_as_it_came_to_rest(capsys: Capture) -> None
             return fake.front_bumper
 
         words = ("cruiser-1", "--speed", "1", "--seconds", "100")
-        with pytest.raises(CommandError, match=r"stopped.*front_bumper") as caught:
+        with pytest.raises(CommandError, match="front_bumper") as caught:
             run(drive, fake.listen, *words, until=hit)
         assert caught.value.code is ExitCode.FAILURE
     assert "driven" not in capsys.readouterr().out
