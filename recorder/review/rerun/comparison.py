@@ -67,8 +67,8 @@ class Comparison:
         same: number of equal messages, by subject.
         differences: the first ones.
         difference_count: all of them.
-        unrecorded: messages that come out again and are not in the log, by subject: it lost them. A subject of
-            which nothing was compared was not to be recorded.
+        unrecorded: messages that come out again and are not in the log, by subject: it lost them, or was not to
+            hold them.
         given_up: messages that waited too long for their counterpart, or came too long after it.
         begins_ns, ends_ns: the times of the first message with a sequence and of the newest of all that came out
             again, since 1970; ``begins_ns`` is None before.
@@ -126,9 +126,7 @@ class Comparison:
         """
         # What was said last is in a batch that may not have been published any more.
         last_ns = self.ends_ns - BATCH_NS
-        self.unrecorded.update(
-            key[0] for key, said in self._again.items() if said.time_ns <= last_ns and key[0] in self._compared
-        )
+        self.unrecorded.update(key[0] for key, said in self._again.items() if said.time_ns <= last_ns)
         self._again.clear()
         later: list[tuple[Key, RecordedOutput]] = []
         begins_ns = self.begins_ns or 0
