@@ -14,7 +14,7 @@ class ExitCode(IntEnum):
     USAGE = 2
     """Wrong arguments or a wrong configuration."""
     PARTIAL = 3
-    """Part of the input could be read or done; the rest was missing, or somebody interrupted it."""
+    """Part of the input could be read or done."""
     UNREACHABLE = 4
     """A bus, a robot or a Zenoh node does not answer."""
     REFUSED = 5

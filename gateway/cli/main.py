@@ -141,7 +141,7 @@ def _help() -> str:
     width = max(map(len, COMMANDS))
     lines += [f"  {name:{width}}  {about}" for name, (_, about) in COMMANDS.items()]
     lines += ["", "'cruiser COMMAND --help' explains a command and shows an example."]
-    lines += ["exit codes: 0 ok, 1 findings or failure, 2 usage, 3 partial, interrupted, 4 unreachable, 5 refused"]
+    lines += ["exit codes: 0 ok, 1 findings or failure, 2 usage, 3 partial, 4 unreachable, 5 refused"]
     return "\n".join(lines)
 
 
