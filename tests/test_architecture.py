@@ -146,3 +146,18 @@ def test_no_public_class_has_the_name_of_another() -> None:
                 if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                     places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     assert {name: found for name, found in places.items() if len(found) > 1} == SAID_TWICE
+
+
+def test_one_function_starts_our_interpreter() -> None:
+    """With ``-P``. One that is started otherwise executes what a stranger has put into the working directory."""
+    starts = re.compile(r"sys\.executable|import executable|multiprocessing|ProcessPool")
+    found = {
+        str(path.relative_to(ROOT)): set(starts.findall(path.read_text("utf-8")))
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*.py")
+    }
+    assert {path: words for path, words in found.items() if words} == {
+        "schemas/interpreter.py": {"sys.executable"},
+        # A pool of processes: it sets what `-P` sets.
+        "recorder/review/tasks.py": {"multiprocessing", "ProcessPool"},
+    }

@@ -6,7 +6,6 @@ import os
 import re
 import socket
 import subprocess
-import sys
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +16,7 @@ from typing import Final, Self
 
 from gateway.cli import parent
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.interpreter import module_command
 from schemas.setting_table import CONFIG_VARIABLE
 
 READY_TIMEOUT_S: Final = 30.0
@@ -24,7 +24,7 @@ END_TIMEOUT_S: Final = 20.0
 LINES_KEPT: Final = 50
 
 
-CRUISER: Final = (sys.executable, "-m", "gateway")
+CRUISER: Final = module_command("gateway")
 """The command that runs the ``cruiser`` of this very installation."""
 
 

@@ -18,6 +18,7 @@ from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.flow import CommandFlow
 from gateway.guard.beat import Beat, GuardStatus, GuardView
 from gateway.host.heartbeat import Heartbeat
+from schemas.interpreter import module_command
 from schemas.messages import Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
 
@@ -228,10 +229,10 @@ def _start_child(settings: Settings) -> _Child:
     """A new process of the guard. Raises OSError: there is none, or it has ended at once."""
     memory = Heartbeat.create()
     # Not a fork of this process, which has threads; and no descriptor of its bus or of Zenoh goes along.
-    # The modules come from where ours do, whatever lies in the working directory.
+    # The modules come from where ours do.
     try:
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-            [sys.executable, "-P", "-m", "gateway.host.guard_main", str(memory.descriptor)],
+            module_command("gateway.host.guard_main", str(memory.descriptor)),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             pass_fds=[memory.descriptor],

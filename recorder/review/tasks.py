@@ -18,6 +18,7 @@ from typing import Any, Final, TypeVar
 
 from recorder.reading.rows import Progress
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.interpreter import SAFE_PATH_VARIABLE
 
 LOOK_S: Final = 0.1
 """Interval at which whoever waits for a task looks for a stop."""
@@ -51,6 +52,8 @@ def outcome_of(future: Future[Outcome], progress: Progress) -> Outcome:
 def processes(jobs: int) -> Generator[ProcessPoolExecutor, None, None]:
     """Processes that end on request, and not by a signal that is meant for this one."""
     context = get_context("spawn")
+    # They begin with `python -c`, which would take modules from the working directory.
+    os.environ[SAFE_PATH_VARIABLE] = "1"
     stop = context.Event()
     pool = ProcessPoolExecutor(jobs, context, _enter, (stop,))
     try:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from asyncio.subprocess import PIPE
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Final
 
+from schemas.interpreter import module_command
 from schemas.printable import plain
 
 ROW_S: Final = 600.0
@@ -33,7 +33,7 @@ def row_maker(module: str) -> Summarize:
         budget_s = ROW_S + ROW_S_PER_BYTE * size
         # It inherits this process's place behind all others.
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", module, str(path), stdout=PIPE, stderr=PIPE
+            *module_command(module, str(path)), stdout=PIPE, stderr=PIPE
         )
         try:
             row, said = await asyncio.wait_for(process.communicate(), budget_s)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import resource
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final
 
 import msgspec
+
+from schemas.interpreter import module_command
 
 JOB_S: Final = 120.0
 """The longest time that an answer may take; who needs more asks ``cruiser review`` itself."""
@@ -85,7 +86,7 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S, file_bytes: i
     """
     try:
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "gateway", "review", *words),
+            *module_command("gateway", "review", *words),
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,

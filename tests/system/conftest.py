@@ -1,6 +1,7 @@
 """What holds for the tests that start processes."""
 
 from collections.abc import Iterator
+from typing import Final
 
 import pytest
 
@@ -13,3 +14,22 @@ def _patient_gateways() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CRUISER_COMMAND_DEADMAN_S", str(PATIENT_DEADMAN_S))
         yield
+
+
+FOREIGN_MODULES: Final = ("argparse", "gateway", "multiprocessing", "recorder")
+"""Names of modules that our processes import."""
+
+
+@pytest.fixture
+def beside_foreign_modules(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """In a working directory with Python files that somebody has sent: no process may execute one."""
+    directory = tmp_path_factory.mktemp("foreign")
+    for name in FOREIGN_MODULES:
+        (directory / f"{name}.py").write_text(
+            f"open({str(directory / name)!r}, 'w').close()\nraise SystemExit('a foreign module was executed')\n"
+        )
+    monkeypatch.chdir(directory)
+    yield
+    assert [path.name for path in directory.iterdir() if not path.suffix] == []

@@ -15,7 +15,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from gateway.cli.child import Child
+from gateway.cli.child import CRUISER, Child
 from gateway.cli.demo import describe
 from tests.support.processes.gateway import run
 from tests.support.waiting import wait_until
@@ -184,7 +184,7 @@ def _child(parent: int, command: str) -> int:
     """The process of this command that the parent has started."""
     for task in Path(f"/proc/{parent}/task").iterdir():
         for number in (task / "children").read_text().split():
-            if Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")[3] == command.encode():
+            if Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")[4] == command.encode():
                 return int(number)
     raise AssertionError(f"{parent} has no child {command}")
 
@@ -227,9 +227,10 @@ def test_a_success_warns_of_nothing(held_up: HeldUp) -> None:
     assert "WARNING" not in held_up.errors
 
 
+@pytest.mark.usefixtures("beside_foreign_modules")
 def test_ctrl_c_stops_the_robot_and_ends_the_demo(tmp_path: Path) -> None:
     """Soon, with a whole log of what was until then; what was left of the drive does not follow."""
-    words = [sys.executable, "-m", "gateway", "demo", "--out", str(tmp_path / "log")]
+    words = [*CRUISER, "demo", "--out", str(tmp_path / "log")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             for line in process.stdout or ():

@@ -127,6 +127,7 @@ def logs_of(robot: str, desk: str) -> list[str]:
         return names
 
 
+@pytest.mark.usefixtures("beside_foreign_modules")
 def test_the_demo_shows_a_fleet_on_the_desk_and_opens_the_browser(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,6 +169,7 @@ def test_what_cannot_be_is_one_clear_line(words: list[str], said: str) -> None:
     assert said in refused.stderr.splitlines()[-1]
 
 
+@pytest.mark.usefixtures("beside_foreign_modules")
 def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
     """Which names it; no robot is left behind."""
     endpoint = free_endpoint()

@@ -3,11 +3,13 @@
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
+
+import pytest
 
 from recorder.disk.upload_note import SafeLogReader
 from schemas.exit_codes import ExitCode
+from schemas.interpreter import module_command
 from tests.support.logs import gears, own_log, saved
 from tests.support.waiting import wait_until
 
@@ -17,10 +19,11 @@ NEXT = "cruiser-1-20270115T090000Z.mcap"
 
 def words(logs: Path, store: Path, rate: int, *more: str) -> list[str]:
     """The command."""
-    program = [sys.executable, "-m", "gateway", "upload", "-d", str(logs), "--store", f"file://{store}"]
+    program = module_command("gateway", "upload", "-d", str(logs), "--store", f"file://{store}")
     return [*program, "--rate", str(rate), *more]
 
 
+@pytest.mark.usefixtures("beside_foreign_modules")
 def test_what_is_killed_in_the_middle_is_done_again(tmp_path: Path) -> None:
     """The store shows no wrong log meanwhile; the process had the lowest priority."""
     logs, store = tmp_path / "logs", tmp_path / "store"
@@ -46,7 +49,7 @@ def test_a_library_that_aborts_when_python_ends_makes_no_failure_of_an_upload(tm
     logs, store = tmp_path / "logs", tmp_path / "store"
     saved(logs / LOG, own_log([gears(0, 3, 0)]))
     aborts = "import atexit, os, runpy; atexit.register(os.abort); runpy.run_module('gateway', None, '__main__')"
-    interpreter, _, _, *command = words(logs, store, 0, "--once", "--json")
+    interpreter, _, _, _, *command = words(logs, store, 0, "--once", "--json")
     done = subprocess.run([interpreter, "-c", aborts, *command], stdout=subprocess.PIPE, text=True, check=False)
     assert done.returncode == ExitCode.OK
     assert '"uploaded":1' in done.stdout

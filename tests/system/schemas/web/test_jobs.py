@@ -42,6 +42,7 @@ def test_where_no_process_can_be_started_the_answer_says_so(monkeypatch: pytest.
     assert done.fault == "no process can be started: No such file or directory"
 
 
+@pytest.mark.usefixtures("beside_foreign_modules")
 def test_an_answer_has_its_code_its_output_and_its_faults() -> None:
     """Those of a question that does not exist: a line that names all."""
     done = asyncio.run(ask_review(["riddle"]))

@@ -33,6 +33,7 @@ def test_processes_do_it(tmp_path: Path) -> None:
     assert sum(told) == pytest.approx(2 * sum(one.bytes for one in logs), rel=0.01)
 
 
+@pytest.mark.usefixtures("beside_foreign_modules")
 def test_the_command_says_the_same_with_several_processes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
