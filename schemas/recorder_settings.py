@@ -64,6 +64,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         known_robots: names of the robots that are known, besides those that `recorder.keys` names; all others then
             share one robot's part of the budget
         keep_s: s; so much of a known robot's newest logs goes only when nothing else is left to go
+        keep_incidents_s: s; an incident that an upload has brought to safety is deleted only when it is this old
         incident_events: kinds of `safety/event`, of severity warning or error, that make an incident
         incident_before_s: s before an incident that its log holds
         incident_after_s: s after an incident that its log holds
@@ -86,6 +87,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     floor_bytes: Annotated[int, Meta(ge=0)] = 200_000_000
     known_robots: list[Annotated[str, Meta(pattern=f"^{ROBOT_PATTERN}$")]] = []
     keep_s: Annotated[float, Meta(ge=0, le=2_678_400)] = 7200.0
+    keep_incidents_s: Annotated[float, Meta(ge=0, le=31_536_000)] = 604_800.0
     incident_events: list[EventKindName] = msgspec.field(default_factory=lambda: [*INCIDENT_EVENTS])
     incident_before_s: Annotated[float, Meta(ge=0, le=300)] = 30.0
     incident_after_s: Annotated[float, Meta(ge=0, le=300)] = 30.0

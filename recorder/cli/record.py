@@ -164,7 +164,9 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         )
         writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
         known = known_robots(settings, expressions)
-        limits = DiskLimits(recorder.budget_bytes, recorder.floor_bytes, known, recorder.keep_s)
+        limits = DiskLimits(
+            recorder.budget_bytes, recorder.floor_bytes, known, recorder.keep_s, recorder.keep_incidents_s
+        )
         keeper = stack.enter_context(closing(DiskKeeper(path, limits, lambda: writer.parts)))
         sys.stderr.write(
             f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}; "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 import re
@@ -33,6 +34,9 @@ END_S: Final = 2.0
 
 NOTICES_MAX: Final = 10_000
 
+PIECE_BYTES: Final = 1 << 20
+"""So much of a log is read at once."""
+
 FLOOR_MAX_SHARE: Final = 0.1
 """No more than this of a file system is kept free, however small it is."""
 
@@ -62,6 +66,7 @@ def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NO
         OSError: it cannot be read.
     """
     entries = []
+    now_s = time.time()
     with os.scandir(directory) as found:
         for one in found:
             match = _NAME.fullmatch(one.name)
@@ -81,7 +86,8 @@ def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NO
                     is_incident=match["kind"] == INCIDENT_SUFFIX,
                     is_open=match["suffix"] == PART_SUFFIX,
                     is_own=one.name in own,
-                    is_safe=safe.get(one.name) == (status.st_size, status.st_mtime_ns),
+                    is_safe=safe.get(one.name, ())[:2] == (status.st_size, status.st_mtime_ns),
+                    age_s=now_s - status.st_mtime,
                 )
             )
     return entries
@@ -102,7 +108,8 @@ class DiskKeeper:
         self._directory = directory
         self._limits = limits
         self._own = own
-        self._uploaded = SafeLogReader(directory)
+        self._uploaded: SafeLogReader | None = SafeLogReader(directory)
+        """None once a line of it was wrong: whoever wrote that can write others."""
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._room = DiskRoom(has_room=True, has_incident_room=True)
         self._stuck: dict[str, float] = {}
@@ -136,7 +143,8 @@ class DiskKeeper:
 
     def _look(self) -> None:
         self._look_for_own()
-        entries = read_entries(self._directory, self._own(), self._uploaded.read())
+        safe = NONE_SAFE if self._uploaded is None else self._uploaded.read()
+        entries = read_entries(self._directory, self._own(), safe)
         disk = os.statvfs(self._directory)
         free = disk.f_bavail * disk.f_frsize
         floor = min(self._limits.floor_bytes, int(FLOOR_MAX_SHARE * disk.f_blocks * disk.f_frsize))
@@ -147,6 +155,7 @@ class DiskKeeper:
             incidents=sum(entry.bytes for entry in entries if entry.is_incident),
         )
         sizes = {entry.name: entry.bytes for entry in entries}
+        marked = {entry.name for entry in entries if entry.is_safe}
         self._stuck = {name: until_s for name, until_s in self._stuck.items() if name in sizes}
         now_s = time.monotonic()
         entries = [
@@ -155,6 +164,8 @@ class DiskKeeper:
         ]
         judgement = judge(entries, free, limits, is_full=not self._room.has_room)
         for name in judgement.delete:
+            if name in marked and not self._is_as_uploaded(name, *safe[name]):
+                return  # The next look judges without the note.
             self._delete(name, sizes[name])
         room = DiskRoom(judgement.has_room, judgement.has_incident_room, judgement.roll)
         if room != self._room or room.roll:
@@ -172,6 +183,27 @@ class DiskKeeper:
             log.warning("somebody has moved or removed %s; the logs go on in a new one", path)
             self._notices.append(Moved(path))
             self._notices.append(msgspec.structs.replace(self._room, roll=True))
+
+    def _is_as_uploaded(self, name: str, size: int, modified_ns: int, sha256: str) -> bool:
+        """Read a log, and hold it against its line of the note. After a wrong line none is believed."""
+        whole = hashlib.sha256()
+        try:
+            with (self._directory / name).open("rb") as stream:
+                while piece := stream.read(PIECE_BYTES):
+                    if self._closed.is_set():
+                        return False
+                    whole.update(piece)
+                status = os.fstat(stream.fileno())
+        except FileNotFoundError:
+            return False
+        except OSError as error:
+            log.warning("cannot read %s: %s", plain(name), error.strerror or error)
+        else:
+            if (status.st_size, status.st_mtime_ns, whole.hexdigest()) == (size, modified_ns, sha256):
+                return True
+        log.warning("%s is not what an upload says of it: until the next start no upload is believed", plain(name))
+        self._uploaded = None
+        return False
 
     def _delete(self, name: str, size: int) -> None:
         try:

@@ -1,7 +1,8 @@
 """The note beside the logs that says which of them are safe elsewhere: a line for each, as JSON.
 
 The uploader writes it, and retention reads it. A line holds for a file of the same length and the same time of its
-last change; what cannot be read of it holds for none.
+last change; what cannot be read of it holds for none. Who can write it could name any log: before the recorder
+deletes one because of its line, it makes the hash of the file itself.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ class UploadedLog(msgspec.Struct, frozen=True):
     object: str
 
 
-SafeLogs = Mapping[str, tuple[int, int]]
-"""Length and time of the last change of each log that is safe elsewhere, by its name."""
+SafeLogs = Mapping[str, tuple[int, int, str]]
+"""Length, time of the last change and SHA-256 of each log that is safe elsewhere, by its name."""
 
 NONE_SAFE: Final[SafeLogs] = MappingProxyType({})
 
@@ -73,7 +74,7 @@ class SafeLogReader:
                 check_regular(self._path, status.st_mode)
                 with self._path.open("rb") as stream:
                     data = stream.read(NOTE_BYTES_MAX)
-                self._safe = {one.file: (one.bytes, one.modified_ns) for one in _lines(data)}
+                self._safe = {one.file: (one.bytes, one.modified_ns, one.sha256) for one in _lines(data)}
                 self._state = state
         except (OSError, CommandError):
             self._state, self._safe = None, NONE_SAFE

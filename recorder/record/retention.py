@@ -3,8 +3,8 @@
 Each robot has a fair share: the oldest log of the robot that takes most goes first. Anybody on the network can
 make up robots, so where robots are known by name, all others have one share together, and the last hours of a
 known one go only when nothing else is left. In all of this, what is safe elsewhere goes before what is not.
-Incidents go only when they are safe elsewhere, and then as logs do: the others may fill INCIDENT_SHARE of the
-budget, and the reserve below the floor is theirs. When all that may go would not be enough, nothing goes, and
+Incidents go only when they are old and safe elsewhere, and then as logs do: the others may fill INCIDENT_SHARE of
+the budget, and the reserve below the floor is theirs. When all that may go would not be enough, nothing goes, and
 recording stops until somebody makes room: what others fill a disk with must not cost the logs that there are.
 """
 
@@ -45,6 +45,7 @@ class LogEntry(msgspec.Struct, frozen=True):
         is_own: this recorder is writing it, and can end it.
         is_stuck: it could not be deleted: it takes its room, and others go in its place.
         is_safe: an upload has verified that a store holds it.
+        age_s: since its last change.
     """
 
     name: str
@@ -57,6 +58,7 @@ class LogEntry(msgspec.Struct, frozen=True):
     is_own: bool = False
     is_stuck: bool = False
     is_safe: bool = False
+    age_s: float = 0.0
 
 
 class DiskLimits(msgspec.Struct, frozen=True):
@@ -67,12 +69,14 @@ class DiskLimits(msgspec.Struct, frozen=True):
         floor_bytes: that stay free on the file system.
         known: robots that are known by name; empty if none are.
         keep_s: the last so many seconds of each of those go only when nothing else is left.
+        keep_incidents_s: an incident that is safe elsewhere goes only when it is this old.
     """
 
     budget_bytes: int = 0
     floor_bytes: int = 0
     known: frozenset[str] = frozenset()
     keep_s: float = 0.0
+    keep_incidents_s: float = 0.0
 
     def share_of(self, robot: str) -> str:
         """By whose share a log counts."""
@@ -109,7 +113,7 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, i
     # What is said of robots that nobody knows is no reason to keep it for ever, and what is safe need not stay.
     entries = [
         msgspec.structs.replace(entry, is_incident=False)
-        if _is_of_stranger(entry, limits) or (entry.is_incident and entry.is_safe and not entry.is_open)
+        if _is_of_stranger(entry, limits) or _is_safe_incident(entry, limits)
         else entry
         for entry in entries
     ]
@@ -164,6 +168,11 @@ def _is_worth(wanted: int, closed: Iterable[LogEntry], being_written: Iterable[L
 
 def _is_of_stranger(entry: LogEntry, limits: DiskLimits) -> bool:
     return entry.is_incident and not entry.is_open and bool(limits.known) and entry.robot not in limits.known
+
+
+def _is_safe_incident(entry: LogEntry, limits: DiskLimits) -> bool:
+    """True if it may go as a log. Somebody who looks after the robot has had time to see that it is elsewhere."""
+    return entry.is_incident and entry.is_safe and not entry.is_open and entry.age_s >= limits.keep_incidents_s
 
 
 def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:

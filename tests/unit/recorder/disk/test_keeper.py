@@ -1,6 +1,7 @@
 """The thread that keeps the directory of logs within its limits, on a real directory."""
 
 import errno
+import hashlib
 import logging
 import os
 import threading
@@ -94,8 +95,9 @@ def test_the_names_that_a_recorder_gives_are_its_own(
     number = 2 if "-2.mcap" in name else 1
     robot = name.removesuffix(".mcap").rpartition("-")[0] if name.startswith("a-") else "cruiser-1"
     expected = LogEntry(name, 7, started, number, robot, is_incident=is_incident, is_open=is_open)
-    assert read_entries(tmp_path) == [expected]
-    assert read_entries(tmp_path, {name}) == [msgspec.structs.replace(expected, is_own=True)]
+    (entry,), (own,) = read_entries(tmp_path), read_entries(tmp_path, {name})
+    assert msgspec.structs.replace(entry, age_s=0.0) == expected
+    assert own.is_own
 
 
 @pytest.mark.parametrize(
@@ -348,14 +350,35 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
     assert not keeper._thread.is_alive()
 
 
+def mark(directory: Path, name: str, size: int, data: bytes = bytes(1000)) -> None:
+    """Note that a log of this length and with these bytes is safe elsewhere."""
+    modified_ns = (directory / name).stat().st_mtime_ns
+    with UploadNote(directory) as note:
+        note.add(UploadedLog(name, size, modified_ns, hashlib.sha256(data).hexdigest(), "", ""))
+
+
 def test_what_an_upload_has_marked_goes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An incident, too; and a mark for a file that was changed since counts for nothing."""
     old, changed, incident = log(tmp_path, 80000), log(tmp_path, 80001), log(tmp_path, 80002, kind=".incident")
-    with UploadNote(tmp_path) as note:
-        for name, size in ((changed, 999), (incident, 1000)):
-            modified_ns = (tmp_path / name).stat().st_mtime_ns
-            note.add(UploadedLog(name, size, modified_ns, "", "", ""))
+    mark(tmp_path, changed, 999)
+    mark(tmp_path, incident, 1000)
     with kept(tmp_path, DiskLimits(budget_bytes=2500), monkeypatch) as looks:
         wait_until(lambda: looks.has_said(Deleted(incident, 1000)))
         looks.look_twice()
     assert {old, changed} < set(logs_in(tmp_path))
+
+
+def test_a_mark_counts_for_what_the_recorder_has_seen_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A log of other bytes stays, whatever is said of it, and then nothing else is believed that is said."""
+    incident, old, safe = log(tmp_path, 80000, kind=".incident"), log(tmp_path, 80001), log(tmp_path, 80002)
+    mark(tmp_path, incident, 1000, b"of somebody who has not read it")
+    mark(tmp_path, safe, 1000)
+    with kept(tmp_path, DiskLimits(budget_bytes=2500), monkeypatch) as looks:
+        wait_until(lambda: looks.has_said(Deleted(old, 1000)))
+        looks.look_twice()
+    assert {incident, safe} < set(logs_in(tmp_path))
+    assert [one.message for one in caplog.records if "no upload is believed" in one.message] == [
+        f"{incident} is not what an upload says of it: until the next start no upload is believed"
+    ]

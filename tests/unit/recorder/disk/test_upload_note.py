@@ -23,8 +23,8 @@ def test_the_next_start_knows_what_was_safe(tmp_path: Path) -> None:
     assert reader.read() == {}
     with UploadNote(tmp_path) as note:
         note.add(line())
-        assert note.safe() == {LOG: (7, 1)}
-    assert reader.read() == SafeLogReader(tmp_path).read() == {LOG: (7, 1)}
+        assert note.safe() == {LOG: (7, 1, "00")}
+    assert reader.read() == SafeLogReader(tmp_path).read() == {LOG: (7, 1, "00")}
 
 
 def test_a_line_holds_for_the_file_that_it_was_made_of(tmp_path: Path) -> None:
@@ -37,7 +37,7 @@ def test_a_line_holds_for_the_file_that_it_was_made_of(tmp_path: Path) -> None:
         (8, status.st_mtime_ns, False),
         (7, status.st_mtime_ns + 1, False),
     ):
-        assert [one.is_safe for one in read_entries(tmp_path, safe={LOG: (size, modified_ns)})] == [is_safe]
+        assert [one.is_safe for one in read_entries(tmp_path, safe={LOG: (size, modified_ns, "00")})] == [is_safe]
 
 
 @pytest.mark.parametrize("torn", [b"", b"\n", b'{"file":"b', b"\xff\x00", b"[]\n", b'{"file":"b"}\n'])
@@ -49,7 +49,7 @@ def test_a_line_that_was_torn_costs_itself_alone(tmp_path: Path, torn: bytes) ->
         stream.write(torn)
     with UploadNote(tmp_path) as note:
         note.add(line("c"))
-        assert note.safe() == {"a": (7, 1), "c": (7, 1)}
+        assert note.safe() == {"a": (7, 1, "00"), "c": (7, 1, "00")}
 
 
 def test_logs_that_are_gone_are_forgotten_once_they_are_many(

@@ -399,6 +399,14 @@ def test_the_last_hours_of_a_known_robot_stay_also_where_they_are_safe() -> None
     )
 
 
+@pytest.mark.parametrize(("age_s", "goes"), [(3599.0, False), (3600.0, True)])
+def test_an_incident_that_is_safe_elsewhere_stays_for_a_while(age_s: float, *, goes: bool) -> None:
+    """So that somebody can see it there; until then it takes the room of incidents."""
+    entry = LogEntry("safe", 100, "20270115T080000Z", is_incident=True, is_safe=True, age_s=age_s)
+    judgement = judge([entry], 0, DiskLimits(budget_bytes=50, keep_incidents_s=3600.0), is_full=False)
+    assert (judgement.delete == ("safe",), judgement.has_incident_room) == (goes, goes)
+
+
 def test_an_incident_goes_when_it_is_safe_elsewhere_and_leaves_its_room_to_others() -> None:
     """One that is not safe never does, and one that is being written is not safe whatever a note says."""
     safe = LogEntry("safe", 100, "20270115T080000Z", is_incident=True, is_safe=True)
