@@ -173,7 +173,11 @@ def start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.Po
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={"CRUISER_GATEWAY_STATE_DIR": "", "CRUISER_COMMAND_SPEED_LIMIT_WITHOUT_REALTIME_MPS": "2.222"}
+        env={
+            "CRUISER_GATEWAY_STATE_DIR": "",
+            "CRUISER_COMMAND_SPEED_LIMIT_MPS": "2.222",
+            "CRUISER_COMMAND_SPEED_LIMIT_WITHOUT_REALTIME_MPS": "2.222",
+        }
         | os.environ,
     )
     stack.enter_context(process)

@@ -6,6 +6,7 @@ from gateway.command.arbiter import Arbiter
 from gateway.command.chassis_state import ChassisState
 from gateway.command.outcome import Event, TickOutcome
 from gateway.command.request import Credentials, RawRequest, Ruling
+from schemas.cruiser import SPEED_TOP_MPS
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.requests import CHALLENGE_BYTES
@@ -54,7 +55,7 @@ class ArbiterRig:
     ) -> None:
         self.arbiter = Arbiter(
             Settings(
-                command=command or CommandSettings(),
+                command=command or CommandSettings(speed_limit_mps=SPEED_TOP_MPS),
                 gateway=GatewaySettings(accept_unguarded=accept_unguarded),
                 authority=AuthoritySettings(mode="open" if credentials is None else "signed"),
             ),
@@ -158,7 +159,7 @@ class ArbiterRig:
 
 def engaged(**command: float) -> ArbiterRig:
     """An engaged robot, under these settings."""
-    bench = ArbiterRig(CommandSettings(**command))
+    bench = ArbiterRig(CommandSettings(**{"speed_limit_mps": SPEED_TOP_MPS} | command))
     bench.engage()
     assert bench.arbiter.state is ArbiterState.ENGAGED
     return bench

@@ -24,6 +24,7 @@ from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas import codec, decisions
+from schemas.cruiser import SPEED_TOP_MPS
 from schemas.decisions import ArbiterState, Decision, Journal, SafetyEvent, SafetyState
 from schemas.messages import Variant
 from schemas.reasons import Reason
@@ -78,7 +79,7 @@ class GatewayRig:
         now_ns: int = 0,
     ) -> None:
         self.settings = Settings(
-            command=command or CommandSettings(),
+            command=command or CommandSettings(speed_limit_mps=SPEED_TOP_MPS),
             chassis=ChassisSettings(variant=configured),  # type: ignore[arg-type]
             gateway=GatewaySettings(accept_unguarded=accept_unguarded),
         )

@@ -26,7 +26,7 @@ from schemas import codec
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, Message, RobotState, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import ChassisSettings, Settings
+from schemas.settings import ChassisSettings, CommandSettings, Settings
 from schemas.subjects import BY_NAME
 from tests.support.frames import MS, Feedback
 from tests.support.waiting import DEADLINE_S, StopWhen
@@ -117,7 +117,8 @@ class FakeZenoh:
 
 def core() -> Core:
     """A core of a known variant."""
-    return Core(Settings(chassis=ChassisSettings(variant="coarse")), "0", clock.monotonic_ns())
+    command = CommandSettings(speed_limit_mps=2.222)
+    return Core(Settings(chassis=ChassisSettings(variant="coarse"), command=command), "0", clock.monotonic_ns())
 
 
 def test_frames_come_out_as_samples_and_ticks_go_on() -> None:

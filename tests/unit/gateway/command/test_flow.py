@@ -254,6 +254,7 @@ def test_decisions_are_bound_while_it_is_engaged_only() -> None:
 def test_the_hardest_settings_make_no_frame_that_does_not_fit(variant: Variant) -> None:
     """The greatest accelerations, at the greatest speeds and angles."""
     command = CommandSettings(
+        speed_limit_mps=2.222,
         acceleration_mps2=1.5,
         deceleration_mps2=2.0,
         emergency_deceleration_mps2=3.0,

@@ -158,7 +158,7 @@ def test_a_motor_that_dies_is_noticed_by_the_wheels(slope_deg: float) -> None:
 @pytest.mark.parametrize("acceleration_mps2", [0.1, 0.3])
 def test_a_robot_that_rolls_off_before_a_speed_is_told_is_braked(acceleration_mps2: float) -> None:
     """Row 'rolling': at zero command for 100 ms, be the ramp that begins as slow as it may: a bit is 0.04 m/s."""
-    hill = Hill(-20.0, command=CommandSettings(acceleration_mps2=acceleration_mps2))
+    hill = Hill(-20.0, command=CommandSettings(acceleration_mps2=acceleration_mps2, speed_limit_mps=2.222))
     hill.operator.drive(0.0, seconds=0.2)
     hill.fault("motor 0")
     before_m = hill.chassis.state.x_m

@@ -73,7 +73,7 @@ def test_what_stands_and_what_moves(changes: dict[str, object], *, is_slow: bool
 def test_no_speed_is_told_that_the_angle_does_not_allow(seen_deg: float) -> None:
     """Row 'lateral acceleration', of a robot that is given back in a bend: v^2 tan(angle) / 0.660 m."""
     chassis = ChassisState(speed_mps=3.0, fastest_wheel_mps=3.0, gear=DRIVE, angle_deg=seen_deg)
-    limits = MotionLimits.of(CommandSettings())
+    limits = MotionLimits.of(CommandSettings(speed_limit_mps=2.222))
     told = inferred_actuation(chassis, limits)
     assert told.speed_mps**2 * tan(radians(abs(seen_deg))) / 0.660 == pytest.approx(1.5)
 

@@ -11,7 +11,7 @@ from gateway.command.limits import MotionLimits, steering_angle_deg
 from schemas.requests import Drive
 from schemas.settings import CommandSettings
 
-LIMITS = MotionLimits.of(CommandSettings())
+LIMITS = MotionLimits.of(CommandSettings(speed_limit_mps=2.222))
 
 
 def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any field
@@ -21,7 +21,7 @@ def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any 
 
 def test_the_start_values_are_those_of_the_table() -> None:
     """Rows 'speed limit', 'acceleration / normal / emergency deceleration', 'steering limit / rate', 'lateral'."""
-    assert MotionLimits(2.222, 0.8, 1.2, 2.0, 24.0, 60.0, 1.5) == LIMITS
+    assert MotionLimits.of(CommandSettings()) == MotionLimits(1.0, 0.8, 1.2, 2.0, 24.0, 60.0, 1.5)
 
 
 def test_the_emergency_deceleration_is_never_the_lower_one() -> None:

@@ -13,7 +13,7 @@ from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
 from schemas.settings import CommandSettings
 
-LIMITS = MotionLimits.of(CommandSettings())
+LIMITS = MotionLimits.of(CommandSettings(speed_limit_mps=2.222))
 DRIVE, REVERSE, NEUTRAL, PARK = (
     GearPosition.DRIVE,
     GearPosition.REVERSE,
@@ -153,7 +153,7 @@ def test_a_brake_that_does_not_read_released_at_speed_takes_the_speed() -> None:
     ("asked_mps", "told_mps"), [(2.222, 2.222), (2.2221, 2.222), (1e308, 2.222), (-9.0, 2.222)]
 )
 def test_the_speed_limit(asked_mps: float, told_mps: float) -> None:
-    """Row 'speed limit: 2.222 m/s': at the limit unchanged, beyond it bound."""
+    """Row 'speed limit', the chassis's highest, 2.222 m/s: at the limit unchanged, beyond it bound."""
     robot = Robot()
     assert robot.tick(asked_mps, count=400).speed_mps == told_mps
     assert (Bound.SPEED in robot.motion.bounds) is (abs(asked_mps) > 2.222)
