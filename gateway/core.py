@@ -169,7 +169,9 @@ class Core:
         """Take over the newest state of the bus, of Zenoh and of the guard."""
         before, self._links = self._links, links
         if links.bus_losses != before.bus_losses:
-            # A bus that returns may have another chassis on it.
+            # On its return it may have another chassis, or one that the remote control has taken meanwhile.
+            for stream in self._streams.values():
+                stream.forget()
             self._detector.reset()
             self._health.controller = ControllerState.UNKNOWN
             self._apply_variant()

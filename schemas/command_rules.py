@@ -44,7 +44,11 @@ CHANGES: Final[dict[int, str]] = {
     6: "a robot that is found moving, or is given back in motion, is told no more than its steering angle allows; "
     "a speed of less than one bit of the drive command counts as none where the robot rolls; "
     "wheels that follow a slow change of the steering angle with a lag of 0.2 s do follow",
-    7: "the speed limit that no setting names is 1.0 m/s, 2.222 before",
+    7: "the speed limit that no setting names is 1.0 m/s, 2.222 before; "
+    "a robot that the remote control takes is left with zero speed and the parking brake; "
+    "a stop that begins while the mode is not auto has no ramp, and one that is owed waits for a body frame; "
+    "what was seen before the bus was lost counts no more; "
+    "a latched robot that the remote control gives back is owed its parking brake",
 }
 """The changes that each version of the rules brought."""
 

@@ -189,7 +189,10 @@ SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not accept are a failure."""
 
 LEFT_BLIND_NS: Final = 200_000_000
-"""A chassis that was left under command, and gives no feedback, is stopped after this time."""
+"""A chassis that was left under command, or is owed a stop, is stopped after this time without a body frame."""
+
+YIELD_BURSTS: Final = 10
+"""Bursts of zero speed and parking brake, at most, that a robot is left with when the remote control takes it."""
 
 BEHIND_NS: Final = 200_000_000
 """Frames that were never all read for this long are coming faster than they can be."""

@@ -92,8 +92,9 @@ class Arbiter:
         output.begin_step()
         output.actuation = self._act(chassis, now_ns, late_ns)
         self._answer_odometer(chassis, now_ns)
-        # Lamps, horn and odometer go with the five; standing by the gateway is silent.
-        auxiliary = [] if output.actuation is None else self.auxiliary.frames(now_ns)
+        # Lamps, horn and odometer go with the five of a robot under command.
+        is_under_command = self.state is not ArbiterState.STANDBY and output.actuation is not None
+        auxiliary = self.auxiliary.frames(now_ns) if is_under_command else []
         return TickOutcome(output.actuation, auxiliary, judged, *self.outbox.take())
 
     def end_lease(self, reason: Reason, detail: str, now_ns: int) -> None:
@@ -106,6 +107,11 @@ class Arbiter:
         self.outbox.add_event(Severity.WARNING, EventKind.LEASE, reason, text, lease.operator)
         if self.state in COMMANDING:
             self.engagement.begin_stop(reason, now_ns, detail, lease.operator)
+
+    def note_left(self) -> None:
+        """Note that the bus took the whole burst: what a chassis that was left executes again is now this one."""
+        if self.handover.left is not None and self.output.actuation is not None:
+            self.handover.left = self.output.actuation
 
     # What is asked.
 
@@ -157,11 +163,19 @@ class Arbiter:
     def _stop_for_strays(self, chassis: ChassisState, now_ns: int) -> None:
         """Stop a chassis that executes a command which nobody renews. Only in standby."""
         engagement = self.engagement
+        if self.handover.is_given_back(chassis) and self.latches.details:
+            # The remote control may have released the parking brake that the latched stop applied.
+            engagement.owes_stop = True
         is_taken = self.monitor.is_commanded_by_other(now_ns)
         if self.handover.is_obeyed_again(chassis, now_ns, is_taken=is_taken):
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
             engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
-        elif engagement.owes_stop and not is_taken and engagement.is_loose:
+        elif (
+            engagement.owes_stop
+            and not is_taken
+            and engagement.is_loose
+            and not self.handover.is_blind(chassis, now_ns)
+        ):
             engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "a stop could not be carried out before")
         elif self.monitor.found_moving(now_ns):
             engagement.begin_stop(Reason.FOUND_MOVING, now_ns)
@@ -197,7 +211,7 @@ class Arbiter:
             self.link.fresh_ns = now_ns
             engagement.confirm(self.leases.held.operator if self.leases.held is not None else "")
         if engagement.state is ArbiterState.STANDBY:
-            return None
+            return self.handover.part(chassis)
         if output.sequence is not None:
             return engagement.step_stop(output.sequence, now_ns, late_ns)
         is_engaged = engagement.state is ArbiterState.ENGAGED

@@ -124,15 +124,19 @@ class Engagement:
                 output.sequence.park(now_ns)
             return
         last = self._last_told()
-        if self.state is ArbiterState.STANDBY:
+        is_stray = self.state is ArbiterState.STANDBY
+        if is_stray:
             is_barred = not chassis.bus_up or chassis.mode is Mode.REMOTE
-            self.owes_stop = is_barred and reason is Reason.REMOTE_STOP
+            self.owes_stop |= is_barred and reason is Reason.REMOTE_STOP
             if not may_be_stopped(chassis):
                 return  # Standing by stays silent.
             self.setpoint.limits = self.setpoint.configured_limits
             self._begin_output(last)
         output.sequence = StopSequence(last, deceleration_mps2, now_ns)
-        if rule.parks or chassis.mode is Mode.STOP or self._note_stray(now_ns):
+        is_repeated = is_stray and self._note_stray(now_ns)
+        # The remote control may have a robot whose mode is not known: a ramp would leave it a speed.
+        is_unsure = is_stray and chassis.mode is not Mode.AUTO
+        if rule.parks or chassis.mode is Mode.STOP or is_unsure or is_repeated:
             output.sequence.park(now_ns)
         self._is_brake_missed = self.owes_stop = False
         self.auxiliary.end(now_ns)
@@ -247,8 +251,6 @@ class Engagement:
 
         Returns whether one began a moment ago already, as where the mode flickers.
         """
-        if self.state is not ArbiterState.STANDBY:
-            return False
         before_ns, self._stray_ns = self._stray_ns, now_ns
         return before_ns is not None and now_ns - before_ns < REPEATED_NS
 

@@ -19,7 +19,7 @@ from gateway.command.gate import Gate
 from gateway.command.outcome import TickOutcome
 from gateway.command.report import Reporter, reply
 from gateway.command.request import RawRequest
-from schemas.decisions import ArbiterState
+from schemas.decisions import COMMANDING, ArbiterState
 from schemas.messages import Message
 from schemas.settings import MUTE_FAILURES, Settings
 
@@ -102,6 +102,7 @@ class CommandFlow:
         bounds = self.arbiter.output.motion.bounds if self.arbiter.state is ArbiterState.ENGAGED else []
         if len(sent) >= len(MOTION_FRAMES):
             self.arbiter.output.told_ns = now_ns
+            self.arbiter.note_left()
         elif offered:
             self.arbiter.output.undo_step(is_speed_told=bool(sent))
         if monitor.send_failures >= MUTE_FAILURES and self.arbiter.state is ArbiterState.STOPPING:
@@ -119,7 +120,7 @@ class CommandFlow:
             self.gate.pause()
         variant = self.arbiter.output.variant
         frames = self.maker.make(outcome.actuation, outcome.auxiliary, variant)
-        is_stop = self.arbiter.state is ArbiterState.STOPPING
+        is_stop = self.arbiter.state not in COMMANDING
         fault = self.gate.admit(frames, variant, now_ns, stopping=is_stop)
         if fault is None:
             self.is_mute = False

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from gateway.command.actuation import Actuation
 from gateway.command.chassis_state import ChassisState
 from schemas.messages import Mode, ParkingStatus
 from schemas.reasons import Reason
-from schemas.settings import LEFT_BLIND_NS
+from schemas.settings import LEFT_BLIND_NS, YIELD_BURSTS
 
 
 def may_obey(chassis: ChassisState) -> bool:
@@ -33,6 +35,8 @@ class Handover:
     def __init__(self) -> None:
         self.left: Actuation | None = None
         self.is_cut_off = False
+        self._partings = 0
+        self._is_remote = False
         self._left_ns = 0
         self._was_auto = False
         self._bus_losses = self._guard_stops = 0
@@ -40,6 +44,7 @@ class Handover:
     def begin(self, chassis: ChassisState) -> None:
         """Note that we command the chassis from here on."""
         self.left = None
+        self._partings = 0
         self._was_auto = False
         self._bus_losses = chassis.bus_losses
         self._guard_stops = chassis.guard_stops
@@ -61,8 +66,31 @@ class Handover:
     def leave(self, told: Actuation, reason: Reason, chassis: ChassisState, now_ns: int) -> None:
         """Note that our output ceases, for this reason; lamps and horn stay as they are in the chassis."""
         self.left = told
+        self._partings = YIELD_BURSTS if reason is Reason.HAND_TRANSMITTER and told.enabled else 0
         self._left_ns = now_ns
         self.is_cut_off = reason is Reason.BUS_DOWN and not chassis.bus_up
+
+    def part(self, chassis: ChassisState) -> Actuation | None:
+        """Return the next command that leaves no speed in a chassis which the remote control has; None at the end.
+
+        The chassis keeps its last command, and executes it when the remote control gives it back.
+        """
+        if not self._partings or self.left is None or chassis.mode is not Mode.REMOTE or not chassis.bus_up:
+            self._partings = 0
+            return None
+        self._partings -= 1
+        return msgspec.structs.replace(self.left, speed_mps=0.0, parking=True)
+
+    def is_given_back(self, chassis: ChassisState) -> bool:
+        """Return True in the tick in which the remote control gives the chassis back. For each tick in standby."""
+        was_remote = self._is_remote
+        if chassis.mode is not Mode.UNDEFINED:
+            self._is_remote = chassis.mode is Mode.REMOTE
+        return was_remote and not self._is_remote
+
+    def is_blind(self, chassis: ChassisState, now_ns: int) -> bool:
+        """Return True if the mode is unknown, and a body frame may still come: the bus has only just returned."""
+        return chassis.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
 
     def is_obeyed_again(self, chassis: ChassisState, now_ns: int, *, is_taken: bool) -> bool:
         """Return True if the chassis may execute the command it was left with. For each tick without output.
@@ -74,8 +102,6 @@ class Handover:
         """
         if is_taken:
             self.left = None
-        # What is not seen right after the bus has come back may be seen in a moment.
-        is_blind = chassis.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
         if not chassis.bus_up:
             self._left_ns = now_ns
-        return self.left is not None and may_be_stopped(chassis) and not is_blind
+        return self.left is not None and may_be_stopped(chassis) and not self.is_blind(chassis, now_ns)

@@ -30,7 +30,7 @@ from schemas.alive_counter import COUNTER_SPAN
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
-from schemas.settings import GUARD_LOOK_NS, GUARD_SILENT_NS, OFF_BURSTS, TICK_NS, CommandSettings
+from schemas.settings import GUARD_LOOK_NS, GUARD_SILENT_NS, OFF_BURSTS, TICK_NS, YIELD_BURSTS, CommandSettings
 
 _MOVING_GEARS: Final = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
 
@@ -80,7 +80,7 @@ class Stopper:
         self._actuation = AT_REST
         # When a sequence began, or the last burst of it was taken.
         self._went_on_ns = self._look_until_ns = self._paused_ns = self._due_ns = 0
-        self._bursts_off = 0
+        self._bursts_off = self._partings = 0
         self._offered: list[Frame] = []
         self.is_over = True
         self.is_paused = False
@@ -122,9 +122,12 @@ class Stopper:
             return []
         stands = self._view.stands(self._variant, now_ns)
         mode = self._view.mode(now_ns)
-        if self._is_held(mode, now_ns) or now_ns < self._due_ns:
+        is_held = self._is_held(mode, now_ns)
+        if now_ns < self._due_ns or self.is_over:
             return []
         self._due_ns += TICK_NS * (1 + (now_ns - self._due_ns) // TICK_NS)
+        if is_held:
+            return self._part(now_ns) if mode is Mode.REMOTE else []
         if self._sequence is not None and now_ns - self._went_on_ns > GUARD_SILENT_NS:
             # This process stood still, or the bus was away: others may have done anything meanwhile.
             self._look(now_ns)
@@ -150,6 +153,18 @@ class Stopper:
         self._offered = [] if fault else frames
         return self._offered
 
+    def _part(self, now_ns: int) -> list[Frame]:
+        """Leave no speed in a chassis that the remote control has, which executes it when it is given back."""
+        left = self._actuation if self._sequence is not None else self._told
+        if not self._partings or left is None or not left.enabled:
+            return []
+        self._partings -= 1
+        self._before = self._sequence
+        self._actuation = replace(_possible(left, self._variant), speed_mps=0.0, parking=True)
+        frames = self._maker.make(self._actuation, [], self._variant)
+        self._offered = [] if self._gate.admit(frames, self._variant, now_ns, stopping=True) else frames
+        return self._offered
+
     def sent(self, count: int, now_ns: int) -> None:
         """So many of the frames of this tick were taken by the bus."""
         sent = self._offered[:count]
@@ -170,6 +185,7 @@ class Stopper:
         """Nothing may be sent now, for the remote control has the robot, or has had it and nothing is seen."""
         if mode is Mode.REMOTE and not self.is_paused:
             self.is_paused, self._paused_ns = True, now_ns
+            self._partings = YIELD_BURSTS
         if not self.is_paused:
             return False
         commander_ns = self._view.commander_ns

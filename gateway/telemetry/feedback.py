@@ -68,6 +68,10 @@ class FeedbackStream:
         self.decoder = None
         self.latest = None
 
+    def forget(self) -> None:
+        """Forget the newest message: what was seen before the bus was lost says nothing about now."""
+        self.latest = self.data = None
+
     def tick(self, now_ns: int) -> None:
         """Time passes: the frame may have become silent."""
         fault = self.supervisor.tick(now_ns)

@@ -26,10 +26,17 @@ from gateway.telemetry.sample import Sample
 from schemas import codec, decisions
 from schemas.cruiser import SPEED_TOP_MPS
 from schemas.decisions import ArbiterState, Decision, Journal, SafetyEvent, SafetyState
-from schemas.messages import Variant
+from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from schemas.requests import CHALLENGE_BYTES
-from schemas.settings import MUTE_FAILURES, ChassisSettings, CommandSettings, GatewaySettings, Settings
+from schemas.settings import (
+    MUTE_FAILURES,
+    YIELD_BURSTS,
+    ChassisSettings,
+    CommandSettings,
+    GatewaySettings,
+    Settings,
+)
 from schemas.subjects import BY_NAME, BY_VERB
 
 MS = 1_000_000
@@ -110,6 +117,7 @@ class GatewayRig:
         self._requests: list[RawRequest] = []
         self._handles = 0
         self._counters: dict[int, int] = {}
+        self._partings = 0
         self._latched: set[Reason] = set()
 
     @property
@@ -248,8 +256,11 @@ class GatewayRig:
         reset = any(d.request == "reset" and d.reason is Reason.NONE for d in self.decided[-4:])
         assert reset or self._latched <= arbiter.latches.details.keys(), "a latch cleared itself"
         self._latched = set(arbiter.latches.details)
+        is_yielding = arbiter.monitor.chassis.mode is Mode.REMOTE
         if arbiter.state is ArbiterState.STANDBY:
-            assert not offered, "standing by is silent"
+            assert not offered or is_yielding, "standing by is silent, but for what a robot is left with"
+            self._partings = self._partings + 1 if offered else 0
+            assert self._partings <= YIELD_BURSTS
         for frame in taken:
             last = self._counters.get(frame.can_id)
             assert last is None or frame.data[6] >> 4 == (last + 1) % 16

@@ -9,6 +9,7 @@ from gateway.command.request import Ruling
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
+from schemas.settings import YIELD_BURSTS
 from tests.support.rigs.arbiter import MS, ArbiterRig, engaged
 
 
@@ -185,7 +186,14 @@ def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *
     handle = bench.ask("clear_odometer")
     bench.changes = changes
     outcome = bench.tick()
-    assert (outcome.actuation, outcome.auxiliary) == (None, [])
+    # The remote control alone leaves a way to the chassis: it is left with zero speed and its parking brake.
+    if reason is Reason.HAND_TRANSMITTER:
+        left = outcome.actuation
+        assert left is not None
+        assert (left.enabled, left.gear, left.speed_mps, left.parking) == (True, GearPosition.DRIVE, 0.0, True)
+    else:
+        assert outcome.actuation is None
+    assert outcome.auxiliary == []
     assert bench.arbiter.state is ArbiterState.STANDBY
     assert bench.arbiter.engagement.stop_reason is reason
     assert bench.arbiter.output.stop_phase is StopPhase.IDLE
@@ -193,6 +201,7 @@ def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *
     assert [event.reason for event in bench.told(kind)] == [reason]
     assert (Reason.GUARD in bench.arbiter.latches.details) is (reason is Reason.GUARD)
     assert handle.reason in {Reason.MOVING, Reason.NOT_ENGAGED}
+    bench.tick(count=YIELD_BURSTS - 1)
     for _ in range(50):
         assert bench.tick().actuation is None, "no automatic return"
 
@@ -357,6 +366,7 @@ def test_who_waits_is_told_when_the_output_ceases() -> None:
     bench.changes = {"mode": Mode.REMOTE}
     [answer] = bench.tick().answers
     assert (answer.verb, answer.ruling.reason) == ("engage", Reason.HAND_TRANSMITTER)
+    bench.tick(count=YIELD_BURSTS)
     bench.changes = {}
     bench.tick(count=6)
     bench.ask("engage")

@@ -17,9 +17,9 @@ from gateway.guard.beat import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
-from schemas.messages import Variant
+from schemas.messages import ParkingStatus, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import ChassisSettings
+from schemas.settings import YIELD_BURSTS, ChassisSettings
 from tests.support.frames import STANDING, Feedback
 from tests.support.nights import by_night
 from tests.support.rigs.gateway import GUARDED, MS, GatewayRig, Operator, driving, ready
@@ -487,17 +487,80 @@ def test_a_takeover_that_is_followed_by_silence_is_not_believed() -> None:
 
 
 def test_the_hand_transmitter_takes_over() -> None:
-    """Row 'remote control takes over (mode remote): output ceases at once, no automatic return'."""
+    """Row 'on yielding to mode remote: at most 10 bursts of zero speed, same gear, parking, then silence'."""
     rig, operator = driving(1.0)
     rig.fault("transmitter remote")
     rig.fault("sticks 0.3 0")
     operator.drive(1.0, seconds=0.06)
     assert rig.says.state is ArbiterState.STANDBY
     assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.HAND_TRANSMITTER]
-    sent = len(rig.out)
     operator.drive(1.0, seconds=2)
+    last = [burst for _, burst in rig.bursts[-YIELD_BURSTS:]]
+    assert {burst["Auto_DriveCmd"]["TargetVelocity"] for burst in last} == {0.0}
+    assert {burst["Auto_GearCmd"]["TargetGear"] for burst in last} == {"drive"}
+    assert {burst["Auto_ParkingCmd"]["ParkingRequest"] for burst in last} == {True}
+    assert rig.bursts[-YIELD_BURSTS - 1][1]["Auto_DriveCmd"]["TargetVelocity"]
+    sent = len(rig.out)
+    operator.drive(1.0, seconds=1)
     assert len(rig.out) == sent
     assert operator.reason("engage") is Reason.HAND_TRANSMITTER
+
+
+@pytest.mark.parametrize("away_ms", range(400, 601, 20))
+def test_a_robot_that_was_taken_while_its_mode_was_unknown_is_left_at_rest(away_ms: int) -> None:
+    """Row 'on yielding to mode remote': what a ramp left in the chassis is not executed when it is given back."""
+    rig, operator = driving(1.0)
+    rig.fault(f"silence Auto_MileageAndBodyFeedback for {away_ms}ms")
+    rig.fault("transmitter remote")
+    rig.fault("sticks 1.0 0")
+    operator.drive(1.0, seconds=1)
+    assert rig.says.state is ArbiterState.STANDBY
+    rig.fault("sticks 0 0")
+    rig.run(3)
+    before_m = rig.chassis.state.x_m
+    rig.fault("transmitter command")
+    rig.run(5)
+    assert rig.speed_mps == 0
+    assert rig.chassis.state.x_m - before_m < 0.05
+
+
+@pytest.mark.parametrize("phase_ms", range(10, 410, 10))
+def test_an_owed_stop_has_no_speed_while_the_remote_control_may_have_the_robot(phase_ms: int) -> None:
+    """Row 'a stop that begins from standby': the bus returns, and the remote control drives since then."""
+    rig, operator = driving(1.0)
+    rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+    rig.chassis_hears = False
+    # No frame arrives while the bus is away.
+    rig.corrupt = lambda _: None
+    rig.fault("transmitter remote")
+    rig.fault("sticks 2.0 0")
+    rig.tick(2)
+    operator.ask("stop")
+    rig.tick(phase_ms // 10 + 5)
+    rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
+    rig.chassis_hears = True
+    rig.fault(f"silence Auto_MileageAndBodyFeedback for {phase_ms}ms")
+    rig.corrupt = lambda frame: frame
+    told = len(rig.bursts)
+    rig.run(2)
+    assert not any(burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts[told:])
+    assert all(burst["Auto_ParkingCmd"]["ParkingRequest"] for _, burst in rig.bursts[told:])
+
+
+def test_a_latched_robot_that_is_given_back_gets_its_parking_brake_again() -> None:
+    """Row 'a latched robot that is given back': the remote control released it, and it stands on a slope."""
+    rig, operator = ready()
+    operator.ask("stop")
+    rig.run(1)
+    rig.fault("transmitter remote")
+    rig.fault("sticks 0.3 0")
+    rig.run(1)
+    rig.fault("sticks 0 0")
+    rig.run(1)
+    rig.fault("transmitter command")
+    rig.run(3)
+    assert rig.says.latched == [Reason.REMOTE_STOP]
+    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Decision, Reply, SafetyState, StopPhase
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
-from schemas.settings import MUTE_FAILURES, CommandSettings, Settings
+from schemas.settings import MUTE_FAILURES, YIELD_BURSTS, CommandSettings, Settings
 from tests.support.frames import CHALLENGE
 from tests.support.rigs.arbiter import MS, STANDING
 from tests.support.rigs.gateway import GatewayRig, driving, ready
@@ -122,7 +122,7 @@ def test_nobody_is_mute_who_has_nothing_to_say(monkeypatch: pytest.MonkeyPatch) 
         rig.tick(3)
         assert made.is_mute
         rig.fault("transmitter remote")
-        rig.tick(3)
+        rig.tick(3 + YIELD_BURSTS)
         assert made.arbiter.state is ArbiterState.STANDBY
         assert not made.is_mute
 

@@ -392,11 +392,11 @@ def test_a_variant_is_confirmed_by_evidence_alone() -> None:
 def test_motion_is_seen_while_the_variant_is_not_known(variant: Variant, speed_mps: float, turns: bool) -> None:  # noqa: FBT001 - a case of the table
     """Beyond one bit, in either scale: a gateway that starts beside a moving robot must see that it moves."""
     made = Core(Settings(chassis=ChassisSettings(variant="auto")), "1.2.3", 0)
+    made.update_links(UP, 0)
     feedback = Feedback(variant)
     for name in STANDING:
         moves = {"Speed": speed_mps} if name == DRIVE else None
         made.receive_frame(feedback.frame(name, moves), 0)
-    made.update_links(UP, 0)
     made.tick(10 * MS, 0, 0, CHALLENGE)
     assert made.command is not None
     seen = made.command.arbiter.monitor.chassis
