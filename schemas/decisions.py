@@ -177,7 +177,8 @@ class SafetyState(Message, frozen=True):
         brake_pedal_percent: 0, for the pedal is never pressed; other values occur in older logs only.
         parking: the parking brake is commanded.
         challenge: echo the newest one in each drive command; it bounds the age of the command.
-        link_age_s: the age of the holder's drive commands, the mean of those accepted in the last second.
+        link_age_s: the age of the holder's drive commands by which the speed is bounded: the greater of the mean
+            of the last second and the largest of the last 300 ms, and the setting ``command.view_delay_s``.
         link_age_last_s: the age of the last accepted one.
         link_age_p50_s: the median of the last ten seconds.
         link_age_p99_s: the 99th percentile of the last ten seconds.

@@ -415,6 +415,8 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         max_age_s: s; a drive command that may be older, by its echo, is refused
         travel_delay_m: m; farthest it drives before it can react to its operator: its speed is at most this over
             the age of the commands and the deadman
+        view_delay_s: s; delay of the pictures that its operator drives by, which no gateway can measure: it is
+            added to the age of the commands
         speed_limit_mps: m/s; highest speed, either way; a bumper hit at 2.2 m/s goes on for 1.5 m, at 1 for 0.4
         speed_limit_without_realtime_mps: m/s; highest speed of a gateway that no guard watches or that has no
             real-time priority
@@ -430,6 +432,7 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     deadman_s: Annotated[float, Meta(ge=0.05, le=0.5)] = 0.3
     max_age_s: Annotated[float, Meta(ge=0.1, le=1.0)] = 1.0
     travel_delay_m: Annotated[float, Meta(ge=0.2, le=5.0)] = 1.0
+    view_delay_s: Annotated[float, Meta(ge=0, le=2)] = 0.0
     speed_limit_mps: Annotated[float, Meta(ge=0.05, le=SPEED_TOP_MPS)] = 1.0
     speed_limit_without_realtime_mps: Annotated[float, Meta(ge=0.05, le=SPEED_TOP_MPS)] = 1.0
     acceleration_mps2: Annotated[float, Meta(ge=0.1, le=1.5)] = 0.8

@@ -141,12 +141,21 @@ class Robot:
 
     @property
     def link_age_s(self) -> float | None:
-        """The age of drive commands when the robot executes them, mean over a second; None while it executes none.
+        """The age of drive commands by which the robot bounds its speed; None while it executes none.
 
         Raises:
             Unreachable: no state arrived for a second.
         """
         return self._link.sighting().state.link_age_s
+
+    @property
+    def travel_speed_limit_mps(self) -> float | None:
+        """The speed limit that this age gives; None while the robot executes no drive commands.
+
+        Raises:
+            Unreachable: no state arrived for a second.
+        """
+        return self._link.sighting().state.travel_speed_limit_mps
 
     def events(self) -> list[SafetyEvent]:
         """Return the events received since the last call; at first some earlier ones too."""

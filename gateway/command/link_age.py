@@ -8,6 +8,7 @@ speed.
 from __future__ import annotations
 
 from collections import deque
+from itertools import takewhile
 from math import copysign
 from typing import Final
 
@@ -18,7 +19,10 @@ from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S, CommandSettings
 
 MEAN_NS: Final = 1_000_000_000
-"""The age that bounds the speed is the mean of so long: no deadman lasts longer."""
+"""The age that bounds the speed is at least the mean of so long: no deadman lasts longer."""
+
+LARGEST_NS: Final = 300_000_000
+"""And at least the largest of so long: a link that has just become slow is slow."""
 
 QUANTILES_NS: Final = 10_000_000_000
 """Time over which the median and the 99th percentile are taken."""
@@ -43,12 +47,12 @@ class Ages(msgspec.Struct, frozen=True):
     """Ages of the accepted commands, in seconds; None where there were none.
 
     Attributes:
-        mean_s: of the last second.
+        age_s: the age that bounds the speed, the camera's delay included.
         last_s: of the last command.
         p50_s, p99_s: of the last ten seconds.
     """
 
-    mean_s: float | None = None
+    age_s: float | None = None
     last_s: float | None = None
     p50_s: float | None = None
     p99_s: float | None = None
@@ -64,6 +68,7 @@ class LinkAge:
 
     def __init__(self, settings: CommandSettings) -> None:
         self._travel_delay_m = settings.travel_delay_m
+        self._view_delay_ns = round(settings.view_delay_s * _NS_PER_S)
         self._configured_s = settings.deadman_s
         self.deadman_ns = round(settings.deadman_s * _NS_PER_S)
         self.accepted_seq: int | None = None
@@ -107,12 +112,12 @@ class LinkAge:
         """Return how old the commands were that were accepted lately."""
         if not self._ages or now_ns - self._ages[-1][0] > QUANTILES_NS:
             return Ages()
-        mean_ns = self._mean_ns(now_ns)
+        age_ns = self._age_ns(now_ns)
         if now_ns >= self._rank_due_ns:
             self._rank_due_ns = now_ns + RANK_NS
             self._quantiles_s = self._rank(now_ns)
         p50_s, p99_s = self._quantiles_s
-        return Ages(None if mean_ns is None else mean_ns / 1e9, self._ages[-1][1] / 1e9, p50_s, p99_s)
+        return Ages(None if age_ns is None else age_ns / 1e9, self._ages[-1][1] / 1e9, p50_s, p99_s)
 
     def _rank(self, now_ns: int) -> tuple[float | None, float | None]:
         """The median and the 99th percentile."""
@@ -128,8 +133,8 @@ class LinkAge:
 
     def delay_s(self, now_ns: int) -> float | None:
         """Return the time from what the operator saw to the stop that follows a cut link; None if not known."""
-        mean_ns = self._mean_ns(now_ns)
-        return None if mean_ns is None else (mean_ns + self.deadman_ns) / 1e9
+        age_ns = self._age_ns(now_ns)
+        return None if age_ns is None else (age_ns + self.deadman_ns) / 1e9
 
     def bounded(self, target: Target, fastest_mps: float, now_ns: int) -> Target:
         """Return the target, or one as fast as the travel delay allows if no other limit is lower."""
@@ -138,8 +143,13 @@ class LinkAge:
             return target
         return Target(copysign(limit_mps, target.speed_mps), target.angle_deg)
 
-    def _mean_ns(self, now_ns: int) -> int | None:
+    def _age_ns(self, now_ns: int) -> int | None:
+        """The age of what the operator drives by; None where no command was accepted in the last second."""
         recent = self._recent
         while recent and now_ns - recent[0][0] > MEAN_NS:
             self._recent_sum_ns -= recent.popleft()[1]
-        return self._recent_sum_ns // len(recent) if recent else None
+        if not recent:
+            return None
+        newest = takewhile(lambda one: now_ns - one[0] <= LARGEST_NS, reversed(recent))
+        largest_ns = max((age_ns for _, age_ns in newest), default=0)
+        return max(self._recent_sum_ns // len(recent), largest_ns) + self._view_delay_ns

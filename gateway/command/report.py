@@ -97,7 +97,7 @@ class Reporter:
             brake_pedal_percent=0.0,
             parking=output.parking,
             challenge=challenge,
-            link_age_s=ages.mean_s,
+            link_age_s=ages.age_s,
             link_age_last_s=ages.last_s,
             link_age_p50_s=ages.p50_s,
             link_age_p99_s=ages.p99_s,

@@ -15,7 +15,7 @@ from gateway.cli.main import main
 
 DIRECTORY = Path(__file__).parents[1] / "data" / "versions"
 LOGS = {path.name.removesuffix(".mcap.xz"): path for path in sorted(DIRECTORY.glob("*.mcap.xz"))}
-OTHER_RULES = {"rules-1"}
+OTHER_RULES = {"rules-1", "rules-4", "signed-mode", "rules-6", "rules-6-signed", "rules-6-checkpoint"}
 """Logs of other command rules than those of this version: their decisions come out otherwise."""
 
 QUESTIONS = ("info", "check", "events", "why", "rerun", "export")

@@ -41,7 +41,7 @@ def engaged(fake: FakeRobot) -> Iterator[tuple[Robot, Lease]]:
 
 
 def test_the_age_of_the_commands_is_known() -> None:
-    """``robot.link_age_s`` and the deadman that was asked for."""
+    """``robot.link_age_s``, the limit from it, and the deadman that was asked for."""
     with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
         assert robot.link_age_s is None
         lease.engage(deadman_s=0.9)
@@ -50,6 +50,7 @@ def test_the_age_of_the_commands_is_known() -> None:
         assert age_s is not None
         assert 0 < age_s < 1
         assert robot.state().state.deadman_s == 0.9
+        assert robot.travel_speed_limit_mps == pytest.approx(1.0 / (age_s + 0.9), rel=0.1)
 
 
 def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:

@@ -28,9 +28,12 @@ def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
     ids=lambda profile: profile.name,
 )
 def test_every_link_of_the_table_can_be_driven_over(profile: LinkProfile) -> None:
-    """With the deadman that it needs; and a cut costs no more than the travel delay and the way to rest."""
+    """With the deadman that it needs; and a cut costs no more than the travel delay and the way to rest.
+
+    One late command lowers the limit for 300 ms, and then the robot only speeds up again.
+    """
     made = trip(profile, speed_mps=2.2, seconds=12)
-    assert made.moving >= 0.9
+    assert made.moving >= 0.85
     assert made.stops == []
     braking_m = made.reached_mps**2 / (2 * 1.2)
     assert made.after_cut_m <= 1.0 + braking_m + 0.1

@@ -36,12 +36,29 @@ def test_before_the_first_command_nothing_is_known() -> None:
 
 def test_the_age_is_the_mean_of_the_last_second() -> None:
     """What was accepted before that counts no more, and what is left of it when nothing follows."""
-    link, now_ns = link_of([900] * 60 + [100] * 25 + [300] * 25)
-    assert link.ages(now_ns).mean_s == pytest.approx((100 * 25 + 300 * 25 + 900) / 51 / 1e3)
+    link, now_ns = link_of([900] * 60 + [300] * 25 + [100] * 25)
+    assert link.ages(now_ns).age_s == pytest.approx((100 * 25 + 300 * 25 + 900) / 51 / 1e3)
     later_ns = now_ns + MEAN_NS
-    assert link.ages(later_ns).mean_s == 0.3
-    assert link.ages(later_ns + 1).mean_s is None
+    assert link.ages(later_ns).age_s == 0.1
+    assert link.ages(later_ns + 1).age_s is None
     assert link.accepted_seq == 109
+
+
+def test_a_link_that_has_just_become_slow_bounds_the_speed_at_once() -> None:
+    """The largest of the last 300 ms, where the mean of the second is the lower one."""
+    link, now_ns = link_of([100] * 50 + [900] + [100] * 15)
+    assert link.ages(now_ns).age_s == 0.9
+    link.accept(66, 100 * MS, now_ns + 20 * MS)
+    assert link.ages(now_ns + 20 * MS).age_s == pytest.approx((100 * 50 + 900) / 51 / 1e3)
+
+
+def test_the_delay_of_the_pictures_is_age_too() -> None:
+    """The setting ``command.view_delay_s``, of which the gateway sees nothing by itself."""
+    link = LinkAge(CommandSettings(view_delay_s=0.5))
+    link.accept(1, 200 * MS, 0)
+    assert link.ages(0).age_s == 0.7
+    assert link.delay_s(0) == 1.0
+    assert link.speed_limit_mps(0) == pytest.approx(1.0)
 
 
 def test_the_quantiles_are_of_the_last_ten_seconds() -> None:
@@ -81,13 +98,13 @@ def test_the_speed_is_bounded_by_age_and_deadman(age_ms: int, deadman_s: float |
     ages_ms=st.lists(st.integers(0, 1000), min_size=1, max_size=200), deadman_s=st.none() | st.floats(0.05, 1.0)
 )
 def test_no_target_is_faster_than_the_travel_delay_allows(ages_ms: list[int], deadman_s: float | None) -> None:
-    """Whatever the ages: the way over their mean and the deadman is the setting at most."""
+    """Whatever the ages: the way over the age and the deadman is the setting at most."""
     link, now_ns = link_of(ages_ms)
     link.begin(deadman_s)
     delay_s = link.delay_s(now_ns)
     assert delay_s is not None
-    mean_s = sum(ages_ms[-51:]) / len(ages_ms[-51:]) / 1e3
-    assert delay_s == pytest.approx(mean_s + link.deadman_ns / 1e9)
+    mean_ms = sum(ages_ms[-51:]) / len(ages_ms[-51:])
+    assert delay_s == pytest.approx(max(mean_ms, *ages_ms[-16:]) / 1e3 + link.deadman_ns / 1e9)
     assert link.bounded(Target(5.0), 5.0, now_ns).speed_mps * delay_s <= SETTINGS.travel_delay_m + 1e-9
 
 
