@@ -45,7 +45,7 @@ CHANGES: Final[dict[int, str]] = {
     "a speed of less than one bit of the drive command counts as none where the robot rolls; "
     "wheels that follow a slow change of the steering angle with a lag of 0.2 s do follow",
     7: "the speed limit that no setting names is 1.0 m/s, 2.222 before; "
-    "the age that bounds the speed is at least the largest of the last 300 ms, and not the mean of a second alone; "
+    "the age that bounds the speed is at least the largest of the last 300 ms, and no mean of a second alone; "
     "a robot that the remote control takes is left with zero speed and the parking brake; "
     "a stop that begins while the mode is not auto has no ramp, and one that is owed waits for a body frame; "
     "what was seen before the bus was lost counts no more; "
