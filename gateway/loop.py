@@ -436,7 +436,7 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
     guard = ports.guard.look() if ports.guard is not None else NO_GUARD
     if bus.is_up and not before.bus_up:
         log.info("the bus is up%s", " again" if bus.losses else "")
-    elif before.bus_up and (not bus.is_up or bus.losses != before.bus_losses):
+    elif bus.losses != before.bus_losses:
         log.warning("the bus is lost: %s; trying again", bus.detail)
     if before.zenoh_peers and not peers:
         log.info("no Zenoh node is connected any more")

@@ -316,8 +316,8 @@ class GatewayHealth(Message, frozen=True):
         faults: number of faults since the start, by kind.
         unknown_identifiers: frames of identifiers that are not in the DBC, by hexadecimal identifier.
         bus_losses: number of losses of the bus since the start.
-        bus_drops: frames that the kernel dropped since the start, because they were not read in time. Known
-            of SocketCAN interfaces only.
+        bus_drops: frames that were dropped since the start: of a SocketCAN interface, because they were not read
+            in time; of an adapter, because their line could not be read.
         controller: the CAN controller's state, by the last error frame.
         zenoh_peers: Zenoh nodes connected directly to this one.
         publish_failures: samples that Zenoh did not accept.

@@ -13,6 +13,7 @@ from typing import Final, Protocol
 
 import can
 
+from gateway.can.socketcand import SocketcandBus
 from gateway.chassis.frame import (
     BITRATE_SWITCH,
     ERROR,
@@ -40,6 +41,9 @@ SEND_STALL_S: Final = 0.2
 SEND_TIMEOUT_US: Final = 2_000
 """Whatever happens, the kernel holds nobody who sends for longer than this, in ticks of its own."""
 
+GARBLED_MAX: Final = 20
+"""So many lines in a row that could not be read are a lost bus; one alone is noise on an adapter's line."""
+
 DATA_MAX_BYTES: Final = 64
 """A CAN FD frame has no more; a text protocol may say so all the same, and the rest is cut off."""
 
@@ -56,7 +60,7 @@ class Bus(Protocol):
     """A CAN bus as the loops use it.
 
     Attributes:
-        drops: frames that came and were dropped before they were read, since it was opened, if that is known.
+        drops: frames that came and were not read, since it was opened: too late for the kernel, or garbled.
     """
 
     drops: int
@@ -75,12 +79,13 @@ class Bus(Protocol):
 
 
 class CanBus:
-    """A bus that python-can has opened; it does not say what it drops."""
+    """A bus that python-can has opened. Whatever its driver raises is a garbled line, or a lost bus."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self.drops = 0
+        self._drops_in_row = 0
         self._bus = bus
-        self._socket = stream_socket(bus)
+        self._socket = bus.stream if isinstance(bus, SocketcandBus) else None
         if self._socket is not None:
             _tune(self._socket)
         self._full_since_s: float | None = None
@@ -92,15 +97,38 @@ class CanBus:
         Raises:
             BusLost: the bus is gone.
         """
-        try:
-            message = self._bus.recv(timeout_s)
-        except (can.CanError, OSError, ValueError) as error:
+        while True:
+            try:
+                message = self._bus.recv(timeout_s)
+                frame = None if message is None else to_frame(message, self._time_ns(message.timestamp))
+            except Exception as error:  # noqa: BLE001 - foreign code raises what it likes
+                self._drop(error)
+                timeout_s = 0
+                continue
+            if frame is not None:
+                self._drops_in_row = 0
+            return frame
+
+    def _drop(self, error: Exception) -> None:
+        """Count a line that could not be read.
+
+        Raises:
+            BusLost: it is one of many in a row, or the driver means the bus.
+        """
+        wrapped = error.__cause__ if isinstance(error, can.CanError) else None
+        if isinstance(wrapped or error, can.CanError | OSError):
             raise BusLost(first_line(error)) from error
-        if message is not None:
-            return to_frame(message, self._time_ns(message.timestamp))
-        if timeout_s > 0 and self._socket is not None and _has_hung_up(self._socket):
-            raise BusLost("the server closed the connection")
-        return None
+        self.drops += 1
+        self._drops_in_row += 1
+        if self._drops_in_row >= GARBLED_MAX:
+            raise BusLost(f"{GARBLED_MAX} lines in a row cannot be read: {first_line(error)}") from error
+        log.debug("a line of the adapter cannot be read: %r", error)
+        if wrapped is not None and (flush := getattr(self._bus, "flush", None)) is not None:
+            # python-can's slcan keeps what it could not decode, and would fail at it for ever.
+            try:
+                flush()
+            except Exception as failed:
+                raise BusLost(first_line(failed)) from failed
 
     def _time_ns(self, timestamp_s: float) -> int:
         """Return a frame's time of receipt since the epoch: by the interface's clock, if that keeps epoch time.
@@ -127,7 +155,7 @@ class CanBus:
             self._bus.send(to_message(frame))
         except can.CanOperationError as error:
             raise BusFull(first_line(error)) from error
-        except (can.CanError, OSError, ValueError) as error:
+        except Exception as error:
             if self._socket is not None:
                 _abort(self._socket)
             raise BusLost(first_line(error)) from error
@@ -147,27 +175,21 @@ class CanBus:
 
     def close(self) -> None:
         """Give the bus back. Never raises."""
-        try:
-            self._bus.shutdown()
-        except (can.CanError, OSError) as error:
-            log.debug("closing the bus: %s", error)
+        shut_down(self._bus)
+
+
+def shut_down(bus: can.BusABC) -> None:
+    """Give a bus of python-can back, whatever its driver makes of that."""
+    try:
+        bus.shutdown()
+    except Exception as error:  # noqa: BLE001 - foreign code raises what it likes
+        log.debug("closing the bus: %r", error)
 
 
 def first_line(error: Exception) -> str:
     """Return the first line of an error's text; python-can puts whole tracebacks behind it."""
     message = str(error).partition("Traceback (most recent call last)")[0].strip()
     return (message.splitlines() or [type(error).__name__])[0]
-
-
-def stream_socket(bus: can.BusABC) -> socket.socket | None:
-    """The TCP socket of a bus that has one.
-
-    python-can's socketcand reads an end of stream as "no message" for ever; only the socket itself reveals it.
-    """
-    for value in vars(bus).values():
-        if isinstance(value, socket.socket) and value.type == socket.SOCK_STREAM:
-            return value
-    return None
 
 
 def _tune(stream: socket.socket) -> None:
@@ -191,15 +213,6 @@ def _abort(stream: socket.socket) -> None:
         stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("@ii", 1, 0))
     except OSError as error:
         log.debug("the socket is gone already: %s", error)
-
-
-def _has_hung_up(stream: socket.socket) -> bool:
-    try:
-        return stream.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
 
 
 def to_frame(message: can.Message, wall_ns: int) -> Frame:

@@ -19,7 +19,7 @@ from typing import Final
 
 import can
 
-from gateway.can.can_bus import BusFull, BusLost
+from gateway.can.can_bus import BusFull, BusLost, shut_down
 from gateway.chassis.frame import EXTENDED, FD, IDENTIFIER_MASK, REMOTE, Frame
 
 log = logging.getLogger(__name__)
@@ -143,10 +143,7 @@ class SocketCanBus:
 
     def close(self) -> None:
         """Give the interface back. Never raises."""
-        try:
-            self._bus.shutdown()
-        except (can.CanError, OSError) as error:
-            log.debug("closing the bus: %s", error)
+        shut_down(self._bus)
 
 
 def check_up(channel: str) -> None:

@@ -524,7 +524,7 @@ def _losses(facts: Facts) -> Iterable[Detail]:
     counts = []
     if health is not None:
         counts = [
-            ("frames that the gateway did not read in time (bus_drops)", health.bus_drops),
+            ("frames that were not read in time, or garbled (bus_drops)", health.bus_drops),
             ("requests that it dropped unread (inbox_drops)", health.inbox_drops),
             ("samples that Zenoh did not take (publish_failures)", health.publish_failures),
             ("losses of the bus (bus_losses)", health.bus_losses),

@@ -77,7 +77,7 @@ def load(window: EvidenceWindow) -> list[Link]:
         said = health.said
         text = (
             f"gateway/health, {window.ago(health.time_ns)}: {said.frames_per_s:.0f} frames a second, "
-            f"{said.bus_drops} dropped by the kernel since the start, {said.cpu_percent:.0f} % of a core"
+            f"{said.bus_drops} dropped unread since the start, {said.cpu_percent:.0f} % of a core"
         )
         found.append(
             evidence(

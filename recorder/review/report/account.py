@@ -304,7 +304,7 @@ class Account:
             "lost frames": sum(frame.lost for frame in health.feedback),
             "frames with a wrong checksum": sum(frame.checksum_faults for frame in health.feedback),
             "frames with an implausible value": sum(frame.implausible for frame in health.feedback),
-            "frames that the kernel dropped": health.bus_drops,
+            "frames that were dropped unread": health.bus_drops,
             "losses of the bus": health.bus_losses,
             "samples that Zenoh did not take": health.publish_failures,
             "requests dropped unread": health.inbox_drops,

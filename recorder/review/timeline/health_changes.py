@@ -21,7 +21,7 @@ FAILURES_IN_WORDS: Final = {
 
 _COUNTS: Final[tuple[tuple[str, str], ...]] = (
     ("bus_losses", "the CAN bus was lost"),
-    ("bus_drops", "the kernel dropped frames that were not read in time"),
+    ("bus_drops", "frames were dropped: not read in time, or garbled"),
     ("publish_failures", "Zenoh did not take samples"),
     ("inbox_drops", "requests were dropped unread: too many came"),
 )

@@ -183,6 +183,16 @@ def test_a_lost_bus_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
     ]
 
 
+def test_a_bus_that_is_lost_at_its_first_read_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    """It was never seen to be up."""
+    bus = FakeBus([])
+    bus.is_up, bus.detail, bus.losses = False, "Input/output error", 1
+    zenoh = FakeZenoh()
+    with caplog.at_level(logging.INFO):
+        run(LoopPorts(bus, zenoh), core(), lambda: b"", lambda: len(zenoh.of("state")) >= 2)
+    assert caplog.records[0].getMessage() == "the bus is lost: Input/output error; trying again"
+
+
 def test_a_lost_zenoh_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     """When the last node goes the log says so, once; the ticks go on."""
     zenoh = FakeZenoh()

@@ -249,7 +249,9 @@ def test_a_missing_bus_is_one_clear_line() -> None:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         done = run(["gateway", "--interface", "socketcand", "--channel", address, "--listen", free_endpoint()])
     assert done.returncode == 4
-    says = f"no socketcand server at {address}: [Errno 111] Connection refused (--wait-for-bus starts without it)"
+    says = (
+        f"socketcand {address}: no server there: [Errno 111] Connection refused (--wait-for-bus starts without it)"
+    )
     assert done.stderr.splitlines() == [f"cruiser gateway: {says}"]
     done = run(["gateway", "--channel", "nosuchcan", "--listen", free_endpoint()])
     assert done.returncode == 4

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 
 from gateway.can.can_bus import (
+    GARBLED_MAX,
     BusFull,
     BusLost,
     CanBus,
@@ -107,12 +108,67 @@ def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_
         bus.close()
 
 
-@pytest.mark.parametrize("error", [OSError("Network is down"), ValueError("fd -1"), can.CanError("gone")])
+@pytest.mark.parametrize(
+    "error", [OSError("Network is down"), ValueError("fd -1"), can.CanError("gone"), IndexError("of a driver")]
+)
 def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
-    """python-can's own errors do not leave the port."""
+    """Nothing that a driver raises leaves the port, nor when it is closed."""
     bus = CanBus(FailingDriver(error))
-    try:
-        with pytest.raises(BusLost, match=str(error)):
-            bus.send(FRAME)
-    finally:
+    with pytest.raises(BusLost, match=str(error)):
+        bus.send(FRAME)
+    bus.close()
+
+
+def undecodable() -> can.CanError:
+    """What python-can's slcan makes of a line that is not ASCII."""
+    error = can.CanOperationError("Could not read from serial device")
+    error.__cause__ = UnicodeDecodeError("ascii", b"\xff", 0, 1, "ordinal not in range")
+    return error
+
+
+class GarblingDriver(can.BusABC):
+    """A driver that reads what it is told to: a message, or an error, which it repeats if it does not flush."""
+
+    def __init__(self, *outcomes: Exception | None) -> None:
+        super().__init__(channel="noisy")
+        self.outcomes = list(outcomes)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise AssertionError(f"{msg} {timeout}")
+
+    def flush(self) -> None:
+        del self.outcomes[0]
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        raise AttributeError("the port was closed before")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        del timeout
+        if isinstance(self.outcomes[0], can.CanError):
+            raise self.outcomes[0]
+        if (outcome := self.outcomes.pop(0)) is not None:
+            raise outcome
+        return can.Message(), True
+
+
+GARBLED = [IndexError("string index out of range"), ValueError("non-hexadecimal number"), undecodable()]
+
+
+@pytest.mark.parametrize("error", GARBLED)
+def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> None:
+    """The next frame is read at once; a frame in between ends a row."""
+    for row in (1, GARBLED_MAX - 1):
+        bus = CanBus(GarblingDriver(*([error] * row + [None]) * 3))
+        assert all(bus.receive(1) is not None for _ in range(3))
+        assert bus.drops == 3 * row
         bus.close()
+
+
+@pytest.mark.parametrize("error", GARBLED)
+def test_many_lines_in_a_row_that_cannot_be_read_are_a_lost_bus(error: Exception) -> None:
+    """Such as a wrong bit rate, or a driver whose port is gone."""
+    bus = CanBus(GarblingDriver(*[error] * 2 * GARBLED_MAX))
+    with pytest.raises(BusLost, match=f"^{GARBLED_MAX} lines in a row cannot be read"):
+        bus.receive(1)
+    bus.close()

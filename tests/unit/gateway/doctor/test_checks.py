@@ -203,7 +203,7 @@ CASES: dict[str, tuple[Facts, str]] = {
         "bench is full -> let the disk have room",
     ),
     "versions": (health(gateway_version="0.0.9"), "gateway 0.0.9; this is 0.1.0"),
-    "losses": (health(bus_drops=3), "3 frames that the gateway did not read in time"),
+    "losses": (health(bus_drops=3), "3 frames that were not read in time, or garbled"),
 }
 
 
