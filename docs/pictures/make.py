@@ -102,7 +102,7 @@ def desk(where: Path, picture: Path) -> None:
 def _stopped(page: Page, address: str) -> None:
     """Stop the last robot of the fleet, and return to the overview."""
     page.goto(f"{address}#/robot/cruiser-{ROBOTS}")
-    page.get_by_text("it waits for somebody who drives it").wait_for()
+    page.locator(".band .word", has_text="ready").wait_for()
     page.get_by_role("button", name=f"STOP cruiser-{ROBOTS}").click()
     page.get_by_text("stands, latched, by measurement").wait_for()
     page.get_by_role("button", name="Close").click()
@@ -111,7 +111,7 @@ def _stopped(page: Page, address: str) -> None:
 
 def _driven(page: Page) -> bytes:
     """The page of a robot that has driven for a while, and still does."""
-    driving = page.locator(".now .pill", has_text="driving")
+    driving = page.locator(".band .word", has_text="driving")
     while True:
         page.locator("tr", has_text="driving").get_by_role("link").click()
         page.wait_for_timeout(DRIVEN_MS)

@@ -36,10 +36,7 @@ POLL_S: Final = 0.01
 """The period in which arrivals are taken from Zenoh, and sent on to who looks at their robot."""
 
 ROWS_S: Final = 0.2
-"""The period of the overview."""
-
-BEAT_NS: Final = 1_000_000_000
-"""The period in which each browser is sent something: a page to which nothing comes knows that the desk hangs."""
+"""The period of the overview, sent also where nothing has changed: a page that receives nothing has no contact."""
 
 ASK_S: Final = 3.0
 """The longest wait for the replies to a question."""
@@ -134,8 +131,7 @@ class Hub:
         self._stopping: dict[str, set[Browser]] = {}
         self._view = FleetView(self._root, sites)
         self._browsers: set[Browser] = set()
-        self._now_ns = self._rows_ns = self._beat_ns = 0
-        self._linked = self._full = False
+        self._now_ns = self._rows_ns = 0
 
     def join(self) -> Browser:
         """Let a browser in. It is told what the desk is, and all rows."""
@@ -182,14 +178,9 @@ class Hub:
         linked = self._listener.connected()
         self._view.update(now_ns, linked=linked)
         rows, recorders = self._view.changed_rows(now_ns)
-        is_other = (linked, self._view.is_full) != (self._linked, self._full)
-        self._linked, self._full = linked, self._view.is_full
-        is_due = now_ns - self._beat_ns >= BEAT_NS
-        self._beat_ns = now_ns if is_due else self._beat_ns
         for browser in self._browsers:
-            if is_due or is_other or rows or recorders is not None or browser.outbox.robot:
-                browser.outbox.add_rows(rows, recorders, linked=linked, full=self._full)
-                browser.ready.set()
+            browser.outbox.add_rows(rows, recorders, linked=linked, full=self._view.is_full)
+            browser.ready.set()
             if browser.outbox.robot and (why := self._view.why(browser.outbox.robot, now_ns)) is not None:
                 browser.tell(why)
 

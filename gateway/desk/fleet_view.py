@@ -71,6 +71,7 @@ class FleetView:
         self._last_events: dict[str, deque[Received]] = {}
         self._recorders: dict[str, tuple[RecorderHealth, int]] = {}
         self._rows: dict[str, RobotRow] = {}
+        self._words: dict[str, tuple[str, int]] = {}
         self._recorder_rows: list[RecorderRow] = []
         self._history_ns = 0
 
@@ -126,6 +127,11 @@ class FleetView:
         }
         changed |= dict.fromkeys(self._rows.keys() - rows.keys())
         self._rows = rows
+        before = self._words
+        self._words = {
+            name: before[name] if name in before and before[name][0] == row.word else (row.word, now_ns)
+            for name, row in rows.items()
+        }
         self._recorders = {
             name: known for name, known in self._recorders.items() if now_ns - known[1] < HEALTH_STALE_NS
         }
@@ -150,7 +156,8 @@ class FleetView:
         report = self.report(robot, now_ns)
         if report.safety is None:
             return None
-        return DeskWhy(robot, *why_not(report.safety, report.health, robot))
+        since_ns = self._words.get(robot, ("", now_ns))[1]
+        return DeskWhy(robot, *why_not(report.safety, report.health, robot), (now_ns - since_ns) / 1e9)
 
     def events(self, robot: str) -> list[Received]:
         """Return the last events of a robot as they came, the oldest first."""

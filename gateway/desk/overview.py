@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.client.fleet import RobotStatus, alarm
-from gateway.client.reasons_text import is_idle, link_line, state_line, text_of
+from gateway.client.reasons_text import link_line, state_line, text_of
 from gateway.client.robot_word import FINE, LOOK, WORDS, word_of
 from gateway.desk.words import RecorderRow, RobotRow
 from schemas.decisions import SafetyEvent, SafetyState
@@ -57,15 +57,15 @@ def recorder_row(name: str, health: RecorderHealth) -> RecorderRow:
 
 def why_not(
     safety: SafetyState, health: GatewayHealth | None, robot: str
-) -> tuple[list[tuple[str, str, str]], bool, list[str]]:
-    """Return the reasons for which a robot does not move, whether it only waits, and what else to see to."""
+) -> tuple[list[tuple[str, str, str]], list[str]]:
+    """Return the reasons for which a robot does not move, and what else to see to."""
     reasons = [(one.value, *_text(one, robot, safety.blocked_by)) for one in safety.blocked_by]
     notes = [short(plain(note)) for note in health.notes] if health is not None else []
     if health is not None and not health.realtime:
         notes.append(_text(Reason.NO_REALTIME, robot)[0])
     if link := link_line(safety):
         notes.append(link)
-    return reasons, is_idle(safety.blocked_by), notes
+    return reasons, notes
 
 
 def reasons_in_words() -> dict[str, tuple[str, str]]:

@@ -242,14 +242,14 @@ class DeskWhy(_Told, frozen=True):
 
     Attributes:
         reasons: each with its meaning and its cure.
-        idle: nothing is wrong, it waits for somebody who drives it.
         notes: what else should be seen to.
+        since_s: for so long the desk has seen the robot's word.
     """
 
     robot: str
     reasons: list[tuple[str, str, str]]
-    idle: bool
     notes: list[str]
+    since_s: float
 
 
 class DeskHistory(_Told, frozen=True):

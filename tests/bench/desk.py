@@ -25,7 +25,7 @@ from tests.bench.command_latency import DRIVE_ID, Road, Witness, on_the_road
 from tests.bench.loads import Row, print_table
 from tests.bench.processes import quantile
 from tests.support.desk_client import DeskClient
-from tests.support.processes.desk import chromium, hold_pad, is_driven, take_control
+from tests.support.processes.desk import chromium, hold_pad, is_driven, take_control, wait_ready
 from tests.support.processes.gateway import Running
 from tests.support.processes.robots import name_of, robots
 from tests.support.processes.usage import cpu_s, rss_bytes
@@ -170,7 +170,7 @@ def _page(browser: Browser, address: str) -> Page:
     page = browser.new_page(locale="en-GB")
     page.add_init_script(CLOCK)
     page.goto(f"{address}#/robot/cruiser-1")
-    page.get_by_text("it waits for somebody who drives it").wait_for()
+    wait_ready(page)
     take_control(page)
     return page
 
@@ -178,7 +178,7 @@ def _page(browser: Browser, address: str) -> Page:
 def _press(page: Page, witness: Witness, random: Random) -> tuple[float, float]:
     """Press for a moment. Returns the times from press and release to their first frame, in ms."""
     if not is_driven(page):
-        page.get_by_text("it waits for somebody who drives it").wait_for()
+        wait_ready(page)
         take_control(page)
     _until_frame(witness, time.monotonic(), lambda raw: raw == 0)
     time.sleep(0.1 + 0.05 * random.random())

@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -68,9 +69,8 @@ class _EverythingAtOnce(FakeDeskListener):
 
     def __init__(self) -> None:
         super().__init__()
-        messages = [(word.replace("_", "-"), one) for word, said in STATES.items() for one in (*said, HEALTH)]
-        self._said: list[Arrival] = [received(one, robot) for robot, one in messages]
-        self._said.append(received(recorder_health(), "depot"))
+        self._said = [(word.replace("_", "-"), one) for word, said in STATES.items() for one in (*said, HEALTH)]
+        self._said.append(("depot", recorder_health()))
         severities = list(Severity)
         happened = [event(one, severity=severities[one % len(severities)]) for one in range(EVENTS)]
         self._happened = [received(one, "latched") for one in happened]
@@ -79,7 +79,10 @@ class _EverythingAtOnce(FakeDeskListener):
     def drain(self) -> Iterator[Arrival]:
         self._turn += 1
         if self._turn % TURNS == 0:
-            self.waiting += self._said
+            # What is said again with an old time is old.
+            now_ns = time.time_ns()
+            said = ((msgspec.structs.replace(one, time_ns=now_ns), who) for who, one in self._said)
+            self.waiting += [received(one, who) for one, who in said]
         if self._turn == EVENTS_TURN:
             self.waiting += self._happened
         yield from super().drain()

@@ -4,6 +4,7 @@ import { Lease, Robot, isAhead, random, runOf } from "./proof.js";
 
 const PERIOD_MS = 20; // 50 drive commands a second
 const FRESH_MS = 300; // of a state whose challenge is echoed: as long as the deadman
+const LOST_MS = 1000; // the robot has stopped by its deadman long ago: whoever drove it begins anew
 const ASLEEP_MS = 250; // a period that took so long: the page was frozen, and so was whoever holds the key
 const RENEW_MS = 500; // a lease expires after 2 s
 const STOP_MS = 10_000; // what a stop takes, at most
@@ -172,7 +173,8 @@ export class Control {
     const slept = nowMs - this.tickMs > ASLEEP_MS;
     this.tickMs = nowMs;
     if (slept) this.onsleep?.();
-    if (!this.link.connected) return this.end("", "");
+    if (!this.link.connected) return this.end("", "no contact with the desk");
+    if (nowMs - this.stateMs > LOST_MS) return this.end("", `no contact with ${this.robot}`);
     // Without a fresh challenge nothing is sent: the robot stops by its deadman.
     if (nowMs - this.stateMs > FRESH_MS || this.sending) return;
     const wish = slept ? null : this.wish();

@@ -29,6 +29,7 @@ export class DrivePanel {
     this.takeOver = button(t("take_over"), () => this.begin("take", this.may("override") ? { override: true } : {}));
     this.giveBack = button(t("give_back"), () => this.control.release());
     this.reset = button(t("reset"), () => this.clear());
+    this.buttons = h("div", { class: "tools" }, this.reset, this.take, this.askFor, this.takeOver, this.giveBack); // for the band above all
     this.lights = button(t("lights"), () => this.light(!this.lit));
     this.horn = button(t("sound_horn"), () => this.sound());
     this.asked = h("div", { class: "asked", role: "alert" });
@@ -42,7 +43,7 @@ export class DrivePanel {
     this.named = h("label", {}, `${t("your_name")} `, this.name);
     this.keys = keysBox(() => this.showWho());
     this.element = h("section", { class: "card wide drive" }, h("h2", {}, t("control")),
-      h("div", { class: "tools" }, this.who, this.named, this.take, this.askFor, this.takeOver, this.giveBack, this.reset, this.lights, this.horn,
+      h("div", { class: "tools" }, this.who, this.named, this.lights, this.horn,
         h("label", {}, `${t("top_speed")} `, this.speed, " ", this.speedText), this.keys),
       this.note, h("div", { class: "hands" }, this.pad, h("p", { class: "soft" }, t("hold"))), this.asked);
     this.showSpeed();
@@ -140,7 +141,7 @@ export class DrivePanel {
     control.onend = (reason, detail) => {
       held.end();
       this.pad.classList.remove("held");
-      setText(this.note, `${t("ended")}${reason ? `: ${meaningOf(reason)}${detail && ` (${said(detail)})`}` : ""}`);
+      setText(this.note, [t("ended"), reason ? `${meaningOf(reason)}${detail && ` (${said(detail)})`}` : said(detail)].filter(Boolean).join(": "));
       this.update(this.safety);
     };
     await control.begin(verb, more);
@@ -202,8 +203,8 @@ export class DrivePanel {
     const { driving } = this;
     const holder = safety?.lease_holder ?? "";
     const idle = safety !== null && !this.working && !driving;
-    this.take.disabled = !idle || holder !== "" || safety.latched.length > 0;
-    this.take.hidden = !this.isDriver;
+    this.take.disabled = !idle;
+    this.take.hidden = !this.isDriver || driving || holder !== "" || Boolean(safety?.latched.length);
     this.takeOver.hidden = driving || holder === "" || !this.may("take");
     this.takeOver.disabled = !idle;
     setText(this.takeOver, `${t("take_over")} ${holder}`);

@@ -1,5 +1,6 @@
 // The page: which of its views is shown, and who is told what arrives.
 
+import { FRESH_MS } from "./contact.js";
 import { DrivePanel, operatorName } from "./drive.js";
 import { setText } from "./elements.js";
 import { Link } from "./link.js";
@@ -7,6 +8,9 @@ import { Overview } from "./overview.js";
 import { RobotPage } from "./robot.js";
 import { Stops } from "./stops.js";
 import { changeLanguage, language, learnReasons, t } from "./words.js";
+
+const LOOK_MS = 100;
+const LOST = { level: 2, word: "silent", text: "", driver: "", speed_mps: null, limit_mps: null, link_age_s: null, lost: null, event: "", acknowledged: "", asked_by: [], reasons: [] };
 
 const byId = (id) => document.getElementById(id);
 const fleet = { rows: new Map(), recorders: [], linked: false };
@@ -46,11 +50,23 @@ function write() {
   showLink();
 }
 
+/** Whether anything comes, by this page's own clock; where nothing does, no row is shown as current. */
 function showLink() {
-  const element = byId("link");
-  const good = link.connected && fleet.linked;
-  element.className = `pill level${good ? 0 : 2}`;
-  setText(element, !link.connected ? t("no_desk") : t(fleet.linked ? "linked" : "unlinked"));
+  const isLost = link.silentMs > FRESH_MS;
+  const good = !isLost && fleet.linked;
+  byId("link").className = `pill level${good ? 0 : 2}`;
+  setText(byId("link"), t(good ? "linked" : "not_linked"));
+  if (isLost) loseRows();
+  if (view instanceof Overview) view.showContact(isLost ? t("desk_lost", (link.silentMs / 1000).toFixed(1)) : fleet.linked ? "" : t("unlinked"));
+}
+
+/** Keep the names: of each robot it is known only that nothing is. */
+function loseRows() {
+  const known = [...fleet.rows].filter(([, row]) => row.word !== "silent");
+  if (known.length === 0) return;
+  for (const [robot, row] of known) fleet.rows.set(robot, { ...row, ...LOST });
+  showTitle();
+  if (view instanceof Overview) view.update();
 }
 
 link.on("hello", (message) => {
@@ -77,13 +93,8 @@ link.on("history", ofShown((history) => view.receiveHistory(history, hello)));
 link.on("why", ofShown((why) => view.receiveWhy(why)));
 link.on("answer", ofShown((answer) => view.driver.receiveAnswer(answer)));
 link.on("refused", ({ fault }) => console.warn(fault));
-link.on("opened", showLink);
-link.on("closed", () => {
-  showLink();
-  // Rows that nobody brings up to date are no rows.
-  fleet.rows.clear();
-  if (view instanceof Overview) view.update();
-});
+link.on("closed", loseRows);
+setInterval(showLink, LOOK_MS);
 
 byId("stop-all").addEventListener("click", () => stops.stop("", operatorName()));
 byId("stop-one").addEventListener("click", () => stops.stop(shownRobot(), operatorName()));

@@ -23,7 +23,8 @@ export class Overview {
     this.empty = h("p", { class: "soft" }, t("no_robot"));
     this.full = h("p", { class: "pill level2", role: "alert", hidden: true }, t("too_many"));
     this.recorders = h("p", { class: "soft" });
-    this.element = h("div", {}, h("h1", { class: "heard" }, t("fleet")),
+    this.contact = h("p", { class: "band level2", role: "status", hidden: true });
+    this.element = h("div", {}, h("h1", { class: "heard" }, t("fleet")), this.contact,
       h("div", { class: "tools" }, wall ? null : [this.search, this.filter], this.site, this.count),
       wall ? this.body : h("table", { class: "fleet" }, this.head(), this.body),
       this.empty, this.full, this.recorders);
@@ -64,6 +65,12 @@ export class Overview {
     const gib = (bytes) => (bytes === null ? "--" : `${(bytes / 2 ** 30).toFixed(1)} GiB`);
     setText(this.recorders, this.fleet.recorders.length === 0 ? "" : `${t("recorders")}: ${this.fleet.recorders
       .map((one) => `${one.name} ${valueOf(one.state)}, ${robots(one.robots)}, ${one.lost} ${t("lost_samples")}, ${gib(one.disk_free_bytes)} ${t("free")}`).join("; ")}`);
+  }
+
+  /** Say that nothing here is current, and why; nothing where all is well. */
+  showContact(text) {
+    this.contact.hidden = text === "";
+    setText(this.contact, text);
   }
 
   isShown(name, row, wanted) {

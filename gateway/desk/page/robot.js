@@ -1,10 +1,10 @@
-// One robot closely: why it does not move, speeds and angles over time, its path, its chassis, its events.
+// One robot closely: what it does, its blockers, speeds and angles over time, its path, its chassis, its events.
 
+import { FRESH_MS, SampleClock } from "./contact.js";
 import { h, number, setText } from "./elements.js";
 import { Path } from "./path.js";
 import { languageOf, meaningOf, said, t, textOf, valueOf, whyOf, wordOf } from "./words.js";
 
-const FRESH_MS = 1000; // as for `cruiser watch`: older than that nothing is shown as current
 const SHOWN_S = 120;
 const EVENTS_SHOWN = 50;
 const IDLE = ["no_lease", "not_engaged"];
@@ -19,36 +19,37 @@ export class RobotPage {
     this.name = name;
     this.fleet = fleet;
     this.driver = driver; // the panel to drive it
-    this.state = this.safety = this.health = null; // the newest of each, decoded
-    this.stateMs = -Infinity;
-    this.resets = []; // the buttons beside latched reasons
+    this.state = this.safety = this.why = null; // the newest of each, decoded; null once it is old
+    this.heardMs = performance.now(); // a robot of which nothing comes is lost from now on
+    this.safetyMs = this.whyMs = 0;
+    this.clock = new SampleClock();
     this.points = [[], ...[...SPEEDS, ...ANGLES].map(() => [])]; // time, and each field
-    this.pill = h("span", { class: "pill" });
+    this.word = h("b", { class: "word" });
+    this.what = h("span");
+    this.alert = h("span", { class: "heard", role: "alert" }); // what a screen reader says once, not ten times a second
+    this.band = h("section", { class: "band wide", "aria-label": t("state") }, h("h1", {}, name), this.word, this.what, this.alert, driver.buttons);
     this.speed = h("span", { class: "big" });
     this.angle = h("span", { class: "big" });
-    this.holder = h("span");
     this.gauge = h("i");
     this.linkText = h("span");
-    this.text = h("p", { class: "soft" });
-    this.reasons = h("div");
-    this.why = h("section", { class: "card wide why", "aria-label": t("why") }, h("h2", {}, t("why")), this.reasons);
+    this.notes = h("ul", { class: "card wide soft notes" });
+    this.reasons = h("ul");
+    this.blockers = h("section", { class: "card wide why", "aria-label": t("blockers"), hidden: true }, h("h2", {}, t("blockers")), this.reasons);
     this.facts = h("dl", { class: "facts" });
     this.events = h("ul", { class: "events", tabindex: "0", "aria-label": t("events") }, h("li", { class: "soft" }, t("no_events")));
     this.charts = [h("div", { class: "chart" }), h("div", { class: "chart" })];
     this.logs = h("ul", { class: "events" });
-    this.logCard = h("section", { class: "card wide", "aria-label": t("logs"), hidden: true }, h("h2", {}, t("logs")), this.logs);
+    this.logCard = h("section", { class: "card wide past", "aria-label": t("logs"), hidden: true }, h("h2", {}, t("logs")), this.logs);
     const canvas = h("canvas", { class: "path", role: "img", "aria-label": t("path") });
     this.path = new Path(canvas);
-    this.element = h("div", { class: "robot" },
+    this.element = h("div", { class: "robot" }, this.band,
       h("section", { class: "card wide top" },
-        h("div", { class: "now" }, h("h1", {}, name), this.pill, this.speed, this.angle,
-          h("span", {}, `${t("driver")}: `, this.holder),
-          h("span", { class: "link" }, `${t("link_age")}: `, h("span", { class: "gauge" }, this.gauge), " ", this.linkText)),
-        this.text),
-      this.why, this.driver.element,
-      h("section", { class: "card" }, h("h2", {}, t("speed_chart")), this.charts[0], h("h2", {}, t("angle_chart")), this.charts[1]),
+        h("div", { class: "now" }, this.speed, this.angle,
+          h("span", { class: "link" }, `${t("link_age")}: `, h("span", { class: "gauge" }, this.gauge), " ", this.linkText))),
+      this.blockers, this.driver.element, this.notes,
+      h("section", { class: "card past" }, h("h2", {}, t("speed_chart")), this.charts[0], h("h2", {}, t("angle_chart")), this.charts[1]),
       h("section", { class: "card" }, h("h2", {}, t("path")), canvas, h("h2", {}, t("facts")), this.facts),
-      h("section", { class: "card wide" }, h("h2", {}, t("events")), this.events), this.logCard);
+      h("section", { class: "card wide past" }, h("h2", {}, t("events")), this.events), this.logCard);
     this.update();
   }
 
@@ -104,17 +105,20 @@ export class RobotPage {
     if (subject === "safety/state") this.driver.receiveState(sample);
     if (!(await this.driver.believes(sample))) return;
     const message = MessagePack.decode(payload);
-    if (subject === "safety/state") this.safety = message;
-    else if (subject === "gateway/health") this.health = message;
-    else if (subject === "safety/event") this.receiveEvent(message);
-    else if (subject === "state") this.receiveState(message);
+    if (subject === "safety/event") return this.receiveEvent(message);
+    if (subject !== "state" && subject !== "safety/state") return;
+    // What has waited behind something that hung is not what the robot does now.
+    const nowMs = performance.now();
+    if (this.clock.delayMs(message.time_ns, nowMs) > FRESH_MS) return;
+    if (subject === "state") return this.receiveState(message, nowMs);
+    this.safety = message;
+    this.safetyMs = nowMs;
   }
 
-  receiveState(state) {
-    const nowMs = performance.now();
-    const sinceS = Math.min((nowMs - this.stateMs) / 1000, FRESH_MS / 1000);
+  receiveState(state, nowMs) {
+    const sinceS = Math.min(nowMs - this.heardMs, FRESH_MS) / 1000;
     this.state = state;
-    this.stateMs = nowMs;
+    this.heardMs = nowMs;
     if (this.wheelbase) this.path.go(state.speed_mps, state.angle_deg, sinceS, this.wheelbase);
     const safety = this.safety;
     const limit = safety && Math.min(safety.speed_limit_mps, safety.travel_speed_limit_mps ?? Infinity);
@@ -133,51 +137,63 @@ export class RobotPage {
 
   /** Why it does not move, as the desk puts it in words. */
   receiveWhy(why) {
-    const text = JSON.stringify([why, this.safety?.latched]);
-    if (this.whyText === text) return;
-    this.whyText = text;
-    // That nobody drives it is no fault: the panel below says how to.
-    const told = why.reasons.filter(([reason]) => !IDLE.includes(reason));
-    this.resets = [];
-    const reset = () => {
-      const button = h("button", { type: "button", class: "small", disabled: true, onclick: () => this.driver.attempt(() => this.driver.clear()) }, t("reset"));
-      this.resets.push(button);
-      return button;
-    };
-    const cures = (reason) => this.safety?.latched.includes(reason) && this.driver.may("reset") && [" ", reset()];
-    const items = told.map(([reason, means, cure]) => {
-      const [ours, how] = whyOf(reason, means, cure, this.name);
-      return h("li", {}, h("b", {}, ours), ` (${reason})`, cures(reason), how && h("div", { class: "soft" }, `${t("cure")}: ${how}`));
-    });
-    const notes = why.notes.map((note) => h("li", { class: "soft", lang: languageOf(note) }, said(note)));
-    const verdict = why.reasons.length === 0 ? t("does_as_told") : why.idle ? t("nothing_wrong") : "";
-    this.reasons.replaceChildren(verdict && h("p", {}, verdict), items.length ? h("ul", {}, items) : "", notes.length ? h("ul", {}, notes) : "");
+    this.why = why;
+    this.whyMs = performance.now();
   }
 
-  get isFresh() {
-    return performance.now() - this.stateMs < FRESH_MS;
+  showWhy() {
+    const text = JSON.stringify(this.why && [this.why.reasons, this.why.notes]);
+    if (this.whyText === text) return;
+    this.whyText = text;
+    // That no client drives it is no fault: the band says so.
+    const blockers = (this.why?.reasons ?? []).filter(([reason]) => !IDLE.includes(reason));
+    this.reasons.replaceChildren(...blockers.map(([reason, means, cure]) => {
+      const [ours, how] = whyOf(reason, means, cure, this.name);
+      return h("li", {}, h("b", {}, ours), ` (${reason})`, how && h("div", { class: "soft" }, `${t("cure")}: ${how}`));
+    }));
+    this.blockers.hidden = blockers.length === 0;
+    this.notes.replaceChildren(...(this.why?.notes ?? []).map((note) => h("li", { lang: languageOf(note) }, said(note))));
+  }
+
+  /** Nothing came for a second, by this page's own clock: whatever hangs or has died, the robot may be moving. */
+  get isLost() {
+    return performance.now() - this.heardMs >= FRESH_MS;
+  }
+
+  /** The one line that matters: the state as a word, who has it, why and since when. */
+  showBand(row) {
+    const known = row !== undefined && (this.isLost ? row.word === "silent" : this.state !== null);
+    this.band.className = `band wide level${this.isLost ? 2 : known ? row.level : 1}`;
+    setText(this.word, this.isLost ? wordOf("silent") : known ? wordOf(row.word) : "…");
+    const parts = this.isLost ? [t("no_contact", this.name, ((performance.now() - this.heardMs) / 1000).toFixed(1))] : [];
+    const holder = this.safety?.lease_holder;
+    if (holder) parts.push(this.driver.driving ? t("in_control_here") : t("in_control", holder));
+    if (known && row.level > 0) parts.push([textOf(row), !this.isLost && this.safety?.latched.length && said(this.safety.stop_detail)].filter(Boolean).join(", "));
+    if (this.why) parts.push(t("since", new Date(Date.now() - 1000 * this.why.since_s).toLocaleTimeString()));
+    setText(this.what, parts.join(" · "));
+    if (!this.isLost) setText(this.alert, "");
+    else if (!this.alert.textContent) setText(this.alert, parts[0]);
   }
 
   update() {
+    const nowMs = performance.now();
+    if (this.isLost) this.state = this.safety = this.why = null;
+    if (nowMs - this.safetyMs >= FRESH_MS) this.safety = null;
+    if (nowMs - this.whyMs >= FRESH_MS) this.why = null;
     const row = this.fleet.rows.get(this.name);
-    const level = this.isFresh ? (row?.level ?? 0) : 2;
-    this.pill.className = `pill level${level}`;
-    setText(this.pill, this.isFresh && row ? wordOf(row.word) : wordOf("silent"));
-    this.why.className = `card wide why level${level}`;
     const { state, safety } = this;
-    const fresh = this.isFresh ? state : null;
-    setText(this.speed, number(fresh?.speed_mps, 2, "m/s"));
-    setText(this.angle, number(fresh?.angle_deg, 1, "°"));
-    setText(this.holder, safety?.lease_holder || t("nobody"));
-    setText(this.text, this.isFresh ? (row ? textOf(row) : "") : t("silent_now"));
-    const age = this.isFresh ? safety?.link_age_s : null;
-    setText(this.linkText, age === null || age === undefined ? t("obeys_none") : `${Math.round(1000 * age)} ms, ≤ ${number(safety.travel_speed_limit_mps, 2, "m/s")}`);
-    const share = age === null || age === undefined ? 0 : Math.min(1, safety.travel_speed_limit_mps / safety.speed_limit_mps);
+    this.element.classList.toggle("lost", this.isLost);
+    this.showBand(row);
+    this.showWhy();
+    setText(this.speed, number(state?.speed_mps, 2, "m/s"));
+    setText(this.angle, number(state?.angle_deg, 1, "°"));
+    const age = safety?.link_age_s ?? null;
+    setText(this.linkText, age === null ? t("obeys_none") : `${Math.round(1000 * age)} ms, ≤ ${number(safety.travel_speed_limit_mps, 2, "m/s")}`);
+    const share = age === null ? 0 : Math.min(1, safety.travel_speed_limit_mps / safety.speed_limit_mps);
     this.gauge.style.width = `${100 * share}%`;
-    this.updateFacts(fresh);
-    this.driver.update(this.isFresh ? safety : null);
+    this.updateFacts(state);
+    this.driver.update(safety);
     this.driver.showAskers(row?.asked_by ?? []);
-    for (const button of this.resets) button.disabled = this.driver.reset.disabled;
     // Nothing whose size changes stands above the pad while it may be held.
     this.element.classList.toggle("driving", this.driver.driving);
     this.path.draw();

@@ -2,15 +2,17 @@
 
 const EN = {
   fleet: "Fleet", wall: "Wall", stop: "STOP", stop_all: "STOP ALL", other_language: "中文",
-  linked: "connected", unlinked: "no Zenoh node is connected", no_desk: "no connection to the desk: nothing here is current",
+  linked: "connected", not_linked: "not connected", no_desk: "no connection to the desk: nothing here is current",
+  unlinked: "The desk has no contact with any robot: it is not connected to Zenoh. Robots may be moving. Look at them; use the button on the robot.",
+  no_contact: "No contact with $1 for $2 s. It may be moving. Look at it; use the button on the robot.",
+  desk_lost: "No contact with the desk for $1 s. Robots may be moving. Look at them; use the button on the robot.",
+  in_control: "$1 is in control", in_control_here: "you are in control", since: "since $1",
   search: "Search robots", all: "all", needs_person: "needs a person", need_person: "need a person", robots: "robots", one_robot: "robot", unseen: "not acknowledged",
   site: "Site", all_sites: "all sites", acknowledge: "Acknowledge", seen_by: "acknowledged by",
   robot: "Robot", state: "State", driver: "Driver", speed: "Speed", limit: "Limit", link_age: "Link", lost: "Lost frames", lost_samples: "lost", what: "What",
   no_robot: "No robot is heard.",
   too_many: "More robots or recorders are heard than the desk shows: those that came first are shown. STOP ALL reaches all. If there are not so many, a stranger is on the network.", recorders: "Recorders", free: "free", nobody: "nobody", last_event: "last event",
-  why: "Why it does not move", nothing_wrong: "Nothing is wrong: it waits for somebody who drives it.",
-  does_as_told: "Nothing keeps it from moving.", cure: "Cure",
-  silent_now: "Nothing is heard of this robot. What is below is not current.",
+  blockers: "Blockers", cure: "Cure",
   speed_chart: "Speed, m/s", angle_chart: "Steering angle, degrees", asked: "asked", told: "told", measured: "measured",
   path: "Path by odometry", forward: "forward", left: "left", events: "Events", no_events: "none", facts: "Chassis",
   mode: "Mode", gear: "Gear", braking: "Brake", parking: "Parking brake", bumpers: "Bumpers", lamps: "Lamps", mileage: "Mileage",
@@ -51,14 +53,17 @@ const EN = {
 
 const ZH = {
   fleet: "车队", wall: "大屏", stop: "停车", stop_all: "全部停车", other_language: "English",
-  linked: "已连接", unlinked: "没有连接到 Zenoh 节点", no_desk: "与控制台的连接已断开：页面内容不是最新",
+  linked: "已连接", not_linked: "未连接", no_desk: "与控制台的连接已断开：页面内容不是最新",
+  unlinked: "控制台没有连接到 Zenoh，收不到任何机器人的数据。机器人可能正在移动：请看着它们，使用车身上的急停按钮。",
+  no_contact: "与 $1 失去联系已 $2 秒。它可能正在移动：请看着它，使用车身上的急停按钮。",
+  desk_lost: "与控制台失去联系已 $1 秒。机器人可能正在移动：请看着它们，使用车身上的急停按钮。",
+  in_control: "$1 持有控制权", in_control_here: "您持有控制权", since: "自 $1",
   search: "搜索机器人", all: "全部", needs_person: "需要处理", need_person: "台需要处理", robots: "台机器人", one_robot: "台机器人", unseen: "台未确认",
   site: "站点", all_sites: "全部站点", acknowledge: "确认", seen_by: "已确认：",
   robot: "机器人", state: "状态", driver: "驾驶者", speed: "速度", limit: "限速", link_age: "链路", lost: "丢帧", lost_samples: "丢失", what: "说明",
   no_robot: "没有收到任何机器人的数据。",
   too_many: "收到的机器人或记录器多于控制台能显示的数量：只显示最先出现的。“全部停车”对所有机器人有效。如果实际没有这么多，说明网络上有陌生设备。", recorders: "记录器", free: "剩余", nobody: "无人", last_event: "最近事件",
-  why: "为什么不动", nothing_wrong: "一切正常：等待有人驾驶。", does_as_told: "没有任何因素阻止它行驶。", cure: "处理办法",
-  silent_now: "收不到这台机器人的数据，以下内容不是最新。",
+  blockers: "阻碍行驶的因素", cure: "处理办法",
   speed_chart: "速度，米/秒", angle_chart: "转向角，度", asked: "请求", told: "下发", measured: "实测",
   path: "里程计轨迹", forward: "前", left: "左", events: "事件", no_events: "无", facts: "底盘",
   mode: "模式", gear: "挡位", braking: "制动", parking: "驻车制动", bumpers: "防撞条", lamps: "灯光", mileage: "里程",
@@ -208,6 +213,7 @@ const ZH = {
     [/^its safety\/state says so too briefly$/, "它的 safety/state 这样显示的时间太短"], [/^its speed is not seen$/, "看不到它的速度"],
     [/^it is seen to stand too briefly$/, "看到它静止的时间太短"], [/^it is seen to move at ([\d.]+) m\/s$/, "看到它在以 $1 m/s 移动"],
     [/^(\S+) does not answer (\w+)$/, "$1 没有应答 $2"], [/^(\S+): no reply$/, "$1：没有应答"], [/^given up$/, "已放弃"],
+    [/^no contact with the desk$/, "与控制台失去联系"], [/^no contact with (\S+)$/, "与 $1 失去联系"],
     [/^no state to believe comes from (\S+)$/, "收不到 $1 的可信状态"], [/^the reply is not the robot's$/, "应答不是这台机器人发出的"],
     [/^the replies contradict each other: another gateway of this name, or an impostor, is there$/, "各个应答互相矛盾：有另一个同名的网关，或有人冒充"],
     [/^the robot's grant is not one statement of the authority$/, "机器人的授权不是授权方的一份声明"], [/^the robot's grant is of another authority$/, "机器人的授权来自另一个授权方"],
@@ -228,8 +234,8 @@ const ZH = {
 
 let words = (localStorage.getItem("language") ?? navigator.language).startsWith("zh") ? ZH : EN;
 
-/** A text of the page. */
-export const t = (name) => words[name] ?? EN[name] ?? name;
+/** A text of the page; $1 and so on are these parts. */
+export const t = (name, ...parts) => (words[name] ?? EN[name] ?? name).replace(/\$(\d)/g, (_, at) => parts[at - 1]);
 
 /** What a robot does or suffers. */
 export const wordOf = (word) => words.word[word] ?? word;

@@ -4,8 +4,9 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
 from gateway.can.open_bus import open_bus
@@ -16,7 +17,7 @@ from schemas.messages import Variant
 from schemas.settings import CanSettings
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.browser import browser
-from tests.support.processes.gateway import Running, chassis, gateway
+from tests.support.processes.gateway import Running, chassis
 from tests.support.processes.guard import Burst, Listener
 from tests.support.waiting import wait_until
 
@@ -35,16 +36,29 @@ class DeskScene:
     """A robot on a served bus, and a desk that shows it.
 
     Attributes:
-        endpoint: where the gateway listens.
+        endpoint: where the desk finds the gateway.
         address: where the desk is, as it is typed into a browser.
         desk: its process.
+        router: the process between gateway and desk, if there is one.
     """
 
-    def __init__(self, stack: ExitStack, *words: str, desk_words: Sequence[str] = ()) -> None:
-        """Start all of it; ``words`` are the gateway's."""
+    def __init__(
+        self, stack: ExitStack, *words: str, desk_words: Sequence[str] = (), routed: Path | None = None
+    ) -> None:
+        """Start all of it; ``words`` are the gateway's. With a directory for its files, a router too."""
         self.endpoint = free_endpoint()
+        self.router: Running | None = None
+        if routed is not None:
+            for mode in ("router", "client"):
+                (routed / f"{mode}.json5").write_text(f'{{mode: "{mode}"}}')
+            routing = ("--zenoh-config", str(routed / "router.json5"), "--listen", self.endpoint)
+            self.router = stack.enter_context(Running("router", *routing))
+            self.router.wait_says("^router: ")
         _, self.bus = stack.enter_context(chassis())
-        self.gateway = stack.enter_context(gateway(self.bus, self.endpoint, *words))
+        place = ("--listen",) if routed is None else ("--zenoh-config", str(routed / "client.json5"), "--connect")
+        bus = ("--interface", "socketcand", "--channel", self.bus)
+        self.gateway = stack.enter_context(Running("gateway", *bus, *place, self.endpoint, *words))
+        self.gateway.wait_says("^gateway: ")
         self.listener = Listener(open_bus(CanSettings(interface="socketcand", channel=self.bus)))
         stack.callback(self.listener.close)
         where = ("--listen", "127.0.0.1:0", "--connect", self.endpoint)
@@ -76,10 +90,10 @@ class DeskScene:
 
 
 @contextmanager
-def desk_scene(*words: str, desk_words: Sequence[str] = ()) -> Iterator[DeskScene]:
-    """A robot and a desk."""
+def desk_scene(*words: str, desk_words: Sequence[str] = (), routed: Path | None = None) -> Iterator[DeskScene]:
+    """A robot and a desk; with a directory for its files, a router between them."""
     with ExitStack() as stack:
-        yield DeskScene(stack, *words, desk_words=desk_words)
+        yield DeskScene(stack, *words, desk_words=desk_words, routed=routed)
 
 
 @contextmanager
@@ -101,37 +115,45 @@ def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str
     """
     page = context.new_page()
     page.goto(f"{address or scene.address}#/robot/cruiser-1")
-    waits = page.get_by_text("it waits for somebody who drives it")
-    why = page.locator(".why")
-    wait_until(lambda: waits.is_visible() or why.get_by_role("button", name="Reset").is_visible())
-    if not waits.is_visible():
-        print(why.inner_text(), page.locator(".events").first.inner_text())  # noqa: T201 - whoever reads the figures wants it
-        reset(page, page.locator(".drive"))
+    band = page.locator(".band")
+    wait_until(lambda: is_ready(page) or band.get_by_role("button", name="Reset").is_visible())
+    if not is_ready(page):
+        print(band.inner_text(), page.locator(".events").first.inner_text())  # noqa: T201 - whoever reads the figures wants it
+        reset(page)
     return page
+
+
+def is_ready(page: Page) -> bool:
+    """The page says that the robot waits for somebody who drives it."""
+    return page.locator(".band .word", has_text="ready").is_visible()
+
+
+def wait_ready(page: Page) -> None:
+    """Wait until it says so."""
+    page.locator(".band .word", has_text="ready").wait_for()
 
 
 def take_control(page: Page) -> None:
     """Engage the robot from its page; again, where a busy machine let it stop by its deadman at once."""
-    button = page.get_by_role("button", name="Take control")
+    button = page.locator("button:visible:enabled", has_text="Take control")
     for _ in range(ATTEMPTS):
         button.click()
-        wait_until(lambda: is_engaged(page) or button.is_enabled())
+        wait_until(lambda: is_engaged(page) or button.count())
         if is_engaged(page):
             return
     raise AssertionError(f"the robot was not engaged: {page.locator('.drive').inner_text()}")
 
 
-def reset(page: Page, where: Locator) -> None:
-    """Reset the robot by the button there; again, as long as a stop is said anew, or the guard still sends."""
-    button = where.get_by_role("button", name="Reset")
-    cured = page.get_by_text("it waits for somebody who drives it")
+def reset(page: Page) -> None:
+    """Reset the robot by the band's button; again, as long as a stop is said anew, or the guard still sends."""
+    button = page.locator(".band").get_by_role("button", name="Reset")
 
     def press() -> None:
         # It goes when the robot is cured.
         with suppress(PlaywrightTimeoutError):
             button.click(timeout=1000)
 
-    wait_until(cured.is_visible, press)
+    wait_until(lambda: is_ready(page), press)
 
 
 def is_engaged(page: Page) -> bool:

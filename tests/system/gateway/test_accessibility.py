@@ -64,7 +64,7 @@ def robot(page: Page, address: str) -> None:
 def kiosk(page: Page, address: str) -> None:
     """One that moves, for itself."""
     page.goto(f"{address}#/kiosk/driving")
-    page.locator(".why p, .why li").first.wait_for()
+    page.locator(".band .word", has_text="driving").wait_for()
 
 
 def report(page: Page, address: str) -> None:
