@@ -20,6 +20,7 @@ from gateway.cli.configuration_file import SYSTEM_FILE, load_settings
 from gateway.client.payloads import read_sample
 from gateway.doctor.checks import Diagnosis, diagnose, summary
 from gateway.doctor.facts import Facts, ZenohReport
+from gateway.doctor.reach import reach
 from gateway.host.bus_look import listen, look_at_interface
 from gateway.host.computer_look import (
     booted_s,
@@ -45,7 +46,7 @@ from schemas.messages import GatewayHealth, GatewayInfo, Message, RobotState
 from schemas.printable import plain
 from schemas.recording import RecorderHealth
 from schemas.setting_table import CONFIG_VARIABLE, SETTINGS
-from schemas.settings import CanSettings, Settings, ZenohSettings
+from schemas.settings import Settings, ZenohSettings
 
 EXAMPLE: Final = """\
   cruiser doctor
@@ -78,7 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     parser.description = (
         "Listens to the bus, asks the gateway and the recorder, and looks at this computer. One line a finding, "
-        "with its cure; exit code 1 if something must be done. It sends no command."
+        "with its cure; exit code 1 if something must be done. Then the metres that the settings add up to. It "
+        "sends no command."
     )
     parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot")
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
@@ -90,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout", type=seconds, default=3.0, metavar="S", help="how long to wait for the gateway (3)"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object: ok, summary, findings")
+    parser.add_argument("--json", action="store_true", help="one JSON object: ok, summary, findings, reach")
     add_zenoh_arguments(parser)
 
 
@@ -153,9 +155,11 @@ def look(
     now_s = time.time()
     zenoh = ask(settings, timeout_s, stopped)
     bus_of_settings = ""
-    if follows_gateway and zenoh.can is not None and describe(zenoh.can) != describe(settings.can):
-        bus_of_settings = f"{describe(settings.can)}, by the settings here; the gateway that runs says so"
-        settings = msgspec.structs.replace(settings, can=zenoh.can)
+    if zenoh.settings is not None:
+        settings = msgspec.structs.replace(settings, command=zenoh.settings.command)
+        if follows_gateway and describe(zenoh.settings.can) != describe(settings.can):
+            bus_of_settings = f"{describe(settings.can)}, by the settings here; the gateway that runs says so"
+            settings = msgspec.structs.replace(settings, can=zenoh.settings.can)
     return Facts(
         settings,
         version("cruiser-gateway"),
@@ -181,10 +185,14 @@ def report(facts: Facts, found: list[Diagnosis], *, as_json: bool) -> ExitCode:
     is_well = all(one.is_note for one in found)
     text = summary(facts) if is_well else ""
     if as_json:
-        record = {"ok": is_well, "summary": text, "findings": found}
+        said = reach(facts)
+        ways = [way._asdict() for way in said.ways]
+        record = {"ok": is_well, "summary": text, "findings": found, "reach": said._asdict() | {"ways": ways}}
         sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")
     else:
         sys.stdout.writelines(f"{one.line}\n" for one in found)
+        if not facts.settings.gateway.listen_only:
+            sys.stdout.writelines(f"{line}\n" for line in reach(facts).lines)
         if is_well:
             sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
@@ -246,7 +254,7 @@ def _ask(
         ahead_s,
         _clock_moved_s(health, runs) if isinstance(health, GatewayHealth) else 0.0,
         [recorders[name] for name in sorted(recorders)],
-        _can_of(runs),
+        _settings_of(runs),
     )
 
 
@@ -261,13 +269,13 @@ def _runs(replies: Iterable[Received]) -> dict[int, GatewayInfo]:
     return {info.started_ns: info for info in found if isinstance(info, GatewayInfo)}
 
 
-def _can_of(runs: Mapping[int, GatewayInfo]) -> CanSettings | None:
-    """The bus of the gateway by its own configuration; None where that is not known of just one."""
+def _settings_of(runs: Mapping[int, GatewayInfo]) -> Settings | None:
+    """The settings of the gateway by its own word; None where that is not known of just one."""
     if len(runs) != 1:
         return None
     (info,) = runs.values()
     with suppress(CommandError):  # It may be of another version.
-        return merge(TomlSource("gateway/info", info.configuration, is_recorded=True), {}, {}).can
+        return merge(TomlSource("gateway/info", info.configuration, is_recorded=True), {}, {})
     return None
 
 

@@ -7,7 +7,7 @@ import msgspec
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, RobotState
 from schemas.recording import RecorderHealth
-from schemas.settings import CanSettings, Settings
+from schemas.settings import Settings
 
 
 class CanInterface(msgspec.Struct, frozen=True):
@@ -59,7 +59,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
         health, safety, state: the newest of the robot; None if there was none.
         ahead_s: the robot's clock against this machine's.
         clock_moved_s: so far somebody has set the robot's clock since its gateway started; below zero: back.
-        can: the bus of the one gateway that answers, by its configuration; None if that is not known.
+        settings: those of the one gateway that answers; None if they are not known.
         recorders: the newest of each recorder.
     """
 
@@ -74,7 +74,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
     ahead_s: float = 0.0
     clock_moved_s: float = 0.0
     recorders: list[RecorderHealth] = []
-    can: CanSettings | None = None
+    settings: Settings | None = None
 
 
 class ServiceUnit(msgspec.Struct, frozen=True):

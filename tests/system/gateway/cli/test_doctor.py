@@ -48,6 +48,8 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
         # The recorder of a busy machine may miss samples.
         elsewhere = [*ELSEWHERE, "note: losses"]
         lines = [line for line in done.stdout.splitlines() if not any(name in line for name in elsewhere)]
+        reach, lines = lines[:5], lines[5:]
+        assert reach[0].startswith("the settings allow 1.00 m/s")
         assert done.stderr == ""
         if done.returncode == 0:
             assert lines == ["standing, feedback complete, guarded, recording, open to this machine alone"]

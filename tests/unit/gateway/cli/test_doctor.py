@@ -11,6 +11,7 @@ from gateway.authority.transport import TransportRole
 from gateway.cli import doctor
 from gateway.doctor.checks import Diagnosis
 from gateway.doctor.facts import Facts
+from gateway.doctor.reach import reach
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import AuthoritySettings, CanSettings, Settings, ZenohSettings
 from tests.support.secured import Network
@@ -31,15 +32,18 @@ FACTS = Facts(Settings(), "0.1.0", 0.0)
 def test_a_line_a_finding_and_last_that_all_is_well(
     found: list[Diagnosis], code: ExitCode, printed: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A note changes neither exit code nor last line; as JSON it is the same."""
+    """A note changes neither exit code nor last line; as JSON it is the same. The settings' sum comes before."""
     assert doctor.report(FACTS, found, as_json=False) is code
     lines = capsys.readouterr().out.splitlines()
+    assert lines[1 if found else 0 :][:5] == reach(FACTS).lines
+    lines = [line for line in lines if line not in reach(FACTS).lines]
     assert len(lines) == len(printed)
     assert all(line.startswith(text) for line, text in zip(lines, printed, strict=True))
     assert doctor.report(FACTS, found, as_json=True) is code
     said = json.loads(capsys.readouterr().out)
     assert said["ok"] == (code is ExitCode.OK) == bool(said["summary"])
     assert [one["check"] for one in said["findings"]] == [one.check for one in found]
+    assert said["reach"]["speed_mps"] == 1.0
 
 
 def test_a_gateway_is_asked_where_it_listens() -> None:

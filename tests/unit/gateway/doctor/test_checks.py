@@ -15,6 +15,7 @@ from gateway.doctor.facts import (
     ServiceUnit,
     ZenohReport,
 )
+from gateway.doctor.reach import reach
 from schemas.messages import ControllerState, GatewayHealth, Variant
 from schemas.reasons import Reason
 from schemas.recorder_settings import RecorderSettings
@@ -23,6 +24,7 @@ from schemas.settings import (
     AuthoritySettings,
     CanSettings,
     ChassisSettings,
+    CommandSettings,
     Settings,
     ZenohSettings,
 )
@@ -297,3 +299,22 @@ def test_text_of_others_is_printed_as_text() -> None:
     """An escape sequence in what somebody sent is shown, not obeyed."""
     make: Callable[..., Facts] = health
     assert r"\x1b[2J" in diagnose(make(gateway_version="\x1b[2J"))[0].text
+
+
+def test_the_settings_add_up_to_metres() -> None:
+    """Those of the speed that the strictest limit allows, with the setting to change."""
+    found = reach(WELL)
+    assert (found.speed_mps, found.speed_setting) == (1.0, "command.speed_limit_mps")
+    assert [(round(way.notice_m, 2), round(way.stop_m, 2)) for way in found.ways] == [
+        (0.3, 0.57),
+        (1.0, 0.57),
+        (0.08, 0.4),
+        (0.0, 0.4),
+    ]
+    command = CommandSettings(speed_limit_mps=2.0, view_delay_s=0.2, travel_delay_m=0.8)
+    delayed = reach(replace(WELL, settings=replace(WELL.settings, command=command)))
+    assert (delayed.speed_mps, delayed.speed_setting) == (1.6, "command.travel_delay_m")
+    assert delayed.ways[0].notice_m == pytest.approx(0.8)
+    slow = replace(WELL.settings, command=CommandSettings(speed_limit_without_realtime_mps=0.5))
+    assert reach(replace(health(realtime=False), settings=slow)).speed_mps == 0.5
+    assert reach(replace(health(realtime=True), settings=slow)).speed_mps == 1.0
