@@ -1,8 +1,8 @@
 """Enrolment: a request, which leaves the machine where the keys stay, and a bundle in answer. Pure.
 
-A request is JSON, and is proven twice: the request for a certificate in it is signed by the TLS key, and the whole
-by the Ed25519 key that the grant is to be for. A bundle is two lines, like a statement: JSON, and the authority's
-signature over it.
+A request is JSON, and all of it is signed by each key in it: the Ed25519 key that the grant is to be for, and the
+TLS key of the request for a certificate. A bundle is two lines, like a statement: JSON, and the authority's
+signature over it. Their fingerprints, which people compare, cover all that is decided by them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,11 @@ from enum import Enum
 from typing import Annotated, Final, TypeVar
 
 import msgspec
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.hashes import SHA256
 from msgspec import Meta
 
 from gateway.authority.transport import TransportRole
@@ -63,6 +67,9 @@ _GRANTED: Final = {
 BY_SITES: Final = frozenset({EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER})
 """Whom a site lets in: people."""
 
+REQUEST_VERSION: Final = 2
+"""Requests of before name none: neither their signature nor their fingerprint covers the key for the grant."""
+
 Endpoint = Annotated[str, Meta(pattern=r"^(tls|quic)/[^\s]+:[0-9]+$", max_length=256)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.:-]{1,64}$")]
 
@@ -78,23 +85,28 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """A request to be let in.
 
     Attributes:
+        version: of this form.
         role: as what.
         names: of the robot, the person, or the hosts; the first one is the name in a grant.
         csr: request for a certificate, PEM; empty in a browser's, which connects with its desk's.
-        key: for the grant, Ed25519; empty where none is wanted.
-        proof: signature of that key, hexadecimal.
+        key: for the grant, Ed25519; none where none is wanted.
+        proof: signature of that key, hexadecimal; none where there is no key.
+        csr_proof: signature of the key in ``csr`` (ECDSA, SHA-256, DER), hexadecimal; none without ``csr``.
     """
 
+    version: int = 1
     role: EnrolmentRole
     names: Annotated[list[Name], Meta(min_length=1, max_length=16)]
     csr: str
     key: KeyHex | None = None
     proof: Annotated[str, Meta(pattern="^[0-9a-f]{128}$")] | None = None
+    csr_proof: Annotated[str, Meta(pattern="^([0-9a-f]{2}){8,72}$")] | None = None
 
     def signed(self) -> bytes:
-        """The text under the proof."""
-        parts = (self.role.value, *self.names, self.csr)
-        return signed_bytes(ProofKind.STATEMENT, b"request", *(part.encode() for part in parts))
+        """The text under both proofs, of which the fingerprint is."""
+        key = bytes.fromhex(self.key or "")
+        texts = (part.encode() for part in (self.csr, *self.names))
+        return signed_bytes(ProofKind.STATEMENT, b"request-2", self.role.value.encode(), key, *texts)
 
 
 class FleetPlace(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -133,29 +145,55 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     chain: str = ""
     signer: str = ""
 
+    @property
+    def fingerprint(self) -> str:
+        """The fingerprint of the authority that the bundle brings."""
+        return authority_fingerprint(self.authority, self.fleet, self.ca)
+
 
 def new_request(
-    role: EnrolmentRole, names: list[str], csr: str, private: Ed25519PrivateKey | None
+    role: EnrolmentRole,
+    names: list[str],
+    csr: str,
+    private: Ed25519PrivateKey | None,
+    tls: ec.EllipticCurvePrivateKey | None,
 ) -> EnrolmentRequest:
-    """A request, proven by the key that the grant is to be for.
+    """A request, proven by each of its keys.
+
+    Args:
+        role: as what.
+        names: see ``EnrolmentRequest``.
+        csr: the request for a certificate.
+        private: the key that the grant is to be for.
+        tls: the key of ``csr``.
 
     Raises:
         EnrolmentError: a name is not of its form.
     """
     key = None if private is None else private.public_key().public_bytes_raw().hex()
-    request = EnrolmentRequest(role=role, names=names, csr=csr, key=key)
-    if private is not None:
-        request = msgspec.structs.replace(request, proof=private.sign(request.signed()).hex())
+    request = EnrolmentRequest(version=REQUEST_VERSION, role=role, names=names, csr=csr, key=key)
+    text = request.signed()
+    request = msgspec.structs.replace(
+        request,
+        proof=None if private is None else private.sign(text).hex(),
+        csr_proof=None if tls is None else tls.sign(text, ec.ECDSA(SHA256())).hex(),
+    )
     return read_request(msgspec.json.encode(request))
 
 
 def read_request(text: bytes) -> EnrolmentRequest:
-    """A request, its own proof checked; that of the certificate's key is not checked here.
+    """A request, both of its proofs checked.
 
     Raises:
-        EnrolmentError: it is none, or its proof is wrong.
+        EnrolmentError: it is none, or a proof is wrong.
     """
     request = _decoded(text, EnrolmentRequest, "request")
+    if request.version != REQUEST_VERSION:
+        raise EnrolmentError(
+            f"it is a request of version {request.version}, whose fingerprint does not cover its key. Bring "
+            "Cruiser Gateway there to this version, and ask again: "
+            f"'cruiser provision renew {request.role.value}'; in a browser, load the page again and save another"
+        )
     if request.role.is_granted != (request.key is not None):
         why = "is granted nothing, and has a key" if request.key else "has no key for its grant"
         raise EnrolmentError(f"{request.role.value} {why}")
@@ -164,11 +202,35 @@ def read_request(text: bytes) -> EnrolmentRequest:
     pattern = ROBOT_PATTERN if request.role in _NAMED_AS_ROBOTS else OPERATOR_PATTERN
     if request.role.is_granted and (len(request.names) > 1 or re.fullmatch(pattern, request.names[0]) is None):
         raise EnrolmentError(f"a {request.role.value} has one name, of the form {pattern}")
-    if request.key is not None:
-        proof = bytes.fromhex(request.proof or "")
-        if not fits(bytes.fromhex(request.key), proof, request.signed()):
-            raise EnrolmentError("the request is not signed by its own key")
+    _check_proofs(request)
     return request
+
+
+def _check_proofs(request: EnrolmentRequest) -> None:
+    """Check that each key in a request has signed all of it, and that there is no proof of another."""
+    text, proof, csr_proof = (
+        request.signed(),
+        bytes.fromhex(request.proof or ""),
+        bytes.fromhex(request.csr_proof or ""),
+    )
+    is_proven = not proof if request.key is None else fits(bytes.fromhex(request.key), proof, text)
+    if not is_proven:
+        raise EnrolmentError("the request is not signed by its own key")
+    is_proven = _has_signed(request.csr, csr_proof, text) if request.csr else not csr_proof
+    if not is_proven:
+        raise EnrolmentError("the request is not signed by the key of its certificate")
+
+
+def _has_signed(csr: str, signature: bytes, text: bytes) -> bool:
+    """Return True if it is the signature of the key of a request for a certificate over this text."""
+    try:
+        key = x509.load_pem_x509_csr(csr.encode()).public_key()
+        if isinstance(key, ec.EllipticCurvePublicKey):
+            key.verify(signature, text, ec.ECDSA(SHA256()))
+            return True
+    except (InvalidSignature, UnsupportedAlgorithm, ValueError):
+        return False
+    return False
 
 
 def bundle_text(bundle: Bundle, private: Ed25519PrivateKey) -> bytes:
@@ -229,8 +291,21 @@ def chain_of(text: bytes) -> list[Signed]:
 
 
 def request_fingerprint(request: EnrolmentRequest) -> str:
-    """The fingerprint of a request: the same however its file is laid out."""
+    """The fingerprint of a request, which covers all of it: the same however its file is laid out."""
     return fingerprint(request.signed())
+
+
+def authority_fingerprint(authority: AuthorityKeys, fleet: FleetPlace, ca: str) -> str:
+    """The fingerprint of an authority, which covers all that a machine takes over of it.
+
+    Args:
+        authority: its keys.
+        fleet: the fleet's place on Zenoh.
+        ca: the network's authority, PEM, as it stands in the file.
+    """
+    keys = (bytes.fromhex(authority.active), bytes.fromhex(authority.standby))
+    texts = (part.encode() for part in (ca, fleet.root, *fleet.routers))
+    return fingerprint(signed_bytes(ProofKind.STATEMENT, b"authority", *keys, *texts))
 
 
 def _judged(trust: Trust, chain_text: str, now_s: int, what: str) -> HeldGrant:

@@ -54,7 +54,7 @@ NEW_GRANT: Final = "'cruiser provision renew operator', 'sign' at the site or th
 
 _CURES: Final = {
     Reason.GRANT_EXPIRED: f"set the clock that is wrong, if one is; if not, get a new grant: {NEW_GRANT}",
-    Reason.GRANT_UNKNOWN: f"get a grant of the authority that this robot has: {NEW_GRANT}",
+    Reason.GRANT_UNKNOWN: f"get a grant of the authority that this robot has: {NEW_GRANT}, with --fingerprint F",
 }
 """Cures of a grant that a robot refuses, where they say more than the robot's own."""
 
@@ -81,10 +81,10 @@ def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust, no
     if objection.reason is Reason.GRANT_UNKNOWN and chain:
         return Unmet(
             objection.reason,
-            f"the robot's own grant is of the authority {fingerprint(chain[-1].signer)}, and authority.json here "
-            f"names {fingerprint(trust.active)}",
+            f"the robot's own grant is signed by the authority's key {fingerprint(chain[-1].signer)}, and "
+            f"authority.json here names the key {fingerprint(trust.active)}",
             "if it is a robot of yours, one of the two has the files of a former authority: 'cruiser provision "
-            "renew' there, 'sign' at the authority of today, 'install --replace'",
+            "renew' there, 'sign' at the authority of today, 'install --replace --fingerprint F'",
         )
     return Unmet(objection.reason, objection.detail or objection.text, SOMEBODY_ELSE)
 

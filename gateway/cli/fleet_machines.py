@@ -72,6 +72,7 @@ class FleetMachines:
         self.directory = directory.absolute()
         self.endpoint = f"tls/{HOST}:{free_port()}"
         self.children: dict[str, Child] = {}
+        self._fingerprint = ""
         self._tell = tell
         self._stopped = stopped
         # What is set for another robot, or another fleet, is not meant for this one.
@@ -113,15 +114,17 @@ class FleetMachines:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return list(pool.map(lambda words: self.run(*words), commands))
 
-    def provision(self, commands: Iterable[Iterable[str]]) -> None:
+    def provision(self, commands: Iterable[Iterable[str]]) -> list[Done]:
         """Run ``cruiser provision`` with each of these words, at the same time; all succeed.
 
         Raises:
             CommandError: one does not; its last line.
         """
-        for done in self.run_all(("provision", *words) for words in commands):
+        all_done = self.run_all(("provision", *words) for words in commands)
+        for done in all_done:
             if done.code:
                 raise CommandError(done.last)
+        return all_done
 
     def start(self, stack: ExitStack, name: str, *words: str) -> Child:
         """Start what runs until the end of the stack."""
@@ -182,10 +185,12 @@ class FleetMachines:
             self.children[name].end()
 
     def _make_authority(self, prefix: str) -> None:
+        """Make an authority; its fingerprint is what is compared from then on."""
         standby, authority = f"{prefix}standby", f"{prefix}authority"
         self.provision([("standby", "--directory", standby, "--no-passphrase")])
         words = ("--standby", f"{standby}/standby.pub", "--router", self.endpoint, "--no-passphrase")
-        self.provision([("authority", "--directory", authority, *words)])
+        [done] = self.provision([("authority", "--directory", authority, *words)])
+        self._fingerprint = done.text.partition("authority ")[2].partition(" ")[0]
 
     def _let_in(self, issuer: str, newcomers: Iterable[Newcomer]) -> None:
         self.provision((role, name, "--directory", where) for role, name, where in newcomers)
@@ -193,7 +198,8 @@ class FleetMachines:
             # One after the other: each gets a number of its own.
             self.provision([("sign", f"{role}-{name}.request", "--directory", issuer, *_GRANTED.get(role, ()))])
         self.provision(
-            ("install", f"{role}-{name}.bundle", "--directory", where) for role, name, where in newcomers
+            ("install", f"{role}-{name}.bundle", "--directory", where, "--fingerprint", self._fingerprint)
+            for role, name, where in newcomers
         )
 
     def _complete(self, robot: str, address: str) -> None:

@@ -43,7 +43,7 @@ from gateway.provisioning.machine_keys import ask_again, install, make_keys, nam
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
 from schemas.authority.fingerprint import key_fingerprint
 from schemas.authority.statement import Signed
-from schemas.authority.trust import AuthorityKeys, in_utc
+from schemas.authority.trust import AuthorityKeys, in_utc, keys_fingerprint
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -162,6 +162,7 @@ def _add_statements(add: Add) -> None:
     _add_passphrase(revoke)
     rotation = add("rotate", "replace a lost or stolen authority, at its standby")
     rotation.add_argument("authority", metavar="FILE", help="authority.json of the new one")
+    rotation.add_argument("--fingerprint", metavar="F", help="refuse a file of other keys")
     _add_output(rotation, "statement")
     _add_passphrase(rotation)
 
@@ -232,8 +233,10 @@ def _authority(arguments: argparse.Namespace, store: KeyStore, settings: Setting
         shown = plain(", ".join(arguments.router))
         raise CommandError(f"--router {shown}: an endpoint is tls/HOST:PORT ({error})", ExitCode.USAGE) from error
     authority = make_authority(store, text, fleet, _now_s(), replace=arguments.replace)
-    _say(f"authority {key_fingerprint(authority.active)} in {store.directory}")
+    _say(f"authority {Issuer.open(store).fingerprint} in {store.directory}")
     _say("its fingerprint is the first thing to compare wherever a bundle is installed")
+    _say(f"keys {keys_fingerprint(authority)}: of authority.json alone, to compare at 'cruiser provision rotate'")
+    _say(f"standby {key_fingerprint(authority.standby)}: to compare with what 'cruiser provision standby' showed")
 
 
 class _Output:
@@ -275,6 +278,12 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
             f"{plain(str(file))} has the fingerprint {fingerprint}: it is another request", ExitCode.USAGE
         )
     issuer = Issuer.open(store)
+    with naming(file):
+        known = issuer.others(request)
+    if known and not arguments.replace:
+        raise CommandError(
+            f"{plain(str(file))}: {known}. If that is meant, --replace lets this key in besides", ExitCode.USAGE
+        )
     last = issuer.last_grant(request)
     wanted = wanted_grant(arguments, request, last)
     output = _Output(arguments, file.with_suffix(".bundle"))
@@ -285,27 +294,27 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
         raise CommandError(f"{plain(str(file))}: {error}", error.code) from error
     output.write(bundle.decode())
     _say(f"{output.path}: {request.role.value} {', '.join(request.names)}, fingerprint {fingerprint}")
+    _say(f"  of authority {issuer.fingerprint}")
     if grant is not None:
         _say(f"  {grant_line(grant)}")
-    if warning := unlimited_warning(arguments, request, last):
-        sys.stderr.write(f"{warning}\n")
+    warnings = (known and f"{known}; this one is let in besides", unlimited_warning(arguments, request, last))
+    sys.stderr.writelines(f"{warning}\n" for warning in warnings if warning)
 
 
 def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings) -> None:
     text = read_input(Path(arguments.bundle))
     with naming(arguments.bundle):
         bundle = read_bundle(text, _now_s())
-    fingerprint = key_fingerprint(bundle.authority.active)
-    if arguments.fingerprint not in (None, fingerprint):
+    if arguments.fingerprint not in (None, bundle.fingerprint):
         raise CommandError(
-            f"{plain(arguments.bundle)} is of the authority {fingerprint}, not of that one", ExitCode.USAGE
+            f"{plain(arguments.bundle)} is of the authority {bundle.fingerprint}, not of that one", ExitCode.USAGE
         )
     try:
-        done = install(store, bundle, replace=arguments.replace)
+        done = install(store, bundle, replace=arguments.replace, is_compared=arguments.fingerprint is not None)
     except ValueError as error:
         raise CommandError(f"{plain(arguments.bundle)}: {error}", ExitCode.USAGE) from error
     _say(f"{store.directory}: {', '.join(done.files)}")
-    _say(f"{bundle.role.value} {plain(bundle.name)} of authority {fingerprint}")
+    _say(f"{bundle.role.value} {plain(bundle.name)} of authority {bundle.fingerprint}")
     after = _AFTER.get(bundle.role, f"export CRUISER_CONFIG={{}}/{bundle.role.value}.toml").format(store.directory)
     _say(f"certificate until {in_utc(done.certificate_until_s)}; {after}")
 
@@ -317,7 +326,7 @@ def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
     issued, keys = issuer.issued(), list(arguments.key)
     revoked: list[str] = []
     for name in arguments.names:
-        found = {one.key: one.role.value for one in issued if one.name == name and one.key}
+        found = {one.holder.hex(): one.role.value for one in issued if one.name == name and one.key}
         if not found:
             raise CommandError(
                 f"nobody called {name!a} was granted anything here: {store.path(ISSUED_FILE)} has all names. "
@@ -339,8 +348,15 @@ def _rotate(arguments: argparse.Namespace, store: KeyStore) -> None:
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         shown = plain(arguments.authority)
         raise CommandError(f"{shown} is no authority.json of a new authority: {error}", ExitCode.USAGE) from error
+    fingerprint = keys_fingerprint(authority)
+    if arguments.fingerprint not in (None, fingerprint):
+        raise CommandError(
+            f"{plain(arguments.authority)} has the keys {fingerprint}: it is of another authority", ExitCode.USAGE
+        )
     output = _Output(arguments, Path("rotation.statement"))
-    _write_statement(output, rotate(store, authority, _now_s()))
+    signed = rotate(store, authority, _now_s())
+    _say(f"keys {fingerprint}: compare with what 'cruiser provision authority' showed before a robot sees this")
+    _write_statement(output, signed)
 
 
 def _write_statement(output: _Output, signed: Signed) -> None:

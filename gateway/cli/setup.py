@@ -28,7 +28,6 @@ from gateway.provisioning.certificates import CertificateError, expires_s, read_
 from gateway.provisioning.key_store import KeyStore, read_input
 from gateway.provisioning.machine_keys import install
 from schemas.arguments import robot_name
-from schemas.authority.fingerprint import key_fingerprint
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import STANDSTILL_MPS, Settings
@@ -368,10 +367,10 @@ def _install(
         if machine.is_dry:
             return
         try:
-            done = install(store, bundle, replace=arguments.replace)
+            done = install(store, bundle, replace=arguments.replace, is_compared=False)
         except ValueError as error:
             raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
-    _say(f"    {', '.join(done.files)}: of authority {key_fingerprint(bundle.authority.active)}")
+    _say(f"    {', '.join(done.files)}: of authority {bundle.fingerprint}")
 
 
 def _is_installed(store: KeyStore, bundle: Bundle) -> bool:

@@ -21,6 +21,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from gateway.authority.transport import LISTENING, TransportRole
+from schemas.authority.fingerprint import fingerprint
 from schemas.exit_codes import CommandError, ExitCode
 
 LEAF_DAYS: Final = 30
@@ -55,10 +56,12 @@ class Applicant(msgspec.Struct, frozen=True):
     Attributes:
         role: the common name.
         names: of hosts or of the node.
+        key: fingerprint of the key.
     """
 
     role: str
     names: list[str]
+    key: str
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:
@@ -209,7 +212,7 @@ def _applicant(request: x509.CertificateSigningRequest) -> Applicant:
         raise CertificateError("the request for a certificate has no name") from error
     if len(commons) != 1 or not names or not all(re.fullmatch(NAME_PATTERN, name) for name in names):
         raise CertificateError("the request for a certificate has no role or no name")
-    return Applicant(str(commons[0].value), names)
+    return Applicant(str(commons[0].value), names, fingerprint(_raw(request.public_key())))
 
 
 def _public_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:

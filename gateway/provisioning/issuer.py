@@ -15,6 +15,7 @@ from gateway.authority.enrolment import (
     EnrolmentRequest,
     EnrolmentRole,
     FleetPlace,
+    authority_fingerprint,
     bundle_text,
 )
 from gateway.authority.transport import CA_FILE, TransportRole
@@ -46,6 +47,7 @@ from schemas.authority.statement import (
 )
 from schemas.authority.trust import AuthorityKeys, Objection, in_utc
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
 
 AUTHORITY_KEY, CA_KEY, SITE_KEY, SITE_GRANT = "authority.key", "ca.key", "site.key", "site.grant"
 STANDBY_KEY: Final = "standby.key"
@@ -81,7 +83,11 @@ class Serials(msgspec.Struct, frozen=True):
 
 
 class Issued(msgspec.Struct, frozen=True):
-    """A line of ``issued.jsonl``: who was let in."""
+    """A line of ``issued.jsonl``: who was let in.
+
+    Attributes:
+        tls: fingerprint of the certificate's key; empty in lines of before it was kept.
+    """
 
     at: int
     role: EnrolmentRole
@@ -90,6 +96,20 @@ class Issued(msgspec.Struct, frozen=True):
     grant: str = ""
     until: int = 0
     body: str = ""
+    tls: str = ""
+
+    def __post_init__(self) -> None:
+        """See that the key is one, when the file is read.
+
+        Raises:
+            ValueError: the key is not hexadecimal.
+        """
+        bytes.fromhex(self.key)
+
+    @property
+    def holder(self) -> bytes:
+        """The key that stands for this party: the grant's, or else the fingerprint of the certificate's."""
+        return bytes.fromhex(self.key) or self.tls.encode()
 
 
 class Wanted(msgspec.Struct, frozen=True):
@@ -155,6 +175,21 @@ class Issuer:
         """The fleet's authority."""
         return self.store.read_as(AUTHORITY_FILE, AuthorityKeys, self._cure)
 
+    @property
+    def fleet(self) -> FleetPlace:
+        """The fleet's place on Zenoh."""
+        return self.store.read_as(FLEET_FILE, FleetPlace, self._cure)
+
+    @property
+    def ca(self) -> str:
+        """The network's authority, PEM."""
+        return self.store.read(CA_FILE, self._cure).decode()
+
+    @property
+    def fingerprint(self) -> str:
+        """The fingerprint of the authority, as every bundle brings it."""
+        return authority_fingerprint(self.authority, self.fleet, self.ca)
+
     def sign(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> tuple[bytes, Grant | None]:
         """Let somebody in. Returns the bundle and the grant that is in it.
 
@@ -163,25 +198,23 @@ class Issuer:
                 may not give.
         """
         name, role = request.names[0], request.role
-        if request.csr:
-            applicant = read_request(request.csr)
-            if applicant.role != role.value or sorted(applicant.names) != sorted(request.names):
-                raise CertificateError("the request and its certificate's request name different people")
+        applicant = read_request(request.csr) if request.csr else None
+        if applicant and (applicant.role != role.value or sorted(applicant.names) != sorted(request.names)):
+            raise CertificateError("the request and its certificate's request name different people")
         if self.is_site and role not in BY_SITES:
             raise CommandError(f"the authority alone lets a {role.value} in", ExitCode.USAGE)
         if self.is_site and wanted.lasts_s > SITE_MAX_S:
             raise CommandError(f"a site lets nobody in for more than {SITE_MAX_S // 3600} h", ExitCode.USAGE)
         self._refuse_revoked(request)
         chain = self._grant(request, wanted, now_s) if role.is_granted else []
-        fleet = self.store.read_as(FLEET_FILE, FleetPlace, self._cure)
         bundle = Bundle(
             role=role,
             name=name,
             authority=self.authority,
-            fleet=fleet,
+            fleet=self.fleet,
             certificate=self._certify(request, now_s, wanted) if request.csr else "",
             shut_out=self._shut_out(request, now_s),
-            ca=self.store.read(CA_FILE, self._cure).decode(),
+            ca=self.ca,
             chain=chain_text(chain),
             signer=chain_text(self.chain),
         )
@@ -194,6 +227,7 @@ class Issuer:
             chain[0].id.hex() if chain else "",
             getattr(grant, "not_after", 0),
             chain[0].body.decode() if chain else "",
+            applicant.key if applicant else "",
         )
         self.store.append(ISSUED_FILE, msgspec.json.encode(entry).decode())
         return bundle_text(bundle, self._private), grant if isinstance(grant, Grant) else None
@@ -201,7 +235,7 @@ class Issuer:
     def _refuse_revoked(self, request: EnrolmentRequest) -> None:
         """No robot takes a new grant of a key that was revoked either."""
         revoked = self._revoked()
-        if request.key in revoked.keys:
+        if request.key and bytes.fromhex(request.key) in map(bytes.fromhex, revoked.keys):
             who = request.role.value
             raise CommandError(
                 f"the key of {who} {request.names[0]} was revoked: {self.store.path(REVOCATIONS_FILE)}, list "
@@ -211,10 +245,32 @@ class Issuer:
 
     def last_grant(self, request: EnrolmentRequest) -> Grant | None:
         """Return the last grant to the same key in the same role and name; None if there is none."""
-        found = [one for one in self.issued() if one.key == request.key and one.role is request.role and one.body]
+        holder = _holder(request)
+        found = [one for one in self.issued() if one.holder == holder and one.role is request.role and one.body]
         if not found or found[-1].name != request.names[0]:
             return None
         return msgspec.json.decode(found[-1].body, type=Grant)
+
+    def others(self, request: EnrolmentRequest) -> str:
+        """Return who else was let in under the name of a request, or by its key; empty if nobody was.
+
+        A key that was revoked is nobody's. A key and a name that were let in together are no others.
+
+        Raises:
+            CommandError: a file of the authority is damaged, or the request for a certificate is.
+        """
+        role, name, holder = request.role, request.names[0], _holder(request)
+        revoked = set(map(bytes.fromhex, self._revoked().keys))
+        let_in = [one for one in self.issued() if one.role is role and one.holder and one.holder not in revoked]
+        if any(one.name == name and one.holder == holder for one in let_in):
+            return ""
+        for one in reversed(let_in):
+            if one.holder == holder:
+                return f"its key was let in as {role.value} {plain(one.name)}"
+            if one.name == name:
+                ends = f" ('cruiser provision revoke --key {one.holder.hex()}' ends it)" if one.key else ""
+                return f"{role.value} {name} has another key already, let in {in_utc(one.at)}{ends}"
+        return ""
 
     def issued(self) -> list[Issued]:
         """Everybody who was let in, the first one first.
@@ -377,6 +433,11 @@ def make_authority(
         cure="--replace makes another authority, which no robot of before knows",
     )
     return authority
+
+
+def _holder(request: EnrolmentRequest) -> bytes:
+    """The key of a request, as ``Issued.holder`` has it."""
+    return bytes.fromhex(request.key) if request.key else read_request(request.csr).key.encode()
 
 
 def rotate(store: KeyStore, authority: AuthorityKeys, now_s: int) -> Signed:

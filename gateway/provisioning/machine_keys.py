@@ -65,7 +65,7 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
         private = Ed25519PrivateKey.generate()
         keys[KEY_FILE.format(who=role.value)] = store.pem(private, is_protected=False)
     try:
-        request = new_request(role, names, certificate_request(tls, role.value, names), private)
+        request = new_request(role, names, certificate_request(tls, role.value, names), private, tls)
     except (EnrolmentError, ValueError) as error:
         raise CommandError(f"{', '.join(names)!a}: {error}", ExitCode.USAGE) from error
     cure = f"'cruiser provision renew {role.value}' asks anew with these keys, --replace makes new ones"
@@ -114,7 +114,7 @@ def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> Enrolme
     cure = remade(role.value)
     tls = store.p256(tls_key_name(role), cure)
     private = store.ed25519(KEY_FILE.format(who=role.value), cure) if role.is_granted else None
-    return new_request(role, names, certificate_request(tls, role.value, names), private)
+    return new_request(role, names, certificate_request(tls, role.value, names), private, tls)
 
 
 class Installed(msgspec.Struct, frozen=True):
@@ -123,21 +123,21 @@ class Installed(msgspec.Struct, frozen=True):
     Attributes:
         files: names of the files.
         certificate_until_s: seconds since 1970.
-        is_new_authority: another authority was replaced.
     """
 
     files: list[str]
     certificate_until_s: int
-    is_new_authority: bool
 
 
-def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
+def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool) -> Installed:
     """Write what a bundle holds, if it is for the keys that are here.
 
     Args:
         store: the place of the keys.
         bundle: was checked against the authority that it names.
         replace: over what is there.
+        is_compared: somebody compared the authority's fingerprint. Without that no other authority takes the
+            place of the one that is here, whoever carried the bundle, and a site brings nothing of it.
 
     Raises:
         CommandError: it is for other keys, of another authority, or something is there already.
@@ -151,12 +151,18 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
         CA_FILE: bundle.ca,
         FLEET_FILE: _json(bundle.fleet),
     }
-    changed = [name for name in SHARED if store.has(name) and store.read(name, "") != shared[name].encode()]
-    is_new = AUTHORITY_FILE in changed
+    unknown = [name for name in SHARED if not store.has(name) or store.read(name, "") != shared[name].encode()]
+    changed = [name for name in unknown if store.has(name)]
+    cure = f"--fingerprint takes it over, if 'provision authority' or 'sign' showed {bundle.fingerprint} there"
+    if AUTHORITY_FILE in changed and not (replace and is_compared):
+        shown = plain(str(store.path(AUTHORITY_FILE)))
+        raise CommandError(f"{shown} is another authority's; --replace with {cure}", ExitCode.USAGE)
+    if unknown and bundle.signer and not is_compared:
+        raise CommandError(f"a site made it, and it brings {unknown[0]}: {cure}", ExitCode.USAGE)
     if changed and not replace:
-        what = "another authority's" if is_new else "different"
         raise CommandError(
-            f"{store.path(changed[0])} is {what}; --replace changes over to that of the bundle", ExitCode.USAGE
+            f"{plain(str(store.path(changed[0])))} is different; --replace changes over to that of the bundle",
+            ExitCode.USAGE,
         )
     own = dict(_own_files(store, bundle))
     settings = SETTINGS_FILE.format(who=who)
@@ -165,7 +171,7 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool) -> Installed:
         own.pop(settings, None)
     store.write(own, replace=replace)
     store.write(shared, replace=True)
-    return Installed([*own, *shared], until_s, is_new)
+    return Installed([*own, *shared], until_s)
 
 
 def tls_key_name(role: EnrolmentRole) -> str:

@@ -15,6 +15,8 @@ import msgspec
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
+from schemas.authority.fingerprint import fingerprint
+from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import Grant, GrantRole, KeyHex, Revocations, Rotation, Signed, TimeStatement
 from schemas.reasons import TEXTS, Reason
 
@@ -226,6 +228,12 @@ class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def trust(self) -> Trust:
         """The trust that begins with these keys."""
         return Trust(bytes.fromhex(self.active), bytes.fromhex(self.standby))
+
+
+def keys_fingerprint(authority: AuthorityKeys) -> str:
+    """The fingerprint of both keys of an authority: of all that ``authority.json`` says."""
+    keys = (bytes.fromhex(authority.active), bytes.fromhex(authority.standby))
+    return fingerprint(signed_bytes(ProofKind.STATEMENT, b"keys", *keys))
 
 
 def is_signed(signed: Signed) -> bool:

@@ -14,12 +14,21 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
+from gateway.authority.enrolment import (
+    Bundle,
+    EnrolmentRole,
+    FleetPlace,
+    bundle_text,
+    new_request,
+    request_fingerprint,
+)
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
 from gateway.authority.signer import RobotSigner
 from schemas import keys
 from schemas.authority.chain import first_link, heads_text, next_link
 from schemas.authority.proof import ProofKind, RequestProof, RobotProof, signed_bytes, statement_id
 from schemas.authority.statement import Grant, GrantRole, Signed, body_of, chain_text
+from schemas.authority.trust import AuthorityKeys
 from schemas.codec import encode
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason
@@ -73,6 +82,8 @@ def vectors() -> dict[str, Any]:
         },
         **_lease(signed, operator, robot),
         "publication": _publication(robot),
+        "enrolment": _enrolment(operator),
+        "bundle": _bundle(signed, authority),
         "heads": _heads(robot),
     }
 
@@ -137,6 +148,33 @@ def _verb(signed: Signed, operator: Ed25519PrivateKey, tags: DriveTags) -> dict[
         "signed": text.hex(),
         "attachment": attachment.hex(),
     }
+
+
+def _enrolment(operator: Ed25519PrivateKey) -> dict[str, Any]:
+    """A request to be let in, as a browser makes it; and the text of one that has a request for a certificate."""
+    request = new_request(EnrolmentRole.OPERATOR, [OPERATOR], "", operator, None)
+    certified = msgspec.structs.replace(request, names=["one.example", "10.0.0.5"], csr="csr", key=None)
+    return {
+        "request": json.loads(msgspec.json.encode(request)),
+        "signed": request.signed().hex(),
+        "fingerprint": request_fingerprint(request),
+        "signed_with_csr": certified.signed().hex(),
+    }
+
+
+def _bundle(grant: Signed, authority: Ed25519PrivateKey) -> dict[str, str]:
+    """The authority's answer to it, with two routers."""
+    standby = Ed25519PrivateKey.from_private_bytes(seed("standby")).public_key().public_bytes_raw()
+    bundle = Bundle(
+        role=EnrolmentRole.OPERATOR,
+        name=OPERATOR,
+        authority=AuthorityKeys(grant.signer.hex(), standby.hex()),
+        fleet=FleetPlace(ROOT, ["tls/router.example:7447", "quic/10.0.0.5:7447"]),
+        certificate="",
+        ca="ca",
+        chain=chain_text([grant]),
+    )
+    return {"text": bundle_text(bundle, authority).decode(), "fingerprint": bundle.fingerprint}
 
 
 def _publication(robot: Ed25519PrivateKey) -> dict[str, str]:

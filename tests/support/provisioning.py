@@ -12,6 +12,8 @@ import msgspec
 from gateway.authority.enrolment import Bundle
 from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
+from gateway.provisioning.issuer import Issuer
+from gateway.provisioning.key_store import KeyStore
 from schemas.authority.statement import Grant, Signed, StatementFault, read_chain
 
 ENDPOINT = "tls/127.0.0.1:47447"
@@ -41,16 +43,23 @@ class ProvisionedFleet:
 
     Attributes:
         place: the directory.
+        authority: that of the authority.
     """
 
     def __init__(self, place: Path, endpoint: str = ENDPOINT) -> None:
         self.place = place
+        self.authority = place / "authority"
         run("standby", "--directory", place / "standby", "--no-passphrase")
         standby = place / "standby" / "standby.pub"
         run(
             *("authority", "--directory", place / "authority", "--standby", standby),
             *("--router", endpoint, "--no-passphrase"),
         )
+
+    @property
+    def fingerprint(self) -> str:
+        """What people compare of the authority."""
+        return Issuer.open(KeyStore(self.authority)).fingerprint
 
     def request(self, role: str, name: str, place: str = "") -> Path:
         """The request of somebody new, whose keys are in a directory of its own, or in that place."""
@@ -66,7 +75,7 @@ class ProvisionedFleet:
     def let_in(self, role: str, name: str, *words: str, by: str = "authority") -> Path:
         """Everything for somebody new. Returns the directory of the keys."""
         bundle = self.sign(self.request(role, name), *words, by=by)
-        run("install", bundle, "--directory", self.place / name)
+        run("install", bundle, "--directory", self.place / name, "--fingerprint", self.fingerprint)
         return self.place / name
 
     def grant(self, name: str, role: str = "operator") -> Grant:

@@ -77,6 +77,7 @@ class Page:
         self.place = place
         self.stick = place / "stick"
         self.stick.mkdir()
+        self._fingerprint = ""
         self._exports: dict[str, dict[str, str]] = {}
         self._running: list[tuple[subprocess.Popen[str], Path]] = []
         self._chassis = free_endpoint().removeprefix("tcp/")
@@ -94,6 +95,7 @@ class Page:
         assert code == 0, (machine, command, shown)
         assert "Traceback" not in shown, (machine, command, shown)
         assert re.search(SAYS.get(command, ""), shown), (machine, command, shown)
+        self._fingerprint = (re.findall(r"of authority ([0-9a-f-]{39})", shown) or [self._fingerprint])[-1]
 
     def start(self, machine: str, command: str, says: str) -> subprocess.Popen[str]:
         """Start a command, and see that it works."""
@@ -177,6 +179,7 @@ class Page:
 
     def _here(self, command: str) -> str:
         command = command.replace("router.example:7447", self._router).replace("router.example", "127.0.0.1")
+        command = command.replace("FINGERPRINT", self._fingerprint)
         if command.startswith("cruiser gateway"):
             command += f" --interface socketcand --channel {self._chassis}"
         return command

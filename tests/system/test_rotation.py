@@ -74,7 +74,8 @@ class Rotation:
         run("renew", role, "--directory", self.machines / name, "-o", request, "--replace")
         limits = ("--speed-limit", WANTED_MPS) if role == "operator" else ()
         run("sign", request, "--directory", self.second.place / "authority", "--replace", *map(str, limits))
-        run("install", request.with_suffix(".bundle"), "--directory", self.machines / name, "--replace")
+        compared = ("--replace", "--fingerprint", self.second.fingerprint)
+        run("install", request.with_suffix(".bundle"), "--directory", self.machines / name, *compared)
 
     @contextmanager
     def showing(self) -> Iterator[subprocess.Popen[str]]:

@@ -10,9 +10,12 @@ import { decode } from "@msgpack/msgpack";
 import {
   type Bytes,
   type Message,
+  Bundle,
   Lease,
   Operator,
   Robot,
+  authorityText,
+  fingerprint,
   firstHead,
   fits,
   headsText,
@@ -21,6 +24,7 @@ import {
   messageText,
   nextHead,
   privateKeyOfPem,
+  requestText,
   signedText,
   statementId,
   utf8,
@@ -169,6 +173,83 @@ test("a robot is believed by the authority alone", async () => {
     ["two statements", good + good],
   ];
   for (const [why, text, nowS] of bad) await assert.rejects(met(text, nowS), Error, why);
+});
+
+test("a request to be let in has the same text and fingerprint", async () => {
+  const { request, fingerprint: shown } = VECTORS.enrolment;
+  const text = requestText(request.role, request.names, request.key, request.csr);
+  assert.deepEqual(text, bytes("enrolment", "signed"));
+  assert.ok(await fits(request.key, hexBytes(request.proof), text));
+  assert.equal(await fingerprint(text), shown);
+  const certified = requestText("operator", ["one.example", "10.0.0.5"], "", "csr");
+  assert.deepEqual(certified, bytes("enrolment", "signed_with_csr"));
+});
+
+/** The bundle of the vectors, changed and signed by somebody. */
+async function bundleBy(signer: string, change: (said: any) => void): Promise<string> {
+  const said = JSON.parse(VECTORS.bundle.text.split("\n")[0]);
+  change(said);
+  const body = JSON.stringify(said);
+  const key = (await pair(signer, "Ed25519"))[1];
+  const signature = await crypto.subtle.sign("Ed25519", key, signedText("A", utf8("bundle"), utf8(body)));
+  return `${body}\ned25519 ${await publicHex(signer)} ${Buffer.from(signature).toString("hex")}\n`;
+}
+
+/** A grant of the time of the vectors, with what stands above it. */
+async function granted(signer: string, to: string, role: string, name: string, above = ""): Promise<string> {
+  const [not_before, not_after] = [VECTORS_S, VECTORS_S];
+  const body = JSON.stringify({ kind: "grant", name, key: await publicHex(to), role, not_before, not_after });
+  const signature = await crypto.subtle.sign("Ed25519", (await pair(signer, "Ed25519"))[1], signedText("A", utf8(body)));
+  return `${body}\ned25519 ${await publicHex(signer)} ${Buffer.from(signature).toString("hex")}\n${above}`;
+}
+
+const VECTORS_S = 1_795_000_000;
+
+test("a bundle is of the authority that it names, or of a site of that", async () => {
+  const { text, fingerprint: shown } = VECTORS.bundle;
+  const read = (whole: string, nowS = VECTORS_S) => Bundle.read(whole, nowS);
+  const bundle = await read(text);
+  assert.deepEqual([bundle.name, bundle.statement], ["ann", VECTORS.statement.text]);
+  assert.deepEqual([bundle.key, bundle.authority], [await publicHex("ann"), await publicHex("authority")]);
+  assert.equal(bundle.fingerprint, shown);
+  const depot = await granted("authority", "cruiser-1", "site", "depot");
+  const bea = await granted("cruiser-1", "ann", "operator", "bea", depot);
+  const bySite = (said: any): void => void Object.assign(said, { signer: depot, name: "bea", chain: bea });
+  assert.equal((await read(await bundleBy("cruiser-1", bySite))).name, "bea");
+  const operators = await granted("authority", "cruiser-1", "operator", "depot");
+  const [another, viewer] = [await publicHex("ann"), await granted("authority", "ann", "viewer", "ann")];
+  const bad: [string, string, number?][] = [
+    ["over", text, 1_795_043_201],
+    ["not begun", text, VECTORS_S - 1],
+    ["not signed", text.split("\n")[0]],
+    ["another text", text.replace("router.example", "thief.example")],
+    ["of somebody else", await bundleBy("ann", () => {})],
+    ["with another authority", await bundleBy("authority", (said) => (said.authority.active = another))],
+    ["with a key that is none", await bundleBy("authority", (said) => (said.authority.standby += "\n"))],
+    ["of nobody", await bundleBy("authority", (said) => (said.chain = ""))],
+    ["for another name", await bundleBy("authority", (said) => (said.name = "bea"))],
+    ["for another role", await bundleBy("authority", (said) => (said.role = "viewer"))],
+    ["a grant of another role", await bundleBy("authority", (said) => (said.chain = viewer))],
+    ["a grant of somebody else", await bundleBy("authority", (said) => (said.chain = bea.replace(depot, "")))],
+    ["a grant with a rest", await bundleBy("authority", (said) => (said.chain += "more"))],
+    ["of who is no site", await bundleBy("cruiser-1", (said) => (bySite(said), (said.signer = operators)))],
+    ["of another site", await bundleBy("ann", bySite)],
+  ];
+  for (const [why, whole, nowS] of bad) await assert.rejects(read(whole, nowS), Error, why);
+});
+
+test("no field of an authority can be changed without another fingerprint", async () => {
+  const said = JSON.parse(VECTORS.bundle.text.split("\n")[0]);
+  const other = "00".repeat(32);
+  const changed = [
+    { ...said, authority: { ...said.authority, active: other } },
+    { ...said, authority: { ...said.authority, standby: other } },
+    { ...said, ca: "another" },
+    { ...said, fleet: { ...said.fleet, root: "another" } },
+    { ...said, fleet: { ...said.fleet, routers: [...said.fleet.routers, "tls/thief.example:7447"] } },
+  ];
+  const shown = await Promise.all([said, ...changed].map((one) => fingerprint(authorityText(one))));
+  assert.equal(new Set(shown).size, shown.length);
 });
 
 test("keys cannot be taken out again", async () => {

@@ -65,19 +65,10 @@ export class Robot {
    * grants a robot, so that its chain is one statement.
    */
   static async ofChain(own: string, name: string, authority: string, nowS = Date.now() / 1000): Promise<Robot> {
-    const parts = /^([^\n]+)\ned25519 ([0-9a-f]{64}) ([0-9a-f]{128})\n?$/.exec(own);
-    if (parts === null) throw new Error("the robot's grant is not one statement of the authority");
-    const [, body = "", signer = "", signature = ""] = parts;
-    if (signer !== authority) throw new Error("the robot's grant is of another authority");
-    if (!(await fits(authority, hexBytes(signature), signedText("A", utf8(body))))) {
-      throw new Error("the signature of the robot's grant does not fit");
-    }
-    const grant = JSON.parse(body);
-    if (grant.kind !== "grant" || grant.role !== "robot" || grant.name !== name) {
+    statementOf(own, "the robot's grant is not one statement of the authority");
+    const grant = await grantOf(own, authority, nowS);
+    if (grant.role !== "robot" || grant.name !== name) {
       throw new Error(`the grant is of ${grant.role} ${grant.name}, not of robot ${name}`);
-    }
-    if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
-      throw new Error("the robot's grant is over, or has not begun");
     }
     return new Robot(grant.key);
   }
@@ -111,6 +102,103 @@ export function runOf(attachment: Uint8Array): Uint8Array {
 export function isAhead(sequence: number, newest?: number): boolean {
   return newest === undefined || ((sequence - newest) | 0) > 0; // the difference as a signed number of 32 bits
 }
+
+/** A request to be let in: the text that its keys sign, and of which its fingerprint is. `key` is hexadecimal. */
+export function requestText(role: string, names: string[], key: string, csr: string): Bytes {
+  return signedText("A", utf8("request-2"), utf8(role), hexBytes(key), utf8(csr), ...names.map(utf8));
+}
+
+/** What people compare by voice, of a request or an authority: the first half of a SHA-256, in groups. */
+export async function fingerprint(text: Bytes): Promise<string> {
+  return hex((await sha256(text)).slice(0, 16)).replace(/(.{4})(?=.)/g, "$1-");
+}
+
+/** An authority as a bundle brings it: its keys, hexadecimal, the fleet's place, and the network's authority. */
+export interface Authority {
+  authority: { active: string; standby: string };
+  fleet: { root: string; routers: string[] };
+  ca: string;
+}
+
+/** The text of which the fingerprint of an authority is. */
+export function authorityText({ authority, fleet, ca }: Authority): Bytes {
+  const keys = [hexBytes(authority.active), hexBytes(authority.standby)];
+  return signedText("A", utf8("authority"), ...keys, utf8(ca), utf8(fleet.root), ...fleet.routers.map(utf8));
+}
+
+/** A bundle for an operator, which its authority, or a site of that, has signed. */
+export class Bundle {
+  private constructor(
+    readonly name: string,
+    /** The key that the grant is for, hexadecimal. */
+    readonly key: string,
+    /** The text of the grant with its chain. */
+    readonly statement: string,
+    /** The authority's active public key, hexadecimal. */
+    readonly authority: string,
+    /** Of all that it brings of the authority: nobody but who compares it knows whose authority that is. */
+    readonly fingerprint: string,
+  ) {}
+
+  /** Whether the grant allows more than those above it is left to the robots, which judge by it. */
+  static async read(text: string, nowS = Date.now() / 1000): Promise<Bundle> {
+    const [body, signer, signature] = statementOf(text, "the bundle is not signed");
+    if (!(await fits(signer, hexBytes(signature), signedText("A", utf8("bundle"), utf8(body))))) {
+      throw new Error("the bundle was changed after it was signed");
+    }
+    const said = JSON.parse(body) as Authority & { role: string; name: string; chain: string; signer: string };
+    const { active, standby } = said.authority;
+    if (said.role !== "operator" || !said.chain) throw new Error("this is no bundle of an operator");
+    if (![active, standby].every((key) => KEY.test(key))) throw new Error("the bundle names no authority");
+    const site = said.signer ? await grantOf(said.signer, active, nowS) : undefined;
+    if (site === undefined ? signer !== active : site.role !== "site" || site.key !== signer) {
+      throw new Error("the bundle is not signed by the authority that it names");
+    }
+    const grant = await grantOf(said.chain, active, nowS);
+    if (grant.name !== said.name || !["program", "operator", "supervisor"].includes(grant.role)) {
+      throw new Error(`the grant is of ${grant.role} ${grant.name}`);
+    }
+    return new Bundle(grant.name, grant.key, said.chain, active, await fingerprint(authorityText(said)));
+  }
+}
+
+interface Grant {
+  kind: string;
+  role: string;
+  name: string;
+  key: string;
+  not_before: number;
+  not_after: number;
+}
+
+/** The grant that begins a chain, whose signatures hold up to the authority's key, and which holds now. */
+async function grantOf(chain: string, authority: string, nowS: number): Promise<Grant> {
+  const pairs = chain.match(/[^\n]+\n[^\n]+\n/g) ?? [];
+  if (pairs.length === 0 || pairs.join("") !== chain) throw new Error("the grant cannot be read");
+  let grant = { key: authority } as Grant;
+  for (const pair of pairs.reverse()) {
+    const [body, signer, signature] = statementOf(pair, "the grant cannot be read");
+    if (signer !== grant.key) throw new Error("the grant is of another authority");
+    if (!(await fits(signer, hexBytes(signature), signedText("A", utf8(body))))) {
+      throw new Error("the signature of the grant does not fit");
+    }
+    grant = JSON.parse(body) as Grant;
+    if (grant.kind !== "grant" || !KEY.test(grant.key)) throw new Error("the grant cannot be read");
+    if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
+      throw new Error("the grant is over, or has not begun");
+    }
+  }
+  return grant;
+}
+
+/** Body, signer and signature of two lines. */
+function statementOf(text: string, otherwise: string): [string, string, string] {
+  const [, body, signer, signature] = /^([^\n]+)\ned25519 ([0-9a-f]{64}) ([0-9a-f]{128})\n?$/.exec(text) ?? [];
+  if (body === undefined || signer === undefined || signature === undefined) throw new Error(otherwise);
+  return [body, signer, signature];
+}
+
+const KEY = /^[0-9a-f]{64}$/;
 
 /** A lease: its number, and the key that its holder and the robot alone know. */
 export class Lease {

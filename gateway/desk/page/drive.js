@@ -241,15 +241,33 @@ function keysBox(changed) {
   };
   const save = attempt(async () => {
     const name = operatorName();
-    const file = new Blob([await keys.requestFor(name)], { type: "application/json" });
+    const [request, fingerprint] = await keys.requestFor(name);
+    const file = new Blob([request], { type: "application/json" });
     const anchor = h("a", { href: URL.createObjectURL(file), download: `operator-${name}.request` });
     anchor.click();
     URL.revokeObjectURL(anchor.href);
+    return `${t("request")} ${fingerprint}: ${t("compare_request")}`;
   });
-  const load = h("input", { type: "file", accept: ".bundle", "aria-label": t("load_bundle"), onchange: attempt(async () => keys.install(await load.files[0].text())) });
+  // What is loaded is taken over once somebody has compared whose authority it is of.
+  let loaded = null;
+  const take = h("button", { type: "button", hidden: true, onclick: attempt(async () => {
+    take.hidden = true;
+    await keys.install(loaded);
+  }) }, t("take_over_bundle"));
+  const load = h("input", { type: "file", accept: ".bundle", "aria-label": t("load_bundle"), onchange: attempt(async () => {
+    take.hidden = true;
+    const [bundle, request] = await keys.answerOf(await load.files[0].text());
+    const shown = `${bundle.name}: ${t("request")} ${request}, ${t("authority")} ${bundle.fingerprint}`;
+    if (await keys.isKnown(bundle)) {
+      await keys.install(bundle);
+      return shown;
+    }
+    [loaded, take.hidden] = [bundle, false];
+    return `${shown}. ${t("compare_authority")}`;
+  }) });
   const box = h("details", {}, h("summary", {}, t("keys")), h("p", {}, isSecureContext ? t("key_help") : t("insecure")),
     h("button", { type: "button", onclick: save, disabled: !isSecureContext }, t("save_request")), " ",
-    h("label", {}, `${t("load_bundle")} `, load), " ",
+    h("label", {}, `${t("load_bundle")} `, load), " ", take, " ",
     h("button", { type: "button", onclick: attempt(async () => { await keys.forget(); }) }, t("forget")), note);
   return box;
 }

@@ -1,7 +1,7 @@
 // Who commands from this browser. In signed mode its key stays here, in IndexedDB, and cannot be taken out: the desk
 // passes on what is signed, and can sign nothing itself.
 
-import { Operator, signedText, utf8 } from "./proof.js";
+import { Bundle, Operator, fingerprint, requestText } from "./proof.js";
 
 const DATABASE = "cruiser";
 const STORE = "operator";
@@ -37,23 +37,33 @@ export async function publicKey() {
   return hex(new Uint8Array(await crypto.subtle.exportKey("raw", pair.publicKey)));
 }
 
-/** A request for a grant, as `cruiser provision sign` reads it. It asks for no certificate: the desk has one. */
+/**
+ * A request for a grant, as `cruiser provision sign` reads it, and its fingerprint. It asks for no certificate: the desk
+ * has one.
+ */
 export async function requestFor(name) {
   const key = await publicKey();
   const { privateKey } = await read("pair");
-  const text = signedText("A", utf8("request"), utf8("operator"), utf8(name), utf8(""));
+  const text = requestText("operator", [name], key, "");
   const proof = hex(new Uint8Array(await crypto.subtle.sign("Ed25519", privateKey, text)));
-  return JSON.stringify({ role: "operator", names: [name], csr: "", key, proof });
+  const request = { version: 2, role: "operator", names: [name], csr: "", key, proof };
+  return [JSON.stringify(request), await fingerprint(text)];
 }
 
-/** Take over the authority's answer. Whether robots believe it, they say themselves. */
-export async function install(bundle) {
-  const { role, chain, authority, name } = JSON.parse(bundle.split("\n", 1)[0]);
-  if (role !== "operator" || !chain) throw new Error("this is no bundle of an operator");
-  if (JSON.parse(chain.split("\n", 1)[0]).key !== (await publicKey())) throw new Error("this bundle is for another key");
-  await write("grant", { chain, authority: authority.active });
-  return name;
+/** The authority's answer, if it is for the key of this browser, and the fingerprint of the request that it answers. */
+export async function answerOf(text) {
+  const bundle = await Bundle.read(text);
+  if (bundle.key !== (await publicKey())) throw new Error("this bundle is for another key");
+  return [bundle, await fingerprint(requestText("operator", [bundle.name], bundle.key, ""))];
 }
+
+/** Has somebody compared the fingerprint of this authority here? */
+export async function isKnown(bundle) {
+  return (await read("grant"))?.fingerprint === bundle.fingerprint;
+}
+
+/** Take over the authority's answer. */
+export const install = ({ statement, authority, fingerprint }) => write("grant", { chain: statement, authority, fingerprint });
 
 /** The operator with its key and grant; null in open mode, where names are as they are said. */
 export async function signer() {

@@ -163,7 +163,7 @@ def _lines(report: RobotProofReport) -> Iterator[str]:
     vouched = "as given" if report.is_vouched else "by the log alone: nobody vouches for it (--authority)"
     if report.is_of_other_authority:
         vouched = "NOT AS GIVEN: what follows is by the log alone, and nobody vouches for it"
-    yield from (f"  authority {key_fingerprint(key)}, {vouched}" for key in report.authorities)
+    yield from (f"  authority's key {key_fingerprint(key)}, {vouched}" for key in report.authorities)
     if report.robot_key:
         yield f"  robot's key {report.robot_key}"
     for run in report.runs:

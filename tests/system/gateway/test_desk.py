@@ -15,6 +15,7 @@ import msgspec
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page
 
+from gateway.authority.enrolment import read_request, request_fingerprint
 from gateway.zenoh.client import open_session
 from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
@@ -366,7 +367,12 @@ def let_ann_in(page: Page, fleet: ProvisionedFleet, directory: Path) -> None:
     request = directory / "operator-ann.request"
     download.value.save_as(request)
     bundle = fleet.sign(request, "--speed-limit", "0.4")
+    fingerprint = request_fingerprint(read_request(request.read_bytes()))
+    page.get_by_text(f"request {fingerprint}: 'cruiser provision sign' shows the same").wait_for()
     page.get_by_label("Load bundle").set_input_files(bundle)
+    page.get_by_text(f"ann: request {fingerprint}, authority {fleet.fingerprint}. Compare").wait_for()
+    assert page.get_by_text("Open mode").is_visible()
+    page.get_by_role("button", name="They are the same").click()
     page.get_by_text(re.compile("Signs as ann, operator, at most 0.4 m/s, until ")).wait_for()
 
 

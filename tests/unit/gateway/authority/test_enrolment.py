@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.hashes import SHA256
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,8 +14,10 @@ from gateway.authority.enrolment import (
     TEXT_MAX_BYTES,
     Bundle,
     EnrolmentError,
+    EnrolmentRequest,
     EnrolmentRole,
     FleetPlace,
+    authority_fingerprint,
     bundle_text,
     chain_of,
     new_request,
@@ -21,10 +25,12 @@ from gateway.authority.enrolment import (
     read_request,
     request_fingerprint,
 )
+from gateway.provisioning.certificates import new_key
+from gateway.provisioning.certificates import new_request as new_csr
 from schemas.authority.fingerprint import key_fingerprint
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import GrantRole, chain_text
-from schemas.authority.trust import AuthorityKeys, fits
+from schemas.authority.trust import AuthorityKeys, fits, keys_fingerprint
 from tests.support.authority import NOW_S, Fleet, Party
 
 GRANTED = {
@@ -57,16 +63,29 @@ def refusal(text: bytes, now_s: int = NOW_S) -> str:
     return str(caught.value)
 
 
+TLS = new_key()
+
+
+def asked(
+    role: EnrolmentRole,
+    names: list[str],
+    private: Ed25519PrivateKey | None,
+    tls: ec.EllipticCurvePrivateKey = TLS,
+) -> EnrolmentRequest:
+    """A request with a certificate."""
+    return new_request(role, names, new_csr(tls, role.value, names or ["nobody"]), private, tls)
+
+
 @pytest.mark.parametrize("role", list(EnrolmentRole))
 def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
     """Who is granted something has a key in it, who is not has none."""
     private = Ed25519PrivateKey.generate() if role in GRANTED else None
     assert role.is_granted == (role in GRANTED)
-    request = new_request(role, ["one-1"], "csr", private)
+    request = asked(role, ["one-1"], private)
     assert read_request(msgspec.json.format(msgspec.json.encode(request))) == request
     assert request_fingerprint(request) == request_fingerprint(read_request(msgspec.json.encode(request)))
     with pytest.raises(EnrolmentError, match="and has a key" if private is None else "has no key"):
-        new_request(role, ["one-1"], "csr", Ed25519PrivateKey.generate() if private is None else None)
+        asked(role, ["one-1"], Ed25519PrivateKey.generate() if private is None else None)
 
 
 @pytest.mark.parametrize(
@@ -83,23 +102,93 @@ def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
 def test_a_name_is_of_the_form_that_keys_have(role: EnrolmentRole, names: list[str]) -> None:
     """Of a robot and a recorder, of an operator; one, where it stands in a grant."""
     with pytest.raises(EnrolmentError):
-        new_request(role, names, "csr", Ed25519PrivateKey.generate())
+        asked(role, names, Ed25519PrivateKey.generate())
+
+
+ANNS, OTHER_TLS = Ed25519PrivateKey.generate(), new_key()
+OTHER = asked(EnrolmentRole.OPERATOR, ["ann"], Ed25519PrivateKey.generate(), OTHER_TLS)
+CHANGES: dict[str, list[object]] = {
+    "version": [1, 3],
+    "role": [EnrolmentRole.SITE, EnrolmentRole.ROBOT, EnrolmentRole.VIEWER],
+    "names": [["bea"], ["ann", "bea"], []],
+    "csr": [OTHER.csr, new_csr(TLS, "operator", ["ann"]), "another", ""],
+    "key": [OTHER.key, None],
+    "proof": [OTHER.proof, None, "00" * 64],
+    "csr_proof": [OTHER.csr_proof, None, "00" * 64],
+}
+"""What else each field of a request may hold."""
 
 
 @pytest.mark.parametrize(
-    "changed", [{"role": EnrolmentRole.SITE}, {"names": ["bea"]}, {"csr": "another"}, {"proof": "00" * 64}]
+    "made",
+    [asked(EnrolmentRole.OPERATOR, ["ann"], ANNS), new_request(EnrolmentRole.OPERATOR, ["ann"], "", ANNS, None)],
+    ids=["command", "browser"],
 )
-def test_the_proof_of_a_request_covers_each_field(changed: dict[str, object]) -> None:
-    """By itself, whatever else is held against it."""
-    request = new_request(EnrolmentRole.OPERATOR, ["ann"], "csr", Ed25519PrivateKey.generate())
+@pytest.mark.parametrize("field", EnrolmentRequest.__struct_fields__)
+def test_no_field_of_a_request_can_be_changed_unseen(field: str, made: EnrolmentRequest) -> None:
+    """It is refused; and whoever signs it again with other keys changes its fingerprint."""
+    for value in CHANGES[field]:
+        changed = msgspec.structs.replace(made, **{field: value})
+        if changed == made:
+            continue
+        with pytest.raises(EnrolmentError):
+            read_request(msgspec.json.encode(changed))
+        if field not in {"version", "proof", "csr_proof"}:
+            assert request_fingerprint(changed) != request_fingerprint(made)
+
+
+def test_whoever_carries_a_request_puts_no_key_of_theirs_into_it() -> None:
+    """Neither key signs for the other: the request of a person is of both, and of nobody else."""
+    request, thief = asked(EnrolmentRole.OPERATOR, ["ann"], ANNS), Ed25519PrivateKey.generate()
+    stolen = msgspec.structs.replace(request, key=thief.public_key().public_bytes_raw().hex())
+    stolen = msgspec.structs.replace(stolen, proof=thief.sign(stolen.signed()).hex())
+    with pytest.raises(EnrolmentError, match="not signed by the key of its certificate"):
+        read_request(msgspec.json.encode(stolen))
+    stolen = msgspec.structs.replace(request, csr=new_csr(OTHER_TLS, "operator", ["ann"]))
+    signature = OTHER_TLS.sign(stolen.signed(), ec.ECDSA(SHA256())).hex()
     with pytest.raises(EnrolmentError, match="not signed by its own key"):
-        read_request(msgspec.json.encode(msgspec.structs.replace(request, **changed)))
+        read_request(msgspec.json.encode(msgspec.structs.replace(stolen, csr_proof=signature)))
+    browsers = new_request(EnrolmentRole.OPERATOR, ["ann"], "", ANNS, None)
+    thiefs = new_request(EnrolmentRole.OPERATOR, ["ann"], "", thief, None)
+    assert request_fingerprint(browsers) != request_fingerprint(thiefs)
+
+
+def test_a_request_of_a_former_version_is_refused_with_the_cure() -> None:
+    """Its fingerprint covered no key, so that comparing it proved nothing."""
+    text = (
+        b'{"role":"operator","names":["ann"],"csr":"","key":"' + b"00" * 32 + b'","proof":"' + b"00" * 64 + b'"}'
+    )
+    with pytest.raises(EnrolmentError, match=r"of version 1, .* 'cruiser provision renew operator'"):
+        read_request(text)
+
+
+def test_no_field_of_an_authority_can_be_changed_unseen() -> None:
+    """Each key, the CA, the root and each router: another fingerprint. That of the keys alone is of both."""
+    keys, other = AuthorityKeys("00" * 32, "01" * 32), "02" * 32
+    replace = msgspec.structs.replace
+    shown = [
+        authority_fingerprint(keys, PLACE, "ca"),
+        authority_fingerprint(replace(keys, active=other), PLACE, "ca"),
+        authority_fingerprint(replace(keys, standby=other), PLACE, "ca"),
+        authority_fingerprint(AuthorityKeys(keys.standby, keys.active), PLACE, "ca"),
+        authority_fingerprint(keys, PLACE, "ca2"),
+        authority_fingerprint(keys, replace(PLACE, root="fleet2"), "ca"),
+        authority_fingerprint(keys, replace(PLACE, routers=["tls/thief.example:7447"]), "ca"),
+        authority_fingerprint(keys, replace(PLACE, routers=[*PLACE.routers, "tls/thief.example:7447"]), "ca"),
+        keys_fingerprint(keys),
+        keys_fingerprint(replace(keys, active=other)),
+        keys_fingerprint(replace(keys, standby=other)),
+        keys_fingerprint(AuthorityKeys(keys.standby, keys.active)),
+    ]
+    assert len(set(shown)) == len(shown)
+    assert AuthorityKeys.__struct_fields__ == ("active", "standby")
+    assert FleetPlace.__struct_fields__ == ("root", "routers")
 
 
 def test_a_request_that_is_too_long_is_refused_although_it_is_proven() -> None:
     """An authority keeps what it signs."""
     with pytest.raises(EnrolmentError, match="longer than"):
-        new_request(EnrolmentRole.OPERATOR, ["ann"], "x" * TEXT_MAX_BYTES, Ed25519PrivateKey.generate())
+        new_request(EnrolmentRole.OPERATOR, ["ann"], "x" * TEXT_MAX_BYTES, Ed25519PrivateKey.generate(), TLS)
 
 
 def test_a_bundles_signature_is_one_of_nothing_else() -> None:
@@ -166,6 +255,30 @@ def test_a_bundle_that_was_changed_holds_no_more() -> None:
     assert refusal(whole.partition(b"\n")[0]) == "it is not signed"
 
 
+@pytest.mark.parametrize("field", Bundle.__struct_fields__)
+def test_no_field_of_a_bundle_can_be_changed_unseen(field: str) -> None:
+    """Not by whoever carries it; and who makes one of an authority of their own shows another fingerprint."""
+    fleet, party, thieves = Fleet(), Party("ann"), Fleet()
+    fleet.authority.grant(party)
+    bundle = bundle_for(fleet, party, EnrolmentRole.OPERATOR)
+    others = msgspec.structs.replace(
+        bundle_for(thieves, Party("bea"), EnrolmentRole.VIEWER, fleet.site()),
+        fleet=FleetPlace("fleet", ["tls/thief.example:7447"]),
+        certificate="another",
+        shut_out="another",
+        ca="another",
+    )
+    changed = msgspec.structs.replace(bundle, **{field: "" if field == "chain" else getattr(others, field)})
+    assert changed != bundle
+    whole = bundle_text(bundle, fleet.authority.private)
+    refusal(msgspec.json.encode(changed) + b"\n" + whole.partition(b"\n")[2])
+    refusal(bundle_text(changed, thieves.authority.private))
+    thieves.authority.grant(party)
+    its_own = {"authority": others.authority, "chain": chain_text(party.chain)}
+    forged = msgspec.structs.replace(bundle, **({field: getattr(others, field)} | its_own))
+    assert forged.fingerprint != bundle.fingerprint
+
+
 @given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
 def test_whatever_comes_is_refused_with_words(text: bytes) -> None:
     """A request, a bundle, a statement: never another exception."""
@@ -195,11 +308,11 @@ def test_a_statement_is_found_in_its_file_and_a_grant_in_its_bundle() -> None:
 def test_a_person_alone_asks_for_a_grant_without_a_certificate() -> None:
     """A browser does: its desk has the certificate."""
     private = Ed25519PrivateKey.generate()
-    request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", private)
+    request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", private, None)
     assert read_request(msgspec.json.encode(request)).csr == ""
     for role in (EnrolmentRole.ROBOT, EnrolmentRole.RECORDER, EnrolmentRole.SITE):
         with pytest.raises(EnrolmentError, match="needs a certificate"):
-            new_request(role, ["ann"], "", private)
+            new_request(role, ["ann"], "", private, None)
     for role in (EnrolmentRole.VIEWER, EnrolmentRole.ROUTER, EnrolmentRole.DESK):
         with pytest.raises(EnrolmentError, match="needs a certificate"):
-            new_request(role, ["ann"], "", None)
+            new_request(role, ["ann"], "", None, None)

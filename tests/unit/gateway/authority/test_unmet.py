@@ -58,7 +58,7 @@ def test_another_authority_is_said_with_both_fingerprints() -> None:
     unmet = not_believed(objection, chain, other.trust, NOW_S)
     theirs, ours = fingerprint(FLEET.authority.key), fingerprint(other.authority.key)
     assert (unmet.reason, unmet.is_refusal) == (Reason.GRANT_UNKNOWN, False)
-    assert f"is of the authority {theirs}, and authority.json here names {ours}" in unmet.text
+    assert f"is signed by the authority's key {theirs}, and authority.json here names the key {ours}" in unmet.text
 
 
 def test_any_other_doubt_is_said_as_it_is() -> None:

@@ -13,11 +13,15 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-from gateway.authority.enrolment import bundle_text
+from gateway.authority.enrolment import EnrolmentRole, FleetPlace, bundle_text, new_request, read_request
 from gateway.provisioning.certificates import expires_s, read_certificates
+from gateway.provisioning.issuer import Issuer
 from gateway.provisioning.key_files import read_identity
+from gateway.provisioning.key_store import KeyStore
+from gateway.provisioning.machine_keys import ask_again
+from schemas.authority.fingerprint import key_fingerprint
 from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation
-from schemas.authority.trust import HeldGrant, Objection
+from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, keys_fingerprint
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.requests import Role
@@ -258,6 +262,69 @@ def test_who_was_let_in_is_written_down(fleet: ProvisionedFleet) -> None:
     ]
 
 
+def test_a_name_that_has_a_key_gets_no_other_in_silence(
+    fleet: ProvisionedFleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor a key another name: who carries a request may have put it there. One that was revoked is nobody's."""
+    authority = ("--directory", fleet.authority)
+    for role, name in (("operator", "ann"), ("robot", "cruiser-1"), ("viewer", "hall"), ("router", "one")):
+        fleet.sign(fleet.request(role, name))
+        assert run("sign", f"{role}-{name}.request", *authority, "-o", f"{name}-again.bundle") == 0
+        run(role, name, "--directory", fleet.place / f"other-{name}", "-o", f"other-{name}.request")
+        other = ("sign", f"other-{name}.request", *authority)
+        assert f"{role} {name} has another key already" in refused(*other)
+        capsys.readouterr()
+        assert run(*other, "--replace") == 0
+        assert f"{role} {name} has another key already" in capsys.readouterr().err
+        assert run(*other, "--replace") == 0
+        assert "another key" not in capsys.readouterr().err
+    renamed = ask_again(KeyStore(fleet.place / "ann"), EnrolmentRole.OPERATOR, ["bea"])
+    (fleet.place / "bea.request").write_bytes(msgspec.json.encode(renamed))
+    assert "its key was let in as operator ann" in refused("sign", "bea.request", *authority)
+    run("revoke", "cruiser-1", *authority)
+    run("robot", "cruiser-1", "--directory", fleet.place / "third", "-o", "third.request")
+    assert run("sign", "third.request", *authority) == 0
+
+
+def test_a_site_brings_no_authority_of_its_own(fleet: ProvisionedFleet) -> None:
+    """Its bundle names the standby, the CA and the routers too: they are known here, or somebody compares them."""
+    depot, request = fleet.let_in("site", "depot"), fleet.request("operator", "ann")
+    bundle, ann = fleet.sign(request, by="depot"), ("--directory", fleet.place / "ann")
+    assert "a site made it, and it brings authority.json" in refused("install", bundle, *ann)
+    compared = ("--fingerprint", fleet.fingerprint)
+    run("install", bundle, *ann, *compared)
+    run("install", bundle, *ann, "--replace")
+    made, private = bundle_of(bundle), read_key(depot / "site.key")
+    forgeries: list[dict[str, object]] = [
+        {"authority": AuthorityKeys(made.authority.active, "00" * 32)},
+        {"ca": made.ca + made.ca},
+        {"fleet": FleetPlace("fleet", ["tls/thief.example:7447"])},
+    ]
+    for forged in forgeries:
+        bundle.write_bytes(bundle_text(msgspec.structs.replace(made, **forged), private))
+        assert "--fingerprint takes it over" in refused("install", bundle, *ann, "--replace")
+        assert "not of that one" in refused("install", bundle, *ann, "--replace", *compared)
+
+
+def test_who_carries_the_files_of_an_authority_changes_no_key_in_them_unseen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """That of a standby is shown where it is taken over, and both of a new authority where it is rotated to."""
+    fleet = ProvisionedFleet(tmp_path)
+    shown = keys_fingerprint(Issuer.open(KeyStore(fleet.authority)).authority)
+    standby = key_fingerprint((fleet.place / "standby" / "standby.pub").read_text().strip())
+    file, directory = fleet.authority / "authority.json", ("--directory", fleet.place / "standby")
+    said = capsys.readouterr().out
+    assert said.count(f"standby {standby}") == 2
+    assert f"keys {shown}" in said
+    run("rotate", file, *directory, "--fingerprint", shown)
+    assert f"keys {shown}" in capsys.readouterr().out
+    keys = json.loads(file.read_text())
+    for field in keys:
+        (fleet.place / "changed.json").write_text(json.dumps(keys | {field: "00" * 32}))
+        assert "of another authority" in refused("rotate", "changed.json", *directory, "--fingerprint", shown)
+
+
 # Revocation and rotation.
 
 
@@ -369,7 +436,7 @@ def test_the_standby_replaces_a_stolen_authority(fleet: ProvisionedFleet) -> Non
 def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
     fleet: ProvisionedFleet,
 ) -> None:
-    """Only --replace says it."""
+    """Only --replace with the fingerprint says it: whoever carries a renewal may bring another authority."""
     robot = fleet.let_in("robot", "cruiser-1")
     run("renew", "robot", "--directory", robot, "-o", "again.request")
     again = fleet.sign(fleet.place / "again.request")
@@ -377,7 +444,16 @@ def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "again.request", "--directory", new.place / "authority", "-o", "new.bundle")
     assert "another authority's" in refused("install", "new.bundle", "--directory", robot)
-    run("install", "new.bundle", "--directory", robot, "--replace")
+    before = {file: file.read_bytes() for file in robot.iterdir()}
+    text = refused("install", "new.bundle", "--directory", robot, "--replace")
+    assert (
+        f"--fingerprint takes it over, if 'provision authority' or 'sign' showed {new.fingerprint} there" in text
+    )
+    assert "not of that one" in refused(
+        "install", "new.bundle", "--directory", robot, "--replace", "--fingerprint", fleet.fingerprint
+    )
+    assert {file: file.read_bytes() for file in robot.iterdir()} == before
+    run("install", "new.bundle", "--directory", robot, "--replace", "--fingerprint", new.fingerprint)
 
 
 # Nothing is overwritten.
@@ -509,10 +585,18 @@ def test_a_changed_request_is_refused(fleet: ProvisionedFleet) -> None:
 def test_a_request_without_a_grant_is_held_against_its_certificates(fleet: ProvisionedFleet) -> None:
     """A viewer has no key but that of the certificate: role and name stand under it."""
     file = fleet.request("viewer", "hall")
-    request = json.loads(file.read_text())
-    for wrong in ({"names": ["yard"]}, {"names": ["hall", "yard"]}, {"role": "desk"}):
-        file.write_text(json.dumps(request | wrong))
-        assert "name different people" in refused("sign", file, "--directory", fleet.place / "authority")
+    request, tls = read_request(file.read_bytes()), KeyStore(fleet.place / "hall").p256("viewer-tls.key", "")
+    changes: list[dict[str, object]] = [
+        {"names": ["yard"]},
+        {"names": ["hall", "yard"]},
+        {"role": EnrolmentRole.DESK},
+    ]
+    for wrong in changes:
+        said = msgspec.structs.replace(request, **wrong)
+        file.write_bytes(msgspec.json.encode(said))
+        assert "not signed by the key of its certificate" in refused("sign", file, "--directory", fleet.authority)
+        file.write_bytes(msgspec.json.encode(new_request(said.role, said.names, said.csr, None, tls)))
+        assert "name different people" in refused("sign", file, "--directory", fleet.authority)
 
 
 def test_a_bundle_is_held_against_both_keys(fleet: ProvisionedFleet) -> None:
@@ -520,7 +604,7 @@ def test_a_bundle_is_held_against_both_keys(fleet: ProvisionedFleet) -> None:
     authority = read_key(fleet.place / "authority" / "authority.key")
     mine = fleet.sign(fleet.request("operator", "ann"))
     run("operator", "ann", "--directory", fleet.place / "other", "-o", fleet.place / "other.request")
-    others = fleet.sign(fleet.place / "other.request")
+    others = fleet.sign(fleet.place / "other.request", "--replace")
     one, two = bundle_of(mine), bundle_of(others)
     for mixed in (
         msgspec.structs.replace(one, chain=two.chain),

@@ -92,7 +92,15 @@ def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedF
     shown = msgspec.json.decode(bundle.read_bytes().partition(b"\n")[0])["chain"]
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "400.request", "--directory", new.place / "authority", "-o", "new.bundle", "--days", "5")
-    run("install", "new.bundle", "--directory", fleet.place / "cruiser-1", "--replace")
+    run(
+        "install",
+        "new.bundle",
+        "--directory",
+        fleet.place / "cruiser-1",
+        "--replace",
+        "--fingerprint",
+        new.fingerprint,
+    )
     note = note_path(settings_of(fleet), os.environ)
     assert note is not None
     note.parent.mkdir(parents=True)
@@ -115,7 +123,7 @@ def test_a_robot_starts_under_another_authority_that_was_installed(fleet: Provis
     )
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "5.request", "--directory", new.place / "authority", "-o", bundle, "--replace")
-    run("install", bundle, "--directory", fleet.place / "cruiser-1", "--replace")
+    run("install", bundle, "--directory", fleet.place / "cruiser-1", "--replace", "--fingerprint", new.fingerprint)
     assert started(fleet) == chain_text(chain(fleet.place / "cruiser-1" / "robot.grant"))
 
 

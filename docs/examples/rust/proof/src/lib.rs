@@ -276,3 +276,23 @@ pub fn heads_text(
     }
     signed_text(b'H', &parts)
 }
+
+/// The text of a request to be let in: what its keys sign, and of which its fingerprint is.
+pub fn request_text(role: &str, names: &[&str], key: &[u8], csr: &str) -> Vec<u8> {
+    let mut parts = vec![b"request-2".as_slice(), role.as_bytes(), key, csr.as_bytes()];
+    parts.extend(names.iter().map(|name| name.as_bytes()));
+    signed_text(b'A', &parts)
+}
+
+/// The text of which the fingerprint of an authority is: both its keys, the network's authority, and where the fleet is.
+pub fn authority_text(active: &[u8], standby: &[u8], ca: &str, root: &str, routers: &[&str]) -> Vec<u8> {
+    let mut parts = vec![b"authority".as_slice(), active, standby, ca.as_bytes(), root.as_bytes()];
+    parts.extend(routers.iter().map(|router| router.as_bytes()));
+    signed_text(b'A', &parts)
+}
+
+/// What people compare by voice: the first half of a SHA-256, in groups.
+pub fn fingerprint(text: &[u8]) -> String {
+    let digest = Sha256::digest(text);
+    digest[..16].chunks(2).map(hex::encode).collect::<Vec<_>>().join("-")
+}

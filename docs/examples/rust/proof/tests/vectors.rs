@@ -4,7 +4,8 @@
 use std::fs;
 
 use cruiser_proof::{
-    Head, Id, Lease, Message, Operator, Outcome, Robot, fits, heads_text, is_ahead, public_key, run_of, signed_text, statement_id,
+    Head, Id, Lease, Message, Operator, Outcome, Robot, authority_text, fingerprint, fits, heads_text, is_ahead, public_key,
+    request_text, run_of, signed_text, statement_id,
 };
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 use serde::Deserialize;
@@ -209,6 +210,24 @@ fn a_robot_is_believed_by_the_authority_alone() {
     let stolen = good.replace(&hex::encode(vectors.authority()), &hex::encode(vectors.key("ann").verifying_key()));
     assert!(met(&stolen, 20).is_err(), "another signer");
     assert!(public_key("zz").is_err());
+}
+
+#[test]
+fn what_people_compare_has_the_same_text() {
+    let vectors = Vectors::read();
+    let request = &vectors.0["enrolment"]["request"];
+    let key = vectors.key("ann").verifying_key();
+    let text = request_text("operator", &["ann"], key.as_bytes(), "");
+    assert_eq!(text, vectors.bytes("enrolment", "signed"));
+    assert!(fits(&key, &hex::decode(request["proof"].as_str().expect("proof")).expect("proof"), &text));
+    assert_eq!(fingerprint(&text), vectors.text("enrolment", "fingerprint"));
+    let certified = request_text("operator", &["one.example", "10.0.0.5"], b"", "csr");
+    assert_eq!(certified, vectors.bytes("enrolment", "signed_with_csr"));
+    let standby = vectors.0["bundle"]["text"].as_str().and_then(|text| text.split("standby\":\"").nth(1)).expect("standby");
+    let standby = hex::decode(&standby[..64]).expect("standby");
+    let routers = ["tls/router.example:7447", "quic/10.0.0.5:7447"];
+    let shown = fingerprint(&authority_text(vectors.authority().as_bytes(), &standby, "ca", "fleet", &routers));
+    assert_eq!(shown, vectors.text("bundle", "fingerprint"));
 }
 
 #[test]
