@@ -188,6 +188,8 @@ class SafetyState(Message, frozen=True):
         deadman_s: without an acceptable drive command for this long, an engaged robot is stopped.
         accepted_seq: the ``seq`` of the last drive command that the holder of the lease had accepted.
         stop_detail: the figures of the stop that is under way, or of the last one.
+        stopped_by: whose remote stops are latched, the newest first; after four of them "others". A reset by
+            anybody else names the first one.
     """
 
     version: ClassVar[int] = 2
@@ -227,6 +229,7 @@ class SafetyState(Message, frozen=True):
     deadman_s: DurationS
     accepted_seq: Count | None
     stop_detail: str
+    stopped_by: list[str] = msgspec.field(default_factory=list)
 
 
 class Decision(Message, frozen=True):

@@ -91,6 +91,9 @@ class Reason(Enum):
     GRANT_REVOKED = "grant_revoked"
     NOT_GRANTED = "not_granted"
 
+    STOPPED_BY_OTHER = "stopped_by_other"
+    IDLE = "idle"
+
 
 class Text(msgspec.Struct, frozen=True):
     """A reason in words.
@@ -292,6 +295,11 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.GRANT_EXPIRED: Text("the grant is over, or has not begun", "get a new grant from the site"),
     Reason.GRANT_REVOKED: Text("the grant was revoked", "ask the fleet's authority"),
     Reason.NOT_GRANTED: Text("the grant does not allow it", "get a grant that does"),
+    Reason.STOPPED_BY_OTHER: Text(
+        "somebody else has stopped the robot, and may stand before it",
+        "ask them; then say whose stop is cleared: 'cruiser reset ROBOT --of NAME', or lease.reset(of=NAME)",
+    ),
+    Reason.IDLE: Text("nobody has driven the robot for so long that it was disengaged", ENGAGE),
 }
 
 TEXTS: Final[dict[Reason, Text]] = _Texts(_KNOWN_TEXTS)

@@ -129,11 +129,14 @@ class Reset(Leased, frozen=True, forbid_unknown_fields=True):
     Attributes:
         challenge: the newest one of ``safety/state`` that the sender saw. With it a reset never clears what was
             latched after that, nor comes late; without it only what was latched a moment ago is kept.
+        of: whose remote stop it clears, where that was somebody else's: the first name of ``stopped_by`` in
+            ``safety/state`` that is not the sender's.
     """
 
     version: ClassVar[int] = 2
 
     challenge: Challenge | None = None
+    of: Annotated[str, Meta(max_length=96)] = ""
 
 
 class Park(Leased, frozen=True, forbid_unknown_fields=True):

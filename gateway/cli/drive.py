@@ -212,7 +212,9 @@ class _Keys:
 
     def _reset(self) -> None:
         try:
-            self._message = f"reset: {self._lease.reset() or 'nothing was latched'}; g engages"
+            # Whoever presses the key has the names before them.
+            of = next((name for name in self._robot.state().state.stopped_by if name != self._robot.operator), "")
+            self._message = f"reset: {self._lease.reset(of) or 'nothing was latched'}; g engages"
         except Refused as error:
             self._message = str(error)
         self._keys.release_all()

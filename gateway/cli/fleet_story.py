@@ -261,7 +261,8 @@ class FleetStory:
         # A reset counts so long after the stop.
         counts_s = time.monotonic() + RESET_MIN_NS / 1e9
         self._wait("the time from which on a reset counts", lambda: time.monotonic() > counts_s)
-        reset = self._machines.run("reset", second.name, *self._as(OPERATOR, "operator"))
+        of = ("--of", second.state().state.stopped_by[0])
+        reset = self._machines.run("reset", second.name, *of, *self._as(OPERATOR, "operator"))
         self.judge("the operator resets", reset.last, reset.code == ExitCode.OK)
         stop = self._machines.run("stop", second.name, *self._as(VIEWER, "viewer"))
         holder = self._driven(first, drive).lease_holder

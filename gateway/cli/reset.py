@@ -15,6 +15,7 @@ from schemas.settings import Settings
 
 EXAMPLE = """\
   cruiser reset cruiser-1
+  cruiser reset cruiser-1 --of bob                 bob has stopped it, and knows that it is reset
   cruiser reset cruiser-1 --lease 123456789        while another command of the same operator holds the lease"""
 
 
@@ -27,6 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_robot_arguments(parser)
     parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
+    parser.add_argument(
+        "--of", default="", metavar="NAME", help="whose stop is cleared, where it is somebody else's"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object")
 
 
@@ -38,10 +42,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     with connect(arguments, settings, stopped) as robot:
         if arguments.lease is not None:
-            cleared = robot.ask(Reset(lease=arguments.lease, challenge=robot.state().state.challenge)).detail
+            cleared = robot.ask(Reset(arguments.lease, robot.state().state.challenge, arguments.of)).detail
         else:
             with robot.lease() as lease:
-                cleared = lease.reset()
+                cleared = lease.reset(arguments.of)
     if arguments.json:
         record = {"robot": arguments.robot, "cleared": cleared.split(", ") if cleared else []}
         sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")

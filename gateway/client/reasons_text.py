@@ -37,6 +37,8 @@ def state_line(state: SafetyState) -> str:
         words.append(f"{state.stop_phase.value}, because of {_stop(state)}")
     elif last_stop(state):
         words.append(f"last stop {last_stop(state)}")
+    if state.stopped_by:
+        words.append(f"stopped by {plain(', '.join(state.stopped_by))}")
     words.append(holder_line(state))
     return "; ".join(words)
 

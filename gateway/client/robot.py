@@ -344,9 +344,16 @@ class Lease:
             stream.give_up()
         self._ask(Disengage(lease=stream.lease))
 
-    def reset(self) -> str:
-        """Clear what is latched. Returns what that was, in words."""
-        return self._ask(Reset(lease=self.number, challenge=self._link.sighting().state.challenge)).detail
+    def reset(self, of: str = "") -> str:
+        """Clear what is latched. Returns what that was, in words.
+
+        Args:
+            of: whose remote stop is cleared, where it was somebody else's: see ``stopped_by`` in its state.
+
+        Raises:
+            Refused: the cause is not gone, or somebody else has stopped the robot (``stopped_by_other``).
+        """
+        return self._ask(Reset(self.number, self._link.sighting().state.challenge, of)).detail
 
     def park(self) -> None:
         """Apply the parking brake of the engaged robot, which may still be slowing down to zero."""

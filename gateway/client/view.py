@@ -112,6 +112,7 @@ def safety_facts(report: RobotStatus) -> list[Fact]:
         Fact("arbiter", safety.state.value),
         Fact("driver", plain(safety.lease_holder) or "nobody"),
         *([Fact("latched", latched, BAD)] if latched else []),
+        *([Fact("stopped by", plain(", ".join(safety.stopped_by)), BAD)] if safety.stopped_by else []),
         *([Fact("blocked by", blocked, PLAIN if is_idle(blocked_by) else BAD)] if blocked else []),
         *([Fact("last stop", stop)] if stop else []),
         *([Fact("limit", f"{safety.speed_limit_mps:.2f} m/s")] if safety.state in COMMANDING else []),

@@ -158,10 +158,12 @@ class Engagement:
             self.outbox.add_event(Severity.ERROR, EventKind.LATCH, reason, text, operator)
 
     def prove(self, reason: Reason, claimed: str, proven: str, operator: str) -> None:
-        """Say who latched this cause, if that is proven only now. The event has no reason, for none is new."""
-        if self.latches.details.get(reason) != claimed:
+        """Say who latched this remote stop, if that is proven only now. The event has no reason, for none is new.
+
+        The proven name is among those who stopped the robot already; here the claimed one goes.
+        """
+        if not self.latches.withdraw(claimed):
             return
-        self.latches.details[reason] = proven
         if (self.stop_reason, self.stop_detail) == (reason, claimed):
             self.stop_detail = proven
         text = f"proven: {_in_words(reason, proven)}"

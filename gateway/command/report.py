@@ -106,6 +106,7 @@ class Reporter:
             deadman_s=link.deadman_ns / _NS_PER_S,
             accepted_seq=link.accepted_seq,
             stop_detail=arbiter.engagement.stop_detail,
+            stopped_by=arbiter.latches.stopped_by,
         )
 
     def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:
@@ -156,7 +157,7 @@ class Reporter:
             arbiter.output.stop_phase,
             arbiter.engagement.stop_reason,
             lease.id if lease is not None else None,
-            tuple(arbiter.latches.details),
+            tuple(arbiter.latches.details.items()),
             tuple(blocked_by),
             arbiter.output.actuation is None or arbiter.output.actuation.parking,
         )

@@ -100,8 +100,10 @@ class Verbs:
     def _stop(self, raw: RawRequest, now_ns: int) -> Ruling:
         """Latch a stop in any case. Where it cannot be carried out, the reply says so, and what the robot does."""
         is_proven = raw.credentials is not None and raw.credentials.reason is Reason.NONE
-        who = f"by {raw.operator or 'an unnamed operator'}"
-        is_unproven = self._is_signed and not is_proven
+        name = raw.operator or "an unnamed operator"
+        who = f"by {name}"
+        # Whoever has stopped it provably, and says so again, is no second one.
+        is_unproven = self._is_signed and not is_proven and name not in self._latches.stopped_by
         self._engagement.begin_stop(
             Reason.REMOTE_STOP, now_ns, who + _UNPROVEN if is_unproven else who, raw.operator
         )
@@ -218,6 +220,9 @@ class Verbs:
         unseen = self._unseen_reason(request.challenge, now_ns)
         if unseen is not Reason.NONE:
             return Ruling(unseen, "it was made before this was to be seen", lease=request.lease)
+        others = [name for name in self._latches.stopped_by if name != operator]
+        if others and request.of != others[0]:
+            return Ruling(Reason.STOPPED_BY_OTHER, others[0], lease=request.lease)
         self._monitor.acknowledge(self._latches.details)
         cleared = ", ".join(reason.value for reason in self._latches.details)
         self._latches.details.clear()

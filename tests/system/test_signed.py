@@ -545,7 +545,7 @@ def test_a_latched_robot_takes_renewed_files_over_and_stays_latched(site: Site) 
                 with pytest.raises(Refused) as refused:
                     lease.engage()
                 assert refused.value.reason is Reason.REMOTE_STOP
-                reset(lease)
+                reset(robot, lease)
             assert robot.wait_for(lambda state: not state.latched, 30)
 
 
@@ -571,15 +571,15 @@ def test_a_stopped_robot_without_a_grant_takes_one_over_and_stays_latched(site: 
         process.wait_says("starting again with the renewed files")
         with Robot.connect(ROBOT, settings=site.settings, timeout_s=30) as robot, robot.lease() as lease:
             assert robot.state().state.latched == [Reason.REMOTE_STOP]
-            reset(lease)
+            reset(robot, lease)
 
 
-def reset(lease: Lease) -> None:
-    """Reset the robot, as soon as it sees its chassis: on a busy machine frames come late."""
+def reset(robot: Robot, lease: Lease) -> None:
+    """Reset the robot, as soon as it sees its chassis: on a busy machine frames come late. Others stopped it."""
 
     def is_reset() -> bool:
         try:
-            return lease.reset() == Reason.REMOTE_STOP.value
+            return lease.reset(robot.state().state.stopped_by[0]) == Reason.REMOTE_STOP.value
         except Refused:
             return False
 

@@ -223,7 +223,8 @@ export class Control {
     const [pair, ours] = this.signer ? await Lease.newKey() : [null, null];
     const [{ lease }] = await this.ask("acquire", ours ? { public_key: ours } : {});
     try {
-      await this.ask("reset", { lease });
+      const of = this.state.stopped_by?.find((name) => name !== this.name);
+      await this.ask("reset", { lease, ...(of && { of }) });
     } finally {
       await this.ask("release", { lease });
     }

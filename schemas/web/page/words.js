@@ -165,6 +165,8 @@ const ZH = {
     grant_expired: ["授权已过期，或尚未生效", "向站点申请新的授权"],
     grant_revoked: ["授权已被撤销", "询问车队的授权方"],
     not_granted: ["授权不允许此操作", "申请允许此操作的授权"],
+    stopped_by_other: ["别人停下了机器人，可能就站在它前面", "先问那个人，再复位，并说明清除谁的停车"],
+    idle: ["很久没有人驾驶，机器人已退出接合", "按“取得控制权”"],
   },
   // The same where a reason is said of a robot, not of a request.
   of_robot: {

@@ -85,7 +85,7 @@ class Day:
         if not self.rig.says.engaged:
             self.rig.run(2.5)
             operator.take_lease("take", override=True)
-            operator.reason("reset")
+            operator.reset()
             operator.ask("engage")
             self.rig.run(0.2)
             operator.drive(0.0)
@@ -167,12 +167,12 @@ class RestfulDay(Day):
             rig.run(3)
             if number % 2:
                 first.take_lease("take", override=True)
-                first.reason("reset")
+                first.reset()
                 first.ask("release")
             else:
                 first.take_lease("take", override=True)
                 rig.run(0.6)
-                first.reason("reset")
+                first.reset()
             rig.run(9)
 
 

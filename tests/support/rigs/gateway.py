@@ -359,6 +359,10 @@ class Operator:
         self.rig.tick()
         return self.rig.replies[handle].reason
 
+    def reset(self) -> Reason:
+        """Reset whatever is latched, whoever has stopped it."""
+        return self.reason("reset", of=next((name for name in self.rig.says.stopped_by if name != self.name), ""))
+
     def take_lease(self, verb: str = "acquire", **fields: object) -> Reason:
         """Acquire or take; remembers the number."""
         handle = self.ask(verb, **fields)

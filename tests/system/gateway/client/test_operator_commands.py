@@ -208,6 +208,22 @@ def test_stop_and_reset(capsys: Capture) -> None:
     assert [json.loads(line)["cleared"] for line in lines[4:]] == [["guard"], []]
 
 
+def test_a_stop_of_somebody_elses_is_reset_by_name(capsys: Capture) -> None:
+    """Row 'reset of a stop by somebody else': whoever stopped it may stand before it, and is named first."""
+    with FakeRobot("cruiser-1") as fake:
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "bob", settings, 20) as robot:
+            robot.stop()
+            assert robot.state().state.stopped_by == ["bob"]
+        wait_until(lambda: counts_a_reset(fake))
+        with pytest.raises(CommandError, match=r"bob.*--of") as caught:
+            run(reset, fake.listen, "cruiser-1")
+        assert caught.value.code is ExitCode.REFUSED
+        assert run(why, fake.listen, "cruiser-1") == ExitCode.FAILURE
+        assert "stopped by bob" in capsys.readouterr().out
+        assert run(reset, fake.listen, "cruiser-1", "--of", "bob") == ExitCode.OK
+
+
 def test_reset_leaves_a_lease_of_another_alone() -> None:
     """Who holds it is named; with the number of one's own it works."""
     with FakeRobot() as fake:

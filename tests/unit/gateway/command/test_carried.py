@@ -79,7 +79,7 @@ def test_what_is_latched_stays_latched_until_a_reset(strike: Callable[[GatewayRi
     operator = Operator(rig, "second")
     assert operator.take_lease() is Reason.NONE
     assert operator.reason("engage") is reason
-    assert operator.reason("reset") is Reason.NONE
+    assert operator.reset() is Reason.NONE
     operator.engage()
 
 

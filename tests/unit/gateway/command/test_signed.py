@@ -128,13 +128,13 @@ def test_a_stop_whose_word_came_first_is_named_once_it_is_proven() -> None:
 
 
 def test_a_proven_stop_takes_no_name_from_somebody_elses() -> None:
-    """Who only claimed to stop the robot first stays unproven."""
+    """Whoever only claimed to have stopped the robot stays unproven."""
     rig = granted()
     rig.credentials = NOBODY
     rig.send("stop", b"", "vic")
     rig.credentials = OPERATOR
     rig.send("stop", b"")
-    assert rig.arbiter.latches.details == {Reason.REMOTE_STOP: "by vic (unproven)"}
+    assert rig.arbiter.latches.details == {Reason.REMOTE_STOP: "by first, vic (unproven)"}
     assert len(rig.told(EventKind.LATCH)) == 1
 
 

@@ -358,7 +358,7 @@ def test_reset_clears_what_is_latched() -> None:
     stopped(bench)
     assert bench.arbiter.latches.details
     assert bench.ask("engage").reason is Reason.REMOTE_STOP
-    ruling = bench.ask("reset")
+    ruling = bench.ask("reset", of="second")
     assert (ruling.reason, ruling.detail) == (Reason.NONE, "remote_stop")
     assert bench.arbiter.latches.details == {}
     assert bench.told(EventKind.RESET)[-1].text == "reset: remote_stop"
@@ -386,6 +386,45 @@ def test_reset_wants_the_cause_gone(changes: dict[str, object], reason: Reason) 
     bench.tick()
     assert bench.ask("reset").reason is reason
     assert Reason.REMOTE_STOP in bench.arbiter.latches.details
+
+
+@pytest.mark.parametrize(
+    ("stops", "of", "refused_for"),
+    [
+        (("first",), "", None),
+        (("second",), "", "second"),
+        (("second",), "third", "second"),
+        (("second",), "second", None),
+        (("second", "first"), "", "second"),
+        (("second", "third"), "second", "third"),
+        (("second", "third"), "third", None),
+        (("third", "second", "third"), "third", None),
+        ((*"abcdef", "first"), "f", None),
+        (("",), "", "an unnamed operator"),
+        (("",), "an unnamed operator", None),
+    ],
+)
+def test_a_reset_says_whose_stop_it_clears(stops: tuple[str, ...], of: str, refused_for: str | None) -> None:
+    """Row 'reset of a stop by somebody else': the newest of them, else refused with that name."""
+    bench = ArbiterRig()
+    bench.ask("acquire")
+    for operator in stops:
+        bench.ask("stop", operator)
+    bench.tick(count=60)
+    ruling = bench.ask("reset", of=of)
+    refused = (Reason.STOPPED_BY_OTHER, refused_for)
+    assert (ruling.reason, ruling.detail) == (refused if refused_for else (Reason.NONE, "remote_stop"))
+    assert bool(bench.arbiter.latches.details) is (refused_for is not None)
+
+
+def test_the_last_four_who_stopped_it_are_named() -> None:
+    """Then "others"; whoever stops it again is the newest. So says the detail, which outlives a restart, too."""
+    bench = ArbiterRig()
+    for operator in "abcdeb":
+        bench.ask("stop", operator)
+    assert bench.arbiter.latches.stopped_by == ["b", "e", "d", "c", "others"]
+    assert bench.arbiter.latches.details == {Reason.REMOTE_STOP: "by b, e, d, c, others"}
+    assert len(bench.told(EventKind.LATCH)) == 1
 
 
 def test_reset_wants_the_command_to_be_zero() -> None:

@@ -101,6 +101,25 @@ def test_a_note_that_cannot_be_written_is_said_once_and_holds_nobody_up(
     note.close()
 
 
+def test_of_more_changes_than_the_disk_writes_the_last_one_counts(
+    open_note: Callable[[], LatchNote], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Anyone may stop a robot under ever other names, a hundred times a second."""
+    note, goes_on, written = open_note(), threading.Event(), list[object]()
+
+    def write(latched: object) -> None:
+        goes_on.wait()
+        written.append(latched)
+
+    monkeypatch.setattr(note, "_write", write)
+    for number in range(1000):
+        note.follow({Reason.REMOTE_STOP: f"by {number}"})
+    goes_on.set()
+    note.close()
+    assert len(written) < 4
+    assert written[-1] == {"remote_stop": "by 999"}
+
+
 def test_where_no_directory_is_given_nothing_is_kept() -> None:
     """The gateway warns of that at its start."""
     note = LatchNote.of(Settings(gateway=GatewaySettings(state_dir="")))
