@@ -3,7 +3,7 @@
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
 from typing import cast
 
@@ -412,6 +412,20 @@ class FakeNote:
             self.latched.append(is_latched)
 
 
+class FakeLatchNote:
+    """Says when something else is latched than before."""
+
+    def __init__(self, order: list[str]) -> None:
+        self.order = order
+        self.latched: dict[Reason, str] = {}
+
+    def follow(self, latched: Mapping[Reason, str]) -> str:
+        if latched != self.latched:
+            self.order.append("note")
+            self.latched = dict(latched)
+        return ""
+
+
 class OrderedZenoh(FakeZenoh):
     """Zenoh that says when it is used."""
 
@@ -443,6 +457,7 @@ class Commanded:
         self.inbox = FakeInbox(self.order)
         self.guard = FakeGuard(self.order)
         self.note = FakeNote()
+        self.latch_note = FakeLatchNote(self.order)
         self.former_guard = FakeFormerGuard()
         self.is_realtime = True
         self.core = core()
@@ -464,6 +479,7 @@ class Commanded:
             self.note,
             self.former_guard,
             has_realtime=lambda: self.is_realtime,
+            latch_note=self.latch_note,
         )
         run(ports, self.core, lambda: b"", stopped)
 
@@ -541,6 +557,21 @@ def test_frames_go_out_before_anything_else_and_decisions_last() -> None:
         assert done == sorted(done, key=rank.__getitem__)
         engaging += done[:2] == ["frames", "beat"] and "reply" in done
     assert engaging == 1, "the reply to engage comes in a tick with frames"
+
+
+def test_what_is_latched_is_on_its_way_to_the_disk_before_anybody_is_told() -> None:
+    """In the tick of the stop: somebody goes up to the robot on the word of the reply."""
+    commanded = Commanded()
+
+    def script(one: Commanded) -> Iterator[bool]:
+        yield from one.engage()
+        handle = one.inbox.ask("stop")
+        while handle not in one.inbox.replies:
+            yield False
+
+    commanded.run(script)
+    [stopped] = [done for done in commanded.ticks() if "note" in done]
+    assert stopped[:4] == ["frames", "beat", "note", "reply"]
 
 
 def test_the_loop_ends_when_the_robot_is_at_rest_and_not_before() -> None:

@@ -518,6 +518,21 @@ def drive_on(lease: Lease) -> None:
     is_done(lease.unpark)
 
 
+def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:
+    """Somebody goes up to the robot then: a restart that comes right after must not clear the stop."""
+    endpoint = free_endpoint()
+    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    with (
+        chassis() as (_, address),
+        gateway(address, endpoint),
+        Robot.connect("cruiser-1", "first", settings, 30) as robot,
+        robot.lease() as lease,
+    ):
+        wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
+        robot.stop()
+        assert any(Path(os.environ["XDG_STATE_HOME"]).glob("**/*.latched.json"))
+
+
 def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
     """One that is there while the guard still stops the robot knows whose frames these are, and how it ended."""
     endpoint = free_endpoint()

@@ -16,7 +16,7 @@ from gateway.rerun.rerun import run_again
 from schemas.decisions import ArbiterState, EventKind
 from schemas.journal import Kind
 from schemas.reasons import Reason
-from schemas.settings import LATE_NS
+from schemas.settings import LATE_NS, CommandSettings
 from tests.support.rigs.gateway import GUARDED, GatewayRig, Operator, driving, ready
 
 SETTLED_S = QUIET_NS / 1e9 + 0.1
@@ -113,8 +113,10 @@ def test_a_stop_that_is_not_done_is_owed() -> None:
 
 
 def _hold_lease(rig: GatewayRig) -> None:
+    """For longer than it takes to be quiet: what was asked last is forgotten, the lease is not."""
     Operator(rig, "third").take_lease()
-    rig.run(0.5)
+    rig.run(SETTLED_S)
+    assert rig.says.lease_holder == "third"
 
 
 def _ask_in_vain(rig: GatewayRig) -> None:
@@ -155,7 +157,7 @@ def _close(rig: GatewayRig) -> None:
 )
 def test_a_gateway_that_is_needed_does_not_start_again(disturb: Callable[[GatewayRig], None]) -> None:
     """Somebody commands the robot or asks, it is not seen to stand, or a stop waits for its turn."""
-    rig = GatewayRig()
+    rig = GatewayRig(command=CommandSettings(lease_s=2 * SETTLED_S - 1))
     rig.run(SETTLED_S)
     assert may_start_again(rig)
     disturb(rig)

@@ -563,24 +563,49 @@ def test_a_latched_robot_that_is_given_back_gets_its_parking_brake_again() -> No
     assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
+def hinder(rig: GatewayRig, obstacle: Reason) -> None:
+    """From here on this keeps a stop from being carried out, or from being known to be."""
+    match obstacle:
+        case Reason.BUS_DOWN:
+            rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+        case Reason.BUS_OFF:
+            rig.core.receive_frame(Frame(ERROR | 0x40, bytes(8)), rig.now_ns)
+        case Reason.SEND_FAILED:
+            rig.takes = 0
+            rig.tick()
+        case Reason.HAND_TRANSMITTER:
+            rig.fault("transmitter remote")
+            rig.fault("sticks 0.8 0")
+            rig.run(1)
+        case Reason.OTHER_COMMANDER:
+            rig.fault("foreign 18C4D3D0 every 10ms for 1s")
+            rig.tick(2)
+        case Reason.FEEDBACK_MISSING:
+            rig.corrupt = lambda _frame: None
+            rig.run(0.6)
+
+
 @pytest.mark.parametrize(
-    ("disturb", "reason"), [("remote", Reason.HAND_TRANSMITTER), ("bus", Reason.BUS_DOWN), ("none", Reason.NONE)]
+    ("obstacle", "words"),
+    [
+        (Reason.BUS_DOWN, "latched; not carried out: the robot is not seen to stand"),
+        (Reason.BUS_OFF, "latched; told, but not known to be obeyed: the robot moves at 1.00 m/s"),
+        (Reason.SEND_FAILED, "latched; told, but not known to be obeyed: the robot moves at 1.00 m/s"),
+        (Reason.HAND_TRANSMITTER, "latched; not carried out: the robot moves at 0.80 m/s"),
+        (Reason.OTHER_COMMANDER, "latched; told, but not known to be obeyed: the robot moves at 1.00 m/s"),
+        (Reason.FEEDBACK_MISSING, "latched; told, but not known to be obeyed: the robot is not seen to stand"),
+        (Reason.NONE, "the robot moves at 1.00 m/s"),
+    ],
 )
-def test_a_stop_that_cannot_be_carried_out_says_so(disturb: str, reason: Reason) -> None:
+def test_a_stop_that_cannot_be_carried_out_says_so(obstacle: Reason, words: str) -> None:
     """Row 'a stop that cannot be carried out: the reply says so with reason and what the robot does now'."""
     rig, operator = driving(1.0)
-    if disturb == "remote":
-        rig.fault("transmitter remote")
-        rig.fault("sticks 0.8 0")
-        rig.run(1)
-    elif disturb == "bus":
-        rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
+    hinder(rig, obstacle)
     handle = operator.ask("stop")
     rig.tick()
     reply = rig.replies[handle]
-    assert (reply.ok, reply.reason) == (reason is Reason.NONE, reason)
-    assert ("not seen to stand" if disturb == "bus" else "the robot moves at") in reply.detail
-    assert ("not carried out" in reply.detail) is not reply.ok
+    assert (reply.ok, reply.reason) == (obstacle is Reason.NONE, obstacle)
+    assert reply.detail.endswith(words)
     assert rig.says.latched == [Reason.REMOTE_STOP]
 
 
@@ -601,6 +626,21 @@ def test_a_bumper_stops_the_robot_and_latches(side: str, speed_mps: float) -> No
     rig.tick(40)
     assert operator.reason("reset") is Reason.NONE
     assert rig.says.latched == []
+
+
+@pytest.mark.parametrize("phase_ticks", [0, 1])
+@pytest.mark.parametrize(("speed_mps", "way_m"), [(0.48, 0.14), (1.0, 0.41), (2.2, 1.56)])
+def test_a_bumper_that_is_hit_at_speed_is_followed_by_so_many_metres(
+    speed_mps: float, way_m: float, phase_ticks: int
+) -> None:
+    """Row 'speed limit': from the hit to rest, whenever it comes between two body frames."""
+    rig, operator = driving(speed_mps)
+    rig.tick(phase_ticks)
+    hit_m = rig.chassis.state.x_m
+    rig.fault("bumper front on")
+    operator.drive(speed_mps, seconds=4)
+    assert rig.speed_mps == 0
+    assert way_m - 0.04 < rig.chassis.state.x_m - hit_m < way_m
 
 
 @pytest.mark.parametrize("chatter_ms", [20, 40, 80])

@@ -14,9 +14,9 @@ from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
-from schemas.settings import CommandSettings
+from schemas.settings import HOLD_NS, CommandSettings
 from tests.support.nights import by_night, every_pair
-from tests.support.rigs.gateway import GatewayRig, Operator, driving
+from tests.support.rigs.gateway import MS, GatewayRig, Operator, driving
 
 SLOPES = (-20.0, 8.0, 20.0)
 MORE_SLOPES = (-8.0, 3.0, 15.0)
@@ -24,6 +24,9 @@ MORE_SLOPES = (-8.0, 3.0, 15.0)
 
 PAYLOADS = (0.0, 100.0)
 PEDALS = (0.0, 0.3, 1.0)
+PARKING_DELAYS_S = (0.05, 0.5)
+"""A brake that applies at once hides what holds the robot until it does."""
+
 CAUSES = ("stop", "silence", "disengage", "bumper front on", "silence Auto_DriveFeedBack")
 
 RELEASE_MAX_M = 0.10
@@ -42,6 +45,7 @@ class Hill(GatewayRig):
     Attributes:
         operator: has the robot engaged.
         rolled_back_m: how far it is behind the furthest place that it reached, since ``watch``.
+        stood_ns, braked_ns: when it first stood since then, and when its brake first read applied.
     """
 
     def __init__(
@@ -50,12 +54,14 @@ class Hill(GatewayRig):
         payload_kg: float = 0.0,
         pedal_gain: float = 0.0,
         command: CommandSettings | None = None,
+        parking_delay_s: float = 0.05,
     ) -> None:
         super().__init__(command=command)
-        conditions = Conditions(slope_deg=slope_deg, payload_kg=payload_kg, pedal_gain=pedal_gain)
+        conditions = Conditions(slope_deg, payload_kg, pedal_gain, parking_delay_s=parking_delay_s)
         self.chassis = VirtualChassis(load(Variant.COARSE), 0, conditions=conditions)
         self._sign = 0.0
         self._furthest_m = self.rolled_back_m = 0.0
+        self.stood_ns = self.braked_ns = 0
         self.run(0.6)
         self.operator = Operator(self)
         self.operator.engage()
@@ -73,6 +79,9 @@ class Hill(GatewayRig):
                 way_m = self._sign * self.chassis.state.x_m
                 self._furthest_m = max(self._furthest_m, way_m)
                 self.rolled_back_m = max(self.rolled_back_m, self._furthest_m - way_m)
+                self.stood_ns = self.stood_ns or self.now_ns * (not self.speed_mps)
+                is_braked = self.chassis.state.parking_status is ParkingStatus.APPLIED
+                self.braked_ns = self.braked_ns or self.now_ns * is_braked
 
 
 @pytest.mark.parametrize(
@@ -91,12 +100,20 @@ def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
     assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
-@pytest.mark.parametrize(("slope_deg", "payload_kg", "cause"), on_slopes(PAYLOADS, CAUSES))
-def test_a_stop_on_a_slope_ends_parked(slope_deg: float, payload_kg: float, cause: str) -> None:
-    """Whatever the cause: it does not roll back, and stands under its parking brake in the end."""
-    hill = Hill(slope_deg, payload_kg)
-    hill.operator.drive(0.5, seconds=2.0)
+@pytest.mark.parametrize(
+    ("slope_deg", "payload_kg", "cause", "parking_delay_s"), on_slopes(PAYLOADS, CAUSES, PARKING_DELAYS_S)
+)
+def test_a_stop_on_a_slope_ends_parked(
+    slope_deg: float, payload_kg: float, cause: str, parking_delay_s: float
+) -> None:
+    """Whatever the cause: it does not roll back, and stands under its parking brake in the end.
+
+    The brake is told when it stands, and the gear stays in until a second after the brake reads applied.
+    """
+    hill = Hill(slope_deg, payload_kg, parking_delay_s=parking_delay_s)
+    hill.operator.drive(0.5, seconds=2.5)
     hill.watch(1.0)
+    begun_ns, is_driven = hill.now_ns, hill.says.engaged
     match cause:
         case "stop":
             hill.put("anyone", "stop", b"")
@@ -106,11 +123,19 @@ def test_a_stop_on_a_slope_ends_parked(slope_deg: float, payload_kg: float, caus
             hill.operator.ask("disengage")
         case _:
             hill.fault(cause)
-    hill.run(7.0)
+    hill.run(8.0)
     assert hill.rolled_back_m < STOP_MAX_M
     assert hill.speed_mps == 0
     assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
     assert hill.says.state is ArbiterState.STANDBY
+    if not is_driven:
+        return  # Loaded, it does not climb so steep a slope, and was stopped as it set off.
+    told = [(at_ns, burst) for at_ns, burst in hill.bursts if at_ns > begun_ns]
+    parked_ns = next(at_ns for at_ns, burst in told if burst["Auto_ParkingCmd"]["ParkingRequest"])
+    disabled_ns = next(at_ns for at_ns, burst in told if not burst["Auto_GearCmd"]["Enable"])
+    assert parked_ns - hill.stood_ns <= 100 * MS
+    assert disabled_ns - hill.braked_ns >= HOLD_NS
+    assert {burst["Auto_GearCmd"]["TargetGear"] for at_ns, burst in told if at_ns < disabled_ns} == {"drive"}
 
 
 @pytest.mark.parametrize("slope_deg", [8.0, 20.0])

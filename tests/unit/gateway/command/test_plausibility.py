@@ -288,6 +288,7 @@ def test_a_robot_that_is_found_moving_has_its_speed(speed_mps: float) -> None:
         (0.5, seen(0.79), False),
         (0.5, seen(-0.8), True),
         (0.5, seen(0.5, 0.8), True),
+        (0.5, seen(0.8, 0.5), True),
     ],
 )
 def test_a_robot_that_is_faster_than_its_limit_is_found(

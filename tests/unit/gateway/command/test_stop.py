@@ -189,6 +189,15 @@ def test_a_robot_that_stops_slowing_gets_its_parking_brake_300_ms_later() -> Non
     assert stop.last.parking
 
 
+def test_a_robot_that_slows_and_does_not_stand_gets_its_parking_brake_a_second_after_zero_was_told() -> None:
+    """Row 'stop: parking brake': one that loses a little speed all the time would coast for metres."""
+    stop = Run(deceleration_mps2=inf)
+    stop.run(lambda _: moving(2.0 - 0.3 * stop.now_ms / 1000), 1_000)
+    assert stop.lasted_ms() == {StopPhase.BRAKE: 1_000}
+    stop.run(moving(1.7))
+    assert stop.sequence.phase is StopPhase.PARK
+
+
 @pytest.mark.parametrize("seen", [STANDS, moving(0.5), BLIND], ids=["stands", "moves", "blind"])
 @pytest.mark.parametrize(
     "last",
