@@ -54,7 +54,7 @@ _PART: Final = re.compile(r"<!-- generated: ([\w-]+) -->\n(.*?)<!-- end -->", re
 _UNBOUNDED: Final = 2**53 - 1
 """From here on an upper bound is only what a number can hold, and says nothing."""
 
-_DETAILS: Final = re.compile(r" (from )?[\d.-]+$| (from )?[\d.-]+(?= or)| or null")
+_DETAILS: Final = re.compile(r" (from )?[\d.-]+\Z| (from )?[\d.-]+(?= or)| or null")
 """The parts of a type's description besides the type: bounds and null."""
 
 FIELDS_LISTED: Final = 7

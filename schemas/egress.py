@@ -27,7 +27,7 @@ PROFILES: Final[dict[str, dict[str, float]]] = {
 
 EVERY_INTERFACE: Final = "*"
 
-PROFILE_PATTERN: Final = rf"^([^=/\s]{{1,15}}|\*)=({FULL}|{OPERATOR}|{THIN})$"
+PROFILE_PATTERN: Final = rf"^([^=/\s]{{1,15}}|\*)=({FULL}|{OPERATOR}|{THIN})\Z"
 """The form of ``zenoh.profiles``: an interface of Linux, and its profile."""
 
 DOWNSAMPLING: Final = "downsampling"

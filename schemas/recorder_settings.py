@@ -71,11 +71,11 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         incident_ring_bytes: bytes of messages held in memory for an incident, of all robots together
     """
 
-    name: Annotated[str, Meta(pattern="^[a-z0-9-]*$")] = ""
+    name: Annotated[str, Meta(pattern=r"^[a-z0-9-]*\Z")] = ""
     keys: list[str] = []
     directory: Annotated[str, Meta(min_length=1)] = "."
     per_robot: bool = True
-    shard: Annotated[str, Meta(pattern=r"^([1-9][0-9]{0,2}/[1-9][0-9]{0,2})?$")] = ""
+    shard: Annotated[str, Meta(pattern=r"^([1-9][0-9]{0,2}/[1-9][0-9]{0,2})?\Z")] = ""
     standby: bool = False
     flush_s: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
     chunk_bytes: Annotated[int, Meta(ge=1024, le=16_777_216)] = 1_048_576
@@ -85,7 +85,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sample_max_bytes: Annotated[int, Meta(ge=1024, le=1_000_000_000)] = 16_000_000
     budget_bytes: Annotated[int, Meta(ge=0)] = 0
     floor_bytes: Annotated[int, Meta(ge=0)] = 200_000_000
-    known_robots: list[Annotated[str, Meta(pattern=f"^{ROBOT_PATTERN}$")]] = []
+    known_robots: list[Annotated[str, Meta(pattern=rf"^{ROBOT_PATTERN}\Z")]] = []
     keep_s: Annotated[float, Meta(ge=0, le=2_678_400)] = 7200.0
     keep_incidents_s: Annotated[float, Meta(ge=0, le=31_536_000)] = 604_800.0
     incident_events: list[EventKindName] = msgspec.field(default_factory=lambda: [*INCIDENT_EVENTS])
@@ -112,6 +112,6 @@ class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     options: dict[str, str | int | float | bool] = {}
     logs: Literal["all", "incidents"] = "all"
     rate_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 250_000
-    hours: Annotated[str, Meta(pattern=r"^(([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d)?$")] = ""
+    hours: Annotated[str, Meta(pattern=r"^(([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d)?\Z")] = ""
     read_back: bool = True
     catalog: bool = True

@@ -92,7 +92,7 @@ def _words(kind: Kind) -> str:
             inspect.ListType(item_type=inspect.StrType(pattern=str(pattern)))
             | inspect.StrType(pattern=str(pattern))
         ):
-            bounds = f" of the form {pattern.removeprefix('^').removesuffix('$')}"
+            bounds = " of the form " + pattern.removeprefix("^").removesuffix(r"\Z")
         case inspect.StrType(min_length=int()):
             bounds = " that is not empty"
         case _:

@@ -292,8 +292,8 @@ class RobotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         name: the robot's chunk of the key
     """
 
-    root: Annotated[str, Meta(pattern=f"^{keys.ROOT_PATTERN}$")] = "fleet"
-    name: Annotated[str, Meta(pattern=f"^{keys.ROBOT_PATTERN}$")] = "cruiser-1"
+    root: Annotated[str, Meta(pattern=rf"^{keys.ROOT_PATTERN}\Z")] = "fleet"
+    name: Annotated[str, Meta(pattern=rf"^{keys.ROBOT_PATTERN}\Z")] = "cruiser-1"
 
 
 class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -313,7 +313,7 @@ class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     interface: Annotated[str, Meta(min_length=1)] = "socketcan"
     channel: Annotated[str, Meta(min_length=1)] = "can0"
     bitrate: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
-    bus: Annotated[str, Meta(pattern=f"^{keys.BUS_PATTERN}$", max_length=BUS_MAX_LENGTH)] = "can0"
+    bus: Annotated[str, Meta(pattern=rf"^{keys.BUS_PATTERN}\Z", max_length=BUS_MAX_LENGTH)] = "can0"
     raw_frames: bool = True
     options: dict[str, str | int | float | bool] = {}
 

@@ -137,6 +137,33 @@ def test_no_docstring_begins_as_a_question() -> None:
     assert found == []
 
 
+def open_ends(tree: ast.Module) -> list[int]:
+    """The lines of texts in which ``$`` ends a pattern, or a branch of one, that is not one of lines."""
+    nodes = list(ast.walk(tree))
+    calls = (one for one in nodes if isinstance(one, ast.Call))
+    of_lines = (one for one in calls if any(getattr(part, "attr", "") == "MULTILINE" for part in ast.walk(one)))
+    before_a_gap = [part for one in nodes if isinstance(one, ast.JoinedStr) for part in one.values[:-1]]
+    fine = {id(part) for one in of_lines for part in ast.walk(one)} | set(map(id, before_a_gap))
+    texts = [one for one in nodes if isinstance(one, ast.Constant) and id(one) not in fine]
+    return [one.lineno for one in texts if isinstance(one.value, str) and OPEN_END.search(one.value)]
+
+
+OPEN_END = re.compile(r"(?<!\\)\$(\Z|[|)])")
+
+
+def test_no_pattern_admits_a_line_end_behind_it() -> None:
+    """``$`` does: a key with one behind it was taken for another key, and was granted what that one was not."""
+    found = {
+        str(path.relative_to(ROOT)): lines
+        for package in (*PACKAGES, "deploy")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        if (lines := open_ends(ast.parse(path.read_text(encoding="utf-8"))))
+    }
+    assert found == {}
+    seen = 'A = f"^{B}$"\nC = re.compile(r"a$|b")\nD = re.sub("a$", "", E, flags=re.MULTILINE)'
+    assert open_ends(ast.parse(seen)) == [1, 2]
+
+
 def test_no_public_class_has_the_name_of_another() -> None:
     """A name in a traceback or a search means one thing."""
     places: dict[str, list[str]] = {}

@@ -70,8 +70,8 @@ BY_SITES: Final = frozenset({EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER})
 REQUEST_VERSION: Final = 2
 """Requests of before name none: neither their signature nor their fingerprint covers the key for the grant."""
 
-Endpoint = Annotated[str, Meta(pattern=r"^(tls|quic)/[^\s]+:[0-9]+$", max_length=256)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.:-]{1,64}$")]
+Endpoint = Annotated[str, Meta(pattern=r"^(tls|quic)/[^\s]+:[0-9]+\Z", max_length=256)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.:-]{1,64}\Z")]
 
 
 class EnrolmentError(CommandError):
@@ -99,8 +99,8 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     names: Annotated[list[Name], Meta(min_length=1, max_length=16)]
     csr: str
     key: KeyHex | None = None
-    proof: Annotated[str, Meta(pattern="^[0-9a-f]{128}$")] | None = None
-    csr_proof: Annotated[str, Meta(pattern="^([0-9a-f]{2}){8,72}$")] | None = None
+    proof: Annotated[str, Meta(pattern=r"^[0-9a-f]{128}\Z")] | None = None
+    csr_proof: Annotated[str, Meta(pattern=r"^([0-9a-f]{2}){8,72}\Z")] | None = None
 
     def signed(self) -> bytes:
         """The text under both proofs, of which the fingerprint is."""
@@ -117,7 +117,7 @@ class FleetPlace(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         routers: endpoints of its routers.
     """
 
-    root: Annotated[str, Meta(pattern=f"^{ROOT_PATTERN}$")]
+    root: Annotated[str, Meta(pattern=rf"^{ROOT_PATTERN}\Z")]
     routers: Annotated[list[Endpoint], Meta(min_length=1, max_length=16)]
 
 

@@ -33,7 +33,7 @@ class Witness(msgspec.Struct, frozen=True):
         epoch: the lowest of them.
     """
 
-    revocable: tuple[Annotated[str, Meta(pattern="^([0-9a-f]{16}|[0-9a-f]{64})$")], ...]
+    revocable: tuple[Annotated[str, Meta(pattern=r"^([0-9a-f]{16}|[0-9a-f]{64})\Z")], ...]
     epoch: int
 
     @classmethod

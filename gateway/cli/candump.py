@@ -37,7 +37,7 @@ _LOG_FD: Final = re.compile(r"#(?P<flags>[0-9A-Fa-f])(?P<data>(?:[0-9A-Fa-f]{2})
 _LOG_DATA: Final = re.compile(r"(?P<data>(?:[0-9A-Fa-f]{2}){0,8})(?:_[9A-Fa-f])?")
 _CLASSIC: Final = re.compile(
     rf"\s*(?:{_TIME}\s+)?{_BUS}\s+(?:[RT]X [B-] [E-]\s+)?{_ID}\s+\[(?P<length>\d{{1,2}})\]\s*"
-    r"(?:(?P<remote>remote request)|(?P<data>(?:[0-9A-Fa-f]{2}(?:\s+|$))*)(?:ERRORFRAME|'[^\n]*')?)\s*",
+    r"(?:(?P<remote>remote request)|(?P<data>(?:[0-9A-Fa-f]{2}(?:\s+|\Z))*)(?:ERRORFRAME|'[^\n]*')?)\s*",
     re.ASCII,
 )
 

@@ -23,7 +23,7 @@ NOTES_BYTES: Final = 262_144
 NOTE_BYTES: Final = 16_384
 """The longest note as a browser sends it."""
 
-TAG_PATTERN: Final = r"^[\w.-]{1,40}$"
+TAG_PATTERN: Final = r"^[\w.-]{1,40}\Z"
 """A tag is one word: it is looked for as one."""
 
 

@@ -29,14 +29,14 @@ TEXT_MAX_BYTES: Final = 16_384
 
 ALGORITHM: Final = "ed25519"
 
-KeyHex = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", description="public key, Ed25519, hexadecimal")]
-IdHex = Annotated[str, Meta(pattern="^[0-9a-f]{16}$", description="identifier of a grant, hexadecimal")]
+KeyHex = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z", description="public key, Ed25519, hexadecimal")]
+IdHex = Annotated[str, Meta(pattern=r"^[0-9a-f]{16}\Z", description="identifier of a grant, hexadecimal")]
 Time = Annotated[int, Meta(ge=0, le=2**53 - 1, description="seconds since 1970, UTC")]
 Serial = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 Delegations = Annotated[int, Meta(ge=0, le=STATEMENTS_MAX - 1)]
-RobotPattern = Annotated[str, Meta(pattern=r"^[a-z0-9*-]+$", max_length=64)]
-NameOfHolder = Annotated[str, Meta(pattern=f"^{keys.OPERATOR_PATTERN}$")]
-Verb = Annotated[str, Meta(pattern=r"^[a-z_]+$", max_length=32)]
+RobotPattern = Annotated[str, Meta(pattern=r"^[a-z0-9*-]+\Z", max_length=64)]
+NameOfHolder = Annotated[str, Meta(pattern=rf"^{keys.OPERATOR_PATTERN}\Z")]
+Verb = Annotated[str, Meta(pattern=r"^[a-z_]+\Z", max_length=32)]
 
 
 class GrantRole(Enum):

@@ -174,7 +174,7 @@ class FrameFile:
             return re.sub(r"\s", "_", bus) or "can"
         number = self.channels.get(bus)
         if number is None:
-            wanted = re.search(r"(\d{1,3})$", bus)
+            wanted = re.search(r"(\d{1,3})\Z", bus)
             taken = set(self.channels.values())
             number = int(wanted[1]) if wanted and int(wanted[1]) < CHANNEL_MAX else 0
             while number in taken and len(taken) <= CHANNEL_MAX:

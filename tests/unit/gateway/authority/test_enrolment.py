@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -110,7 +112,7 @@ OTHER = asked(EnrolmentRole.OPERATOR, ["ann"], Ed25519PrivateKey.generate(), OTH
 CHANGES: dict[str, list[object]] = {
     "version": [1, 3],
     "role": [EnrolmentRole.SITE, EnrolmentRole.ROBOT, EnrolmentRole.VIEWER],
-    "names": [["bea"], ["ann", "bea"], []],
+    "names": [["bea"], ["ann", "bea"], [], ["ann\n"]],
     "csr": [OTHER.csr, new_csr(TLS, "operator", ["ann"]), "another", ""],
     "key": [OTHER.key, None],
     "proof": [OTHER.proof, None, "00" * 64],
@@ -151,6 +153,16 @@ def test_whoever_carries_a_request_puts_no_key_of_theirs_into_it() -> None:
     browsers = new_request(EnrolmentRole.OPERATOR, ["ann"], "", ANNS, None)
     thiefs = new_request(EnrolmentRole.OPERATOR, ["ann"], "", thief, None)
     assert request_fingerprint(browsers) != request_fingerprint(thiefs)
+
+
+@pytest.mark.parametrize("change", [lambda text: f"{text}\n", lambda text: f" {text}", str.upper])
+@pytest.mark.parametrize("field", ["key", "proof", "csr_proof"])
+def test_a_key_and_a_signature_are_written_in_one_way(field: str, change: Callable[[str], str]) -> None:
+    """Else one key would be several: one of them revoked, or limited, and the others not."""
+    made = asked(EnrolmentRole.OPERATOR, ["ann"], ANNS)
+    other = msgspec.structs.replace(made, **{field: change(getattr(made, field))})
+    with pytest.raises(EnrolmentError, match="matching regex"):
+        read_request(msgspec.json.encode(other))
 
 
 def test_a_request_of_a_former_version_is_refused_with_the_cure() -> None:

@@ -6,6 +6,7 @@ import json
 import re
 import time
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -15,7 +16,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from gateway.authority.enrolment import EnrolmentRole, FleetPlace, bundle_text, new_request, read_request
 from gateway.provisioning.certificates import expires_s, read_certificates
-from gateway.provisioning.issuer import Issuer
+from gateway.provisioning.issuer import Issuer, Wanted
 from gateway.provisioning.key_files import read_identity
 from gateway.provisioning.key_store import KeyStore
 from gateway.provisioning.machine_keys import ask_again
@@ -284,6 +285,23 @@ def test_a_name_that_has_a_key_gets_no_other_in_silence(
     run("revoke", "cruiser-1", *authority)
     run("robot", "cruiser-1", "--directory", fleet.place / "third", "-o", "third.request")
     assert run("sign", "third.request", *authority) == 0
+
+
+@pytest.mark.parametrize("change", [lambda key: f"{key}\n", str.upper])
+def test_a_key_is_the_same_however_it_is_written(fleet: ProvisionedFleet, change: Callable[[str], str]) -> None:
+    """One that is limited, or revoked, is so with a line end behind it: keys are compared as bytes."""
+    run("sign", fleet.request("operator", "ann"), "--directory", fleet.authority, "--robots", "cruiser-1")
+    request = read_request((fleet.place / "operator-ann.request").read_bytes())
+    issuer, other = (
+        Issuer.open(KeyStore(fleet.authority)),
+        msgspec.structs.replace(request, key=change(request.key or "")),
+    )
+    last = issuer.last_grant(other)
+    assert last is not None
+    assert last.robots == ["cruiser-1"]
+    issuer.revoke([request.key or ""], [], int(time.time()), raise_epoch=False)
+    with pytest.raises(CommandError, match="the key of operator ann was revoked"):
+        issuer.sign(other, Wanted([], ["*"], 60), int(time.time()))
 
 
 def test_a_site_brings_no_authority_of_its_own(fleet: ProvisionedFleet) -> None:

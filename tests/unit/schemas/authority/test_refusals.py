@@ -11,9 +11,13 @@ from schemas.authority.statement import (
     TEXT_MAX_BYTES,
     Grant,
     GrantRole,
+    Revocations,
+    Rotation,
     Signed,
+    Statement,
     StatementFault,
     TimeStatement,
+    body_of,
     chain_text,
     read_chain,
 )
@@ -240,3 +244,43 @@ def test_a_chain_is_told_from_its_text() -> None:
     chain = Fleet().operator().chain
     assert read_chain(f"# ann\n\n{chain_text(chain)}".encode()) == chain
     assert isinstance(chain[0].statement, Grant)
+
+
+STATEMENTS = [
+    Grant(
+        serial=1,
+        name="ann",
+        key="00" * 32,
+        role=GrantRole.OPERATOR,
+        robots=["a*"],
+        verbs=["drive"],
+        not_before=0,
+        not_after=1,
+    ),
+    Revocations(serial=1, at=0, grants=["00" * 8], keys=["00" * 32]),
+    Rotation(serial=1, at=0, active="00" * 32, standby="01" * 32),
+    TimeStatement(challenge="00" * 8, at=0),
+]
+
+
+@pytest.mark.parametrize(
+    ("statement", "field"),
+    [
+        (one, name)
+        for one in STATEMENTS
+        for name in one.__struct_fields__
+        if isinstance(getattr(one, name), str | list)
+    ],
+)
+def test_no_text_in_a_statement_has_a_line_end_behind_it(statement: Statement, field: str) -> None:
+    """A key or a name with one would be another than that which was limited, or revoked."""
+    value = getattr(statement, field)
+    changed = msgspec.structs.replace(
+        statement, **{field: f"{value}\n" if isinstance(value, str) else [f"{value[0]}\n"]}
+    )
+    signed = Party().sign(statement)
+    assert not isinstance(read_chain(signed.text().encode()), StatementFault)
+    body = body_of(changed)
+    fault = read_chain(body + signed.text().encode()[len(signed.body) :])
+    assert isinstance(fault, StatementFault)
+    assert "matching regex" in fault.detail
