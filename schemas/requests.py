@@ -150,9 +150,10 @@ class Unpark(Leased, frozen=True, forbid_unknown_fields=True):
 class Light(Leased, frozen=True, forbid_unknown_fields=True):
     """Set the lamps that are the upper layer's. All false puts them out.
 
-    Every stop puts them out too, that of the deadman and that of the guard included. Where the remote control
-    takes over, or the bus is lost, nothing is sent any more: they stay as they are until the robot is engaged
-    again or stopped.
+    Every stop puts them out too, that of the deadman included. One that is latched, that of the guard included,
+    switches both indicators on instead: hazard lights until the next engage. Where the remote control takes over,
+    or the bus is lost, nothing is sent any more: they stay as they are until the robot is engaged again or
+    stopped.
     """
 
     headlamp: bool = False

@@ -269,7 +269,7 @@ REMOTE_FRAMES: Final = 2
 """So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
 
 OFF_BURSTS: Final = 10
-"""A stop clears lamps, horn and odometer in its first 10 bursts, 100 ms: one may get lost."""
+"""A stop sets lamps, horn and odometer in its first 10 bursts, 100 ms: one may get lost."""
 
 GUARD_SILENT_NS: Final = 200_000_000
 """A guard that gave no sign, or received no feedback, for this long does not watch."""

@@ -22,6 +22,9 @@ from schemas.settings import ODOMETER_TIMEOUT_NS, TAIL_NS
 
 _NEVER: Final = -1
 _DARK: Final = light_signals()
+HAZARD: Final = light_signals(left=True, right=True)
+"""Both indicators, by which a robot says that it is latched."""
+
 CLEARED_KM: Final = 0.0005
 """Below this the mileage, 0.001 km a bit, reads zero."""
 
@@ -90,6 +93,10 @@ class Auxiliary:
             self._are_lamps_set = False
         if self.is_clearing:
             self._end_clearing(now_ns)
+
+    def show_hazard(self) -> None:
+        """The robot is latched: both indicators are switched on, and left on until it is engaged again."""
+        self._lamps, self._are_lamps_set = HAZARD, True
 
     def leave(self) -> None:
         """Leave the lamps as they are: somebody else commands the chassis. Dark ones need no clearing frame."""

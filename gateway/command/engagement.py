@@ -140,6 +140,8 @@ class Engagement:
             output.sequence.park(now_ns)
         self._is_brake_missed = self.owes_stop = False
         self.auxiliary.end(now_ns)
+        if self.latches.details:
+            self.auxiliary.show_hazard()
         self.stop_reason, self.stop_detail = reason, detail
         self._go(Trigger.STOP)
         self.outbox.refuse_pending(reason, detail)
@@ -152,6 +154,7 @@ class Engagement:
         """Keep the robot from being engaged until a reset, if the table says so."""
         if not STOPS[reason].latched:
             return
+        self.auxiliary.show_hazard()
         is_new_hit = reason is Reason.REMOTE_STOP or reason in self.monitor.struck
         if self.latches.add(reason, detail, now_ns, is_new_hit=is_new_hit):
             text = f"latched until a reset: {_in_words(reason, detail)}"

@@ -13,13 +13,12 @@ from gateway.chassis.cruiser.frames import (
     MOTION_FRAMES,
     ODOMETER_COMMAND,
     SPEAKER_COMMAND,
-    light_signals,
     odometer_signals,
     speaker_signals,
 )
 from gateway.chassis.frame import Frame
 from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.auxiliary import AuxiliaryFrame
+from gateway.command.auxiliary import HAZARD, AuxiliaryFrame
 from gateway.command.frames import FrameMaker
 from gateway.command.gate import Gate
 from gateway.command.limits import MotionLimits
@@ -41,12 +40,12 @@ OTHER: Final = StopOutcome.OTHER.value
 NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
 """Ends of a stop, and reasons to wait."""
 
-_OFF: Final = (
-    AuxiliaryFrame(LIGHT_COMMAND, light_signals()),
+_LAST: Final = (
+    AuxiliaryFrame(LIGHT_COMMAND, HAZARD),
     AuxiliaryFrame(SPEAKER_COMMAND, speaker_signals()),
     AuxiliaryFrame(ODOMETER_COMMAND, odometer_signals()),
 )
-"""The chassis keeps these for ever too, and nobody else ends them any more."""
+"""The chassis keeps these for ever too, and nobody else ends them any more. The stop is latched, so it hazards."""
 
 _HEARD_AHEAD_MAX: Final = 3
 """A counter received from the bus may be this far ahead of the heartbeat's: the gateway died between the two."""
@@ -146,7 +145,7 @@ class Stopper:
         actuation = self._sequence.tick(now_ns, self._stop_feedback(now_ns, stands=stands))
         if actuation is None:
             return self._end(STANDS if stands else UNSEEN)
-        frames = self._maker.make(actuation, list(_OFF) if self._bursts_off < OFF_BURSTS else [], self._variant)
+        frames = self._maker.make(actuation, list(_LAST) if self._bursts_off < OFF_BURSTS else [], self._variant)
         fault = self._gate.admit(frames, self._variant, now_ns, stopping=True)
         self.outcome = "" if fault is None else f"the gate refused: {fault.detail}"
         self._actuation = actuation

@@ -34,7 +34,10 @@ GEAR_COMMAND, STEERING_COMMAND, DRIVE_COMMAND, BRAKING_COMMAND, PARKING_COMMAND 
 ODOMETER_COMMAND, LIGHT_COMMAND, SPEAKER_COMMAND = (0x98C400D0 | number << 8 for number in range(0xD6, 0xD9))
 MOTION = (DRIVE_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND, PARKING_COMMAND)
 EXTRAS = (LIGHT_COMMAND, SPEAKER_COMMAND, ODOMETER_COMMAND)
-"""Lamps, horn and odometer: off. The chassis keeps these for ever too."""
+"""Lamps, horn and odometer: the chassis keeps these for ever too."""
+
+HAZARD = 1 << 8 | 1 << 16
+"""The lamps' bits: both indicators on, for the stop is latched. Horn and odometer get no bit."""
 
 SILENCE_NS = {
     GEAR: 100 * MS,
@@ -324,7 +327,10 @@ class EarlyStop:
         }
         frames = [(can_id, _data(enable | values[can_id] << 8, self._counters[can_id])) for can_id in MOTION]
         if self._bursts < OFF_BURSTS:
-            frames += [(can_id, _data(0, self._counters[can_id])) for can_id in EXTRAS]
+            frames += [
+                (can_id, _data(HAZARD if can_id == LIGHT_COMMAND else 0, self._counters[can_id]))
+                for can_id in EXTRAS
+            ]
         return frames
 
     def _enter(self, phase: str, now_ns: int) -> None:

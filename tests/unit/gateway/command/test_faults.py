@@ -486,6 +486,61 @@ def test_a_takeover_that_is_followed_by_silence_is_not_believed() -> None:
     assert rig.speed_mps == 0
 
 
+def lamps(rig: GatewayRig) -> set[str]:
+    """The lamps that the chassis has been told to have on."""
+    command = rig.chassis._commands.get("Auto_LightCmd", {})
+    return {name for name in ("Headlamp", "LeftIndicator", "RightIndicator") if command.get(name)}
+
+
+HAZARD = {"LeftIndicator", "RightIndicator"}
+
+
+@pytest.mark.parametrize("cause", ["remote stop", "remote stop of a stop", "bumper", "deadman", "disengage"])
+def test_a_latched_stop_leaves_the_hazard_lights_on_until_the_next_engage(cause: str) -> None:
+    """Row 'a latched stop': both indicators on in place of off; any other stop puts the lamps out."""
+    rig, operator = driving()
+    assert operator.reason("light", headlamp=True) is Reason.NONE
+    if cause == "bumper":
+        rig.fault("bumper front on")
+    elif cause in {"remote stop of a stop", "disengage"}:
+        operator.ask("disengage")
+        rig.run(0.2)
+    if cause.startswith("remote stop"):
+        operator.ask("stop")
+    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 10)
+    lit = HAZARD if cause in {"remote stop", "remote stop of a stop", "bumper"} else set()
+    assert lamps(rig) == lit
+    rig.fault("clear")
+    operator.take_lease()
+    rig.run(1)
+    assert operator.reason("reset") is Reason.NONE
+    assert lamps(rig) == lit
+    operator.engage()
+    assert lamps(rig) == set()
+
+
+def test_the_hazard_lights_of_a_guards_stop_go_out_with_the_next_engage() -> None:
+    """The gateway that finds the guard's note has not switched them on itself."""
+    rig, operator = ready()
+    rig.core.latch_guard_stop("late", rig.now_ns)
+    operator.take_lease()
+    rig.run(1)
+    assert operator.reason("reset") is Reason.NONE
+    rig.chassis._commands["Auto_LightCmd"] = dict.fromkeys(HAZARD, True)
+    operator.engage()
+    assert lamps(rig) == set()
+
+
+def test_standing_by_a_latch_sends_nothing() -> None:
+    """Row 'standing by: silent on the bus' holds for the hazard lights too."""
+    rig, _ = ready()
+    sent = len(rig.out)
+    rig.fault("bumper front on")
+    rig.until(lambda: Reason.FRONT_BUMPER in rig.says.latched, 1)
+    rig.run(1)
+    assert len(rig.out) == sent
+
+
 def test_the_hand_transmitter_takes_over() -> None:
     """Row 'on yielding to mode remote: at most 10 bursts of zero speed, same gear, parking, then silence'."""
     rig, operator = driving(1.0)

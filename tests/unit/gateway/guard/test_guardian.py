@@ -774,8 +774,8 @@ def test_a_guard_that_stood_still_beside_a_dead_gateway_goes_on_from_what_it_see
     assert rig.guardian.is_ended
 
 
-def test_lamps_horn_and_odometer_are_ended_with_the_robot() -> None:
-    """The chassis keeps them for ever too, and nobody else is left to end them."""
+def test_horn_and_odometer_are_ended_with_the_robot_and_its_hazard_lights_are_on() -> None:
+    """Row 'a latched stop', the guard too. The chassis keeps all for ever, and nobody else is left to end it."""
     rig = driven()
     on = [
         AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": True}),
@@ -791,7 +791,8 @@ def test_lamps_horn_and_odometer_are_ended_with_the_robot() -> None:
     rig.run(A_STOP_S)
     commands = rig.chassis._commands
     for extra in on:
-        assert not any(commands[extra.name][name] for name in extra.values)
+        lit = {name for name in extra.values if commands[extra.name][name]}
+        assert lit == ({"LeftIndicator", "RightIndicator"} if extra.name == "Auto_LightCmd" else set())
     assert len([frame for _, frame in rig.sent if frame.can_id not in MOTION]) == 3 * OFF_BURSTS
 
 
