@@ -25,8 +25,8 @@ from gateway.host.bus_look import can_interfaces, listen, look_at_interface
 from gateway.host.computer_look import earliest_s, look_at_disk, look_at_units, run_program
 from gateway.host.machine import Machine
 from gateway.provisioning.certificates import CertificateError, expires_s, read_certificates
-from gateway.provisioning.key_store import KeyStore, read_input
-from gateway.provisioning.machine_keys import install
+from gateway.provisioning.key_store import KeyStore, find
+from gateway.provisioning.machine_keys import install, unknown_of
 from schemas.arguments import robot_name
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -34,15 +34,13 @@ from schemas.settings import STANDSTILL_MPS, Settings
 
 EXAMPLE: Final = """\
   sudo cruiser setup                                        asks; each default is what was found
-  sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle
+  sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle --fingerprint F
   cruiser setup --defaults --dry-run                        only says what it would do"""
 
 READY_S: Final = 60.0
 """So long the services have to be well, after which what is wrong is said."""
 
 SERVICE_OF: Final = {EnrolmentRole(role): service for service, role in installation.SERVICES.items()}
-
-BUNDLES: Final = "*.bundle"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,8 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         metavar="FILE",
         help="what 'cruiser provision sign' made for the robot, its recorder, its router, a desk or a viewer; may "
-        f"be repeated ({BUNDLES} here and in {installation.KEYS})",
+        "be repeated",
     )
+    parser.add_argument("--fingerprint", metavar="F", help="of the authority of the bundles; else it is asked for")
     parser.add_argument("--replace", action="store_true", help="write over certificates that are installed")
     parser.add_argument(
         "--output",
@@ -93,7 +92,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[], bool]) -> ExitCode:
     """Set a machine up; see ``run``."""
     machine.check_root()
-    bundles = _bundles(arguments, machine)
+    bundles = _bundles(arguments)
+    _compare(arguments, machine, bundles)
     file = machine.path(arguments.output)
     before = load_settings(str(file) if file.exists() else None, {}, {})
     answers = _answers(arguments, machine, before, bundles)
@@ -311,19 +311,16 @@ def _existing(directory: Path) -> Path:
 # Keys and certificates.
 
 
-def _bundles(arguments: argparse.Namespace, machine: Machine) -> dict[Path, Bundle]:
-    """The bundles that were named, or found, by their files.
+def _bundles(arguments: argparse.Namespace) -> dict[Path, Bundle]:
+    """The bundles that were named, by their files.
 
     Raises:
-        CommandError: one is none, or its certificate is over.
+        CommandError: one is none, is somebody else's file, or its certificate is over.
     """
-    named = [Path(one) for one in arguments.bundle or ()]
-    places = (Path(), machine.path(installation.KEYS))
-    found = {one.resolve() for place in places for one in place.glob(BUNDLES)} if not named else set()
     bundles = {}
-    for file in named or sorted(found):
+    for file in map(Path, arguments.bundle or ()):
         try:
-            bundle = read_bundle(read_input(file), int(time.time()))
+            bundle = read_bundle(_own_input(file), int(time.time()))
             ends_s = expires_s(read_certificates(bundle.certificate)[0])
         except (EnrolmentError, CertificateError) as error:
             raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
@@ -334,11 +331,45 @@ def _bundles(arguments: argparse.Namespace, machine: Machine) -> dict[Path, Bund
                 f"{bundle.role.value}' asks for another",
                 ExitCode.USAGE,
             )
-        if bundle.role in SERVICE_OF:
-            bundles[file] = bundle
-        elif named:
+        if bundle.role not in SERVICE_OF:
             raise CommandError(f"{plain(str(file))} is for a {bundle.role.value}, and for no service here")
+        bundles[file] = bundle
     return bundles
+
+
+def _own_input(file: Path) -> bytes:
+    """The content of a file of root's, or of who asks, by sudo or not.
+
+    Raises:
+        CommandError: it cannot be read, or is somebody else's.
+    """
+    found = find(file)
+    if not found.is_own and str(file.stat().st_uid) != os.environ.get("SUDO_UID"):
+        raise CommandError(f"{plain(str(file))} belongs to another user; chown it to yours", ExitCode.USAGE)
+    return found.content
+
+
+def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path, Bundle]) -> None:
+    """Have the authority of bundles compared where it is not known here.
+
+    Raises:
+        CommandError: it is another than was given, or nobody has compared it.
+    """
+    fresh = []
+    for file, bundle in bundles.items():
+        if arguments.fingerprint not in {None, bundle.fingerprint}:
+            raise CommandError(
+                f"{plain(str(file))} is of the authority {bundle.fingerprint}, not of that one", ExitCode.USAGE
+            )
+        store = KeyStore(machine.path(f"{installation.KEYS}/{SERVICE_OF[bundle.role]}"))
+        if arguments.fingerprint is None and not machine.is_dry and unknown_of(store, bundle):
+            fresh.append(bundle.fingerprint)
+    for fingerprint in dict.fromkeys(fresh):
+        showed = f"'provision authority' or 'sign' showed {fingerprint} there"
+        if arguments.defaults:
+            raise CommandError(f"--fingerprint takes the authority over, if {showed}", ExitCode.USAGE)
+        if _Asking(is_silent=False)(f"is it so that {showed}? yes or no", "no", None) != "yes":
+            raise CommandError("nothing is installed: it is the bundle of another authority", ExitCode.USAGE)
 
 
 def _installed(machine: Machine) -> set[str]:
@@ -367,7 +398,7 @@ def _install(
         if machine.is_dry:
             return
         try:
-            done = install(store, bundle, replace=arguments.replace, is_compared=False)
+            done = install(store, bundle, replace=arguments.replace, is_compared=True)
         except ValueError as error:
             raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
     _say(f"    {', '.join(done.files)}: of authority {bundle.fingerprint}")

@@ -146,12 +146,7 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
     until_s = _check_certificate(store, bundle)
     if role.is_granted:
         _check_grant(store, bundle)
-    shared = {
-        AUTHORITY_FILE: _json(bundle.authority),
-        CA_FILE: bundle.ca,
-        FLEET_FILE: _json(bundle.fleet),
-    }
-    unknown = [name for name in SHARED if not store.has(name) or store.read(name, "") != shared[name].encode()]
+    unknown = unknown_of(store, bundle)
     changed = [name for name in unknown if store.has(name)]
     cure = f"--fingerprint takes it over, if 'provision authority' or 'sign' showed {bundle.fingerprint} there"
     if AUTHORITY_FILE in changed and not (replace and is_compared):
@@ -170,8 +165,18 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
         # Whoever has it may have added to it.
         own.pop(settings, None)
     store.write(own, replace=replace)
-    store.write(shared, replace=True)
-    return Installed([*own, *shared], until_s)
+    store.write(_shared(bundle), replace=True)
+    return Installed([*own, *SHARED], until_s)
+
+
+def unknown_of(store: KeyStore, bundle: Bundle) -> list[str]:
+    """Return what a bundle brings of its authority that is not so here: names of files."""
+    shared = _shared(bundle)
+    return [name for name in SHARED if not store.has(name) or store.read(name, "") != shared[name].encode()]
+
+
+def _shared(bundle: Bundle) -> dict[str, str]:
+    return {AUTHORITY_FILE: _json(bundle.authority), CA_FILE: bundle.ca, FLEET_FILE: _json(bundle.fleet)}
 
 
 def tls_key_name(role: EnrolmentRole) -> str:

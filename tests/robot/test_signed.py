@@ -56,7 +56,7 @@ def test_a_fresh_debian_is_set_up_and_driven_in_signed_mode(
     fleet.sign(box.share / "operator.request", "--speed-limit", "0.8")
 
     begun_s = time.monotonic()
-    words = " ".join(f"--bundle {service}.bundle" for service in SERVICES)
+    words = " ".join(f"--bundle {service}.bundle" for service in SERVICES) + f" --fingerprint {fleet.fingerprint}"
     said = box.run(f"cd /run/box && cruiser setup --defaults {words}", timeout_s=300)
     scene.say("setup, signed", f"{time.monotonic() - begun_s:.0f} s: {said.splitlines()[-1]}")
     assert said.splitlines()[-1].startswith(WELL), said

@@ -149,7 +149,7 @@ def test_a_robot_with_bundles_is_set_up_in_signed_mode(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Those that lie here are found, and each installed where its service has its keys."""
+    """Those that are named, once somebody compared their authority: each where its service has its keys."""
     _, _, port = split_endpoint(free_endpoint())
     fleet = ProvisionedFleet(tmp_path / "fleet", f"tls/127.0.0.1:{port}")
     keys = systemd.root / "etc/cruiser"
@@ -161,9 +161,16 @@ def test_a_robot_with_bundles_is_set_up_in_signed_mode(
         request = tmp_path / f"{role}-{name}.request"
         provisioning.run(role, name, "--directory", keys / service, "-o", request)
         fleet.sign(request)
+    named = [word for file in sorted(tmp_path.glob("*.bundle")) for word in ("--bundle", str(file))]
+    with pytest.raises(CommandError, match="--fingerprint takes the authority over, if .*" + fleet.fingerprint):
+        set_up(systemd.machine(), *of(bus), *named)
+    with pytest.raises(CommandError, match="not of that one"):
+        set_up(systemd.machine(), *of(bus), *named, "--fingerprint", "0000")
+    compared = (*named, "--fingerprint", fleet.fingerprint)
+    assert not (systemd.root / TOML[1:]).exists()
     monkeypatch.setenv("CRUISER_ZENOH_CONFIG", str(keys / "gateway/robot.json5"))
     monkeypatch.setenv("CRUISER_AUTHORITY_DIRECTORY", str(keys / "gateway"))
-    code = set_up(systemd.machine(), *of(bus))
+    code = set_up(systemd.machine(), *of(bus), *compared)
     said = capsys.readouterr().out
     assert is_well(code, said), said
     if code is ExitCode.OK:
@@ -174,6 +181,41 @@ def test_a_robot_with_bundles_is_set_up_in_signed_mode(
     assert [one for one in systemd.programs if "restart" in one] == [
         f"systemctl restart cruiser-{name}.service" for name in ("router", "gateway", "recorder")
     ]
+
+
+def test_who_is_asked_has_to_have_compared_the_authority(
+    systemd: FakeSystemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody says yes by pressing Enter."""
+    fleet = ProvisionedFleet(tmp_path / "fleet")
+    bundle = fleet.sign(fleet.request("robot", "depot-3"))
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    for answer in ("", "y", fleet.fingerprint):
+
+        def said(question: str, answer: str = answer) -> str:
+            assert fleet.fingerprint in question
+            return answer
+
+        monkeypatch.setattr("builtins.input", said)
+        with pytest.raises(CommandError, match="nothing is installed"):
+            set_up(systemd.machine(), "--without-bus", "--bundle", str(bundle))
+    assert not (systemd.root / TOML[1:]).exists()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_a_bundle_is_a_file_of_roots_or_of_who_asks(
+    systemd: FakeSystemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By sudo or not; and nothing is taken that only lies there."""
+    (tmp_path / "stranger.bundle").write_text("no bundle")
+    fleet = ProvisionedFleet(tmp_path / "fleet")
+    bundle = fleet.sign(fleet.request("robot", "depot-3"))
+    os.chown(bundle, 65534, 65534)
+    words = ("--defaults", "--without-bus", "--dry-run", "--bundle", str(bundle))
+    with pytest.raises(CommandError, match="belongs to another user"):
+        set_up(systemd.machine(), *words)
+    monkeypatch.setenv("SUDO_UID", "65534")
+    set_up(systemd.machine(is_dry=True), *words)
 
 
 def test_nothing_is_written_where_the_bus_is_not_that_of_a_chassis(bus: str, systemd: FakeSystemd) -> None:
