@@ -48,6 +48,7 @@ CHANGES: Final[dict[int, str]] = {
     "the age that bounds the speed is at least the largest of the last 300 ms, and no mean of a second alone; "
     "a reset names whose stop it clears, where that was somebody else's; "
     "a stop that is latched switches both indicators on, and leaves them on until the next engage; "
+    "an engaged robot that is asked for no speed for five minutes is disengaged; "
     "a robot that the remote control takes is left with zero speed and the parking brake; "
     "a stop that begins while the mode is not auto has no ramp, and one that is owed waits for a body frame; "
     "what was seen before the bus was lost counts no more; "

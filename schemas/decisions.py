@@ -90,6 +90,7 @@ class Bound(Enum):
     GEAR = "gear"
     PARKING = "parking"
     TRAVEL_DELAY = "travel_delay"
+    WARNING = "warning"
 
 
 class ArbiterState(Enum):

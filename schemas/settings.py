@@ -119,6 +119,12 @@ BRAKE_MAX_NS: Final = 1_000_000_000
 AUTO_HOLD_NS: Final = 1_000_000_000
 """An engaged robot that stands at zero command for this long gets its parking brake."""
 
+WARN_AGAIN_NS: Final = 5_000_000_000
+"""Where people are warned, they are warned again before a robot sets off that has stood for this long."""
+
+BLINK_NS: Final = 350_000_000
+"""Indicators that warn are on for this long, and off for as long."""
+
 STANDSTILL_TICKS: Final = 5
 """The robot stands when its speed was under STANDSTILL_MPS for this many ticks, 50 ms."""
 
@@ -426,6 +432,9 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         steering_limit_deg: deg; furthest steering angle
         steering_rate_degps: deg/s; fastest change of it
         lateral_acceleration_mps2: m/s2; v^2 tan(angle) / wheelbase; speed is reduced to keep it
+        idle_s: s; an engaged robot that is asked for no speed for this long is disengaged; 0 is never
+        warning_s: s; for this long both indicators blink, and no speed is commanded, once the robot is engaged,
+            and again before it sets off after 5 s of standing; 0 is off
     """
 
     lease_s: Annotated[float, Meta(ge=0.5, le=10)] = 2.0
@@ -441,6 +450,8 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     steering_limit_deg: Annotated[float, Meta(ge=1, le=STEERING_TOP_DEG)] = STEERING_TOP_DEG
     steering_rate_degps: Annotated[float, Meta(ge=5, le=60)] = 60.0
     lateral_acceleration_mps2: Annotated[float, Meta(ge=0.2, le=3.0)] = 1.5
+    idle_s: Annotated[float, Meta(ge=0, le=86_400)] = 300.0
+    warning_s: Annotated[float, Meta(ge=0, le=10)] = 0.0
 
 
 class AuthoritySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -20,7 +20,7 @@ from gateway.command.operator_link import OperatorLink
 from gateway.command.outcome import TickOutcome
 from gateway.command.request import Judged, RawRequest, Ruling
 from gateway.command.verbs import Verbs
-from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
+from schemas.decisions import COMMANDING, ArbiterState, Bound, EventKind, Severity
 from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
@@ -200,6 +200,8 @@ class Arbiter:
         silent_ns = now_ns - self.link.fresh_ns
         if engagement.state is ArbiterState.ENGAGED and silent_ns > self.link.age.deadman_ns:
             engagement.begin_stop(Reason.DEADMAN, now_ns, self.link.age.silence(silent_ns))
+        elif engagement.state is ArbiterState.ENGAGED and engagement.standing.is_idle(now_ns):
+            engagement.begin_stop(Reason.IDLE, now_ns, f"for {engagement.standing.idle_ns / 1e9:.0f} s")
 
     # What the chassis is told.
 
@@ -209,14 +211,34 @@ class Arbiter:
         was_told = output.actuation is not None
         if engagement.state is ArbiterState.ENGAGING and was_told and chassis.mode is Mode.AUTO:
             self.link.fresh_ns = now_ns
-            engagement.confirm(self.leases.held.operator if self.leases.held is not None else "")
+            engagement.confirm(self.leases.held.operator if self.leases.held is not None else "", now_ns)
         if engagement.state is ArbiterState.STANDBY:
             return self.handover.part(chassis)
         if output.sequence is not None:
             return engagement.step_stop(output.sequence, now_ns, late_ns)
         is_engaged = engagement.state is ArbiterState.ENGAGED
         target = setpoint.target if is_engaged else Target(0.0, output.motion.angle_deg)
-        return output.step_motion(target, setpoint, self.link.age, self.monitor, now_ns)
+        is_held = is_engaged and self._warn(target, now_ns)
+        actuation = output.step_motion(
+            Target(0.0, target.angle_deg) if is_held else target, setpoint, self.link.age, self.monitor, now_ns
+        )
+        if is_held and target.speed_mps:
+            output.motion.bounds.append(Bound.WARNING)
+        return actuation
+
+    def _warn(self, target: Target, now_ns: int) -> bool:
+        """Warn people before the robot moves, where that is set. Returns whether it is held for that."""
+        standing, setpoint = self.engagement.standing, self.setpoint
+        standing.tick(
+            now_ns,
+            is_asked=target.speed_mps != 0,
+            is_parked=setpoint.parked,
+            moves=self.output.motion.speed_mps != 0,
+        )
+        until_ns = standing.warning_until_ns(now_ns)
+        if until_ns is not None:
+            self.auxiliary.blink(until_ns)
+        return until_ns is not None
 
     def _answer_odometer(self, chassis: ChassisState, now_ns: int) -> None:
         cleared = self.auxiliary.clearing_result(chassis.total_mileage_km, now_ns)

@@ -18,10 +18,11 @@ from gateway.chassis.cruiser.frames import (
     speaker_signals,
 )
 from gateway.chassis.decode import Signals
-from schemas.settings import ODOMETER_TIMEOUT_NS, TAIL_NS
+from schemas.settings import BLINK_NS, ODOMETER_TIMEOUT_NS, TAIL_NS
 
 _NEVER: Final = -1
 _DARK: Final = light_signals()
+_INDICATORS: Final = ("LeftIndicator", "RightIndicator")
 HAZARD: Final = light_signals(left=True, right=True)
 """Both indicators, by which a robot says that it is latched."""
 
@@ -44,7 +45,7 @@ class Auxiliary:
         # Since they were last told off by a stop. That repeats the off of whoever put them out before.
         self._are_lamps_set = False
         self._horn = False
-        self._light_until_ns = self._horn_until_ns = self._odometer_until_ns = _NEVER
+        self._light_until_ns = self._horn_until_ns = self._odometer_until_ns = self._blinks_until_ns = _NEVER
         self._clearing_until_ns: int | None = None
 
     @property
@@ -61,6 +62,11 @@ class Auxiliary:
         self._lamps = light_signals(headlamp=headlamp, left=left, right=right)
         self._are_lamps_set = True
         self._light_until_ns = now_ns + TAIL_NS
+
+    def blink(self, until_ns: int) -> None:
+        """Both indicators blink until then; afterwards they are as they were set."""
+        self._blinks_until_ns, self._light_until_ns = until_ns, until_ns + TAIL_NS
+        self._are_lamps_set = True
 
     def set_horn(self, *, on: bool, now_ns: int) -> None:
         """Sound the horn, or end it."""
@@ -86,6 +92,7 @@ class Auxiliary:
 
     def end(self, now_ns: int) -> None:
         """The robot stops: all of it ends, each with its frames that say off."""
+        self._blinks_until_ns = _NEVER
         if self._horn:
             self.set_horn(on=False, now_ns=now_ns)
         if self._are_lamps_set:
@@ -114,7 +121,12 @@ class Auxiliary:
     def frames(self, now_ns: int) -> list[AuxiliaryFrame]:
         """The frames of this tick."""
         due: list[AuxiliaryFrame] = []
-        if self._lamps != _DARK or now_ns < self._light_until_ns:
+        left_ns = self._blinks_until_ns - now_ns
+        if left_ns > 0:
+            # On at last, and before that as often as there is time.
+            is_on = left_ns // BLINK_NS % 2 == 0
+            due.append(AuxiliaryFrame(LIGHT_COMMAND, self._lamps | dict.fromkeys(_INDICATORS, is_on)))
+        elif self._lamps != _DARK or now_ns < self._light_until_ns:
             due.append(AuxiliaryFrame(LIGHT_COMMAND, self._lamps))
         if self._horn or now_ns < self._horn_until_ns:
             due.append(AuxiliaryFrame(SPEAKER_COMMAND, speaker_signals(horn=self._horn)))

@@ -49,6 +49,7 @@ STOPS: Final[dict[Reason, StopRule]] = {
     Reason.UNGUARDED: StopRule(at_once=False),
     Reason.DEADMAN: StopRule(at_once=False),
     Reason.DISENGAGED: StopRule(at_once=False),
+    Reason.IDLE: StopRule(at_once=False),
     Reason.LEASE_EXPIRED: StopRule(at_once=False),
     Reason.LEASE_RELEASED: StopRule(at_once=False),
     Reason.LEASE_TAKEN: StopRule(at_once=False),
@@ -60,7 +61,7 @@ STOPS: Final[dict[Reason, StopRule]] = {
 }
 """Every cause to stop, the gravest first."""
 
-AS_ASKED: Final = frozenset({Reason.DISENGAGED, Reason.LEASE_RELEASED, Reason.SHUTDOWN})
-"""Stops that the driver, or who runs the gateway, asked for: nothing is wrong, at whatever speed."""
+AS_ASKED: Final = frozenset({Reason.DISENGAGED, Reason.IDLE, Reason.LEASE_RELEASED, Reason.SHUTDOWN})
+"""Stops that the driver, or who runs the gateway, asked for or left to happen: nothing is wrong, at any speed."""
 
 BUMPERS: Final = (Reason.FRONT_BUMPER, Reason.REAR_BUMPER)

@@ -19,6 +19,7 @@ from gateway.command.outbox import Outbox
 from gateway.command.output import Output
 from gateway.command.request import Ruling
 from gateway.command.setpoint import Setpoint
+from gateway.command.standing import Standing
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
@@ -35,6 +36,7 @@ class Engagement:
         monitor: the chassis.
         setpoint: the requested motion, and the limits in force.
         output: the commands to it.
+        standing: the times for which it has been told to stand, and their consequences.
         auxiliary: its lamps, horn and odometer.
         handover: other commanders, and the command that the chassis was left with.
         latches: causes that must be reset before it can be engaged.
@@ -52,6 +54,7 @@ class Engagement:
         self.monitor = ChassisMonitor()
         self.setpoint = Setpoint(settings)
         self.output = Output()
+        self.standing = Standing(settings)
         self.auxiliary = Auxiliary()
         self.handover = Handover()
         self.latches = Latches()
@@ -102,9 +105,10 @@ class Engagement:
         self.monitor.send_failures = 0
         self.engage_until_ns = now_ns + ENGAGE_TIMEOUT_NS
 
-    def confirm(self, holder: str) -> None:
+    def confirm(self, holder: str, now_ns: int) -> None:
         """The chassis reads auto: it is engaged."""
         self._go(Trigger.CONFIRMED)
+        self.standing.begin(now_ns)
         self.setpoint.target = Target(0.0, self.output.motion.angle_deg)
         self.outbox.settle("engage", Ruling())
         text = "engaged: the chassis reads auto"

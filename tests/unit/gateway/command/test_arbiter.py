@@ -131,7 +131,7 @@ def test_each_cause_stops_an_engaged_robot(changes: dict[str, object], reason: R
 
 
 def test_a_stop_ends_horn_lamps_and_clearing() -> None:
-    """The chassis keeps the last command for ever: each is told off while the robot is brought to rest."""
+    """The chassis keeps the last command for ever: each is told off, or to hazard, while it is brought to rest."""
     bench = engaged()
     bench.ask("horn", on=True)
     bench.ask("light", headlamp=True)
@@ -139,7 +139,7 @@ def test_a_stop_ends_horn_lamps_and_clearing() -> None:
     bench.ask("stop")
     off = {frame.name: frame.values for frame in bench.tick().auxiliary}
     assert off == {
-        "Auto_LightCmd": {"Headlamp": False, "RightIndicator": False, "LeftIndicator": False},
+        "Auto_LightCmd": {"Headlamp": False, "RightIndicator": True, "LeftIndicator": True},
         "Auto_SpeakerCmd": {"Horn": False},
         "Auto_OdometerCmd": {"Enable": False, "ClearMileage": False},
     }

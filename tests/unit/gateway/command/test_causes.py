@@ -56,6 +56,7 @@ def test_what_latches_is_what_the_table_says() -> None:
 def test_what_is_a_controlled_stop() -> None:
     """Rows 'deadman: controlled stop' and 'disengage: controlled stop, no latch'; all of the operator's side."""
     assert {reason for reason, stop in STOPS.items() if not stop.at_once} == {
+        Reason.IDLE,
         Reason.UNGUARDED,
         Reason.DEADMAN,
         Reason.DISENGAGED,
