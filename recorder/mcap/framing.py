@@ -74,6 +74,12 @@ UNPACKED_MAX: Final = 1 << 27
 """A packed chunk that promises more is not unpacked: no recorder makes such, and a few kilobytes might hold a
 gigabyte of tiny messages, each of which costs whoever reads it several times its length."""
 
+RECORDS_MAX: Final = 1 << 20
+"""A chunk is read up to this many records, twice as many as the largest of a recorder's could hold."""
+
+DECLARED_MAX: Final = 1 << 27
+"""Schemas and channels in the chunks of a file are read up to so many bytes: whoever reads keeps them all."""
+
 BROKEN: Final = (
     McapError,
     zstandard.ZstdError,

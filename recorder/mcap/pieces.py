@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from itertools import repeat
-from typing import BinaryIO, Final, TypeVar
+from typing import BinaryIO, Final, TypeVar, cast
 
 import msgspec
 import zstandard
@@ -25,11 +25,13 @@ from mcap.stream_reader import get_chunk_data_stream
 from recorder.mcap.columns import Messages, unpack_at, unpack_indexed
 from recorder.mcap.framing import (
     BROKEN,
+    DECLARED_MAX,
     HEADER_IN_LENGTH,
     MESSAGE_HEADER,
     MESSAGE_OPCODE,
     RECORD_HEADER,
     RECORD_MAX,
+    RECORDS_MAX,
     UNPACKED_MAX,
     DamagedError,
     parse,
@@ -39,6 +41,8 @@ from recorder.mcap.summary_reader import IndexedChunk, place_entries
 
 NO_RECORD: Final = "a chunk holds what is no record"
 HALF_RECORD: Final = "a chunk holds half a record"
+TOO_MANY_RECORDS: Final = f"a chunk holds more than {RECORDS_MAX} records"
+TOO_MUCH_DECLARED: Final = f"schemas and channels in chunks are longer than {DECLARED_MAX} bytes"
 
 _COMPRESSIONS: Final = frozenset({"", "lz4", "zstd"})
 """All that MCAP's registry names; the mcap package takes any other name for none."""
@@ -85,16 +89,41 @@ class LoggedMessage(msgspec.Struct, frozen=True, gc=False):
 Declared = records.Schema | records.Channel
 
 
+class DeclaredRoom:
+    """The room for schemas and channels in the chunks of one file: those of a new id take of it."""
+
+    def __init__(self) -> None:
+        self._left = DECLARED_MAX
+        self._seen: set[tuple[int, bytes]] = set()
+
+    def read(self, opcode: int, body: bytes) -> Declared:
+        """Return the record.
+
+        Raises:
+            DamagedError: there is no more room.
+            and what ``framing.BROKEN`` lists.
+        """
+        key = opcode, body[:2]
+        if key not in self._seen:
+            if len(body) > self._left:
+                raise DamagedError(TOO_MUCH_DECLARED)
+            self._seen.add(key)
+            self._left -= len(body)
+        return cast("Declared", parse(opcode, body))
+
+
 class MessageBlock(msgspec.Struct, frozen=True):
     """Message records, and between them the schemas and channels that others declare in chunks.
 
     Attributes:
         offset: of the chunk, or of the first record outside of chunks; in the file, in bytes.
         content: the records one after the other, opcodes and lengths included.
+        room: for the schemas and channels of the file.
     """
 
     offset: int
     content: bytes
+    room: DeclaredRoom = msgspec.field(default_factory=DeclaredRoom)
 
     def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
         """The records one by one; a Fault is the last."""
@@ -106,18 +135,14 @@ class MessageBlock(msgspec.Struct, frozen=True):
                     _, _, channel_id, sequence, log_ns, publish_ns = unpack(content, start)
                     yield LoggedMessage(channel_id, sequence, log_ns, publish_ns, content[start + head : end])
                 elif opcode in _DECLARED:
-                    yield parse(opcode, content[start + RECORD_HEADER.size : end])
+                    yield self.room.read(opcode, content[start + RECORD_HEADER.size : end])
         except BROKEN as error:
-            yield self._fault(error)
+            yield Fault(self.offset, _in_words(error))
 
     def read_index(self) -> tuple[Index, list[Declared | Fault]]:
         """Return the places of the messages, record by record, and all other records; a Fault is the last."""
-        index, declared, error = _index_of(self.content)
-        return index, [*declared, *([] if error is None else [self._fault(error)])]
-
-    def _fault(self, error: Exception) -> Fault:
-        what = "" if isinstance(error, DamagedError) else "a record cannot be read: "
-        return Fault(self.offset, f"{what}{error}")
+        index, declared, why = _index_of(self.content, self.room)
+        return index, [*declared, *([Fault(self.offset, why)] if why else [])]
 
     def pick(
         self,
@@ -136,6 +161,8 @@ class MessageBlock(msgspec.Struct, frozen=True):
             from_ns: the first log time.
             to_ns: the first one that is too late.
         """
+        if _has_too_many(index):
+            return None
         places: list[tuple[int, int, int]] = []
         for channel, entries in index.items():
             if channel in wanted:
@@ -170,10 +197,10 @@ class MessageBlock(msgspec.Struct, frozen=True):
             DamagedError: these are no records.
         """
         with parsing():
-            found = None if index is None else unpack_indexed(self.content, index)
+            found = None if index is None or _has_too_many(index) else unpack_indexed(self.content, index)
             if found is not None:
                 return found, []
-            true, declared = index_content(self.content)
+            true, declared = index_content(self.content, self.room)
             starts = sorted(start for entries in true.values() for start in entries[1::2])
             return (unpack_at(self.content, starts) if starts else None), declared
 
@@ -189,6 +216,7 @@ class PackedChunk(msgspec.Struct, frozen=True):
             behind the chunk say; None if there are none, or some may be missing. Nothing has proven them.
         places: of each channel in ``index`` where in the file its message index stands.
         end: the end of the message indexes in the file.
+        room: for the schemas and channels of the file.
     """
 
     stream: BinaryIO
@@ -199,6 +227,7 @@ class PackedChunk(msgspec.Struct, frozen=True):
     index: Index | None
     places: Mapping[int, int]
     end: int
+    room: DeclaredRoom
 
     def unpack(self) -> MessageBlock:
         """The chunk's records; its checksum is verified.
@@ -206,11 +235,11 @@ class PackedChunk(msgspec.Struct, frozen=True):
         Raises:
             DamagedError: it is damaged, or packed in a way that nobody here knows.
         """
-        return unpack_chunk(self.stream, self.offset, self.length)
+        return unpack_chunk(self.stream, self.offset, self.length, self.room)
 
     def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
         """The records one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
-        return messages_at(self.stream, self.offset, self.length)
+        return messages_at(self.stream, self.offset, self.length, self.room)
 
     def read_index(self) -> tuple[Index, list[Declared | Fault]]:
         """As ``MessageBlock.read_index``, whatever the message indexes say."""
@@ -236,13 +265,16 @@ class PackedChunk(msgspec.Struct, frozen=True):
         )
 
 
-def unpack_chunk(stream: BinaryIO, offset: int, length: int | None = None) -> MessageBlock:
+def unpack_chunk(
+    stream: BinaryIO, offset: int, length: int | None = None, room: DeclaredRoom | None = None
+) -> MessageBlock:
     """The records of the chunk there; its checksum is verified.
 
     Args:
         stream: the file.
         offset: of the chunk's record.
         length: of the whole record, if it is known.
+        room: for the schemas and channels of the file; None: this chunk has its own.
 
     Raises:
         DamagedError: it is damaged, or packed in a way that nobody here knows.
@@ -253,15 +285,15 @@ def unpack_chunk(stream: BinaryIO, offset: int, length: int | None = None) -> Me
         size = RECORD_HEADER.unpack(head)[1] if length is None else length - RECORD_HEADER.size
         if size > RECORD_MAX:
             raise DamagedError(f"a chunk of {size} bytes is too large")
-        return MessageBlock(offset, _content(stream.read(size)))
+        return MessageBlock(offset, _content(stream.read(size)), room or DeclaredRoom())
 
 
 def messages_at(
-    stream: BinaryIO, offset: int, length: int | None = None
+    stream: BinaryIO, offset: int, length: int | None = None, room: DeclaredRoom | None = None
 ) -> Iterator[LoggedMessage | Declared | Fault]:
     """The same one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
     try:
-        block = unpack_chunk(stream, offset, length)
+        block = unpack_chunk(stream, offset, length, room)
     except DamagedError as error:
         yield Fault(offset, f"a chunk cannot be read: {error}")
     else:
@@ -324,8 +356,11 @@ def split(content: bytes) -> Iterator[tuple[int, int, int]]:
         struct.error: a record's header is cut off.
     """
     unpack = RECORD_HEADER.unpack_from
-    start, size = 0, len(content)
+    start, size, left = 0, len(content), RECORDS_MAX
     while start < size:
+        if not left:
+            raise DamagedError(TOO_MANY_RECORDS)
+        left -= 1
         opcode, length = unpack(content, start)
         end = start + RECORD_HEADER.size + length
         if end > size or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
@@ -337,20 +372,27 @@ def split(content: bytes) -> Iterator[tuple[int, int, int]]:
         start = end
 
 
-def index_content(content: bytes) -> tuple[Index, list[Declared]]:
+def _has_too_many(index: Index) -> bool:
+    return sum(map(len, index.values())) > 2 * RECORDS_MAX
+
+
+def index_content(content: bytes, room: DeclaredRoom | None = None) -> tuple[Index, list[Declared]]:
     """The index of a chunk's messages, and the schemas and channels among them.
 
     Raises:
         DamagedError: these are no records.
     """
-    index, declared, error = _index_of(content)
-    if error is not None:
-        raise DamagedError(str(error)) from error
+    index, declared, why = _index_of(content, room or DeclaredRoom())
+    if why:
+        raise DamagedError(why)
     return index, declared
 
 
-def _index_of(content: bytes) -> tuple[Index, list[Declared], Exception | None]:
-    """The same up to where these are no records, and what is wrong there."""
+def _index_of(content: bytes, room: DeclaredRoom) -> tuple[Index, list[Declared], str]:
+    """The same up to where these are no records, and what is wrong there; empty if nothing is.
+
+    In words: an exception that is kept holds the chunk, by its traceback, until Python looks for garbage.
+    """
     index: dict[int, array[int]] = {}
     declared: list[Declared] = []
     unpack = MESSAGE_HEADER.unpack_from
@@ -364,7 +406,11 @@ def _index_of(content: bytes) -> tuple[Index, list[Declared], Exception | None]:
                 entries.append(log_ns)
                 entries.append(start)
             elif opcode in _DECLARED:
-                declared.append(parse(opcode, content[start + RECORD_HEADER.size : end]))
+                declared.append(room.read(opcode, content[start + RECORD_HEADER.size : end]))
     except BROKEN as error:
-        return index, declared, error
-    return index, declared, None
+        return index, declared, _in_words(error)
+    return index, declared, ""
+
+
+def _in_words(error: Exception) -> str:
+    return str(error) if isinstance(error, DamagedError) else f"a record cannot be read: {error}"

@@ -37,7 +37,7 @@ from recorder.mcap.framing import (
     has_wrong_crc,
     parse,
 )
-from recorder.mcap.pieces import Declared, Fault, Index, content_of, has_wrong_size, index_content
+from recorder.mcap.pieces import Declared, DeclaredRoom, Fault, Index, content_of, has_wrong_size, index_content
 
 SEARCH_BYTES: Final = 1 << 20
 """The search for the next whole piece reads this much at once."""
@@ -123,6 +123,7 @@ class Scanner:
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.file = RecordFile(stream, size)
         self._size = size
+        self._room = DeclaredRoom()
         self.has_checks = CHECK_MARK in self.file.read(0, LOOK_FOR_CHECKS)
 
     def scan(self) -> Iterator[Found]:
@@ -218,7 +219,7 @@ class Scanner:
         if has_wrong_size(chunk):
             return Fault(offset, "a chunk's sizes differ")
         content = content_of(chunk)
-        index, declared = index_content(content)
+        index, declared = index_content(content, self._room)
         times = [entries[::2] for entries in index.values()]
         true = records.Chunk(
             compression=chunk.compression,

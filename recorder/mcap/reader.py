@@ -46,7 +46,15 @@ from recorder.mcap.framing import (
     parse,
     record_at,
 )
-from recorder.mcap.pieces import Fault, Index, LoggedMessage, MessageBlock, PackedChunk, messages_at
+from recorder.mcap.pieces import (
+    DeclaredRoom,
+    Fault,
+    Index,
+    LoggedMessage,
+    MessageBlock,
+    PackedChunk,
+    messages_at,
+)
 from recorder.mcap.proof import Scanner
 
 __all__ = [
@@ -142,6 +150,7 @@ class _Reading:
     def __init__(self, stream: BinaryIO, size: int, *, is_verifying: bool) -> None:
         self._stream = stream
         self._file = RecordFile(stream, size, _BLOCK_BYTES if is_verifying else _GLANCE_BYTES)
+        self._room = DeclaredRoom()
         self._is_verifying = is_verifying
         # Of the data section up to its end, then of the summary; None once bytes were passed over.
         self._crc: int | None = zlib.crc32(MAGIC)
@@ -238,7 +247,7 @@ class _Reading:
             start_ns, end_ns = CHUNK_TIMES.unpack(times)
             is_all = bool(index) and self._is_other(end)
             found = index if is_all else None
-            yield PackedChunk(self._stream, offset, length, start_ns, end_ns, found, places, end)
+            yield PackedChunk(self._stream, offset, length, start_ns, end_ns, found, places, end, self._room)
         else:
             yield Fault(offset, "a chunk is too short")
         return end

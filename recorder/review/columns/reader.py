@@ -93,7 +93,7 @@ class _Pending:
                 yield from group
             else:
                 run = [block for block, _ in group]
-                yield MessageBlock(run[0].offset, b"".join([block.content for block in run])), None
+                yield MessageBlock(run[0].offset, b"".join([block.content for block in run]), run[0].room), None
 
 
 class ColumnReader(BlockReader):
