@@ -27,8 +27,12 @@ demo-desk: $(DEMO)  ## a virtual fleet and the desk, in your browser, until Ctrl
 	$(BIN)/cruiser demo-desk --out demo-desk
 
 # Tests that only reckon take the processor time that the tests of processes leave over, so that they hold up no robot.
-test: $(STAMP)  ## the whole test suite
-	$(MAKE) --jobs 2 --keep-going --output-sync=target test-system test-unit ASIDE=tests/support/aside.sh
+test: test-packages $(STAMP)  ## the whole test suite; what it lacks of Debian's packages it installs, or names
+	@$(BIN)/python -m tests.support.summary $(MAKE) --jobs 2 --keep-going --output-sync=target test-system test-unit ASIDE=tests/support/aside.sh
+
+.PHONY: test-packages
+test-packages:
+	@bash -c '. .ci/packages' || true
 
 test-unit: $(STAMP)  ## what needs no process and no socket
 	$(ASIDE) $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --ignore tests/system --timeout 600 tests

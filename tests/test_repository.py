@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Final
@@ -157,3 +158,47 @@ def test_the_demo_installs_no_more_than_the_product_needs() -> None:
     )
     installs = [line for line in done.stdout.splitlines() if "pip install" in line]
     assert [line.split()[-1] for line in installs] == ["constraints-run.txt", "."]
+
+
+def test_what_the_tests_lack_is_one_line(tmp_path: Path) -> None:
+    """For who is not root, before anything starts. Root gets it, and what cannot be had holds up nothing."""
+    for program in ("bash", "grep", "make"):
+        (tmp_path / program).symlink_to(f"/usr/bin/{program}")
+    stand_in(tmp_path / "id", "echo $WHO")
+    stand_in(
+        tmp_path / "apt-get",
+        f'[ "$5" = can-utils ] || exit 1; : >{tmp_path}/log2asc; /bin/chmod +x {tmp_path}/log2asc',
+    )
+    said = []
+    for who in ("1000", "0"):
+        done = subprocess.run(
+            ["bash", "-c", ". .ci/packages; echo goes on"],
+            cwd=ROOT,
+            env={"PATH": str(tmp_path), "WHO": who},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout == "goes on\n"
+        (line,) = done.stderr.splitlines()
+        said.append(line)
+    assert re.search(r": sudo apt-get install .*\bcan-utils\b", said[0])
+    assert "can-utils" not in said[1]
+
+
+def stand_in(path: Path, script: str) -> None:
+    """Put a program there."""
+    path.write_text(f"#!/bin/sh\n{script}\n", "utf-8")
+    path.chmod(0o755)
+
+
+def test_the_last_line_of_all_tests_sums_them_up() -> None:
+    """Whatever libraries say after the runs. The exit code is that of the runs."""
+    runs = (
+        "echo '===== 1 failed, 20 passed, 2 skipped in 3.21s ====='; echo leaks >&2; "
+        "echo '= 5 passed, 1 error in 65.00s (0:01:05) ='; echo leaks >&2; exit 2"
+    )
+    words = [sys.executable, "-m", "tests.support.summary", "sh", "-c", runs]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stdout.splitlines()[-1] == "FAILED: 1 failed, 1 errors, 25 passed, 2 skipped"

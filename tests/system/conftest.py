@@ -1,10 +1,12 @@
 """What holds for the tests that start processes."""
 
 from collections.abc import Iterator
+from multiprocessing.forkserver import ensure_running
 from typing import Final
 
 import pytest
 
+import tests.support.processes.forked  # noqa: F401 - it tells what its process imports
 from tests.support.processes.busy import PATIENT_DEADMAN_S
 
 
@@ -30,6 +32,8 @@ def beside_foreign_modules(
         (directory / f"{name}.py").write_text(
             f"open({str(directory / name)!r}, 'w').close()\nraise SystemExit('a foreign module was executed')\n"
         )
+    # The tests' own process, which is no command.
+    ensure_running()
     monkeypatch.chdir(directory)
     yield
     assert [path.name for path in directory.iterdir() if not path.suffix] == []

@@ -97,6 +97,8 @@ def _run(
 ) -> None:
     """Become that command, in the process that was forked for it."""
     os.chdir(directory)
+    # Under nohup the tests ignore it; what they start is told by it to end.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     os.environ.clear()
     os.environ.update(environment)
     with stdout, stderr, open(os.devnull, "rb") as stdin:  # noqa: PTH123

@@ -17,7 +17,7 @@ FRAMES = (
 )
 
 
-@pytest.mark.skipif(shutil.which("log2asc") is None, reason="needs can-utils")
+@pytest.mark.skipif(shutil.which("log2asc") is None, reason="no log2asc is here (Debian: can-utils)")
 def test_can_utils_read_the_candump_log(tmp_path: Path) -> None:
     """log2asc turns it into ASC, frame by frame."""
     path = tmp_path / "x.log"

@@ -15,11 +15,9 @@ from recorder.review.report.figures import BLUE
 from recorder.review.report.findings import Report
 from recorder.review.report.page import page
 from tests.support.drives import HOSTILE, write_messages
-from tests.support.processes.browser import Opened, browser, open_page, take_picture
+from tests.support.processes.browser import Opened, open_page, take_picture
 from tests.support.reading import report_of
 from tests.unit.recorder.review.report.test_page import Elements, hostile_drive
-
-in_browser = pytest.mark.skipif(browser() is None, reason="there is no Chromium")
 
 HOVER: Final = """
 setTimeout(function () {
@@ -57,7 +55,6 @@ def opened(report: Report, tmp_path_factory: pytest.TempPathFactory) -> Opened:
     return open_page(file, scratch)
 
 
-@in_browser
 def test_charts_are_drawn_and_nothing_is_complained_about(opened: Opened) -> None:
     """Two charts for each robot, with lines, bands and marks in them; the console is empty."""
     assert opened.console == []
@@ -72,13 +69,11 @@ def test_charts_are_drawn_and_nothing_is_complained_about(opened: Opened) -> Non
     assert opened.dom.count('class="bars"') + opened.dom.count('class="trace bars"') >= 6
 
 
-@in_browser
 def test_the_page_asks_for_nothing(opened: Opened) -> None:
     """Neither of its own accord nor of the log's."""
     assert [url for url in opened.requests if not url.startswith(("file:", "data:"))] == []
 
 
-@in_browser
 def test_hostile_text_is_shown_as_text(opened: Opened) -> None:
     """In tables, headings and charts: no script of the log's has run, and no element of its has come to be."""
     assert "data-owned" not in opened.dom
@@ -87,7 +82,6 @@ def test_hostile_text_is_shown_as_text(opened: Opened) -> None:
     assert opened.dom.count("&lt;/script&gt;&lt;script&gt;") > 10
 
 
-@in_browser
 def test_pointing_at_a_time_marks_the_place_on_that_robots_map(opened: Opened) -> None:
     """In the middle of a drive of 10 m."""
     marks = re.search(r'data-marks="([^"]*)"', opened.dom)
@@ -97,7 +91,6 @@ def test_pointing_at_a_time_marks_the_place_on_that_robots_map(opened: Opened) -
     assert second.startswith("M")
 
 
-@in_browser
 def test_the_policy_stops_what_escaping_might_let_through(report: Report, tmp_path: Path) -> None:
     """A foreign script and a foreign picture in the page do nothing; its own scripts run."""
     attack = "<script>document.body.dataset.owned = 1</script><img src='http://evil.test/x.png'>"
@@ -110,7 +103,6 @@ def test_the_policy_stops_what_escaping_might_let_through(report: Report, tmp_pa
     assert 'data-drawn="4"' in opened.dom
 
 
-@in_browser
 def test_a_phone_in_the_dark_shows_the_path(report: Report, tmp_path: Path) -> None:
     """The page is dark, and the path's blue is on it."""
     file = tmp_path / "report.html"

@@ -11,13 +11,12 @@ from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, write_messages
 from tests.support.messages import SECOND, WALL_NS
 from tests.support.nights import by_night
-from tests.support.processes.browser import browser
 from tests.support.processes.desk import chromium
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import recorded
 from tests.support.waiting import wait_until
 
-pytestmark = [pytest.mark.skipif(browser() is None, reason="there is no Chromium"), pytest.mark.long]
+pytestmark = pytest.mark.long
 
 BEGIN = "2027-01-15T08:00:00.000Z"
 DEADLINE_MS = 120_000

@@ -1,0 +1,46 @@
+"""``make test``: the runs of pytest, and after all that they and their libraries say one line that sums up."""
+
+import re
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterable
+from typing import Final
+
+SUMMARY: Final = re.compile(r"^=+ (\d+ \w+(?:, \d+ \w+)*) in [\d.]+s")
+"""The last line of a run."""
+
+FIRST: Final = ("failed", "errors", "passed", "skipped")
+
+
+def summed(lines: Iterable[str]) -> str:
+    """Return the sum of the runs whose output this is."""
+    counts = Counter[str]()
+    for line in lines:
+        if found := SUMMARY.match(line):
+            for count, what in re.findall(r"(\d+) (\w+)", found[1]):
+                counts["errors" if what == "error" else what] += int(count)
+    order = sorted(counts, key=lambda what: FIRST.index(what) if what in FIRST else len(FIRST))
+    return ", ".join(f"{counts[what]} {what}" for what in order) or "no test was run to its end"
+
+
+def main() -> int:
+    """Run the command, and pass on its exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # It is the command's, which says so.
+    command = subprocess.Popen(
+        sys.argv[1:], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+    )
+    summaries = []
+    for line in command.stdout or ():
+        sys.stdout.write(line)
+        sys.stdout.flush()
+        if SUMMARY.match(line):
+            summaries.append(line)
+    code = command.wait()
+    sys.stdout.write(f"\n{'FAILED' if code else 'passed'}: {summed(summaries)}\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
