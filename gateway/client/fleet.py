@@ -5,6 +5,7 @@ A report never gives an old value as a present one: a state or a health that is 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import msgspec
@@ -24,7 +25,10 @@ HEALTH_STALE_NS: Final = 3_500_000_000
 """A health, due every second, is no longer shown after 3.5 s: two may be lost."""
 
 FORGOTTEN_NS: Final = 60_000_000_000
-"""A robot whose token is gone and of which nothing was heard for a minute is no longer listed."""
+"""A robot whose token is gone, silent for a minute, may be forgotten once somebody has seen that."""
+
+ROBOTS_KEPT: Final = 1000
+"""Beyond so many a robot is forgotten that may be: a stranger could make any number of names."""
 
 
 class RobotStatus(msgspec.Struct, frozen=True):
@@ -68,8 +72,17 @@ def alarm(report: RobotStatus) -> str:
         reasons.append("its gateway is connected and sends health")
     if report.unreadable:
         reasons.append(f"unreadable: {plain(report.unreadable)}")
-    what = "no state yet" if report.state_age_s is None else f"STALE: no state for {report.state_age_s:.1f} s"
+    what = "no state yet" if report.state_age_s is None else f"no contact for {_duration(report.state_age_s)}"
     return f"{what}; {', '.join(reasons)}"
+
+
+def _duration(seconds: float) -> str:
+    """A time as coarse as it is of use."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.0f} h"
 
 
 class _Known:
@@ -112,12 +125,18 @@ class Fleet:
         """This end is connected to Zenoh, or is not. Without a link no token says anything."""
         self._linked = connected
 
-    def robots(self, now_ns: int) -> list[str]:
-        """The names of the robots that are there or were there a short while ago, as people order them."""
+    def robots(self, now_ns: int, forgets: Callable[[str], object] = lambda _robot: False) -> list[str]:
+        """The names of the robots that are there or were there, as people order them.
+
+        Args:
+            now_ns: the time.
+            forgets: asked of each robot that may be forgotten. One that is lost stays until somebody has seen it.
+        """
+        is_full = len(self._known) > ROBOTS_KEPT
         self._known = {
             robot: known
             for robot, known in self._known.items()
-            if known.connected or now_ns - known.heard_ns < FORGOTTEN_NS
+            if known.connected or now_ns - known.heard_ns < FORGOTTEN_NS or not (is_full or forgets(robot))
         }
         return sorted(self._known, key=keys.in_order)
 

@@ -82,7 +82,7 @@ def line(report: RobotStatus) -> str:
     """A robot in one line."""
     words = [report.robot]
     if report.state is None:
-        words.append(alarm(report))
+        words.append(_offline(report))
     else:
         words += [_word(fact) for fact in (*state_facts(report.state), *safety_facts(report))]
         words.append(f"age {report.state_age_s or 0:.2f} s")
@@ -142,7 +142,7 @@ def panel(report: RobotStatus) -> RenderableType:
             grid.add_row(*cells[start : start + 4])
         top = Text(f"state {report.state_age_s or 0:.2f} s old", style=GOOD)
     else:
-        top = Text(alarm(report), style=LOUD)
+        top = Text(_offline(report), style=LOUD)
     # What is wrong comes first: a small window cuts the rest off.
     safety = [Text(_word(fact), style=fact.style) for fact in safety_facts(report)]
     newer = [Text(plain(report.newer))] if report.newer else []
@@ -170,7 +170,7 @@ _TABLE_LABELS: Final = ("mode", "gear", "speed", "angle")
 def _wrong(report: RobotStatus) -> Text:
     text = Text()
     if report.state is None:
-        text.append(alarm(report), style=LOUD)
+        text.append(_offline(report), style=LOUD)
     facts = [
         *(state_facts(report.state) if report.state else ()),
         *(health_facts(report.health) if report.health else ()),
@@ -182,6 +182,10 @@ def _wrong(report: RobotStatus) -> Text:
     for word, style in wrong.items():
         text.append("; " if text else "").append(word, style=style)
     return text
+
+
+def _offline(report: RobotStatus) -> str:
+    return f"OFFLINE: {alarm(report)}"
 
 
 def _age(report: RobotStatus) -> Text:

@@ -11,6 +11,7 @@ import msgspec
 
 from gateway.client.fleet import HEALTH_STALE_NS, Fleet, RobotStatus
 from gateway.client.payloads import read_sample
+from gateway.client.robot_word import OFFLINE
 from gateway.desk.history import PERIOD_NS, Histories
 from gateway.desk.overview import recorder_row, row_of, why_not
 from gateway.desk.people import People
@@ -62,6 +63,7 @@ class FleetView:
         self._full_ns: int | None = None
         self._is_refused = False
         self._robots: set[str] = set()
+        self._names: list[str] = []
         self._recorder_names: set[str] = set()
         self._of_recorders = f"{root}/{RECORDER_CHUNK}/"
         self._fleet = Fleet(root)
@@ -102,7 +104,10 @@ class FleetView:
             else:
                 self._fleet.receive(arrival, now_ns)
         self._newest.clear()
-        robots = self._fleet.robots(now_ns)
+        # One that is lost stays until somebody has seen it, or until another robot needs its room.
+        robots = self._names = self._fleet.robots(
+            now_ns, lambda robot: self._is_refused or self.people.acknowledged(robot, OFFLINE)
+        )
         # A name of which nothing could be read takes no room.
         self._robots, self._recorder_names = set(robots), set(self._recorders)
         self._full_ns, self._is_refused = now_ns if self._is_refused else self._full_ns, False
@@ -120,8 +125,7 @@ class FleetView:
 
     def changed_rows(self, now_ns: int) -> tuple[dict[str, RobotRow | None], list[RecorderRow] | None]:
         """Return the rows that have changed since the last call, None for one that has gone; and the recorders."""
-        robots = self._fleet.robots(now_ns)
-        rows = {robot: self._row(robot, now_ns) for robot in robots}
+        rows = {robot: self._row(robot, now_ns) for robot in self._names}
         changed: dict[str, RobotRow | None] = {
             name: row for name, row in rows.items() if self._rows.get(name) != row
         }

@@ -47,15 +47,14 @@ _STANDS: Final = msgspec.structs.replace(STATE, speed_mps=0.0)
 _LATCHED: Final = [Reason.FRONT_BUMPER, Reason.REMOTE_STOP]
 
 STATES: Final[dict[str, tuple[Message, ...]]] = {
-    "silent": (),
-    "latched": (_STANDS, msgspec.structs.replace(_READY, latched=_LATCHED, blocked_by=_LATCHED)),
+    "offline": (),
+    "needs_reset": (_STANDS, msgspec.structs.replace(_READY, latched=_LATCHED, blocked_by=_LATCHED)),
     "bus_down": (msgspec.structs.replace(STATE, bus_up=False), _READY),
     "stopping": (STATE, msgspec.structs.replace(STANDBY, state=ArbiterState.STOPPING, stop_phase=StopPhase.RAMP)),
-    "transmitter": (msgspec.structs.replace(_STANDS, mode=Mode.REMOTE), _READY),
+    "remote_control": (msgspec.structs.replace(_STANDS, mode=Mode.REMOTE), _READY),
     "blocked": (_STANDS, msgspec.structs.replace(_READY, blocked_by=[Reason.FEEDBACK_MISSING])),
     "driving": (STATE, _ENGAGED),
-    "engaged": (_STANDS, _ENGAGED),
-    "held": (_STANDS, msgspec.structs.replace(STANDBY, blocked_by=[Reason.NOT_ENGAGED])),
+    "in_control": (_STANDS, _ENGAGED),
     "ready": (_STANDS, _READY),
     "telemetry": (_STANDS,),
 }
@@ -73,7 +72,7 @@ class _EverythingAtOnce(FakeDeskListener):
         self._said.append(("depot", recorder_health()))
         severities = list(Severity)
         happened = [event(one, severity=severities[one % len(severities)]) for one in range(EVENTS)]
-        self._happened = [received(one, "latched") for one in happened]
+        self._happened = [received(one, "needs-reset") for one in happened]
         self._turn = 0
 
     def drain(self) -> Iterator[Arrival]:
@@ -92,8 +91,8 @@ def _stop(_settings: Settings, robot: str, _operator: str, _timeout_s: float) ->
     """Of one robot the best that can come of a stop, of all of them everything."""
     if robot != keys.ALL:
         return StopReport([robot], {}, {}, [], linked=True)
-    blocked, held = {"blocked": "its bus is down"}, {"held": "its speed is not seen"}
-    return StopReport(["ready"], blocked, held, ["silent"], linked=True)
+    blocked, held = {"blocked": "its bus is down"}, {"in-control": "its speed is not seen"}
+    return StopReport(["ready"], blocked, held, ["offline"], linked=True)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import { Stops } from "./stops.js";
 import { changeLanguage, language, learnReasons, t } from "./words.js";
 
 const LOOK_MS = 100;
-const LOST = { level: 2, word: "silent", text: "", driver: "", speed_mps: null, limit_mps: null, link_age_s: null, lost: null, event: "", acknowledged: "", asked_by: [], reasons: [] };
+const LOST = { isOwn: true, level: 2, word: "offline", text: "", driver: "", speed_mps: null, limit_mps: null, link_age_s: null, lost: null, event: "", acknowledged: "", asked_by: [], reasons: [] };
 
 const byId = (id) => document.getElementById(id);
 const fleet = { rows: new Map(), recorders: [], linked: false };
@@ -60,9 +60,9 @@ function showLink() {
   if (view instanceof Overview) view.showContact(isLost ? t("desk_lost", (link.silentMs / 1000).toFixed(1)) : fleet.linked ? "" : t("unlinked"));
 }
 
-/** Keep the names: of each robot it is known only that nothing is. */
+/** Keep the names: of each robot it is known only that nothing is. A desk that starts anew may not know of all of them. */
 function loseRows() {
-  const known = [...fleet.rows].filter(([, row]) => row.word !== "silent");
+  const known = [...fleet.rows].filter(([, row]) => row.word !== "offline");
   if (known.length === 0) return;
   for (const [robot, row] of known) fleet.rows.set(robot, { ...row, ...LOST });
   showTitle();
@@ -72,7 +72,6 @@ function loseRows() {
 link.on("hello", (message) => {
   hello = message;
   learnReasons(message.reasons);
-  fleet.rows.clear();
   link.send({ is: "look", robot: shownRobot() });
 });
 link.on("rows", ({ rows, recorders, linked, full }) => {

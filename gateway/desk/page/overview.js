@@ -2,7 +2,7 @@
 
 import { operatorName } from "./drive.js";
 import { h, number, setText } from "./elements.js";
-import { said, t, textOf, valueOf, wordOf } from "./words.js";
+import { countOf, said, t, textOf, valueOf, WORDS, wordOf } from "./words.js";
 
 const natural = new Intl.Collator(undefined, { numeric: true }).compare;
 
@@ -57,9 +57,9 @@ export class Overview {
       before = shown.element;
     }
     const rows = [...this.fleet.rows.values()];
-    const needy = rows.filter((row) => row.level === 2);
-    const unseen = needy.filter((row) => !row.acknowledged).length;
-    setText(this.count, `${robots(rows.length)}${needy.length ? `, ${needy.length} ${t(needy.length === 1 ? "needs_person" : "need_person")}` : ""}${unseen ? `, ${unseen} ${t("unseen")}` : ""}`);
+    const unseen = rows.filter((row) => row.level === 2 && !row.acknowledged).length;
+    const counted = [...WORDS].reverse().map((word) => [rows.filter((row) => row.word === word).length, word]).filter(([count]) => count);
+    setText(this.count, [...counted.map(([count, word]) => countOf(count, word)), unseen && `${unseen} ${t("unseen")}`].filter(Boolean).join(", "));
     this.empty.hidden = rows.length > 0;
     this.full.hidden = !this.fleet.full;
     const gib = (bytes) => (bytes === null ? "--" : `${(bytes / 2 ** 30).toFixed(1)} GiB`);
@@ -119,7 +119,13 @@ export class Overview {
     const site = h("span", { class: "soft site" });
     const text = h("span");
     const seen = h("span", { class: "soft" });
-    const acknowledge = () => this.link.send({ is: "acknowledge", robot: name, word: this.fleet.rows.get(name).word, operator: operatorName() });
+    const acknowledge = () => {
+      const { isOwn, word } = this.fleet.rows.get(name);
+      if (!isOwn) return this.link.send({ is: "acknowledge", robot: name, word, operator: operatorName() });
+      // Only this page knows of it, from before it had lost the desk.
+      this.fleet.rows.delete(name);
+      return this.update();
+    };
     const see = h("button", { type: "button", class: "small", onclick: acknowledge, "aria-label": `${t("acknowledge")} ${name}` }, t("acknowledge"));
     parts.robot.append(h("a", { href: `#/robot/${name}` }, name), " ", site);
     parts.state.append(pill);
@@ -133,7 +139,7 @@ const COLUMNS = [["robot"], ["state"], ["driver", "hide"], ["speed", "number"], 
 /** The value of a row that a column sorts by. An alarm that somebody sees to comes after those that nobody does. */
 const SORTED = {
   robot: (row, name) => name,
-  state: (row) => 2 * row.level - (row.acknowledged ? 1 : 0),
+  state: (row) => 2 * WORDS.length * (2 * row.level - (row.acknowledged ? 1 : 0)) - WORDS.indexOf(row.word),
   driver: (row) => row.driver,
   speed: (row) => (row.speed_mps === null ? -1 : Math.abs(row.speed_mps)),
   limit: (row) => row.limit_mps ?? -1,

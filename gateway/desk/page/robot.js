@@ -162,9 +162,9 @@ export class RobotPage {
 
   /** The one line that matters: the state as a word, who has it, why and since when. */
   showBand(row) {
-    const known = row !== undefined && (this.isLost ? row.word === "silent" : this.state !== null);
+    const known = row !== undefined && (this.isLost ? row.word === "offline" : this.state !== null);
     this.band.className = `band wide level${this.isLost ? 2 : known ? row.level : 1}`;
-    setText(this.word, this.isLost ? wordOf("silent") : known ? wordOf(row.word) : "…");
+    setText(this.word, this.isLost ? wordOf("offline") : known ? wordOf(row.word) : "…");
     const parts = this.isLost ? [t("no_contact", this.name, ((performance.now() - this.heardMs) / 1000).toFixed(1))] : [];
     const holder = this.safety?.lease_holder;
     if (holder) parts.push(this.driver.driving ? t("in_control_here") : t("in_control", holder));

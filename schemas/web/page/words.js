@@ -7,7 +7,7 @@ const EN = {
   no_contact: "No contact with $1 for $2 s. It may be moving. Look at it; use the button on the robot.",
   desk_lost: "No contact with the desk for $1 s. Robots may be moving. Look at them; use the button on the robot.",
   in_control: "$1 is in control", in_control_here: "you are in control", since: "since $1",
-  search: "Search robots", all: "all", needs_person: "needs a person", need_person: "need a person", robots: "robots", one_robot: "robot", unseen: "not acknowledged",
+  search: "Search robots", all: "all", needs_person: "needs a person", robots: "robots", one_robot: "robot", unseen: "not acknowledged",
   site: "Site", all_sites: "all sites", acknowledge: "Acknowledge", seen_by: "acknowledged by",
   robot: "Robot", state: "State", driver: "Driver", speed: "Speed", limit: "Limit", link_age: "Link", lost: "Lost frames", lost_samples: "lost", what: "What",
   no_robot: "No robot is heard.",
@@ -45,9 +45,10 @@ const EN = {
   put_on: "Put on", add_comment: "Comment", name_first: "Say who you are first.",
   close: "Close", stop_mark: ". ", use_button: "Where a robot is not known to stand, use the button on it.",
   word: {
-    silent: "silent", latched: "latched", bus_down: "bus down", stopping: "stopping", transmitter: "remote control", blocked: "blocked",
-    driving: "driving", engaged: "engaged", held: "lease held", ready: "ready", telemetry: "telemetry only",
+    offline: "offline", needs_reset: "stopped - needs reset", bus_down: "bus down", stopping: "stopping", remote_control: "remote control", blocked: "blocked",
+    driving: "driving", in_control: "in control", ready: "ready", telemetry: "telemetry only",
   },
+  counted: { needs_reset: ["needs reset", "need reset"] },
   reason: {},
   of_robot: {},
   value: { fully_braked: "fully braked" },
@@ -60,7 +61,7 @@ const ZH = {
   no_contact: "与 $1 失去联系已 $2 秒。它可能正在移动：请看着它，使用车身上的急停按钮。",
   desk_lost: "与控制台失去联系已 $1 秒。机器人可能正在移动：请看着它们，使用车身上的急停按钮。",
   in_control: "$1 持有控制权", in_control_here: "您持有控制权", since: "自 $1",
-  search: "搜索机器人", all: "全部", needs_person: "需要处理", need_person: "台需要处理", robots: "台机器人", one_robot: "台机器人", unseen: "台未确认",
+  search: "搜索机器人", all: "全部", needs_person: "需要处理", robots: "台机器人", one_robot: "台机器人", unseen: "台未确认",
   site: "站点", all_sites: "全部站点", acknowledge: "确认", seen_by: "已确认：",
   robot: "机器人", state: "状态", driver: "驾驶者", speed: "速度", limit: "限速", link_age: "链路", lost: "丢帧", lost_samples: "丢失", what: "说明",
   no_robot: "没有收到任何机器人的数据。",
@@ -98,9 +99,10 @@ const ZH = {
   put_on: "加上", add_comment: "评论", name_first: "请先填写您的名字。",
   close: "关闭", stop_mark: "。", use_button: "不能确认停稳的机器人，请按下车身上的急停按钮。",
   word: {
-    silent: "失联", latched: "已锁定", bus_down: "总线断开", stopping: "停车中", transmitter: "遥控器控制", blocked: "受阻",
-    driving: "行驶中", engaged: "已接合", held: "已被占用", ready: "就绪", telemetry: "仅遥测",
+    offline: "离线", needs_reset: "已停车，须复位", bus_down: "总线断开", stopping: "停车中", remote_control: "遥控器控制", blocked: "受阻",
+    driving: "行驶中", in_control: "受控", ready: "就绪", telemetry: "仅遥测",
   },
+  counted: {},
   // Of each reason what it means, and the cure in the words of this page. ROBOT stands for the robot's name.
   reason: {
     none: ["没有异常", ""],
@@ -210,7 +212,7 @@ const ZH = {
     [/^(\w+), because of (.+)$/, "{1}，原因：{2}"], [/^last stop (.+)$/, "上次停车：{1}"], [/^nobody holds the lease$/, "无人持有控制权"],
     [/^(\S+) holds the lease as (\w+), expires in ([\d.]+) s$/, "$1 持有控制权（{2}），$3 s 后到期"],
     [/^mode (\w+)$/, "模式：{1}"], [/^it takes no commands$/, "不接受指令"],
-    [/^no state yet$/, "尚无状态"], [/^STALE: no state for ([\d.]+) s$/, "已过时：$1 s 没有状态"], [/^this end is not connected to Zenoh$/, "本端未连接到 Zenoh"],
+    [/^no state yet$/, "尚无状态"], [/^no contact for (\S+ \w+)$/, "失去联系已 $1"], [/^this end is not connected to Zenoh$/, "本端未连接到 Zenoh"],
     [/^its gateway is not connected$/, "网关未连接"], [/^its gateway is connected, but sends no health$/, "网关已连接，但不发送健康状况"],
     [/^its gateway is connected and sends health$/, "网关已连接，并在发送健康状况"],
     [/^commands (\d+) ms old \(p50 (\d+) ms, p99 (\d+) ms\), deadman (\d+) ms, ([\d.]+) m until it can react, at most ([\d.]+) m\/s by that$/,
@@ -248,6 +250,12 @@ export const t = (name, ...parts) => (words[name] ?? EN[name] ?? name).replace(/
 
 /** What a robot does or suffers. */
 export const wordOf = (word) => words.word[word] ?? word;
+
+/** So many robots do or suffer this: "2 need reset". */
+export const countOf = (count, word) => `${count} ${words.counted[word]?.[count === 1 ? 0 : 1] ?? wordOf(word)}`;
+
+/** All words, the gravest first. */
+export const WORDS = Object.keys(EN.word);
 
 /** The meaning of a reason; in English where the language has no words for it. */
 export const meaningOf = (reason, means) => words.reason[reason]?.[0] ?? means ?? EN.reason[reason]?.[0] ?? reason;

@@ -14,7 +14,7 @@ from tests.support.nights import by_night, every_value
 from tests.support.processes.desk import chromium
 from tests.support.rigs.scenarios import front_bumper, recorded
 
-LOG: Final = "latched-20260102T030405Z.mcap"
+LOG: Final = "needs-reset-20260102T030405Z.mcap"
 
 REPORT_MS: Final = 100_000
 """A report is made when it is asked for; a busy machine takes its time."""
@@ -52,13 +52,13 @@ def wall(page: Page, address: str) -> None:
 
 def robot(page: Page, address: str) -> None:
     """One that is latched, with its reasons, events and logs, the keys unfolded; a stop of it."""
-    page.goto(f"{address}#/robot/latched")
+    page.goto(f"{address}#/robot/needs-reset")
     page.locator(".why li").first.wait_for()
     page.locator(".events .error").first.wait_for()
     page.locator("a[href^='logs/']").first.wait_for()
     page.locator("summary").click()
     page.keyboard.press("Escape")
-    page.locator("#stop-of-latched li").wait_for()
+    page.locator("#stop-of-needs-reset li").wait_for()
 
 
 def kiosk(page: Page, address: str) -> None:

@@ -76,6 +76,7 @@ def test_a_robot_is_seen_at_once_with_why_it_stands(scene: DeskScene, context: B
     page.goto(scene.address)
     row = page.locator("tr[data-robot=cruiser-1]")
     row.get_by_text("ready").wait_for()
+    page.get_by_text("1 ready", exact=True).wait_for()
     assert page.get_by_label("Site").is_hidden()
     row.get_by_role("link", name="cruiser-1").click()
     wait_ready(page)
@@ -173,7 +174,8 @@ def test_stop_all_never_says_more_than_is_known(context: BrowserContext) -> None
             scene.gateway.process.send_signal(signal.SIGCONT)
         assert scene.desk.stop() == 0
         page.get_by_text("No contact with the desk for").wait_for()
-        page.locator("tr[data-robot=cruiser-1]", has_text="silent").wait_for()
+        page.locator("tr[data-robot=cruiser-1]", has_text="offline").wait_for()
+        page.get_by_text("1 offline, 1 not acknowledged").wait_for()
         page.get_by_role("button", name="STOP ALL").click()
         page.get_by_text("NOT SENT").wait_for()
 
@@ -208,10 +210,10 @@ def test_a_desk_that_hangs_shows_nothing_as_current_and_no_stop_as_made(context:
             page.get_by_role("button", name="STOP ALL").click()
             page.get_by_text("use the button on it").wait_for()
             page.get_by_text("No contact with the desk for").wait_for()
-            assert row.locator(".pill").inner_text() == "silent"
+            assert row.locator(".pill").inner_text() == "offline"
         finally:
             scene.desk.process.send_signal(signal.SIGCONT)
-        row.get_by_text("ready").wait_for()
+        row.locator(".pill", has_not_text="offline").wait_for()
         assert scene.desk.stop() == 0
 
 
@@ -327,7 +329,8 @@ def test_an_alarm_is_acknowledged_for_all_and_cured_beside_its_reason(
     page = open_robot(context, scene)
     page.keyboard.press("Escape")
     row = overview.locator("tr[data-robot=cruiser-1]")
-    row.get_by_text("latched", exact=True).wait_for()
+    row.get_by_text("stopped - needs reset", exact=True).wait_for()
+    overview.get_by_text("1 needs reset, 1 not acknowledged").wait_for()
     wait_until(lambda: overview.title() == page.title().replace("cruiser-1 · ", "") == "(1) Cruiser")
     row.get_by_role("button", name="Acknowledge cruiser-1").click()
     row.get_by_text("acknowledged by desk").wait_for()

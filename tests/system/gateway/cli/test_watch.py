@@ -78,12 +78,12 @@ def test_a_robot_that_falls_silent_is_shown_as_stale(capsys: Capture) -> None:
 
         def speak() -> None:
             text = output()
-            if "mode auto" not in text or "STALE" in text:
+            if "mode auto" not in text or "OFFLINE" in text:
                 gateway.say(STATE)
 
-        stopped = StopWhen(lambda: "mode auto" in output().partition("STALE")[2], speak)
+        stopped = StopWhen(lambda: "mode auto" in output().partition("OFFLINE")[2], speak)
         assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
-    stale = next(line for line in output.text.splitlines() if "STALE" in line)
+    stale = next(line for line in output.text.splitlines() if "OFFLINE" in line)
     assert "its gateway is connected" in stale
     assert "1.25" not in stale
 

@@ -135,7 +135,7 @@ def test_people_ask_each_other_for_a_robot() -> None:
         scene.say(near, **answer)
     assert told(near, words.DeskAnswer) == [words.DeskAnswer("cruiser-1", "ann", "bob", granted=True)]
     assert told(far, words.DeskAnswer) == []
-    scene.say(far, **{"is": "acknowledge"}, robot="cruiser-1", word="held", operator="cat")
+    scene.say(far, **{"is": "acknowledge"}, robot="cruiser-1", word="in_control", operator="cat")
     scene.step(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
     row = told(far, words.DeskRows)[0].rows["cruiser-1"]
     assert (row.asked_by, row.acknowledged) == ([], "cat")
@@ -145,7 +145,7 @@ def test_people_ask_each_other_for_a_robot() -> None:
     "said",
     [
         {"is": "request", "operator": "bob"},
-        {"is": "acknowledge", "word": "latched", "operator": "bob"},
+        {"is": "acknowledge", "word": "needs_reset", "operator": "bob"},
         {"is": "answer", "operator": "ann", "asker": "bob", "granted": True},
     ],
 )
@@ -367,7 +367,7 @@ def test_a_desk_that_has_lost_zenoh_says_so() -> None:
     scene.step(seconds=2)
     (rows,) = told(browser, words.DeskRows)
     assert not rows.linked
-    assert rows.rows["cruiser-1"].word == "silent"
+    assert rows.rows["cruiser-1"].word == "offline"
     scene.listener.linked = True
     scene.step()
     assert [one.linked for one in told(browser, words.DeskRows)] == [True]

@@ -57,11 +57,12 @@ def test_a_robot_that_was_never_heard_of_has_nothing_to_report() -> None:
 
 
 def test_a_token_that_goes_takes_the_connection_with_it() -> None:
-    """A robot whose token is gone is not connected, but is still listed for a while."""
+    """A robot whose token is gone is not connected; it is listed until somebody has seen that, and a minute."""
     fleet = fleet_that_heard(token(), token(present=False))
     assert not fleet.report("cruiser-1", START_NS).connected
-    assert fleet.robots(START_NS + FORGOTTEN_NS - 1) == ["cruiser-1"]
-    assert fleet.robots(START_NS + FORGOTTEN_NS) == []
+    assert fleet.robots(START_NS + FORGOTTEN_NS - 1, lambda _: True) == ["cruiser-1"]
+    assert fleet.robots(START_NS + 100 * FORGOTTEN_NS) == ["cruiser-1"]
+    assert fleet.robots(START_NS + FORGOTTEN_NS, lambda _: True) == []
 
 
 def test_a_robot_with_its_token_is_never_forgotten() -> None:

@@ -70,7 +70,7 @@ def test_a_fresh_state_shows_what_the_robot_does() -> None:
             "0.04 s",
         ):
             assert part in text
-        assert "STALE" not in text
+        assert "OFFLINE" not in text
 
 
 def test_the_view_shows_how_old_the_commands_are() -> None:
@@ -143,7 +143,7 @@ def test_the_view_shows_who_drives_and_why_it_does_not_move() -> None:
 def test_a_stale_view_says_so_and_shows_no_value() -> None:
     """When no state comes any more, every view says so loudly, and no old value stands as a present one."""
     for text in every_view(STALE):
-        assert "STALE" in text
+        assert "OFFLINE" in text
         assert "3.2" in text
         for value in ("auto", "1.25", "-3.5"):
             assert value not in text
@@ -222,7 +222,7 @@ def test_an_empty_fleet_is_said_to_be_empty() -> None:
 def test_the_table_keeps_what_matters_in_80_columns() -> None:
     """In a small terminal the names, the motion and the alarm are still whole."""
     text = drawn(view.table([FRESH, STALE]), width=80)
-    for part in ("cruiser-1", "auto", "drive", "+1.25 m/s", "-3.5 deg", "STALE"):
+    for part in ("cruiser-1", "auto", "drive", "+1.25 m/s", "-3.5 deg", "OFFLINE"):
         assert part in text
 
 

@@ -46,15 +46,19 @@ def test_only_what_has_changed_is_said() -> None:
     scene.say(STATE, STANDBY, HEALTH)
     assert scene.step() == {}
     (row,) = scene.step(2).values()
-    assert getattr(row, "word", None) == "silent"
+    assert getattr(row, "word", None) == "offline"
 
 
-def test_a_robot_that_has_gone_is_taken_away() -> None:
-    """A minute after its last word; a browser that comes then does not see it."""
+def test_a_robot_that_is_lost_stays_until_somebody_has_seen_it() -> None:
+    """However long ago; then it is gone, for a browser that comes later too."""
     scene = Scene()
     scene.say(STATE)
     scene.step()
-    assert scene.step(61) == {"cruiser-1": None}
+    (row,) = scene.step(5000).values()
+    assert row is not None
+    assert (row.word, row.text) == ("offline", "no contact for 83 min; its gateway is not connected")
+    scene.view.people.acknowledge("cruiser-1", row.word, "ann")
+    assert scene.step() == {"cruiser-1": None}
     assert scene.view.all_rows()[0] == {}
 
 
@@ -133,7 +137,7 @@ def test_a_row_says_where_a_robot_belongs_and_who_sees_to_it() -> None:
     assert (row.acknowledged, row.asked_by) == ("cat", ["bob"])
     (row,) = scene.step(2).values()
     assert row is not None
-    assert (row.word, row.acknowledged, row.asked_by) == ("silent", "", [])
+    assert (row.word, row.acknowledged, row.asked_by) == ("offline", "", [])
 
 
 def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
@@ -157,8 +161,11 @@ def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
     scene.say(STATE)
     scene.step(10)
     assert not scene.view.is_full
-    scene.view.receive(received(STATE, "cruiser-2"))
-    assert "cruiser-2" in scene.step()
+    # Strangers' names that went silent are kept as lost robots, until another one needs their room.
+    for _ in range(2):
+        scene.view.receive(received(STATE, "cruiser-2"))
+        rows = scene.step()
+    assert "cruiser-2" in rows
 
 
 def test_what_is_of_no_robot_takes_no_room_for_long() -> None:

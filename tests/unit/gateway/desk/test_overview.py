@@ -37,8 +37,8 @@ def safety(**change: object) -> SafetyState:
     ("state", "arbiter", "word", "level"),
     [
         (AUTO, READY, "ready", FINE),
-        (AUTO, safety(lease_holder="ann"), "held", FINE),
-        (AUTO, safety(state=ArbiterState.ENGAGED, lease_holder="ann", blocked_by=[]), "engaged", FINE),
+        (AUTO, safety(lease_holder="ann"), "in_control", FINE),
+        (AUTO, safety(state=ArbiterState.ENGAGED, lease_holder="ann", blocked_by=[]), "in_control", FINE),
         (
             msgspec.structs.replace(AUTO, speed_mps=-0.4),
             safety(state=ArbiterState.ENGAGED, lease_holder="ann", blocked_by=[]),
@@ -47,16 +47,16 @@ def safety(**change: object) -> SafetyState:
         ),
         (AUTO, safety(state=ArbiterState.STOPPING, stop_phase=StopPhase.RAMP), "stopping", LOOK),
         (AUTO, safety(blocked_by=[Reason.NO_LEASE, Reason.FEEDBACK_MISSING]), "blocked", LOOK),
-        (msgspec.structs.replace(AUTO, mode=Mode.REMOTE), READY, "transmitter", LOOK),
-        (AUTO, safety(latched=[Reason.FRONT_BUMPER]), "latched", ALARM),
+        (msgspec.structs.replace(AUTO, mode=Mode.REMOTE), READY, "remote_control", LOOK),
+        (AUTO, safety(latched=[Reason.FRONT_BUMPER]), "needs_reset", ALARM),
         (
             msgspec.structs.replace(AUTO, mode=Mode.REMOTE),
             safety(state=ArbiterState.STOPPING, latched=[Reason.FRONT_BUMPER]),
-            "latched",
+            "needs_reset",
             ALARM,
         ),
         (msgspec.structs.replace(AUTO, bus_up=False), safety(latched=[Reason.GUARD]), "bus_down", ALARM),
-        (None, READY, "silent", ALARM),
+        (None, READY, "offline", ALARM),
         (AUTO, None, "telemetry", FINE),
     ],
 )
@@ -89,7 +89,7 @@ def test_nothing_old_is_shown_as_current() -> None:
     """Of a robot whose state is too old there is no speed."""
     row = row_of(report(None, None), None)
     assert (row.speed_mps, row.limit_mps, row.link_age_s) == (None, None, None)
-    assert row.text.startswith("STALE")
+    assert row.text.startswith("no contact for 0.1 s; ")
 
 
 def test_every_word_has_a_level() -> None:
