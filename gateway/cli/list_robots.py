@@ -1,11 +1,16 @@
-"""``cruiser list``: the robots that are connected, and their health."""
+"""``cruiser list``: all robots, lost ones too: state, speed, driver, health, and what needs attention."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import fnmatch
+import logging
+import os
+import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -13,8 +18,8 @@ import msgspec
 
 from gateway.client import view
 from gateway.client.fleet import Fleet, RobotStatus
-from gateway.client.robot_word import summary
 from gateway.client.roll import RollCall
+from gateway.host.state_directory import state_directory, write_whole
 from gateway.telemetry.received import TokenChange
 from gateway.zenoh.client import RobotListener, place
 from schemas import keys
@@ -26,10 +31,22 @@ from schemas.settings import Settings
 EXAMPLE = """\
   cruiser list
   cruiser list 'cruiser-1*'
+  cruiser list --forget cruiser-3                 it is gone for good, and no longer lost
   cruiser list --json --connect tcp/10.0.0.5:7447 | jq -r .robot"""
+
+log = logging.getLogger(__name__)
 
 BLIND_ROLES: Final = frozenset({"robot", "router"})
 """Roles whose certificates see no telemetry of robots."""
+
+SEEN_KEPT: Final = 1000
+"""So many robots are expected at one place."""
+
+NAMED_MAX: Final = 8
+"""So many of the lost robots are named on standard error; each has its line in the list."""
+
+ARBITER_S: Final = 0.2
+"""A robot that has sent no state of an arbiter so long after its own state has none."""
 
 POLL_S: Final = 0.02
 """The period in which arrivals are taken from Zenoh."""
@@ -52,6 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="how long to wait for robots and their health (3)",
     )
+    parser.add_argument(
+        "--forget", type=robot_names, metavar="ROBOT", help="expect this robot no more, or several by '*'"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object a robot, one a line")
     add_zenoh_arguments(parser)
 
@@ -59,14 +79,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """List the robots, several after a line on all of them.
 
-    Exit code 0 if there are any, 1 if there are none, 3 if not all may be in the list.
+    Exit code 0 if there are any, 1 if there are none, 3 if one is lost or not all may be in the list.
 
     Raises:
         CommandError: no Zenoh node answers, or it does not say in time who is connected.
     """
     where = place(settings.zenoh)
+    expected = Expected(settings)
+    if arguments.forget:
+        expected.forget(arguments.forget)
     with RobotListener.open(settings, arguments.robots) as listener:
-        search = _Search(listener, settings.robot.root)
+        search = _Search(listener, settings.robot.root, expected.matching(arguments.robots))
         reports = search.run(time.monotonic() + arguments.timeout, stopped)
     if stopped():
         # Who has not answered yet is not known to be silent.
@@ -79,21 +102,22 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if not reports and not search.is_complete:
         text = f"the Zenoh node at {where} did not say within {arguments.timeout:g} s which robots are connected"
         raise CommandError(text, ExitCode.UNREACHABLE)
-    if len(reports) > 1 and not arguments.json:
-        sys.stdout.write(f"{summary(reports)}\n")
-    for report in reports:
-        text = msgspec.json.encode(report).decode() if arguments.json else view.health_line(report)
-        notes = [] if arguments.json else _notes(report)
-        sys.stdout.write("\n  see to: ".join([text, *map(plain, notes)]) + "\n")
+    lines = (msgspec.json.encode(one).decode() for one in reports) if arguments.json else view.list_lines(reports)
+    sys.stdout.writelines(f"{line}\n" for line in lines)
     sys.stdout.flush()
+    expected.keep(report.robot for report in reports if report.state is not None)
     if not reports:
         called = f" called {arguments.robots}" if arguments.robots != keys.ALL else ""
         sys.stderr.write(f"no robot{called} is connected at {where}\n")
         return int(ExitCode.FAILURE)
+    lost = [report.robot for report in reports if report.state is None]
+    if lost:
+        more = f" and {len(lost) - NAMED_MAX} more" if len(lost) > NAMED_MAX else ""
+        cure = "look at it, it may be moving; where it is gone for good: 'cruiser list --forget ROBOT'"
+        sys.stderr.write(f"no contact with {', '.join(lost[:NAMED_MAX])}{more}: {cure}\n")
     if not search.is_complete:
         sys.stderr.write(f"there may be more: not everybody answered within {arguments.timeout:g} s at {where}\n")
-        return int(ExitCode.PARTIAL)
-    return int(ExitCode.OK)
+    return int(ExitCode.OK if search.is_complete and not lost else ExitCode.PARTIAL)
 
 
 def check_role(config: str) -> None:
@@ -112,22 +136,56 @@ def check_role(config: str) -> None:
         )
 
 
-def _notes(report: RobotStatus) -> list[str]:
-    """The things that somebody has to see to, as the robot publishes them."""
-    latched = [] if report.safety is None else [reason.value for reason in report.safety.latched]
-    notes = [f"latched: {', '.join(latched)}"] if latched else []
-    return notes if report.health is None else [*notes, *report.health.notes]
+class Expected:
+    """The robots that were seen from here before: one that is not there now is lost, and no list leaves it out."""
+
+    def __init__(self, settings: Settings) -> None:
+        directory = state_directory(settings.gateway.state_dir, os.environ)
+        self._file = None if directory is None else directory / "seen.json"
+        self._place = f"{settings.robot.root} at {place(settings.zenoh)}"
+        self._seen: dict[str, list[str]] = {}
+        if self._file is not None:
+            with contextlib.suppress(OSError, msgspec.DecodeError, msgspec.ValidationError):
+                self._seen = msgspec.json.decode(self._file.read_bytes(), type=dict[str, list[str]])
+
+    @property
+    def _here(self) -> list[str]:
+        return [robot for robot in self._seen.get(self._place, []) if re.fullmatch(keys.ROBOT_PATTERN, robot)]
+
+    def matching(self, names: str) -> list[str]:
+        """Return those that a name, or a pattern, means."""
+        return fnmatch.filter(self._here, names)
+
+    def keep(self, seen: Iterable[str]) -> None:
+        """Remember these too; the newest, if there are too many."""
+        now = sorted(seen)
+        self._write([*(robot for robot in self._here if robot not in now), *now])
+
+    def forget(self, names: str) -> None:
+        """Expect these no more."""
+        self._write([robot for robot in self._here if not fnmatch.fnmatchcase(robot, names)])
+
+    def _write(self, robots: list[str]) -> None:
+        if self._file is None or robots == self._here:
+            return
+        self._seen[self._place] = robots[-SEEN_KEPT:]
+        try:
+            write_whole(self._file, msgspec.json.encode(self._seen))
+        except OSError as error:
+            log.info("the robots that were seen are not remembered: %s", error)
 
 
 class _Search:
-    """Looks for robots until all have sent their health and no other appears.
+    """Looks for robots until all have sent their state and health and no other appears.
 
     Attributes:
         linked: a Zenoh node is connected.
     """
 
-    def __init__(self, listener: RobotListener, root: str) -> None:
+    def __init__(self, listener: RobotListener, root: str, expected: Iterable[str]) -> None:
         self.linked = False
+        self._expected = expected
+        self._whole_s: float | None = None
         self._listener = listener
         self._root = root
         self._fleet = Fleet(root)
@@ -145,7 +203,8 @@ class _Search:
         return self._reports(time.monotonic_ns())
 
     def _reports(self, now_ns: int) -> list[RobotStatus]:
-        return [self._fleet.report(robot, now_ns) for robot in self._fleet.robots(now_ns)]
+        names = {*self._fleet.robots(now_ns), *self._expected}
+        return [self._fleet.report(robot, now_ns) for robot in sorted(names, key=keys.in_order)]
 
     def _step(self, now_s: float) -> bool:
         """Take what has arrived. Return whether nothing more is to be waited for."""
@@ -155,4 +214,10 @@ class _Search:
         for robot in self._roll.step(now_s):
             self._fleet.receive(TokenChange(keys.liveliness(self._root, robot), present=True), now_ns)
         self.linked = self.linked or bool(self._listener.links())
-        return self._roll.is_complete(now_s) and all(report.health for report in self._reports(now_ns))
+        reports = self._reports(now_ns)
+        if not (self._roll.is_complete(now_s) and all(report.health and report.state for report in reports)):
+            self._whole_s = None
+            return False
+        # One that has an arbiter says so in the same tick.
+        self._whole_s = self._whole_s or now_s
+        return all(report.safety for report in reports) or now_s - self._whole_s > ARBITER_S

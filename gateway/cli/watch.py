@@ -1,4 +1,4 @@
-"""``cruiser watch``: a live view of a robot, or of all robots."""
+"""``cruiser watch``: a live view of a robot; of several it is ``cruiser list``, live."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import msgspec
 from rich.console import Console
 from rich.live import Live
 
+from gateway.cli.list_robots import Expected
 from gateway.client import view
 from gateway.client.fleet import Fleet, RobotStatus
 from gateway.client.roll import who_is_there
 from gateway.zenoh.client import RobotListener, place
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.keys import ALL, ROBOTS_PATTERN
+from schemas.keys import ALL, ROBOTS_PATTERN, in_order
 from schemas.printable import plain
 from schemas.settings import Settings
 
@@ -70,7 +71,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     end_s = time.monotonic() + arguments.seconds if arguments.seconds else float("inf")
     fleet = Fleet(settings.robot.root)
     with RobotListener.open(settings, robot) as listener:
-        watching = _Watching(listener, fleet, "" if ALL in robot else robot)
+        expected = [] if robot and ALL not in robot else Expected(settings).matching(robot or ALL)
+        watching = _Watching(listener, fleet, "" if ALL in robot else robot, expected)
         problem = watching.wait(min(end_s, time.monotonic() + arguments.timeout), stopped)
         if problem and not stopped():
             text = f"{problem} within {arguments.timeout:g} s at {place(settings.zenoh)}"
@@ -81,14 +83,16 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         elif console.is_terminal and not console.is_dumb_terminal:
             _live(watching, console, end_s, stopped)
         else:
-            watching.show(lambda reports: _write(view.lines(reports)), LINE_S, end_s, stopped)
+            lines = view.list_lines if not watching.robot else (lambda reports: map(view.line, reports))
+            watching.show(lambda reports: _write(lines(reports)), LINE_S, end_s, stopped)
     return int(ExitCode.OK)
 
 
 class _Watching:
     """A listener to one robot, or to all of them."""
 
-    def __init__(self, listener: RobotListener, fleet: Fleet, robot: str) -> None:
+    def __init__(self, listener: RobotListener, fleet: Fleet, robot: str, expected: Sequence[str]) -> None:
+        self._expected = expected
         self._listener = listener
         self._fleet = fleet
         self.robot = robot
@@ -121,8 +125,8 @@ class _Watching:
 
     def _reports(self) -> list[RobotStatus]:
         now_ns = time.monotonic_ns()
-        names = [self.robot] if self.robot else self._fleet.robots(now_ns)
-        return [self._fleet.report(name, now_ns) for name in names]
+        names = {self.robot} if self.robot else {*self._fleet.robots(now_ns), *self._expected}
+        return [self._fleet.report(name, now_ns) for name in sorted(names, key=in_order)]
 
     def _poll(self) -> None:
         now_ns = time.monotonic_ns()

@@ -62,12 +62,12 @@ def link_line(state: SafetyState) -> str:
     """Return the age of the commands that drive the robot, and its cost; empty while it executes none."""
     if state.link_age_s is None or state.travel_speed_limit_mps is None:
         return ""
-    words = [f"commands {_ms(state.link_age_s)} old"]
-    if state.link_age_p50_s is not None and state.link_age_p99_s is not None:
-        words[0] += f" (p50 {_ms(state.link_age_p50_s)}, p99 {_ms(state.link_age_p99_s)})"
-    words.append(f"deadman {_ms(state.deadman_s)}")
-    words.append(f"{state.travel_delay_m:.2f} m until it can react")
-    words.append(f"at most {state.travel_speed_limit_mps:.2f} m/s by that")
+    words = [f"command latency {_ms(state.link_age_s)}"]
+    if state.link_age_p99_s is not None:
+        words[0] += f" (p99 {_ms(state.link_age_p99_s)})"
+    words.append(f"timeout {_ms(state.deadman_s)}")
+    words.append(f"reaction distance {state.travel_delay_m:.2f} m")
+    words.append(f"speed limit {state.travel_speed_limit_mps:.2f} m/s")
     return ", ".join(words)
 
 

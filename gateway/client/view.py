@@ -13,7 +13,7 @@ from rich.text import Text
 
 from gateway.client.fleet import RobotStatus, alarm
 from gateway.client.reasons_text import is_idle, last_stop, link_line
-from gateway.client.robot_word import summary
+from gateway.client.robot_word import WORDS, label_of, summary, word_of
 from schemas.decisions import COMMANDING
 from schemas.messages import GatewayHealth, RobotState
 from schemas.printable import plain
@@ -84,19 +84,13 @@ def line(report: RobotStatus) -> str:
     if report.state is None:
         words.append(_offline(report))
     else:
+        words.append(label_of(word_of(report)[0]))
         words += [_word(fact) for fact in (*state_facts(report.state), *safety_facts(report))]
         words.append(f"age {report.state_age_s or 0:.2f} s")
     words.append(_faults_word(report))
     if report.newer:
         words.append(plain(report.newer))
     return "  ".join(words)
-
-
-def lines(reports: Sequence[RobotStatus]) -> Iterator[str]:
-    """Robots, one a line; several after a line on all of them."""
-    if len(reports) > 1:
-        yield summary(reports)
-    yield from map(line, reports)
 
 
 def safety_facts(report: RobotStatus) -> list[Fact]:
@@ -120,15 +114,38 @@ def safety_facts(report: RobotStatus) -> list[Fact]:
     ]
 
 
-def health_line(report: RobotStatus) -> str:
-    """A robot's gateway in one line, as ``cruiser list`` shows it."""
-    if report.health is None:
-        if report.unreadable:
-            return f"{report.robot}  connected, but unreadable: {plain(report.unreadable)}"
-        return f"{report.robot}  connected, but no health"
-    words = [report.robot, "connected" if report.connected else "health, but no liveliness token"]
-    words += [_word(fact) for fact in health_facts(report.health)]
+def list_lines(reports: Sequence[RobotStatus]) -> Iterator[str]:
+    """Robots, one a line with what needs attention below it; several after a line on all of them."""
+    if len(reports) > 1:
+        yield summary(reports)
+    for report in reports:
+        yield _list_line(report)
+        yield from (f"  needs attention: {note}" for note in _attention(report))
+
+
+def _list_line(report: RobotStatus) -> str:
+    """A robot's state, speed, driver, and its gateway's health."""
+    words = [report.robot]
+    if report.state is None:
+        words.append(_offline(report))
+    else:
+        words += [label_of(word_of(report)[0]), _number(report.state.speed_mps, "+z.2f", "m/s")]
+        words += (
+            [f"driver {plain(report.safety.lease_holder)}"] if report.safety and report.safety.lease_holder else []
+        )
+        words += [] if report.connected else ["no liveliness token"]
+        words += ["no health"] if report.health is None else []
+    words += [_word(fact) for fact in health_facts(report.health)] if report.health is not None else []
     return "  ".join([*words, *([plain(report.newer)] if report.newer else [])])
+
+
+def _attention(report: RobotStatus) -> list[str]:
+    """Everything that somebody has to see to."""
+    safety = report.safety
+    latched = [] if safety is None else [reason.value.replace("_", " ") for reason in safety.latched]
+    by = f" by {plain(', '.join(safety.stopped_by))}" if safety is not None and safety.stopped_by else ""
+    notes = [f"{', '.join(latched)}{by}, reset required"] if latched else []
+    return notes if report.health is None else [*notes, *map(plain, report.health.notes)]
 
 
 def panel(report: RobotStatus) -> RenderableType:
@@ -152,7 +169,7 @@ def panel(report: RobotStatus) -> RenderableType:
 def table(reports: Sequence[RobotStatus]) -> RenderableType:
     """Robots, one a row: what each does, and whatever is wrong with it."""
     shown = Table(expand=False, title=summary(reports) if len(reports) > 1 else None)
-    for label in ("robot", *_TABLE_LABELS, "age"):
+    for label in ("robot", "state", *_TABLE_LABELS, "age"):
         shown.add_column(label, no_wrap=True)
     shown.add_column("wrong")
     for report in reports:
@@ -160,11 +177,13 @@ def table(reports: Sequence[RobotStatus]) -> RenderableType:
         if report.state is not None:
             facts = {fact.label: fact for fact in state_facts(report.state)}
             cells = [Text(facts[label].text, style=facts[label].style) for label in _TABLE_LABELS]
-        shown.add_row(Text(report.robot), *cells, _age(report), _wrong(report))
+        word, _ = word_of(report)
+        state = Text(label_of(word), style=(PLAIN, BAD, LOUD)[WORDS[word]])
+        shown.add_row(Text(report.robot), state, *cells, _age(report), _wrong(report))
     return shown if reports else Group(shown, Text("no robot is connected", style=BAD))
 
 
-_TABLE_LABELS: Final = ("mode", "gear", "speed", "angle")
+_TABLE_LABELS: Final = ("speed", "angle")
 
 
 def _wrong(report: RobotStatus) -> Text:

@@ -52,6 +52,8 @@ def test_a_large_fleet_is_listed_whole() -> None:
     with FakeFleet(1000) as fleet:
         ended = cruiser("list", "--timeout", "8", "--connect", fleet.listen)
     told, *lines = ended.stdout.splitlines()
-    assert told == "1000 robots: 1000 silent"
+    assert told == "1000 offline"
     assert [line.split()[0] for line in lines] == fleet.names
-    assert (ended.returncode, ended.stderr) == (0, "")
+    # They send no state.
+    assert ended.returncode == 3
+    assert ended.stderr.startswith("no contact with robot-0000, ")

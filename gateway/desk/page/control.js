@@ -216,14 +216,13 @@ export class Control {
     }
   }
 
-  /** Reset what is latched; the lease is held for it, and given back. */
-  async reset() {
+  /** Reset what is latched; the lease is held for it, and given back. @param of whose stop that is, if it is somebody else's. */
+  async reset(of) {
     await this.meet();
     await this.current();
     const [pair, ours] = this.signer ? await Lease.newKey() : [null, null];
     const [{ lease }] = await this.ask("acquire", ours ? { public_key: ours } : {});
     try {
-      const of = this.state.stopped_by?.find((name) => name !== this.name);
       await this.ask("reset", { lease, ...(of && { of }) });
     } finally {
       await this.ask("release", { lease });

@@ -108,9 +108,10 @@ export class DrivePanel {
     this.asked.replaceChildren(...(text ? askers.map(line) : []));
   }
 
-  /** Reset what is latched. */
+  /** Reset what is latched: the stop of whom the button names, and no other's that comes meanwhile. */
   async clear() {
-    await (await this.newControl()).reset();
+    const of = this.stopper;
+    await (await this.newControl()).reset(of);
   }
 
   async sound() {
@@ -213,6 +214,8 @@ export class DrivePanel {
     this.giveBack.disabled = this.lights.disabled = this.horn.disabled = !driving || this.working;
     this.giveBack.hidden = this.lights.hidden = this.horn.hidden = !driving;
     this.lights.setAttribute("aria-pressed", String(this.lit));
+    this.stopper = safety?.stopped_by?.find((name) => name !== this.ownName);
+    setText(this.reset, this.stopper ? t("reset_of", this.stopper) : t("reset"));
     this.reset.hidden = !safety?.latched.length || !this.may("reset");
     this.reset.disabled = !idle || safety.state === "stopping";
     this.pad.classList.toggle("live", driving);

@@ -168,7 +168,8 @@ export class RobotPage {
     const parts = this.isLost ? [t("no_contact", this.name, ((performance.now() - this.heardMs) / 1000).toFixed(1))] : [];
     const holder = this.safety?.lease_holder;
     if (holder) parts.push(this.driver.driving ? t("in_control_here") : t("in_control", holder));
-    if (known && row.level > 0) parts.push([textOf(row), !this.isLost && this.safety?.latched.length && said(this.safety.stop_detail)].filter(Boolean).join(", "));
+    if (known && row.level > 0) parts.push(textOf(row));
+    if (this.safety?.stopped_by?.length) parts.push(t("stopped_by", this.safety.stopped_by.join(", ")));
     if (this.why) parts.push(t("since", new Date(Date.now() - 1000 * this.why.since_s).toLocaleTimeString()));
     setText(this.what, parts.join(" · "));
     if (!this.isLost) setText(this.alert, "");

@@ -156,6 +156,7 @@ def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, con
     other.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
     page.mouse.up()
     page.get_by_text("You no longer drive: a remote stop was received").wait_for()
+    page.locator(".band", has_text="stopped by").wait_for()
     other.get_by_text("a remote stop was received (remote_stop)").wait_for()
     reset(other)
 

@@ -70,7 +70,9 @@ def test_a_fleet_that_is_held_serves_clients_until_ctrl_c(tmp_path: Path) -> Non
             places = json.loads(process.stdout.readline())
             operator = ["--config", f"{places['operator']}/operator.toml"]
             listed = run(["list", *operator])
-            assert [f"{robot}  connected" in listed.stdout for robot in places["robots"]] == [True, True]
+            assert [
+                f"{robot}  OFFLINE" not in listed.stdout and robot in listed.stdout for robot in places["robots"]
+            ] == [True, True]
             process.send_signal(signal.SIGINT)
             _, errors = process.communicate(timeout=60)
         finally:

@@ -13,9 +13,11 @@ from schemas.settings import RobotSettings, Settings, ZenohSettings
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
-from tests.support.messages import HEALTH, STANDBY
+from tests.support.messages import HEALTH, STANDBY, STATE
 from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import StopWhen, nothing
+
+SILENT = "cruiser-1  OFFLINE: no state yet; its gateway is connected, but sends no health\n"
 
 Capture = pytest.CaptureFixture[str]
 
@@ -39,14 +41,44 @@ def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
     with FakeGateway("cruiser-1") as first, FakeGateway("cruiser-2", connect=first.listen) as second:
 
         def speak() -> None:
-            first.say(HEALTH)
-            second.say(HEALTH)
+            first.say(msgspec.structs.replace(STANDBY, lease_holder="ann", blocked_by=[]))
+            for one in (first, second):
+                one.say(STATE)
+                one.say(HEALTH)
 
         assert list_robots(first.listen, "--timeout", "20", meanwhile=speak) == 0
     told, *lines = capsys.readouterr().out.splitlines()
-    assert told == "2 robots: 2 connected"
-    assert [line.split()[0] for line in lines] == ["cruiser-1", "cruiser-2"]
-    assert all("connected" in line and "630/s" in line for line in lines)
+    assert told == "1 telemetry only, 1 in control"
+    assert lines[0].startswith("cruiser-1  in control  +1.25 m/s  driver ann  ")
+    assert lines[1].startswith("cruiser-2  telemetry only  +1.25 m/s  ")
+    assert all("630/s" in line for line in lines)
+
+
+def test_a_robot_that_is_lost_is_listed_until_it_is_forgotten(capsys: Capture) -> None:
+    """Also by the next command, and by the live list: exit code 3, with its name. A pattern asks for others."""
+    with FakeGateway("cruiser-1") as first:
+
+        def speak() -> None:
+            first.say(STATE)
+            first.say(HEALTH)
+
+        with FakeGateway("cruiser-2", connect=first.listen) as second:
+
+            def speak_both() -> None:
+                speak()
+                second.say(STATE)
+                second.say(HEALTH)
+
+            assert list_robots(first.listen, "--timeout", "20", meanwhile=speak_both) == 0
+        capsys.readouterr()
+        assert list_robots(first.listen, "--timeout", "1", meanwhile=speak) == ExitCode.PARTIAL
+        out, errors = capsys.readouterr()
+        assert out.splitlines()[0] == "1 telemetry only, 1 offline"
+        assert out.splitlines()[2] == "cruiser-2  OFFLINE: no state yet; its gateway is not connected"
+        assert errors.startswith("no contact with cruiser-2: look at it, it may be moving; ")
+        assert list_robots(first.listen, "cruiser-1", "--timeout", "20", meanwhile=speak) == 0
+        assert list_robots(first.listen, "--forget", "cruiser-2", "--timeout", "20", meanwhile=speak) == 0
+        assert "cruiser-2" not in capsys.readouterr().out
 
 
 def test_some_robots_are_listed_by_a_pattern_in_the_order_of_their_numbers(capsys: Capture) -> None:
@@ -59,6 +91,7 @@ def test_some_robots_are_listed_by_a_pattern_in_the_order_of_their_numbers(capsy
 
         def speak() -> None:
             for one in (first, second, other):
+                one.say(STATE)
                 one.say(HEALTH)
 
         assert list_robots(first.listen, "cruiser-*", "--timeout", "20", meanwhile=speak) == 0
@@ -74,19 +107,20 @@ def test_what_is_latched_is_listed(capsys: Capture) -> None:
     with FakeGateway("cruiser-1") as gateway:
 
         def speak() -> None:
+            gateway.say(STATE)
             gateway.say(latched)
             gateway.say(HEALTH)
 
         assert list_robots(gateway.listen, "--timeout", "20", meanwhile=speak) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "  see to: latched: remote_stop, front_bumper" in lines
+    assert "  needs attention: remote stop, front bumper, reset required" in lines
 
 
 def test_a_robot_that_sends_no_health_is_said_to_send_none(capsys: Capture) -> None:
     """A liveliness token is no proof of health, and the list says so."""
     with FakeGateway("cruiser-1") as gateway:
-        assert list_robots(gateway.listen, "--timeout", "2") == 0
-    assert capsys.readouterr().out == "cruiser-1  connected, but no health\n"
+        assert list_robots(gateway.listen, "--timeout", "2") == ExitCode.PARTIAL
+    assert capsys.readouterr().out == SILENT
 
 
 @pytest.mark.parametrize("caches_health", [False, True])
@@ -94,21 +128,31 @@ def test_a_gateway_that_hangs_is_not_shown_as_well(capsys: Capture, caches_healt
     """What it said before it hung is no health now, although Zenoh's threads still answer for it."""
     with FakeGateway("cruiser-1", caches_health=caches_health) as gateway:
         gateway.say(HEALTH)
-        assert list_robots(gateway.listen, "--timeout", "2") == 0
-    assert capsys.readouterr().out == "cruiser-1  connected, but no health\n"
+        assert list_robots(gateway.listen, "--timeout", "2") == ExitCode.PARTIAL
+    assert capsys.readouterr().out == SILENT
 
 
 def test_a_robot_without_a_token_is_listed_by_its_health(capsys: Capture) -> None:
     """Health without a token is odd, and the list says so too."""
     with FakeGateway("cruiser-1", token=False) as gateway:
-        assert list_robots(gateway.listen, "--timeout", "20", meanwhile=lambda: gateway.say(HEALTH)) == 0
-    assert "health, but no liveliness token" in capsys.readouterr().out
+
+        def speak() -> None:
+            gateway.say(STATE)
+            gateway.say(HEALTH)
+
+        assert list_robots(gateway.listen, "--timeout", "20", meanwhile=speak) == 0
+    assert "no liveliness token" in capsys.readouterr().out
 
 
 def test_the_list_as_json_has_an_object_a_line(capsys: Capture) -> None:
     """--json writes the report of each robot."""
     with FakeGateway("cruiser-1") as gateway:
-        assert list_robots(gateway.listen, "--json", "--timeout", "20", meanwhile=lambda: gateway.say(HEALTH)) == 0
+
+        def speak() -> None:
+            gateway.say(STATE)
+            gateway.say(HEALTH)
+
+        assert list_robots(gateway.listen, "--json", "--timeout", "20", meanwhile=speak) == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["robot"], record["connected"]) == ("cruiser-1", True)
     assert record["health"]["frames_per_s"] == 630.0
@@ -149,8 +193,11 @@ def test_a_list_that_may_not_be_whole_says_so(capsys: Capture, monkeypatch: pyte
     with FakeGateway("cruiser-1") as gateway:
         assert list_robots(gateway.listen, "--timeout", "2") == ExitCode.PARTIAL
     captured = capsys.readouterr()
-    assert captured.out == "cruiser-1  connected, but no health\n"
-    assert captured.err == f"there may be more: not everybody answered within 2 s at {gateway.listen}\n"
+    assert captured.out == SILENT
+    assert (
+        captured.err.partition("\n")[2]
+        == f"there may be more: not everybody answered within 2 s at {gateway.listen}\n"
+    )
 
 
 def test_a_list_that_is_ended_early_says_nothing_of_who_had_no_time_to_answer(capsys: Capture) -> None:

@@ -49,7 +49,7 @@ def test_one_robot_is_shown_as_lines_without_a_terminal(capsys: Capture) -> None
         stopped = StopWhen(lambda: output().count("\n") >= 2, speak)
         assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
     for line in output.text.splitlines():
-        assert line.startswith("cruiser-1  mode auto  gear drive  +1.25 m/s  -3.5 deg")
+        assert line.startswith("cruiser-1  telemetry only  mode auto  gear drive  +1.25 m/s  -3.5 deg")
         assert line.endswith("faults none")
 
 
@@ -167,7 +167,7 @@ def test_some_robots_are_shown_by_a_pattern(capsys: Capture) -> None:
             for one in (first, second, other):
                 one.say(STATE)
 
-        stopped = StopWhen(lambda: "\n2 robots: 2 telemetry\ncruiser-2 " in f"\n{output()}", speak)
+        stopped = StopWhen(lambda: "\n2 telemetry only\ncruiser-2 " in f"\n{output()}", speak)
         assert watch(first.listen, "cruiser-*", stopped=stopped) == 0
     last = output.text.splitlines()[-3:]
     assert [line.split()[0] for line in last] == ["2", "cruiser-2", "cruiser-10"]

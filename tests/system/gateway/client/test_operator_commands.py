@@ -62,7 +62,7 @@ def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture)
         assert (-0.2, 3.0) in asked
     driven, link = capsys.readouterr().out.splitlines()
     assert driven == "cruiser-1: driven for 1 s, at most 0.20 m/s"
-    assert re.fullmatch(r"  commands \d+ ms old .*, deadman 900 ms, .* at most [\d.]+ m/s by that", link)
+    assert re.fullmatch(r"  command latency \d+ ms .*, timeout 900 ms, .* speed limit [\d.]+ m/s", link)
 
 
 def test_drive_says_what_the_limits_leave_of_what_is_asked(capsys: Capture) -> None:

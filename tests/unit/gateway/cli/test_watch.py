@@ -48,6 +48,6 @@ def test_a_pause_is_one_line_not_many(monkeypatch: pytest.MonkeyPatch) -> None:
         if len(shown_s) == 2:
             clock.now_s += 60.3
 
-    watching = watch_command._Watching(SilentListener(), Fleet("fleet"), "")
+    watching = watch_command._Watching(SilentListener(), Fleet("fleet"), "", [])
     watching.show(show, 1.0, 70.0, lambda: False)
     assert shown_s == [0.2, 1.2, 61.5, 62.2, 63.2, 64.2, 65.2, 66.2, 67.2, 68.2, 69.2]
