@@ -52,7 +52,11 @@ CHANGES: Final[dict[int, str]] = {
     "a robot that the remote control takes is left with zero speed and the parking brake; "
     "a stop that begins while the mode is not auto has no ramp, and one that is owed waits for a body frame; "
     "what was seen before the bus was lost counts no more; "
-    "a latched robot that the remote control gives back is owed its parking brake",
+    "a latched robot that the remote control gives back is owed its parking brake; "
+    "a robot that is commanded to move and is seen to stand stops, and so does one whose speeds are frozen; "
+    "a commanded speed waits for a robot that does not follow; "
+    "a robot that becomes faster than commanded gets its parking brake after 100 ms; "
+    "a speed of zero that no feedback has confirmed is not called standing",
 }
 """The changes that each version of the rules brought."""
 

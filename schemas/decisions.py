@@ -91,6 +91,7 @@ class Bound(Enum):
     PARKING = "parking"
     TRAVEL_DELAY = "travel_delay"
     WARNING = "warning"
+    FOLLOWING = "following"
 
 
 class ArbiterState(Enum):
@@ -191,6 +192,8 @@ class SafetyState(Message, frozen=True):
         stop_detail: the figures of the stop that is under way, or of the last one.
         stopped_by: whose remote stops are latched, the newest first; after four of them "others". A reset by
             anybody else names the first one.
+        rest_confirmed: feedback has answered since a speed was last commanded. While it is false, a robot whose
+            speed reads zero may be moving.
     """
 
     version: ClassVar[int] = 2
@@ -231,6 +234,7 @@ class SafetyState(Message, frozen=True):
     accepted_seq: Count | None
     stop_detail: str
     stopped_by: list[str] = msgspec.field(default_factory=list)
+    rest_confirmed: bool = True
 
 
 class Decision(Message, frozen=True):

@@ -93,6 +93,7 @@ class Reason(Enum):
 
     STOPPED_BY_OTHER = "stopped_by_other"
     IDLE = "idle"
+    NOT_MOVING = "not_moving"
 
 
 class Text(msgspec.Struct, frozen=True):
@@ -264,7 +265,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.OVERSPEED: Text("the robot is faster than the limit in force", _RESET),
     Reason.STEERING: Text("the steering does not follow what it is told", _RESET),
     Reason.FEEDBACK_FROZEN: Text(
-        "the mileage stands still although the robot drives: its frame, which has bumpers and mode, is frozen",
+        "feedback of the chassis stands still while other feedback or the command shows that the robot moves",
         _RESET,
     ),
     Reason.UNAUTHENTICATED: Text(
@@ -300,6 +301,10 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
         "ask them; then say whose stop is cleared: 'cruiser reset ROBOT --of NAME', or lease.reset(of=NAME)",
     ),
     Reason.IDLE: Text("nobody has driven the robot for so long that it was disengaged", ENGAGE),
+    Reason.NOT_MOVING: Text(
+        "the robot is commanded to move, and is seen to stand",
+        f"look for what blocks it, and whether it moves although its speed reads zero; then {RESET}{ENGAGE}",
+    ),
 }
 
 TEXTS: Final[dict[Reason, Text]] = _Texts(_KNOWN_TEXTS)

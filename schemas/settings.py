@@ -164,6 +164,45 @@ OVERSPEED_MPS: Final = 0.3
 OVERSPEED_NS: Final = 300_000_000
 """Time for which a speed must be over the limit, 300 ms."""
 
+NOT_MOVING_COMMAND_MPS: Final = 0.3
+"""A robot that was commanded a higher speed than this, lag included, must be seen to move."""
+
+NOT_MOVING_MPS: Final = 0.15
+"""Slower than this by drive feedback and wheels, it is not seen to move."""
+
+NOT_MOVING_NS: Final = 1_000_000_000
+"""Time for which it must not be seen to move, 1 s."""
+
+GATHERING_MPS: Final = 0.06
+"""That time begins again when it is faster by more than this, a noisy bit: it gathers speed."""
+
+FROZEN_COMMAND_MPS: Final = 0.3
+"""The speeds are frozen that do not change by a bit while the command, lag included, changes by more than this."""
+
+FROZEN_NS: Final = 1_000_000_000
+"""Time for which they must not change, 1 s."""
+
+FROZEN_STANDING_COMMAND_MPS: Final = 0.1
+"""Commanded more than this, a robot whose speeds read zero does not stand if its pulses or its mileage count."""
+
+FROZEN_STANDING_KM: Final = 0.002
+"""The mileage has counted by this: 2 m."""
+
+FOLLOWING_MPS: Final = 0.5
+"""The commanded speed rises while it is no more than this above the greatest one seen."""
+
+FOLLOWING_S: Final = 0.6
+"""Or than the speed that the acceleration gives in this time, if that is more."""
+
+RUNAWAY_RISE_MPS: Final = 0.08
+"""A robot runs away that is ``OVERSPEED_MPS`` over its command, and became faster by more than two coarse bits."""
+
+RUNAWAY_WINDOW_NS: Final = 200_000_000
+"""Time in which it has become faster, 200 ms."""
+
+RUNAWAY_NS: Final = 100_000_000
+"""Time for which it must run away so, 100 ms."""
+
 STEERING_DEVIATION_DEG: Final = 5.0
 """A measured steering angle that is off the commanded one by more than this does not follow."""
 

@@ -213,6 +213,9 @@ def stop(
     return stopping.report()
 
 
+_UNCONFIRMED: Final = "its speed reads 0, which no feedback has confirmed"
+
+
 class _Sight:
     """The evidence that a robot is latched, and that it stands."""
 
@@ -220,6 +223,7 @@ class _Sight:
         self._latch, self._stand = Evidence(), Evidence()
         self._speed_mps: float | None = None
         self._says = False
+        self._is_confirmed = True
         self._unreadable = ""
 
     def see(self, message: SafetyState | RobotState | PayloadFault, now_ns: int) -> None:
@@ -229,11 +233,13 @@ class _Sight:
             return
         if isinstance(message, SafetyState):
             self._says = Reason.REMOTE_STOP in message.latched
+            self._is_confirmed = message.rest_confirmed
             evidence, holds = self._latch, self._says
         else:
             speeds = (message.speed_mps, message.rear_left_speed_mps, message.rear_right_speed_mps)
             self._speed_mps = max((abs(one) for one in speeds if one is not None), default=None)
-            evidence, holds = self._stand, self._speed_mps is not None and self._speed_mps < STANDSTILL_MPS
+            reads_zero = self._speed_mps is not None and self._speed_mps < STANDSTILL_MPS
+            evidence, holds = self._stand, reads_zero and self._is_confirmed
         if holds:
             evidence.add(now_ns)
         else:
@@ -250,8 +256,9 @@ class _Sight:
             return "its speed is not seen"
         if self._stand.is_enough:
             return ""
-        stands = self._speed_mps < STANDSTILL_MPS
-        return "it is seen to stand too briefly" if stands else f"it is seen to move at {self._speed_mps:.2f} m/s"
+        if self._speed_mps >= STANDSTILL_MPS:
+            return f"it is seen to move at {self._speed_mps:.2f} m/s"
+        return "it is seen to stand too briefly" if self._is_confirmed else _UNCONFIRMED
 
     @property
     def words(self) -> str:
@@ -259,8 +266,8 @@ class _Sight:
         latched = "a remote stop is latched" if self._says else "no remote stop is latched"
         if self._speed_mps is None:
             return f"its states say: {latched}, and no speed"
-        stands = self._speed_mps < STANDSTILL_MPS
-        motion = "it stands" if stands else f"it moves at {self._speed_mps:.2f} m/s"
+        stands = "it stands" if self._is_confirmed else _UNCONFIRMED
+        motion = stands if self._speed_mps < STANDSTILL_MPS else f"it moves at {self._speed_mps:.2f} m/s"
         return f"its states say: {latched}, and {motion}"
 
 

@@ -81,7 +81,7 @@ class Arbiter:
         """
         self.tick_number += 1
         output = self.output
-        self.monitor.update(chassis, now_ns)
+        self.monitor.update(chassis, now_ns, output.told)
         self.handover.is_cut_off &= not chassis.bus_up
         if chassis.variant is not output.variant:
             output.variant = Variant.UNKNOWN
@@ -182,8 +182,13 @@ class Arbiter:
 
     def _stop_for_faults(self, now_ns: int, late_ns: int) -> None:
         # During a stop too: a graver cause hastens it, and may latch.
-        for reason in self.monitor.faults(self.output.told, self.setpoint.limits.speed_mps, late_ns, now_ns):
+        is_engaged = self.state is ArbiterState.ENGAGED
+        limit_mps = self.setpoint.limits.speed_mps
+        for reason in self.monitor.faults(self.output.told, limit_mps, late_ns, now_ns, is_engaged=is_engaged):
             self.engagement.begin_stop(reason, now_ns, self.monitor.fault_detail(reason, late_ns))
+        if self.monitor.plausibility.runs_away and self.output.sequence is not None:
+            # A ramp would be in vain: the motor does not hold it.
+            self.output.sequence.park(now_ns)
         if self.output.variant is Variant.UNKNOWN:
             self.engagement.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
 

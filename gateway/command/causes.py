@@ -34,6 +34,7 @@ STOPS: Final[dict[Reason, StopRule]] = {
     Reason.IMPLAUSIBLE_SPEED: StopRule(at_once=True, latched=True, ramps=False),
     Reason.OVERSPEED: StopRule(at_once=True, latched=True),
     Reason.STEERING: StopRule(at_once=True, latched=True),
+    Reason.NOT_MOVING: StopRule(at_once=True, latched=True),
     Reason.FEEDBACK_FROZEN: StopRule(at_once=True, latched=True),
     Reason.GATE: StopRule(at_once=True, latched=True, parks=True),
     Reason.GUARD: StopRule(at_once=True, latched=True),

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT
-from gateway.command.actuation import Actuation
+from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.causes import BUMPERS
 from gateway.command.chassis_state import ChassisState
 from gateway.command.plausibility import Plausibility
-from schemas.messages import ControllerState, Mode, Variant
+from schemas.messages import ControllerState, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import (
     BUMPER_CLEAR_NS,
@@ -29,6 +29,8 @@ class ChassisMonitor:
         chassis: the chassis at this tick.
         pressed: the bumpers that are pressed, or have not read clear for long enough.
         struck: those that were clear, a tick before.
+        is_rest_confirmed: feedback has answered since a speed was last commanded: a speed that rose and fell, or a
+            parking brake that reads applied since it was asked for. Until then a speed of zero may be frozen.
         plausibility: compares the robot's motion with its command.
         send_failures: ticks in a row whose frames the bus did not take.
     """
@@ -38,18 +40,23 @@ class ChassisMonitor:
         self.stands = False
         self.pressed: set[Reason] = set()
         self.struck: set[Reason] = set()
+        self.is_rest_confirmed = True
         self.plausibility = Plausibility()
         self.send_failures = 0
+        self._has_risen = self._was_released = self._is_parking_asked = False
+        self._speeds: tuple[float | None, ...] = ()
+        self._unchanged_ns = 0
         self._slow_ticks = 0
         self._moving_since_ns: int | None = None
         self._acknowledged: set[Reason] = set()
         self._pressed_ns: dict[Reason, int] = {}
 
-    def update(self, chassis: ChassisState, now_ns: int) -> None:
-        """Take in the chassis at this tick."""
+    def update(self, chassis: ChassisState, now_ns: int, told: Actuation = AT_REST) -> None:
+        """Take in the chassis at this tick, and the command that it has."""
         self.chassis = chassis
         self._slow_ticks = self._slow_ticks + 1 if chassis.is_slow else 0
         self.stands = self._slow_ticks >= STANDSTILL_TICKS
+        self._confirm_rest(told, now_ns)
         for bumper, is_pressed in zip(BUMPERS, (chassis.front_bumper, chassis.rear_bumper), strict=True):
             if is_pressed:
                 self._pressed_ns[bumper] = now_ns
@@ -59,6 +66,33 @@ class ChassisMonitor:
         # A hit that was reset counts as a new one once the bumper has been clear.
         if self._acknowledged:
             self._acknowledged &= self.pressed
+
+    def rest(self, now_ns: int) -> str:
+        """Return whether the robot stands, in words."""
+        chassis = self.chassis
+        if chassis.is_slow and self.is_rest_confirmed:
+            return "the robot stands"
+        if chassis.is_slow:
+            return f"the speed reads 0, unchanged for {(now_ns - self._unchanged_ns) / 1e9:.1f} s, not confirmed"
+        if not chassis.moves or chassis.fastest_mps is None:
+            return "the robot is not seen to stand"
+        return f"the robot moves at {chassis.fastest_mps:.2f} m/s"
+
+    def _confirm_rest(self, told: Actuation, now_ns: int) -> None:
+        chassis = self.chassis
+        speeds = (chassis.speed_mps, chassis.wheel_speed_mps, chassis.fastest_wheel_mps)
+        if speeds != self._speeds:
+            self._speeds, self._unchanged_ns = speeds, now_ns
+        is_released = chassis.brake is ParkingStatus.RELEASED
+        if told.speed_mps:
+            self.is_rest_confirmed = self._is_parking_asked = False
+            self._has_risen, self._was_released = chassis.moves, is_released
+        elif not self.is_rest_confirmed:
+            self._has_risen |= chassis.moves
+            self._was_released |= is_released
+            self._is_parking_asked |= told.parking
+            is_braked = self._was_released and self._is_parking_asked and chassis.brake is ParkingStatus.APPLIED
+            self.is_rest_confirmed = self.stands and (self._has_risen or is_braked)
 
     @property
     def hits(self) -> list[Reason]:
@@ -88,14 +122,16 @@ class ChassisMonitor:
         )
         return [reason for reason, is_so in faults if is_so]
 
-    def faults(self, told: Actuation, limit_mps: float, late_ns: int, now_ns: int) -> list[Reason]:
+    def faults(
+        self, told: Actuation, limit_mps: float, late_ns: int, now_ns: int, *, is_engaged: bool
+    ) -> list[Reason]:
         """Return the causes to stop a robot that has this command, under this speed limit."""
         chassis = self.chassis
         found = self.chassis_faults()
         if chassis.absurd and not set(SCALED_BY_VARIANT).isdisjoint(chassis.absurd):
             # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
             found.insert(0, Reason.IMPLAUSIBLE_SPEED)
-        found += self.plausibility.check(chassis, told, limit_mps, now_ns)
+        found += self.plausibility.check(chassis, told, limit_mps, now_ns, is_engaged=is_engaged)
         if late_ns > LOOP_LATE_STOP_NS:
             found.append(Reason.LOOP_LATE)
         if self.send_failures >= SEND_FAILURES:

@@ -66,15 +66,19 @@ class ChassisState(msgspec.Struct, frozen=True):
     realtime: bool = False
 
     @property
-    def is_slow(self) -> bool:
-        """Both speeds are known and are those of a standing robot, and no encoder counts."""
+    def reads_zero(self) -> bool:
+        """Both speeds are known and are those of a standing robot."""
         return (
             self.speed_mps is not None
             and self.fastest_wheel_mps is not None
             and self.speed_mps < STANDSTILL_MPS
             and self.fastest_wheel_mps < STANDSTILL_MPS
-            and not self.pulses
         )
+
+    @property
+    def is_slow(self) -> bool:
+        """Both speeds are those of a standing robot, and no encoder counts."""
+        return self.reads_zero and not self.pulses
 
     @property
     def moves(self) -> bool:

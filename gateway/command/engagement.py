@@ -235,10 +235,11 @@ class Engagement:
         self.output.sequence = None
         self.owes_stop = monitor.chassis.brake is not ParkingStatus.APPLIED
         self._go(Trigger.REST)
-        stands = "and stands" if monitor.stands else "but is not seen to stand"
+        is_seen = monitor.stands and monitor.is_rest_confirmed
+        stands = "and stands" if is_seen else f"but {monitor.rest(now_ns)}"
         if monitor.is_commanded_by_other(now_ns):
             stands = "but another computer commands it, and can move it"
-        severity = Severity.INFO if monitor.stands else Severity.ERROR
+        severity = Severity.INFO if is_seen else Severity.ERROR
         text = f"stopped: the robot is told nothing, {stands}"
         self.outbox.add_event(severity, EventKind.STOPPED, self.stop_reason, text)
 

@@ -11,7 +11,7 @@ from gateway.command.actuation import Actuation
 from gateway.command.limits import MotionLimits
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
-from schemas.settings import AUTO_HOLD_NS, SHIFT_TICKS, TICK_NS
+from schemas.settings import AUTO_HOLD_NS, FOLLOWING_MPS, FOLLOWING_S, SHIFT_TICKS, TICK_NS
 
 AUTO_HOLD_TICKS: Final = AUTO_HOLD_NS // TICK_NS
 
@@ -30,7 +30,7 @@ class MotionConstraints(msgspec.Struct, frozen=True):
         stands: the measured speed is that of a standing robot.
         gear, brake: the feedback of gear and parking brake.
         parked: the parking brake is to be applied, whatever is asked.
-        speed_mps, angle_deg: as measured, the speed as a magnitude; zero where it is not known.
+        speed_mps, angle_deg: as measured, the speed the greatest that is seen, a magnitude; zero where not known.
         forward, backward: motion in this direction is allowed; a bumper that is still pressed forbids it.
     """
 
@@ -96,7 +96,7 @@ class MotionProfile:
         self._stood_ticks = self._stood_ticks + 1 if constraints.stands and not self.speed_mps else 0
         self._gear_ticks += 1
         speed_mps = self._drive_off(speed_mps, constraints) if speed_mps else self._stand(constraints)
-        self._step_speed(speed_mps, limits, dt_s, dt_s if elapsed_s is None else elapsed_s)
+        self._step_speed(speed_mps, limits, constraints.speed_mps, dt_s, dt_s if elapsed_s is None else elapsed_s)
         # While the speed is still on its way down to what the angle allows, the steering waits for it.
         fastest_mps = max(abs(self.speed_mps), constraints.speed_mps)
         angle_deg = self._within(angle_deg, limits.angle_at(fastest_mps), Bound.LATERAL_ACCELERATION)
@@ -160,10 +160,17 @@ class MotionProfile:
             self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL
             self._gear_ticks = 0
 
-    def _step_speed(self, speed_mps: float, limits: MotionLimits, dt_s: float, elapsed_s: float) -> None:
+    def _step_speed(
+        self, speed_mps: float, limits: MotionLimits, seen_mps: float, dt_s: float, elapsed_s: float
+    ) -> None:
         before_mps = self.speed_mps
         if abs(speed_mps) > abs(before_mps):
             bound, most_mps = Bound.ACCELERATION, limits.acceleration_mps2 * dt_s
+            # A robot that does not follow, for it is blocked or not seen, shall not leave at a high speed later.
+            ahead_mps = max(FOLLOWING_MPS, limits.acceleration_mps2 * FOLLOWING_S)
+            room_mps = max(0.0, seen_mps + ahead_mps - abs(before_mps))
+            if room_mps < most_mps:
+                bound, most_mps = Bound.FOLLOWING, room_mps
         else:
             bound, most_mps = Bound.DECELERATION, limits.deceleration_mps2 * elapsed_s
         change_mps = speed_mps - before_mps

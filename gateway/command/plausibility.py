@@ -6,6 +6,9 @@ pushed by somebody moves without a command. This notices both, and more.
 
 from __future__ import annotations
 
+from collections import deque
+from math import inf
+from operator import sub
 from typing import Final
 
 from gateway.command.actuation import Actuation
@@ -16,15 +19,26 @@ from schemas.settings import (
     CREEPING_NS,
     DRIVE_LAG_S,
     FROZEN_BODY_M,
+    FROZEN_COMMAND_MPS,
+    FROZEN_NS,
+    FROZEN_STANDING_COMMAND_MPS,
+    FROZEN_STANDING_KM,
+    GATHERING_MPS,
     IMPLAUSIBLE_MPS,
     IMPLAUSIBLE_NS,
     IMPLAUSIBLE_RATIO,
+    NOT_MOVING_COMMAND_MPS,
+    NOT_MOVING_MPS,
+    NOT_MOVING_NS,
     OVERSPEED_MPS,
     OVERSPEED_NS,
     PULSES_REST_S,
     REFERENCE_DECELERATION_MPS2,
     ROLLING_MPS,
     ROLLING_NS,
+    RUNAWAY_NS,
+    RUNAWAY_RISE_MPS,
+    RUNAWAY_WINDOW_NS,
     STANDSTILL_MPS,
     STEERING_DEVIATION_DEG,
     STEERING_DEVIATION_NS,
@@ -62,6 +76,7 @@ class Envelope:
 
     Attributes:
         forward_mps, backward_mps: the highest speed each way.
+        lagging_mps: the speed of a chassis that follows the command with the longest lag, forward positive.
         forward_rest_s, backward_rest_s: for how long no speed that way was commanded, and that has been a robot's
             at rest; ``PULSES_REST_S`` at most.
         left_deg, right_deg: the furthest angles, left positive.
@@ -70,12 +85,14 @@ class Envelope:
     def __init__(self, speed_mps: float, angle_deg: float) -> None:
         self.forward_mps = max(0.0, speed_mps)
         self.backward_mps = max(0.0, -speed_mps)
+        self.lagging_mps = speed_mps
         self.forward_rest_s = self.backward_rest_s = PULSES_REST_S
         self.left_deg = self.right_deg = angle_deg
 
     def follow(self, told: Actuation, elapsed_s: float) -> None:
         """Advance the expected motion by the time since the last call, under this command."""
         forward_mps, backward_mps = max(told.signed_speed_mps, 0.0), max(-told.signed_speed_mps, 0.0)
+        self.lagging_mps += (told.signed_speed_mps - self.lagging_mps) * min(1.0, elapsed_s / DRIVE_LAG_S)
         self.forward_mps = _fallen(self.forward_mps, forward_mps, elapsed_s)
         self.backward_mps = _fallen(self.backward_mps, backward_mps, elapsed_s)
         self.forward_rest_s = _rested(self.forward_rest_s, forward_mps, self.forward_mps, elapsed_s)
@@ -101,11 +118,56 @@ def _rested(before_s: float, told_mps: float, speed_mps: float, elapsed_s: float
     return 0.0 if told_mps or speed_mps >= STANDSTILL_MPS else min(before_s + elapsed_s, PULSES_REST_S)
 
 
+class Stillness:
+    """Notices speeds that stand still although the command, the pulses or the mileage do not."""
+
+    def __init__(self, lagging_mps: float) -> None:
+        self._seen: tuple[float | None, ...] = ()
+        self._since_ns = 0
+        self._lowest_mps: tuple[float, ...]
+        self._highest_mps: tuple[float, ...]
+        self._lowest_mps = self._highest_mps = (lagging_mps, lagging_mps)
+        self._mileage_km: float | None = None
+
+    def look(self, chassis: ChassisState, told: Actuation, lagging_mps: float, now_ns: int) -> None:
+        """Take in the chassis, its command and the command with its lag, at this tick."""
+        seen = (chassis.speed_mps, chassis.wheel_speed_mps, chassis.fastest_wheel_mps)
+        # With the longest lag and with none: a chassis that follows at once is there before the lagging command.
+        commanded_mps = (told.signed_speed_mps, lagging_mps)
+        if seen != self._seen:
+            self._seen, self._since_ns = seen, now_ns
+            self._lowest_mps = self._highest_mps = commanded_mps
+        self._lowest_mps = tuple(map(min, self._lowest_mps, commanded_mps))
+        self._highest_mps = tuple(map(max, self._highest_mps, commanded_mps))
+        mileage_km = chassis.total_mileage_km
+        is_cleared = mileage_km is None or self._mileage_km is None or mileage_km < self._mileage_km
+        if is_cleared or not chassis.reads_zero or told.speed_mps <= FROZEN_STANDING_COMMAND_MPS:
+            self._mileage_km = mileage_km
+
+    def frozen(self, chassis: ChassisState, told: Actuation, now_ns: int) -> str:
+        """Return what contradicts the speeds, in words; empty if nothing does."""
+        if chassis.reads_zero:
+            # At rest every reading is the same: only what else moves shows that they are frozen.
+            if told.speed_mps <= FROZEN_STANDING_COMMAND_MPS:
+                return ""
+            counted_km = (chassis.total_mileage_km or 0.0) - (self._mileage_km or 0.0)
+            if chassis.pulses:
+                return "drive feedback and wheel speeds read zero, the wheel pulses count"
+            if counted_km >= FROZEN_STANDING_KM - _HAIR:
+                return f"drive feedback and wheel speeds read zero, the mileage counts {counted_km * 1e3:.0f} m"
+            return ""
+        changed_mps = min(map(sub, self._highest_mps, self._lowest_mps))
+        if now_ns - self._since_ns < FROZEN_NS or changed_mps <= FROZEN_COMMAND_MPS or chassis.speed_mps is None:
+            return ""
+        return f"drive feedback and wheel speeds do not change, the command has by {changed_mps:.2f} m/s"
+
+
 class Plausibility:
     """Watches a robot that is being commanded.
 
     Attributes:
         details: the contradictions, in words, by reason.
+        runs_away: the robot is faster than commanded, and becomes faster: its motor does not hold it.
     """
 
     def __init__(self) -> None:
@@ -117,11 +179,17 @@ class Plausibility:
     def forget(self, speed_mps: float = 0.0, angle_deg: float = 0.0) -> None:
         """Begin anew, with a robot that already has this signed speed and this angle."""
         self.details: dict[Reason, str] = {}
+        self.runs_away = False
         self._envelope = Envelope(speed_mps, angle_deg)
+        self._stillness = Stillness(speed_mps)
+        self._speeds: deque[tuple[int, float]] = deque()
+        self._slowest_mps = inf
         self._since_ns: dict[str, int] = {}
         self._checked_ns: int | None = None
 
-    def check(self, chassis: ChassisState, told: Actuation, limit_mps: float, now_ns: int) -> list[Reason]:
+    def check(
+        self, chassis: ChassisState, told: Actuation, limit_mps: float, now_ns: int, *, is_engaged: bool = True
+    ) -> list[Reason]:
         """Return the reasons why the motion has been implausible for too long.
 
         Args:
@@ -129,26 +197,35 @@ class Plausibility:
             told: its last command.
             limit_mps: the speed limit in force.
             now_ns: monotonic.
+            is_engaged: drive commands are executed; else it is being stopped, or not yet driven.
         """
         elapsed_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / 1e9
         self._checked_ns = now_ns
         self._envelope.follow(told, elapsed_s)
         self._count_way(chassis, elapsed_s)
-        frozen = f"for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
+        self._stillness.look(chassis, told, self._envelope.lagging_mps, now_ns)
+        frozen = f"the mileage, for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
+        if is_engaged:
+            frozen = frozen or self._stillness.frozen(chassis, told, now_ns)
+        runs = self._runaway(chassis, now_ns)
+        too_fast = Reason.OVERSPEED if self._overspeed(chassis, limit_mps) else Reason.IMPLAUSIBLE_SPEED
         found = (
+            ("runs", too_fast, RUNAWAY_NS, runs),
             ("speeds", Reason.IMPLAUSIBLE_SPEED, IMPLAUSIBLE_NS, self._misfit(chassis)),
             ("rolls", Reason.ROLLING, ROLLING_NS, self._rolling(chassis, told, ROLLING_MPS)),
             ("creeps", Reason.ROLLING, CREEPING_NS, self._rolling(chassis, told, STANDSTILL_MPS)),
             ("overspeed", Reason.OVERSPEED, OVERSPEED_NS, self._overspeed(chassis, limit_mps)),
             ("steering", Reason.STEERING, STEERING_DEVIATION_NS, self._deviation(chassis)),
             ("frozen", Reason.FEEDBACK_FROZEN, 0, frozen),
+            ("blocked", Reason.NOT_MOVING, NOT_MOVING_NS, self._not_moving(chassis, told) if is_engaged else ""),
         )
-        lasting = [
-            reason
+        lasting = {
+            check: reason
             for check, reason, least_ns, detail in found
             if self._lasts(check, reason, detail, now_ns) >= least_ns
-        ]
-        return list(dict.fromkeys(lasting))
+        }
+        self.runs_away = "runs" in lasting
+        return list(dict.fromkeys(lasting.values()))
 
     def _lasts(self, check: str, reason: Reason, detail: str, now_ns: int) -> int:
         """For how long, in nanoseconds; -1 if it does not hold."""
@@ -200,6 +277,31 @@ class Plausibility:
         if max(speeds) < bound_mps + OVERSPEED_MPS - _HAIR:
             return ""
         return f"{max(speeds):.2f} m/s, the limit is {limit_mps:.2f} m/s"
+
+    def _runaway(self, chassis: ChassisState, now_ns: int) -> str:
+        """Faster than commanded, and becoming faster: no ramp and no limit explains that, a dead motor does."""
+        speed_mps, speeds = chassis.fastest_mps or 0.0, self._speeds
+        speeds.append((now_ns, speed_mps))
+        while now_ns - speeds[0][0] > RUNAWAY_WINDOW_NS:
+            speeds.popleft()
+        commanded_mps = max(self._envelope.forward_mps, self._envelope.backward_mps)
+        is_over = speed_mps >= commanded_mps + OVERSPEED_MPS - _HAIR
+        if not is_over or speed_mps <= min(before_mps for _, before_mps in speeds) + RUNAWAY_RISE_MPS + _HAIR:
+            return ""
+        return f"{speed_mps:.2f} m/s and rising, commanded is {commanded_mps:.2f} m/s"
+
+    def _not_moving(self, chassis: ChassisState, told: Actuation) -> str:
+        """Commanded to move for so long that it should, and seen to stand."""
+        commanded_mps, fastest_mps = min(told.speed_mps, abs(self._envelope.lagging_mps)), chassis.fastest_mps
+        if fastest_mps is None or fastest_mps >= NOT_MOVING_MPS or commanded_mps <= NOT_MOVING_COMMAND_MPS:
+            self._slowest_mps = inf
+            return ""
+        self._slowest_mps = min(self._slowest_mps, fastest_mps)
+        if fastest_mps > self._slowest_mps + GATHERING_MPS:
+            # Heavy, uphill: it gathers speed, and does not stand.
+            self._slowest_mps = fastest_mps
+            return ""
+        return f"commanded is {told.speed_mps:.2f} m/s, seen are {fastest_mps:.2f} m/s"
 
     def _deviation(self, chassis: ChassisState) -> str:
         angle_deg = chassis.angle_deg

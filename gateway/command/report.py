@@ -107,6 +107,7 @@ class Reporter:
             accepted_seq=link.accepted_seq,
             stop_detail=arbiter.engagement.stop_detail,
             stopped_by=arbiter.latches.stopped_by,
+            rest_confirmed=arbiter.monitor.is_rest_confirmed,
         )
 
     def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:

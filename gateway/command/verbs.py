@@ -110,11 +110,7 @@ class Verbs:
         if self._is_signed and is_proven:
             self._engagement.prove(Reason.REMOTE_STOP, who + _UNPROVEN, who, raw.operator)
         chassis = self._monitor.chassis
-        speed_mps = chassis.fastest_mps
-        moves = (
-            "the robot is not seen to stand" if speed_mps is None else f"the robot moves at {speed_mps:.2f} m/s"
-        )
-        does = "the robot stands" if chassis.is_slow else moves
+        does = self._monitor.rest(now_ns)
         if chassis.guard_sends and chassis.mode is not Mode.REMOTE:
             return Ruling(detail=f"the guard is stopping it; {does}")
         obstacles = {
@@ -123,7 +119,8 @@ class Verbs:
             Reason.SEND_FAILED: self._monitor.send_failures > 0,
             Reason.HAND_TRANSMITTER: chassis.mode is Mode.REMOTE,
             Reason.OTHER_COMMANDER: self._monitor.is_commanded_by_other(now_ns),
-            Reason.FEEDBACK_MISSING: speed_mps is None,
+            Reason.FEEDBACK_MISSING: chassis.fastest_mps is None,
+            Reason.NOT_CONFIRMED: chassis.is_slow and not self._monitor.is_rest_confirmed,
         }
         obstacle = next((reason for reason, holds in obstacles.items() if holds), Reason.NONE)
         if obstacle is Reason.NONE:

@@ -406,7 +406,7 @@ def test_a_robot_that_is_not_seen_to_stand_at_the_end_is_an_error() -> None:
     bench.tick(count=600)
     [event] = bench.told(EventKind.STOPPED)
     assert event.severity is Severity.ERROR
-    assert event.text.endswith("but is not seen to stand")
+    assert event.text.endswith("but the robot is not seen to stand")
 
 
 def test_a_stop_beside_another_commander_does_not_say_that_the_robot_is_safe() -> None:
@@ -597,7 +597,8 @@ def test_a_brake_that_does_not_read_applied_is_told_once() -> None:
     [
         ({"wheel_speed_mps": -0.11, "fastest_wheel_mps": 0.11, "speed_mps": 0.11}, Reason.ROLLING, 11),
         ({"pulses": -1}, Reason.ROLLING, 11),
-        ({"speed_mps": 0.8, "wheel_speed_mps": 0.8, "fastest_wheel_mps": 0.8}, Reason.OVERSPEED, 31),
+        # So sudden a rise is that of a motor that has died: the parking brake, and no ramp.
+        ({"speed_mps": 0.8, "wheel_speed_mps": 0.8, "fastest_wheel_mps": 0.8}, Reason.OVERSPEED, 11),
         ({"angle_deg": 5.1}, Reason.STEERING, 31),
     ],
 )
@@ -619,7 +620,7 @@ def test_what_the_robot_does_of_itself_stops_it_and_is_latched(
     assert [*bench.arbiter.latches.details] == [reason]
     told = bench.arbiter.output.actuation
     assert told is not None
-    assert (told.speed_mps, told.parking) == ((0.0, True) if reason is Reason.ROLLING else (0.48, False))
+    assert (told.speed_mps, told.parking) == ((0.48, False) if reason is Reason.STEERING else (0.0, True))
 
 
 def test_stop_wins_over_everything_in_its_tick() -> None:

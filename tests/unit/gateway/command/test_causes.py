@@ -33,7 +33,7 @@ def monitoring(*chassis: ChassisState) -> ChassisMonitor:
 
 def found(monitor: ChassisMonitor, at_ms: int = 0, late_ns: int = 0) -> list[Reason]:
     """The causes to stop a robot that is told to stand."""
-    return monitor.faults(TOLD, LIMIT_MPS, late_ns, at_ms * MS)
+    return monitor.faults(TOLD, LIMIT_MPS, late_ns, at_ms * MS, is_engaged=True)
 
 
 def test_what_latches_is_what_the_table_says() -> None:
@@ -46,6 +46,7 @@ def test_what_latches_is_what_the_table_says() -> None:
         Reason.IMPLAUSIBLE_SPEED,
         Reason.OVERSPEED,
         Reason.STEERING,
+        Reason.NOT_MOVING,
         Reason.FEEDBACK_FROZEN,
         Reason.GATE,
         Reason.GUARD,
@@ -188,7 +189,7 @@ def test_another_commander_is_heard_for_a_tenth_of_a_second(age_ms: int | None, 
     """Row 'standing by: another computer may own it'."""
     monitor = monitoring(but(commander_ns=None if age_ms is None else 500 * MS - age_ms * MS))
     assert monitor.is_commanded_by_other(500 * MS) is heard
-    assert (Reason.OTHER_COMMANDER in monitor.faults(TOLD, LIMIT_MPS, 0, 500 * MS)) is heard
+    assert (Reason.OTHER_COMMANDER in monitor.faults(TOLD, LIMIT_MPS, 0, 500 * MS, is_engaged=True)) is heard
 
 
 @pytest.mark.parametrize(("failures", "stops"), [(4, False), (5, True)])

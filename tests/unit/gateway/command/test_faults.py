@@ -19,7 +19,7 @@ from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
 from schemas.messages import ParkingStatus, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import YIELD_BURSTS, ChassisSettings
+from schemas.settings import YIELD_BURSTS, ChassisSettings, CommandSettings
 from tests.support.frames import STANDING, Feedback
 from tests.support.nights import by_night
 from tests.support.rigs.gateway import GUARDED, MS, GatewayRig, Operator, driving, ready
@@ -745,6 +745,96 @@ def test_a_body_frame_that_is_frozen_hides_a_bumper_for_four_metres_at_most() ->
     operator.drive(1.0, seconds=6)
     assert rig.says.latched == [Reason.FEEDBACK_FROZEN]
     assert rig.chassis.state.mileage_m - begun_m < 4
+
+
+AT_FULL_SPEED = CommandSettings(speed_limit_mps=2.222, travel_delay_m=3.0)
+ALL = ("all",)
+SPEEDS = ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback")
+
+
+@pytest.mark.parametrize(
+    ("frozen", "driven_s", "at_most_m"),
+    [
+        *((ALL, seconds, 4.0) for seconds in (0.16, 0.2, 0.3)),
+        *((SPEEDS, seconds, 4.0) for seconds in (0.02, 0.2, 0.3)),
+        *((ALL, seconds, 5.0) for seconds in (0.6, 1.2, 1.8, 2.4, 3.0)),
+        *((SPEEDS, seconds, 5.0) for seconds in (0.6, 1.2, 1.8, 2.4)),
+    ],
+)
+def test_frozen_feedback_stops_the_robot(frozen: tuple[str, ...], driven_s: float, at_most_m: float) -> None:
+    """Rows 'commanded to move' and 'frozen feedback': told 2.2 m/s, counters and checksums are right."""
+    rig, operator = ready(command=AT_FULL_SPEED)
+    operator.engage()
+    operator.drive(2.2, seconds=driven_s)
+    before_m = rig.chassis.state.x_m
+    for name in frozen:
+        rig.fault(f"freeze {name}")
+    operator.drive(2.2, seconds=8)
+    assert rig.chassis.state.x_m - before_m < at_most_m
+    assert rig.speed_mps == 0
+    assert rig.says.latched[0] in {Reason.NOT_MOVING, Reason.FEEDBACK_FROZEN}
+
+
+def test_a_blocked_robot_gives_up_and_was_never_told_to_jump() -> None:
+    """Rows 'commanded to move' and 'the ramp': within 2 s, and the speed is held 0.5 m/s above the seen one."""
+    rig, operator = ready(command=AT_FULL_SPEED)
+    operator.engage()
+    rig.fault("motor 0")
+    operator.drive(2.2, seconds=2)
+    assert rig.says.latched == [Reason.NOT_MOVING]
+    assert max(float(burst["Auto_DriveCmd"]["TargetVelocity"]) for _, burst in rig.bursts) == pytest.approx(0.48)
+
+
+def test_the_ramp_goes_on_from_what_is_seen() -> None:
+    """Row 'the ramp': held while the robot does not follow, never cut; a robot that comes free does not jump."""
+    rig, operator = ready(command=AT_FULL_SPEED)
+    operator.engage()
+    rig.fault("motor 0")
+    operator.drive(2.2, seconds=1)
+    rig.fault("motor 1")
+    for _ in range(200):
+        operator.drive(2.2)
+        assert rig.told_mps <= max(0.5, rig.speed_mps + 0.5 + 0.04)
+    assert rig.speed_mps == pytest.approx(2.2, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("strength", "slope_deg", "payload_kg"), [(0.3, 5, 0), (0.5, 5, 100), (0.5, -10, 0), (1, 15, 100), (1, -20, 0)]
+)
+def test_a_weak_motor_and_a_slope_are_no_fault(strength: float, slope_deg: float, payload_kg: float) -> None:
+    """Row 'commanded to move': a robot that gathers speed slowly does not stand."""
+    rig, operator = ready()
+    operator.engage()
+    for fault in (f"motor {strength}", f"slope {slope_deg}", f"payload {payload_kg}"):
+        rig.fault(fault)
+    operator.drive(1.0, seconds=5)
+    operator.drive(0.0, seconds=3)
+    assert (rig.says.engaged, rig.says.latched) == (True, [])
+
+
+def test_a_robot_stands_only_if_its_feedback_has_answered() -> None:
+    """Row '"the robot stands"': speeds that read zero since before a speed was told prove nothing."""
+    rig, operator = ready(command=AT_FULL_SPEED)
+    operator.engage()
+    handle = operator.ask("stop")
+    rig.tick()
+    assert (rig.replies[handle].ok, rig.replies[handle].detail) == (True, "the robot stands")
+    rig.run(4)
+    operator.take_lease()
+    assert operator.reason("reset") is Reason.NONE
+    operator.engage()
+    operator.drive(2.2, seconds=0.16)
+    rig.fault("freeze all")
+    operator.drive(2.2, seconds=0.5)
+    handle = operator.ask("stop")
+    rig.tick()
+    assert (rig.replies[handle].ok, rig.replies[handle].reason) == (False, Reason.NOT_CONFIRMED)
+    assert "the speed reads 0, unchanged for" in rig.replies[handle].detail
+    assert rig.says.rest_confirmed is False
+    rig.fault("clear")
+    rig.run(6)
+    assert rig.says.rest_confirmed is True
+    assert [event.text for event in rig.events if event.kind is EventKind.STOPPED][-1].endswith("and stands")
 
 
 def test_a_robot_that_stands_is_held_by_its_parking_brake_and_goes_on_by_a_drive_command() -> None:

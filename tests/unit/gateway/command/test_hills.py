@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
+import msgspec
 import pytest
 
 from gateway.chassis.cruiser.layout import load
@@ -55,10 +56,11 @@ class Hill(GatewayRig):
         pedal_gain: float = 0.0,
         command: CommandSettings | None = None,
         parking_delay_s: float = 0.05,
+        variant: Variant = Variant.COARSE,
     ) -> None:
-        super().__init__(command=command)
+        super().__init__(variant, command)
         conditions = Conditions(slope_deg, payload_kg, pedal_gain, parking_delay_s=parking_delay_s)
-        self.chassis = VirtualChassis(load(Variant.COARSE), 0, conditions=conditions)
+        self.chassis = VirtualChassis(load(variant), 0, conditions=conditions)
         self._sign = 0.0
         self._furthest_m = self.rolled_back_m = 0.0
         self.stood_ns = self.braked_ns = 0
@@ -136,6 +138,55 @@ def test_a_stop_on_a_slope_ends_parked(
     assert parked_ns - hill.stood_ns <= 100 * MS
     assert disabled_ns - hill.braked_ns >= HOLD_NS
     assert {burst["Auto_GearCmd"]["TargetGear"] for at_ns, burst in told if at_ns < disabled_ns} == {"drive"}
+
+
+FAST = CommandSettings(speed_limit_mps=2.222, travel_delay_m=3.0)
+
+
+@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
+@pytest.mark.parametrize(("speed_mps", "at_most_m"), [(2.0, 1.8), (1.0, 1.0), (-2.0, 1.8), (-1.0, 1.0)])
+@pytest.mark.parametrize("phase", range(5))
+def test_a_motor_that_dies_downhill_is_replaced_by_the_parking_brake(
+    speed_mps: float, at_most_m: float, phase: int, variant: Variant
+) -> None:
+    """Row 'a motor that died downhill': overspeed or implausible speed, and the brake in that tick."""
+    hill = Hill(-20.0 if speed_mps > 0 else 20.0, command=FAST, variant=variant)
+    hill.operator.drive(speed_mps, seconds=4.0)
+    hill.tick(phase)
+    before_m, told = hill.chassis.state.x_m, len(hill.bursts)
+    hill.fault("motor 0")
+    hill.operator.drive(speed_mps, seconds=3.0)
+    assert abs(hill.chassis.state.x_m - before_m) < at_most_m
+    assert hill.says.latched[0] in {Reason.OVERSPEED, Reason.IMPLAUSIBLE_SPEED}
+    [latched] = [
+        event for event in hill.events if event.reason is hill.says.latched[0] and event.kind is EventKind.STOP
+    ]
+    first = next(
+        burst for at_ns, burst in hill.bursts[told:] if hill.wall_ns - hill.now_ns + at_ns >= latched.time_ns
+    )
+    assert first["Auto_ParkingCmd"]["ParkingRequest"]
+
+
+@pytest.mark.parametrize("cause", ["let go", "lower limit", "late tick", "old commands", "nothing"])
+def test_a_motor_that_holds_is_not_taken_for_one_that_died(cause: str) -> None:
+    """Row 'a motor that died downhill: never by letting go, a lowered limit, a late tick, a jump of the age'."""
+    hill = Hill(-20.0, command=FAST)
+    hill.operator.drive(2.0, seconds=4.0)
+    match cause:
+        case "let go":
+            hill.operator.drive(0.0, seconds=3.0)
+        case "lower limit":
+            hill.links = msgspec.structs.replace(hill.links, realtime=False)
+        case "late tick":
+            hill.late_ns = 90_000_000
+            hill.tick()
+            hill.late_ns = 0
+        case "old commands":
+            for _ in range(50):
+                hill.put("first", "drive", hill.operator.drive_payload(2.0, challenge=hill.published[-40]))
+                hill.tick(2)
+    hill.operator.drive(0.0 if cause == "let go" else 2.0, seconds=3.0)
+    assert (hill.says.engaged, hill.says.latched) == (True, [])
 
 
 @pytest.mark.parametrize("slope_deg", [8.0, 20.0])

@@ -122,7 +122,8 @@ def test_what_fits_in_between_begins_anew() -> None:
     """Row 'plausibility: for 300 ms': without a break."""
     watched = Watched()
     for at_ms in range(0, 2_000, 10):
-        assert watched.run(seen(0.5 if at_ms % 300 == 290 else 1.0), told(0.5)) == []
+        fits = at_ms % 300 == 290
+        assert watched.run(seen(1.0) if fits else seen(0.5, 1.0), told(1.0)) == []
 
 
 @pytest.mark.parametrize("chassis", [seen(None, 2.0), seen(2.0, speed_mps=None), seen(None, angle_deg=None)])
@@ -356,10 +357,10 @@ def test_steering_that_is_stuck_is_found() -> None:
 
 def test_a_mileage_that_stands_still_while_the_robot_drives_is_found() -> None:
     """It counts whole metres: after three of them its frame is frozen, whatever its counter does."""
-    watched = Watched()
+    watched = Watched(1.0)
     after_ms = watched.found_after_ms(Reason.FEEDBACK_FROZEN, seen(1.0, total_mileage_km=1.5), told(1.0))
     assert after_ms == pytest.approx(3_000, abs=20)
-    assert watched.made.details[Reason.FEEDBACK_FROZEN] == "for 3.0 m"
+    assert watched.made.details[Reason.FEEDBACK_FROZEN] == "the mileage, for 3.0 m"
 
 
 @pytest.mark.parametrize(
@@ -374,12 +375,12 @@ def test_a_mileage_that_stands_still_while_the_robot_drives_is_found() -> None:
 )
 def test_what_may_be_another_fault_is_no_frozen_mileage(chassis: ChassisState) -> None:
     """The lower of both speeds counts, and a mileage that is not known is missing, not frozen."""
-    assert Watched().found_after_ms(Reason.FEEDBACK_FROZEN, chassis, told(1.0)) is None
+    assert Watched(1.0).found_after_ms(Reason.FEEDBACK_FROZEN, chassis, told(1.0)) is None
 
 
 def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:
     """Metre by metre, and from zero again."""
-    watched = Watched()
+    watched = Watched(1.0)
     for metre in (*range(1500, 1503), *range(6)):
         assert watched.run(seen(1.0, total_mileage_km=metre / 1000), told(1.0), 1_000) == []
 
