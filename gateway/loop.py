@@ -181,6 +181,14 @@ class LatchNoteView(Protocol):
         ...
 
 
+class MileageNoteView(Protocol):
+    """The note of the mileage, as the loop sees it: it never fails and never blocks."""
+
+    def follow(self, mileage_km: float | None) -> str:
+        """Each tick: the mileage. Returns, once, a question about another one of before."""
+        ...
+
+
 class FormerGuardView(Protocol):
     """The guard of the gateway before this one, as the loop sees it.
 
@@ -222,6 +230,7 @@ class LoopPorts(msgspec.Struct):
     notes: Callable[[], tuple[str, ...]] = tuple
     manager: Manager = msgspec.field(default_factory=NoManager)
     latch_note: LatchNoteView | None = None
+    mileage_note: MileageNoteView | None = None
 
 
 @contextmanager
@@ -312,14 +321,18 @@ def _publish_last(ports: LoopPorts, core: Core) -> None:
         ports.signed.save(ports.signed.authority.to_keep(time.clock_gettime_ns(time.CLOCK_BOOTTIME)))
 
 
-def _note_latches(ports: LoopPorts, core: Core, now_ns: int) -> None:
+def _follow_notes(ports: LoopPorts, core: Core, now_ns: int) -> None:
     if core.command is None:
         return
-    latched = core.command.arbiter.latches.details
+    arbiter = core.command.arbiter
+    latched = arbiter.latches.details
     if ports.note is not None:
         ports.note.follow(is_latched=Reason.GUARD in latched)
     if ports.latch_note is not None and (fault := ports.latch_note.follow(latched)):
         core.warn(fault, now_ns)
+    mileage_km = arbiter.monitor.chassis.total_mileage_km
+    if ports.mileage_note is not None and (question := ports.mileage_note.follow(mileage_km)):
+        core.warn(question, now_ns)
 
 
 def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_ns: int, late_ns: int) -> None:
@@ -342,7 +355,7 @@ def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_
     samples = core.sent(count, monotonic_ns(), time.time_ns())
     if ports.guard is not None and core.command is not None:
         ports.guard.beat(monotonic_ns(), core.command)
-    _note_latches(ports, core, monotonic_ns())
+    _follow_notes(ports, core, monotonic_ns())
     if inbox is not None:
         for reply in due.replies:
             inbox.reply(admission.reply(reply))

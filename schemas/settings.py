@@ -270,6 +270,9 @@ VERBS_PER_TICK: Final = 8
 STOPS_PER_TICK: Final = 16
 """Remote stops judged in a tick at most. One is enough to stop; the others are answered too."""
 
+MILEAGE_DIFFERS_KM: Final = 1.0
+"""A total mileage that is further than this off the one of the last run may be that of another chassis."""
+
 REQUEST_MAX_BYTES: Final = 1024
 """No request is larger."""
 
@@ -439,7 +442,7 @@ class GatewaySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         accept_unguarded: engage although no guard process can watch on this interface
         wait_for_bus: start although the bus is not there, and wait for it; else that is an error
         realtime_priority: SCHED_FIFO priority of the loop, where the system allows it; 0 is off
-        state_dir: directory of the notes that keep what is latched across a restart; auto:
+        state_dir: directory of the notes that keep what is latched, and the mileage, across a restart; auto:
             $STATE_DIRECTORY, which systemd sets, else $XDG_STATE_HOME/cruiser, else ~/.local/state/cruiser; empty:
             no note is kept
     """

@@ -32,6 +32,7 @@ from gateway.host.guard_process import GuardLink, start_guard
 from gateway.host.guard_run import stop_alone
 from gateway.host.latch_note import LatchNote
 from gateway.host.log_queue import logging_aside
+from gateway.host.mileage_note import MileageNote
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.renewal import Renewal
 from gateway.host.self_test import Reached, RoutedSession, SelfTest, SessionHolder
@@ -146,6 +147,7 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
     with ExitStack() as closing:
         latch_note = _recall_latched(core, settings, former)
         closing.callback(latch_note.close)
+        mileage_note = MileageNote.of(settings)
         # First, since it takes a second, and ended last.
         guard = start_guard(settings)
         closing.callback(guard.close)
@@ -195,6 +197,7 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
             lambda: (*renewal.notes(), *node.notes()),
             _manager(closing),
             latch_note,
+            mileage_note,
         )
         try:
             with logging_aside():

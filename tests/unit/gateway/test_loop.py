@@ -412,6 +412,19 @@ class FakeNote:
             self.latched.append(is_latched)
 
 
+class FakeMileageNote:
+    """Asks once about the first mileage that it gets."""
+
+    def __init__(self) -> None:
+        self.asked: list[float] = []
+
+    def follow(self, mileage_km: float | None) -> str:
+        if mileage_km is None or self.asked:
+            return ""
+        self.asked.append(mileage_km)
+        return "is this the same chassis?"
+
+
 class FakeLatchNote:
     """Says when something else is latched than before."""
 
@@ -458,6 +471,7 @@ class Commanded:
         self.guard = FakeGuard(self.order)
         self.note = FakeNote()
         self.latch_note = FakeLatchNote(self.order)
+        self.mileage_note = FakeMileageNote()
         self.former_guard = FakeFormerGuard()
         self.is_realtime = True
         self.core = core()
@@ -480,6 +494,7 @@ class Commanded:
             self.former_guard,
             has_realtime=lambda: self.is_realtime,
             latch_note=self.latch_note,
+            mileage_note=self.mileage_note,
         )
         run(ports, self.core, lambda: b"", stopped)
 
@@ -745,6 +760,14 @@ def test_the_guard_of_a_dead_gateway_is_no_other_computer(*, is_stopping: bool) 
     texts = commanded.event_texts()
     assert "the guard's stop has ended: the robot stands; 180 frames sent" in texts
     assert (TEXTS[Reason.OTHER_COMMANDER].means in texts) is not is_stopping
+
+
+def test_another_mileage_than_before_is_an_event_and_bars_nothing() -> None:
+    """Row 'the name and the chassis': the question is asked, once, and the robot can be engaged."""
+    commanded = Commanded()
+    commanded.run(lambda one: one.engage())
+    assert len(commanded.mileage_note.asked) == 1
+    assert commanded.event_texts().count("is this the same chassis?") == 1
 
 
 def blocked(one: Commanded) -> set[str]:
