@@ -242,12 +242,34 @@ def is_signed(signed: Signed) -> bool:
 
 
 def fits(key: bytes, signature: bytes, text: bytes) -> bool:
-    """Return True if it is the Ed25519 signature of this key over this text. Never raises."""
+    """Return True if it is the Ed25519 signature of this key over this text. Never raises.
+
+    A key of small order fits signatures that nobody made: whoever had one granted could deny all that it signed.
+    """
+    if key[:31] + bytes(byte & 0x7F for byte in key[31:]) in SMALL_ORDER:
+        return False
     try:
         _public_key(key).verify(signature, text)
     except (InvalidSignature, ValueError):
         return False
     return True
+
+
+SMALL_ORDER: Final = frozenset(
+    map(
+        bytes.fromhex,
+        (
+            f"{0:064x}",
+            f"01{0:062x}",
+            "26e8958fc2b227b045c3f489f2ef98f0d5dfac05d3c63339b13802886d53fc05",
+            "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac037a",
+            f"ec{'f' * 60}7f",
+            f"ed{'f' * 60}7f",
+            f"ee{'f' * 60}7f",
+        ),
+    )
+)
+"""Public keys of small order, without the sign bit, in all their encodings; the same list as in libsodium."""
 
 
 @lru_cache(KEYS_KEPT)

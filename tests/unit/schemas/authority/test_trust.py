@@ -17,7 +17,7 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import HeldGrant, Objection
+from schemas.authority.trust import SMALL_ORDER, HeldGrant, Objection, fits
 from schemas.reasons import Reason
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party
 
@@ -338,3 +338,12 @@ def test_a_statement_is_the_authority_s_if_it_or_its_standby_signed_it() -> None
         assert fleet.trust.has_signed(chain)
         assert not stranger.trust.has_signed(chain)
         assert not fleet.trust.has_signed([msgspec.structs.replace(chain[0], signature=bytes(64)), *chain[1:]])
+
+
+@pytest.mark.parametrize("sign", [0, 0x80])
+@pytest.mark.parametrize("key", sorted(SMALL_ORDER), ids=bytes.hex)
+def test_no_signature_fits_a_key_of_small_order(key: bytes, sign: int) -> None:
+    """One of zeros fits a part of all texts, or all of them, although nobody made it."""
+    nobodys = b"\x01" + bytes(63)
+    found = [fits(key[:31] + bytes([key[31] | sign]), nobodys, bytes([text])) for text in range(64)]
+    assert not any(found)
