@@ -426,17 +426,19 @@ class FakeMileageNote:
 
 
 class FakeLatchNote:
-    """Says when something else is latched than before."""
+    """Says when something else is latched than before, and once that it cannot be written, if that is so."""
 
     def __init__(self, order: list[str]) -> None:
         self.order = order
         self.latched: dict[Reason, str] = {}
+        self.fault = ""
 
     def follow(self, latched: Mapping[Reason, str]) -> str:
         if latched != self.latched:
             self.order.append("note")
             self.latched = dict(latched)
-        return ""
+        fault, self.fault = self.fault, ""
+        return fault
 
 
 class OrderedZenoh(FakeZenoh):
@@ -587,6 +589,19 @@ def test_what_is_latched_is_on_its_way_to_the_disk_before_anybody_is_told() -> N
     commanded.run(script)
     [stopped] = [done for done in commanded.ticks() if "note" in done]
     assert stopped[:4] == ["frames", "beat", "note", "reply"]
+
+
+def test_a_note_that_cannot_be_written_is_an_event() -> None:
+    """Who stops the robot hears that a restart would forget it."""
+    commanded = Commanded()
+    commanded.latch_note.fault = "a restart would forget what is latched"
+
+    def script(one: Commanded) -> Iterator[bool]:
+        while not one.event_texts():
+            yield False
+
+    commanded.run(script)
+    assert commanded.event_texts()[0] == "a restart would forget what is latched"
 
 
 def test_the_loop_ends_when_the_robot_is_at_rest_and_not_before() -> None:
@@ -773,6 +788,13 @@ def test_another_mileage_than_before_is_an_event_and_bars_nothing() -> None:
 def blocked(one: Commanded) -> set[str]:
     """Why the robot stands still."""
     return set(cast("list[str]", one.says("blocked_by") or []))
+
+
+def test_a_former_guard_whose_frames_do_not_come_is_not_waited_for() -> None:
+    """It may be dead as well: the gateway looks for itself, and is engaged."""
+    commanded = Commanded()
+    commanded.former_guard.is_stopping = True
+    commanded.run(Commanded.engage)
 
 
 def test_real_time_priority_is_in_health_and_sets_the_speed_limit() -> None:

@@ -1241,14 +1241,17 @@ def test_a_stop_of_the_guards_before_the_start_is_latched_until_a_reset() -> Non
     operator.engage()
 
 
-def test_a_stop_of_the_guards_that_began_and_ended_unseen_is_latched_while_standing_by_too() -> None:
+@pytest.mark.parametrize("is_driven", [True, False])
+def test_a_stop_of_the_guards_that_began_and_ended_unseen_is_latched_while_standing_by_too(
+    *, is_driven: bool
+) -> None:
     """Row 'the guard has stopped the robot: latched': the loop stood still meanwhile."""
-    rig, operator = ready()
+    rig, operator = driving() if is_driven else ready()
     rig.links = msgspec.structs.replace(GUARDED, guard_stops=1)
-    rig.tick()
+    rig.tick(2)
     assert rig.says.latched == [Reason.GUARD]
+    rig.run(6)
     assert operator.take_lease() is Reason.NONE
-    rig.run(0.6)
     assert operator.reason("reset") is Reason.NONE
     assert rig.says.latched == []
 

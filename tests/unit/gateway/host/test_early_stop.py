@@ -130,8 +130,9 @@ def test_a_robot_that_the_remote_control_has_is_left_alone() -> None:
     """It is the remote control's; given back, it would obey its old command again, and is stopped then."""
     left = Left(Variant.COARSE)
     left.chassis.inject(fault("transmitter remote for 2s"), left.now_ns)
-    bursts = left.until(8)
-    assert bursts[0][0] >= 2_000 * MS
+    assert left.until(1.9) == []
+    assert left.early.outcome == "", "nor is it said to be stopped"
+    assert left.until(8)
     assert left.chassis.state.speed_mps == 0.0
 
 
@@ -350,6 +351,44 @@ def test_its_note_is_the_guards(
         last = kept.last()
         assert last is not None
         assert last[1] == "guard: done: the robot stands; 9 frames sent"
+
+
+class Cable:
+    """The interface of a robot that was left, and the time."""
+
+    def __init__(self, left: Left) -> None:
+        self._left = left
+
+    def waiting(self) -> list[Command]:
+        """What has come."""
+        return [(frame.can_id, frame.data) for frame in self._left.frames()]
+
+    def send(self, frames: list[Command]) -> int:
+        """All of them reach the chassis."""
+        for can_id, data in frames:
+            self._left.chassis.receive(Frame(can_id, data), self._left.now_ns)
+        return len(frames)
+
+    def monotonic_ns(self) -> int:
+        """The time."""
+        return self._left.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        """Time passes."""
+        self._left.now_ns += round(seconds * 1e9)
+
+
+def test_a_stop_is_noted_so_that_the_gateway_latches_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """When it begins, and how it ends."""
+    cable, lines = Cable(Left(Variant.COARSE)), list[str]()
+    note = early_stop.EarlyNote("none")
+    monkeypatch.setattr(note, "add", lines.append)
+    monkeypatch.setattr(early_stop, "time", cable)
+    monkeypatch.setattr(early_stop, "is_claimed", lambda _name: False)
+    early_stop.Watch(cable, "none", note, watch_ns=6_000 * MS).run()  # type: ignore[arg-type]
+    begun, done = lines
+    assert begun == FOUND
+    assert done.startswith("done: the robot stands; ")
 
 
 def test_mode_auto_of_eight_zero_bytes_is_not_believed() -> None:

@@ -76,9 +76,9 @@ def test_a_damaged_note_latches_a_stop_until_it_is_reset(
 
 
 def test_a_note_that_cannot_be_written_is_said_once_and_holds_nobody_up(
-    open_note: Callable[[], LatchNote], monkeypatch: pytest.MonkeyPatch
+    open_note: Callable[[], LatchNote], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The loop goes on, whatever the disk does."""
+    """To the loop, which goes on whatever the disk does, and in the log."""
     goes_on = threading.Event()
 
     def fail(_descriptor: int) -> None:
@@ -97,6 +97,7 @@ def test_a_note_that_cannot_be_written_is_said_once_and_holds_nobody_up(
 
     wait_until(is_said)
     assert said[-1].endswith("No space left on device")
+    assert caplog.messages == [said[-1]]
     assert note.follow(STOPPED) == ""
     note.close()
 
