@@ -71,6 +71,12 @@ def test_every_test_that_a_page_names_exists(page: Path) -> None:
 
 
 @pages
+def test_no_page_names_the_project_as_if_an_index_had_it(page: Path) -> None:
+    """How to get an extra depends on where the project was installed from: docs/install.md."""
+    assert not re.search(r"pip install[^\n]*cruiser-gateway\b", page.read_text("utf-8"))
+
+
+@pages
 def test_every_place_in_the_tree_that_a_page_names_is_there(page: Path) -> None:
     """Files, and folders with their slash, in backticks; what has neither may be a key."""
     if page.name == "CHANGELOG.md":

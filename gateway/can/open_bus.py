@@ -12,6 +12,7 @@ from gateway.can.can_bus import Bus, BusLost, CanBus, first_line
 from gateway.can.socketcan import SocketCanBus, check_up
 from gateway.can.socketcand import SocketcandBus
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.missing_extra import how_to_get
 from schemas.settings import CanSettings
 
 SOCKETCAN: Final = "socketcan"
@@ -38,7 +39,7 @@ def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
         bus = SocketcandBus(*place) if place else can.Bus(**_bus_arguments(settings), ignore_config=True)
         return SocketCanBus(bus, identifiers) if settings.interface == SOCKETCAN else CanBus(bus)
     except (can.CanInterfaceNotImplementedError, ImportError, TypeError, NotImplementedError) as error:
-        cure = "; pip install 'cruiser-gateway[serial]'" if "serial module" in str(error) else ""
+        cure = how_to_get("serial") if "serial module" in str(error) else ""
         raise CommandError(
             f"can.interface {settings.interface!r} cannot be used: {error}{cure}", ExitCode.USAGE
         ) from error

@@ -19,7 +19,10 @@ from schemas.settings import Settings
 ZENOH_ENDING: Final = ".json5"
 
 SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")
-"""The settings of a robot's services. ``cruiser doctor`` reads them where no file is named."""
+"""The settings of a robot's services."""
+
+OF_THE_ROBOT: Final = frozenset({"doctor", "gateway", "record"})
+"""Commands that read these where no file is named: by hand, too, they are about the robot that it is."""
 
 _LOOKING: Final = ("list", "watch", "view", "shadow", "why")
 _DRIVING: Final = ("drive", "stop", "reset", "lease", "park", "unpark", "light", "horn", "odometer")
@@ -32,6 +35,25 @@ OWN_FILES: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys((*_LOOKING, *_DRIVING), ("operator.toml", "viewer.toml")),
 }
 """Settings files that ``cruiser provision install`` writes for the user of a command."""
+
+
+def settings_file(
+    command: str, path: str | None, environ: Mapping[str, str], action: str | None = None
+) -> str | None:
+    """Return the settings file of a command; None for none.
+
+    Args:
+        command: its name.
+        path: the value of ``--config``.
+        environ: environment variables.
+        action: of ``record``, by which somebody asks a recorder.
+    """
+    if path is not None:
+        return path
+    if CONFIG_VARIABLE in environ:
+        return environ[CONFIG_VARIABLE] or None
+    is_read = command in OF_THE_ROBOT and action is None and SYSTEM_FILE.exists()
+    return str(SYSTEM_FILE) if is_read else None
 
 
 def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[str, object]) -> Settings:
@@ -65,7 +87,7 @@ def unread_file(command: str, path: str | None, environ: Mapping[str, str], sett
 
     Args:
         command: its name.
-        path: the value of ``--config``.
+        path: the file that was read.
         environ: environment variables.
         settings: those in force.
     """
@@ -73,13 +95,10 @@ def unread_file(command: str, path: str | None, environ: Mapping[str, str], sett
     is_placed = command != "gateway" and not settings.zenoh.given.isdisjoint({"connect", "config"})
     if path is not None or stated or is_placed or settings.authority.mode != "open":
         return ""
-    if command == "doctor" and SYSTEM_FILE.exists():
-        return ""
     places = [Path()]
     with suppress(RuntimeError):  # Nobody knows a home directory of this user.
         places.append(Path(directory_of(settings.authority, environ, Path.home())))
     files = [place / name for place in places for name in OWN_FILES.get(command, ())]
-    files += [SYSTEM_FILE] if command == "gateway" else []
     return next((str(file) for file in files if os.path.isfile(file)), "")  # noqa: PTH113 - it never raises
 
 

@@ -17,6 +17,7 @@ from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import address, shown_address
+from schemas.missing_extra import missing_extra
 from schemas.settings import DeskSettings, Settings
 from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
 
@@ -80,9 +81,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in PACKAGES:
             raise
-        raise CommandError(
-            f"this needs {' and '.join(sorted(PACKAGES))}: pip install 'cruiser-gateway[desk]'"
-        ) from None
+        raise missing_extra(" and ".join(sorted(PACKAGES)), "desk") from None
     desk = settings.desk
     host, port = _address(desk.listen)
     certificate = _certificate(desk, host)

@@ -16,7 +16,7 @@ import msgspec
 
 from gateway.can.bus_claim import count_claims
 from gateway.can.open_bus import describe
-from gateway.cli.configuration_file import SYSTEM_FILE, load_settings
+from gateway.cli.configuration_file import load_settings, settings_file
 from gateway.client.payloads import read_sample
 from gateway.doctor.checks import Diagnosis, diagnose, summary
 from gateway.doctor.facts import Facts, ZenohReport
@@ -45,7 +45,7 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayHealth, GatewayInfo, Message, RobotState
 from schemas.printable import plain
 from schemas.recording import RecorderHealth
-from schemas.setting_table import CONFIG_VARIABLE, SETTINGS
+from schemas.setting_table import SETTINGS
 from schemas.settings import Settings, ZenohSettings
 
 EXAMPLE: Final = """\
@@ -102,9 +102,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     Raises:
         CommandError: a setting cannot be used at all.
     """
-    if arguments.config is None and not os.environ.get(CONFIG_VARIABLE) and SYSTEM_FILE.exists():
-        flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
-        settings = load_settings(str(SYSTEM_FILE), os.environ, flags)
     if getattr(arguments, "zenoh.config") is None and SETTINGS["zenoh.config"].variable not in os.environ:
         _check_role(settings)
     names_bus = (getattr(arguments, "can.interface"), getattr(arguments, "can.channel")) != (None, None)
@@ -132,8 +129,8 @@ def _check_role(settings: Settings) -> None:
 
 def _bus_of_file(arguments: argparse.Namespace, settings: Settings) -> str:
     """Return the bus of the settings file, in words, where flags name another; else an empty text."""
-    named = arguments.config or os.environ.get(CONFIG_VARIABLE) or (SYSTEM_FILE if SYSTEM_FILE.exists() else "")
-    of_file = load_settings(str(named), os.environ, {}).can if named else settings.can
+    named = settings_file("doctor", arguments.config, os.environ)
+    of_file = load_settings(named, os.environ, {}).can if named else settings.can
     is_same = describe(of_file) == describe(settings.can)
     return "" if is_same else f"{describe(of_file)}, by {named}; flags say so"
 

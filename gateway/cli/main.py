@@ -152,7 +152,7 @@ def _run(name: str, words: list[str]) -> int:
     # Imported late for the same reason as the commands: they cost more than the help itself.
     from pkgutil import resolve_name  # noqa: PLC0415
 
-    from gateway.cli.configuration_file import load_settings, unread_file  # noqa: PLC0415
+    from gateway.cli.configuration_file import load_settings, settings_file, unread_file  # noqa: PLC0415
     from schemas.exit_codes import CommandError, ExitCode  # noqa: PLC0415
     from schemas.printable import plain  # noqa: PLC0415
 
@@ -179,8 +179,9 @@ def _run(name: str, words: list[str]) -> int:
     )
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     try:
-        settings = load_settings(arguments.config, os.environ, flags)
-        if file := unread_file(name, arguments.config, os.environ, settings):
+        named = settings_file(name, arguments.config, os.environ, getattr(arguments, "action", None))
+        settings = load_settings(named, os.environ, flags)
+        if file := unread_file(name, named, os.environ, settings):
             sys.stderr.write(
                 f"cruiser {name}: warning: open mode, since no settings file is named; {plain(file)} was found, "
                 f"and not read; with it: {plain(shlex.join(['cruiser', name, *words, '--config', file]))}, or "

@@ -14,8 +14,9 @@ from gateway.cli.shut_out import check_session_files
 from gateway.provisioning.tls_files import certificate_ends_s
 from gateway.zenoh.client import FleetListener, place
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.exit_codes import ExitCode
 from schemas.listen_address import address
+from schemas.missing_extra import missing_extra
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\
@@ -51,7 +52,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "prometheus_client":
             raise
-        raise CommandError("this needs prometheus_client: pip install 'cruiser-gateway[metrics]'") from None
+        raise missing_extra("prometheus_client", "metrics") from None
     if settings.zenoh.config:
         check_session_files(Path(settings.zenoh.config))
     metrics = FleetMetrics(settings.robot.root, version("cruiser-gateway"), certificate_ends_s(settings.zenoh))

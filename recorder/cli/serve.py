@@ -10,12 +10,12 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Final
 
-from recorder.cli.missing_extra import missing_extra
 from recorder.cli.review.asking import needing_extra
 from recorder.serve.viewers import viewer
 from schemas.arguments import ending_after, seconds
 from schemas.exit_codes import ExitCode
 from schemas.listen_address import add_certificate_arguments, address, shown_address
+from schemas.missing_extra import missing_extra
 from schemas.settings import Settings
 from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
 

@@ -12,7 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.cli.missing_extra import missing_extra
 from recorder.cli.show import show
 from recorder.disk.upload_note import UploadNote
 from recorder.upload.background import enter_background
@@ -20,6 +19,7 @@ from recorder.upload.pace import RateLimit, is_within
 from recorder.upload.relay import paced_way
 from recorder.upload.row import row_maker
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.missing_extra import missing_extra
 from schemas.printable import plain
 from schemas.recorder_settings import UploadSettings
 from schemas.settings import Settings

@@ -11,7 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.cli.missing_extra import missing_extra
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.zenoh.session import said_of
 from recorder.zenoh.source import ZenohSource
@@ -19,6 +18,7 @@ from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, robot_name, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import add_certificate_arguments, address, certificate_files
+from schemas.missing_extra import missing_extra
 from schemas.printable import plain
 from schemas.settings import Settings
 from schemas.subjects import SUBJECTS, Pattern

@@ -19,6 +19,7 @@ from typing import Any, Final, TypeVar
 from recorder.reading.rows import Progress
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.interpreter import SAFE_PATH_VARIABLE
+from schemas.missing_extra import missing_extra
 
 LOOK_S: Final = 0.1
 """Interval at which whoever waits for a task looks for a stop."""
@@ -147,7 +148,7 @@ def ray_cluster(address: str) -> Generator[RayCluster, None, None]:
     try:
         import ray  # type: ignore[import-not-found,unused-ignore]  # noqa: PLC0415 - it is not everywhere
     except ImportError:
-        raise CommandError("a cluster needs Ray: pip install 'cruiser-gateway[ray]'") from None
+        raise missing_extra("Ray", "ray") from None
     try:
         ray.init(address, log_to_driver=False, logging_level="ERROR")
     except (ConnectionError, RuntimeError, ValueError) as error:

@@ -1,9 +1,12 @@
 """The scripts of the Debian package never touch a robot that moves."""
 
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+
+from tests.system.recorder.upload.test_row import absent_on_robots
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "deploy" / "debian"
@@ -128,3 +131,28 @@ def test_what_ran_is_started_again(machine: Machine) -> None:
 def test_a_shell_reads_each_script(script: Path) -> None:
     """Debian's own, which is no bash."""
     assert subprocess.run(["/bin/sh", "-n", script], check=False).returncode == 0
+
+
+HELP = """
+import sys
+names, *words = sys.argv[1:]
+sys.modules.update(dict.fromkeys(names.split()))
+from gateway.cli.main import COMMANDS, main
+from recorder.cli.review.command import QUESTIONS
+for words in [[command] for command in COMMANDS] + [["review", question] for question in QUESTIONS]:
+    try:
+        code = main([*words, "--help"])
+    except SystemExit as end:
+        code = end.code
+    except BaseException as error:
+        code = repr(error)
+    if code:
+        print(*words, code, file=sys.stderr)
+"""
+
+
+def test_every_command_explains_itself_with_what_the_package_brings() -> None:
+    """Also where it needs a library that is not there."""
+    words = [sys.executable, "-P", "-c", HELP, " ".join(absent_on_robots())]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -13,7 +13,6 @@ from typing import Final
 
 import msgspec
 
-from recorder.cli.missing_extra import missing_extra
 from recorder.objects.address import StoreAddress, is_address
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -23,6 +22,7 @@ from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import in_order
+from schemas.missing_extra import missing_extra
 from schemas.printable import plain
 from schemas.settings import Settings
 

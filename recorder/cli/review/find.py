@@ -32,13 +32,18 @@ from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 
-with needing_extra():
-    import pyarrow as pa
+_missing: CommandError | None = None
+try:
+    with needing_extra():
+        import pyarrow as pa
 
-    from recorder.review.catalog.directory import Catalog
-    from recorder.review.catalog.place import PlaceCatalog
-    from recorder.review.catalog.rows import CatalogRow, LoggedMoment
-    from recorder.review.find import FindAnswer, FoundDrive, FoundMoment, columns_of, find, read_words
+        from recorder.review.catalog.directory import Catalog
+        from recorder.review.catalog.place import PlaceCatalog
+        from recorder.review.catalog.rows import CatalogRow, LoggedMoment
+        from recorder.review.find import FindAnswer, FoundDrive, FoundMoment, columns_of, find, read_words
+except CommandError as error:
+    # The help is for everybody.
+    _missing = error
 
 EXAMPLE: Final = """\
   cruiser review find 'stop reason=front_bumper robot=cruiser-* last 30d' logs
@@ -74,6 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Bring the catalogs up to date, and answer from them."""
+    if _missing is not None:
+        raise _missing
     query = read_words(arguments.words, time.time_ns())
     columns = columns_of(query)
     faults = Faults()

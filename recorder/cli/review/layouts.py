@@ -17,14 +17,15 @@ from recorder.cli.show import show
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.review.layouts import robots_of
 from schemas.exit_codes import CommandError
+from schemas.missing_extra import how_to_get
 from schemas.printable import plain, short
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review layouts logs -o layouts"
 DESCRIPTION: Final = (
     "Writes layouts of Foxglove and Lichtblick (JSON), PlotJuggler (XML) and rerun (a blueprint) for each robot "
-    "of the logs. The first two a recorder attaches to each log, too. The blueprint needs rerun's own package: "
-    "pip install 'cruiser-gateway[rerun]'."
+    "of the logs. The first two a recorder attaches to each log, too. The blueprint needs rerun's own package, "
+    "which the extra 'rerun' brings."
 )
 
 
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[
     for one in written:
         show(one, [f"{one.robot}: {one.path}"], as_json=arguments.json)
     if written and not any(one.path.endswith(".rbl") for one in written):
-        sys.stderr.write("cruiser review: no blueprint for rerun: pip install 'cruiser-gateway[rerun]'\n")
+        sys.stderr.write(f"cruiser review: no blueprint, which needs rerun{how_to_get('rerun')}\n")
     return end_with(asked.faults)
 
 

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.missing_extra import missing_extra
 from recorder.cli.review.asking import Asked, add_logs, add_period, end_with, find, progress_bar
 from recorder.cli.review.why import chain_in_words
 from recorder.cli.show import show
@@ -27,6 +26,7 @@ from recorder.review.report.words import headline, summary_lines
 from recorder.review.rerun.reconstruction import filled
 from recorder.review.why import Explainer
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.missing_extra import missing_extra
 from schemas.printable import plain
 from schemas.settings import Settings
 

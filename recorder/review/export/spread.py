@@ -14,7 +14,7 @@ from recorder.reading.rows import Progress
 from recorder.review.export.dataset import Runner
 from recorder.review.export.one_log import ExportOutcome, ExportTask, export_log
 from recorder.review.tasks import outcome_of
-from schemas.exit_codes import CommandError
+from schemas.missing_extra import missing_extra
 
 QUIET: Final = {
     "DAFT_ANALYTICS_ENABLED": "0",
@@ -47,7 +47,7 @@ def daft_runner() -> Runner:
     try:
         import daft  # noqa: PLC0415 - only behind the settings above
     except ImportError:
-        raise CommandError("this needs Daft: pip install 'cruiser-gateway[daft]'") from None
+        raise missing_extra("Daft", "daft") from None
     daft.set_runner_native()
     do_task = daft.func(task_to_outcome, return_dtype=daft.DataType.string(), use_process=True)
 

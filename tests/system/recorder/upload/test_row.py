@@ -33,16 +33,21 @@ def test_a_process_makes_the_row_of_a_log(tmp_path: Path) -> None:
     assert (found.file, found.messages) == ("a.mcap", 3)
 
 
-def test_what_a_robot_has_installed_suffices(tmp_path: Path) -> None:
-    """The row needs no package but those of the Debian package: not pyarrow, nor what else searches catalogs."""
-    log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 0)]))
+def absent_on_robots() -> list[str]:
+    """The modules of this environment that the Debian package does not bring."""
     pinned = (ROOT / "constraints-run.txt").read_text(encoding="utf-8")
     there = {normalized(name) for name in re.findall(r"^([\w.-]+)==", pinned, re.MULTILINE)}
-    absent = [
+    return [
         module
         for module, names in packages_distributions().items()
         if module.isidentifier() and not {normalized(name) for name in names} & {*there, "cruiser-gateway"}
     ]
+
+
+def test_what_a_robot_has_installed_suffices(tmp_path: Path) -> None:
+    """The row needs no package but those of the Debian package: not pyarrow, nor what else searches catalogs."""
+    log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 0)]))
+    absent = absent_on_robots()
     assert "pyarrow" in absent
     run = (
         "import runpy, sys; names, *sys.argv = sys.argv[1:]; sys.modules.update(dict.fromkeys(names.split())); "

@@ -34,7 +34,7 @@ def test_frames_go_from_bus_to_bus() -> None:
 def test_a_serial_adapter_without_pyserial_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     """The extra that it names is one of ours, and brings what python-can asks for."""
     monkeypatch.setattr("can.interfaces.slcan.serial", None)
-    with pytest.raises(CommandError, match=re.escape("pip install 'cruiser-gateway[serial]'")) as error:
+    with pytest.raises(CommandError, match=re.escape("pip install -e '.[serial]'")) as error:
         open_bus(CanSettings(interface="slcan", channel="/dev/ttyACM0"))
     assert error.value.code is ExitCode.USAGE
     project = tomllib.loads((Path(__file__).parents[4] / "pyproject.toml").read_text("utf-8"))["project"]

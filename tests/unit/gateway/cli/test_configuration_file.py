@@ -9,7 +9,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from gateway.cli import configuration_file
-from gateway.cli.configuration_file import OWN_FILES, load_settings, unread_file
+from gateway.cli.configuration_file import OWN_FILES, load_settings, settings_file, unread_file
 from gateway.cli.main import COMMANDS
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import AuthoritySettings, Settings
@@ -160,13 +160,22 @@ def test_a_settings_file_that_was_not_named_is_found_beside_the_keys(place: Path
     assert _unread("gateway", given) == str(keys / "robot.toml")
 
 
-def test_the_settings_of_the_services_are_found_for_a_gateway_that_is_started_by_hand(place: Path) -> None:
-    """Doctor reads them by itself, and operators have nothing to do with them."""
-    (place / "etc").mkdir()
-    (place / "etc" / "cruiser.toml").write_text("")
-    assert [command for command in OWN_FILES if _unread(command)] == ["gateway"]
+def test_what_is_started_by_hand_on_a_robot_reads_the_settings_of_its_services(place: Path) -> None:
+    """Where nobody names others, or none. Operators have nothing to do with them, nor has who asks a recorder."""
+    file = place / "etc" / "cruiser.toml"
+    assert [command for command in COMMANDS if settings_file(command, None, {})] == []
+    file.parent.mkdir()
+    file.write_text('[robot]\nname = "depot-3"\n[can]\nchannel = "can5"\n')
     (place / "robot.toml").write_text("")
-    assert _unread("doctor") == ""
+    reading = {command for command in COMMANDS if settings_file(command, None, {}) == str(file)}
+    assert reading == {"doctor", "gateway", "record"}
+    assert settings_file("record", None, {}, "status") is None
+    assert settings_file("gateway", None, {"CRUISER_CONFIG": ""}) is None
+    assert settings_file("gateway", None, {"CRUISER_CONFIG": "a.toml"}) == "a.toml"
+    assert settings_file("gateway", "b.toml", {"CRUISER_CONFIG": "a.toml"}) == "b.toml"
+    settings = load_settings(str(file), {}, {"can.channel": "can6"})
+    assert (settings.robot.name, settings.can.channel) == ("depot-3", "can6")
+    assert unread_file("gateway", str(file), {}, settings) == ""
 
 
 def test_nothing_is_said_to_whoever_stated_what_they_want(place: Path) -> None:

@@ -67,33 +67,6 @@ def test_a_robots_own_certificate_sees_nothing_so_another_is_asked_with(tmp_path
         assert doctor.settings_to_ask(settings).config == str(seeing)
 
 
-def test_the_systems_settings_are_read_where_nobody_names_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A flag holds against the file; CRUISER_CONFIG and --config name another."""
-    file = tmp_path / "cruiser.toml"
-    file.write_text('[robot]\nname = "depot-3"\n[can]\nchannel = "can5"\n')
-    seen: list[Settings] = []
-
-    def look(settings: Settings, *_: object, **__: object) -> Facts:
-        seen.append(settings)
-        return FACTS
-
-    monkeypatch.setattr(doctor, "SYSTEM_FILE", file)
-    monkeypatch.setattr(doctor, "look", look)
-    monkeypatch.setattr(doctor, "diagnose", lambda _: [])
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--config")
-    doctor.add_arguments(parser)
-    monkeypatch.delenv("CRUISER_CONFIG", raising=False)
-    doctor.run(parser.parse_args(["--channel", "can6"]), Settings(), lambda: False)
-    assert (seen[0].robot.name, seen[0].can.channel) == ("depot-3", "can6")
-    doctor.run(parser.parse_args(["--config", "other.toml"]), Settings(), lambda: False)
-    monkeypatch.setenv("CRUISER_CONFIG", "another.toml")
-    doctor.run(parser.parse_args([]), Settings(), lambda: False)
-    assert [one.robot.name for one in seen[1:]] == ["cruiser-1", "cruiser-1"]
-
-
 def _arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     parser.add_argument("--config")

@@ -29,7 +29,7 @@ def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     for name in [name for name in sys.modules if name.startswith("recorder.review.export")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(CommandError, match=r"this needs pyarrow: pip install 'cruiser-gateway\[review\]'"):
+    with pytest.raises(CommandError, match=r"this needs pyarrow: pip install -e '\.\[review\]'"):
         run("--format", form, "-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log()))
 
 

@@ -38,7 +38,7 @@ def test_layouts_of_each_robot_are_written(log: Path, tmp_path: Path, capsys: py
     assert {path.name: path.read_bytes() for path in out.iterdir()} == expected
     said = capsys.readouterr()
     assert said.out.count("fleet/cruiser-1: ") == 2
-    assert "pip install 'cruiser-gateway[rerun]'" in said.err
+    assert "pip install -e '.[rerun]'" in said.err
 
 
 def test_json_is_an_object_a_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

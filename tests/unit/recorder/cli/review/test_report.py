@@ -135,7 +135,7 @@ def test_a_missing_library_is_named_with_what_installs_it(
     """Before anything is read."""
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     assert ask(log, "-o", "r.html") == ExitCode.FAILURE
-    assert "pip install 'cruiser-gateway[review]'" in capsys.readouterr().err
+    assert "pip install -e '.[review]'" in capsys.readouterr().err
 
 
 def test_one_robot_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from recorder.cli.missing_extra import missing_extra
+from schemas.missing_extra import missing_extra
 
-PYPROJECT = Path(__file__).parents[4] / "pyproject.toml"
+PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
 
 
 @pytest.mark.parametrize("extra", ["review", "live"])
@@ -16,7 +16,10 @@ def test_with_pip_it_is_the_extra(monkeypatch: pytest.MonkeyPatch, extra: str) -
     """Which there is."""
     monkeypatch.setitem(sys.modules, "pip", sys)
     said = str(missing_extra("duckdb", extra))
-    assert said == f"this needs duckdb: pip install 'cruiser-gateway[{extra}]'"
+    assert (
+        said
+        == f"this needs duckdb: pip install -e '.[{extra}]' in the checkout, or 'FILE[{extra}]' with the wheel"
+    )
     assert extra in tomllib.loads(PYPROJECT.read_text("utf-8"))["project"]["optional-dependencies"]
 
 
