@@ -22,8 +22,13 @@ class ExitCode(IntEnum):
 
 
 class CommandError(Exception):
-    """A command cannot go on: one clear line for the person, and an exit code."""
+    """A command cannot go on: one clear line for the person, and an exit code.
+
+    Attributes:
+        line: for whoever gave the command. The exception's own text is for whoever calls the library.
+    """
 
     def __init__(self, message: str, code: ExitCode = ExitCode.FAILURE) -> None:
         super().__init__(message)
         self.code = code
+        self.line = message

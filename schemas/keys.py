@@ -25,6 +25,8 @@ from schemas.subjects import (
 ROBOT_PATTERN: Final = r"[a-z0-9-]+"
 ROBOTS_PATTERN: Final = r"[a-z0-9*-]+"
 """Of a robot's name, or of several with ``*`` for any part of them."""
+_CHUNK_PATTERN: Final = r"([a-z0-9-]|\$\*)+"
+"""Of the chunk that ``chunk_of`` makes of the latter."""
 BUS_PATTERN: Final = r"[A-Za-z0-9_.-]+"
 OPERATOR_PATTERN: Final = r"[A-Za-z0-9_.-]{1,64}"
 ROOT_PATTERN: Final = r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*"
@@ -182,12 +184,18 @@ ALL: Final = "*"
 def command(root: str, robot: str, operator: str, verb: str) -> str:
     """The key of a verb, whatever the verb is; ALL may stand for robot, operator and verb.
 
+    Args:
+        root: the first chunks.
+        robot: its name, or the chunk of several (``chunk_of``).
+        operator: who commands.
+        verb: what.
+
     Raises:
         ValueError: a part is not of its form.
     """
     _check("root", root, ROOT_PATTERN)
     if robot != ALL:
-        _check("robot", robot, ROBOT_PATTERN)
+        _check("robot", robot, _CHUNK_PATTERN)
     if operator != ALL:
         _check("operator", operator, OPERATOR_PATTERN)
     return f"{root}/{robot}/{COMMAND_CHUNK}/{operator}/{verb}"

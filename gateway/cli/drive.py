@@ -203,20 +203,20 @@ class _Keys:
 
     def _engage(self) -> None:
         try:
-            self._lease.engage(deadman_s=self._deadman_s)
+            self._lease.engage(deadman_s=self._deadman_s, wait=False)
             self._lease.unpark()
             self._message = ""
         except (Refused, Stopped) as error:
-            self._message = str(error)
+            self._message = error.line
         self._keys.release_all()
 
     def _reset(self) -> None:
         try:
             # Whoever presses the key has the names before them.
             of = next((name for name in self._robot.state().state.stopped_by if name != self._robot.operator), "")
-            self._message = f"reset: {self._lease.reset(of) or 'nothing was latched'}; g engages"
+            self._message = f"reset: {self._lease.reset(of, wait=False) or 'nothing was latched'}; g engages"
         except Refused as error:
-            self._message = str(error)
+            self._message = error.line
         self._keys.release_all()
 
     def _move(self) -> None:
@@ -227,7 +227,7 @@ class _Keys:
                 speed_mps, angle_deg = self._speed_mps * wish.forward, self._angle_deg * wish.left
                 self._lease.drive(speed_mps, angle_deg=angle_deg, hold_s=KEY_HOLD_S)
         except Stopped as error:
-            self._message = str(error)
+            self._message = error.line
             self._keys.release_all()
 
     def _wish(self) -> Wish:

@@ -9,11 +9,7 @@ from typing import Final
 from gateway.client.reasons_text import LOOK
 from gateway.client.refusal import Unreachable
 from gateway.client.robot import Lease, Robot
-from schemas.decisions import ArbiterState
 from schemas.exit_codes import CommandError
-
-REST_S: Final = 8.0
-"""From full speed to standing by takes less: the ramp, a second of holding, half a second of disabling."""
 
 POLL_S: Final = 0.05
 
@@ -26,7 +22,6 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
         CommandError: it is refused, is stopped, or was not seen to come to rest.
         Unreachable: it is not heard any more, so that nobody knows whether it stands.
     """
-    robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, REST_S)
     lease.engage(deadman_s=deadman_s)
     try:
         yield
@@ -49,9 +44,8 @@ def come_to_rest(lease: Lease, robot: Robot) -> None:
     """Disengage, if the robot is engaged, and wait until its stop sequence has ended.
 
     Raises:
-        CommandError: it has not, after ``REST_S``.
+        CommandError: it has not.
     """
     if lease.is_engaged:
-        lease.disengage()
-    if not robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, REST_S):
-        raise CommandError(f"{robot.name} was not seen to come to rest within {REST_S:g} s: see 'cruiser why'")
+        lease.disengage(wait=False)
+    robot.wait_for_rest()

@@ -49,15 +49,15 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "metrics": ("gateway.cli.metrics", "a fleet's health for Prometheus"),
     "desk": ("gateway.cli.desk", "see, drive and stop a fleet from a browser"),
     "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),
-    "stop": ("gateway.cli.stop", "the remote stop of a robot, or of all"),
+    "stop": ("gateway.cli.stop", "the remote stop of a robot, of several, or of all"),
     "why": ("gateway.cli.why", "why the robot does not move"),
     "reset": ("gateway.cli.reset", "clear what is latched"),
     "lease": ("gateway.cli.lease", "who may command the robot; acquire, take and keep the right to"),
-    "park": ("gateway.cli.verbs:PARK", "apply the parking brake"),
-    "unpark": ("gateway.cli.verbs:UNPARK", "allow drive commands to release the parking brake"),
-    "light": ("gateway.cli.verbs:LIGHT", "headlamp and indicators"),
-    "horn": ("gateway.cli.verbs:HORN", "sound the horn"),
-    "odometer": ("gateway.cli.verbs:ODOMETER", "set the total mileage to zero"),
+    "park": ("gateway.cli.verbs:PARK", "engage a robot and apply its parking brake"),
+    "unpark": ("gateway.cli.verbs:UNPARK", "engage a robot and allow drive commands to release its parking brake"),
+    "light": ("gateway.cli.verbs:LIGHT", "engage a robot and switch headlamp and indicators"),
+    "horn": ("gateway.cli.verbs:HORN", "engage a robot and sound its horn"),
+    "odometer": ("gateway.cli.verbs:ODOMETER", "engage a robot and set its total mileage to zero"),
     "router": ("gateway.cli.router", "where robots and people meet: a Zenoh router with access by role"),
     "provision": ("gateway.cli.provision", "keys, certificates and grants: who is who, and who may do what"),
     "decode": ("gateway.cli.decode", "candump lines to JSON lines"),
@@ -209,7 +209,7 @@ def _fail(name: str, error: CommandError) -> int:
     from schemas.exit_codes import ExitCode  # noqa: PLC0415 - only for a failure
     from schemas.zenoh_link import SessionError  # noqa: PLC0415 - only for a failure
 
-    text, code = str(error), error.code
+    text, code = error.line, error.code
     if isinstance(error, SessionError):
         from gateway.cli.shut_out import fault_of_files, why_away  # noqa: PLC0415 - only for a failure
 

@@ -10,7 +10,6 @@ import msgspec
 
 from gateway.cli.operator_arguments import add_robot_arguments, connect, lease_number
 from schemas.exit_codes import ExitCode
-from schemas.requests import Reset
 from schemas.settings import Settings
 
 EXAMPLE = """\
@@ -24,13 +23,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         f"{parser.description or ''}\n\n"
         "The robot must stand, and the cause must be gone. Nothing resumes by itself: it must be engaged again.\n"
-        "Without --lease the lease is acquired, if nobody holds it, and given back."
+        "A stop that is under way is waited for. Without --lease the lease is acquired, if nobody holds it, and\n"
+        "given back."
     )
     add_robot_arguments(parser)
     parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
     parser.add_argument(
         "--of", default="", metavar="NAME", help="whose stop is cleared, where it is somebody else's"
     )
+    parser.add_argument("--no-wait", dest="wait", action="store_false", help="ask at once, also during a stop")
     parser.add_argument("--json", action="store_true", help="one JSON object")
 
 
@@ -42,10 +43,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     with connect(arguments, settings, stopped) as robot:
         if arguments.lease is not None:
-            cleared = robot.ask(Reset(arguments.lease, robot.state().state.challenge, arguments.of)).detail
+            cleared = robot.reset(arguments.lease, arguments.of, wait=arguments.wait)
         else:
             with robot.lease() as lease:
-                cleared = lease.reset(arguments.of)
+                cleared = lease.reset(arguments.of, wait=arguments.wait)
     if arguments.json:
         record = {"robot": arguments.robot, "cleared": cleared.split(", ") if cleared else []}
         sys.stdout.write(f"{msgspec.json.encode(record).decode()}\n")

@@ -1,10 +1,11 @@
-"""``cruiser stop``: the remote stop of a robot, or of all."""
+"""``cruiser stop``: the remote stop of a robot, of several, or of all."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import msgspec
@@ -16,7 +17,7 @@ from gateway.client.remote_stop import NotSentError, StopReport, Unverified
 from gateway.client.roll import who_is_there
 from gateway.zenoh.client import place
 from schemas import keys
-from schemas.arguments import robot_name
+from schemas.arguments import robot_names
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import cure_of
@@ -24,6 +25,8 @@ from schemas.settings import Settings
 
 EXAMPLE = """\
   cruiser stop cruiser-1
+  cruiser stop cruiser-1 'depot-*'
+  cruiser stop cruiser-1 && cruiser reset cruiser-1
   cruiser stop --all"""
 
 BUTTON: Final = "Use the button on the robot"
@@ -36,10 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         f"{parser.description or ''}\n\n"
         "It wants no lease, and is latched until 'cruiser reset'. It is said again and again until it was\n"
-        "answered, and the robot is seen to stand. It is no emergency stop: that is the button on the robot."
+        "answered, and the robot is seen to stand, which is printed at once. Then the end of its stop sequence\n"
+        "is waited for: nothing can be reset before. It is no emergency stop: that is the button on the robot."
     )
-    parser.add_argument("robot", nargs="?", type=robot_name, metavar="ROBOT", help="the robot")
+    about = "the robot; several of them, or of them by '*', as 'cruiser-1*'"
+    parser.add_argument("robots", nargs="*", type=robot_names, metavar="ROBOT", help=about)
     parser.add_argument("--all", action="store_true", help="every robot under the root")
+    parser.add_argument(
+        "--no-wait", dest="wait", action="store_false", help="do not wait for the end of the stop sequences"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object")
     add_operator_arguments(parser)
 
@@ -52,15 +60,25 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     Raises:
         CommandError: nobody answered, no session opens, or the arguments are wrong.
     """
-    if bool(arguments.robot) is arguments.all:
+    if bool(arguments.robots) is arguments.all:
         raise CommandError("name a robot, or give --all", ExitCode.USAGE)
-    robot = arguments.robot or keys.ALL
-    report = _stop(arguments, robot, settings, stopped)
+    robots = list(dict.fromkeys(arguments.robots)) or [keys.ALL]
+    # Each in its own time: none waits for another, nor for another's words.
+    with ThreadPoolExecutor(len(robots)) as threads:
+        stops = [threads.submit(_stop, arguments, robot, settings, stopped) for robot in robots]
+    reports = [stop.result() for stop in stops]
     if arguments.json:
-        sys.stdout.write(f"{msgspec.json.encode(report).decode()}\n")
-    else:
-        sys.stdout.writelines(f"{name}: stops, latched until a reset\n" for name in report.stopped)
-    sys.stdout.flush()
+        sys.stdout.write(f"{msgspec.json.encode(_together(reports)).decode()}\n")
+        sys.stdout.flush()
+    waited = "before it was ended" if stopped() else f"within {arguments.timeout:g} s at {place(settings.zenoh)}"
+    return int(_code(_together(reports), robots, settings, waited))
+
+
+def _tell(report: StopReport, *, as_json: bool) -> None:
+    """Print what is known of robots when it is known. JSON is printed at the end."""
+    if not as_json:
+        sys.stdout.write("".join(f"{name}: stops, latched until a reset\n" for name in report.stopped))
+        sys.stdout.flush()
     for name, why in report.refused.items():
         sys.stderr.write(f"{name}: NOT STOPPED: {plain(why)}. {BUTTON}\n")
     for name, why in report.unconfirmed.items():
@@ -75,26 +93,69 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stderr.write(f"{name}: NO ANSWER; {sent}{seen}. {BUTTON}\n")
     if report.linked and not report.counted:
         sys.stderr.write("there may be more robots: who is connected was not said in time\n")
-    waited = "before it was ended" if stopped() else f"within {arguments.timeout:g} s at {place(settings.zenoh)}"
-    return int(_code(report, robot, settings, waited))
+
+
+def _together(reports: list[StopReport]) -> StopReport:
+    """The reports as one. Robots that two of them name are told of once."""
+
+    def names(of: Callable[[StopReport], list[str]]) -> list[str]:
+        return sorted({name for report in reports for name in of(report)}, key=keys.in_order)
+
+    return StopReport(
+        names(lambda one: one.stopped),
+        {name: why for one in reports for name, why in one.refused.items()},
+        {name: why for one in reports for name, why in one.unconfirmed.items()},
+        names(lambda one: one.silent),
+        linked=any(one.linked for one in reports),
+        counted=all(one.counted for one in reports),
+        unverified={name: word for one in reports for name, word in one.unverified.items()},
+        seen={name: words for one in reports for name, words in one.seen.items()},
+        reached_all=all(one.reached_all for one in reports),
+        unfinished=names(lambda one: one.unfinished),
+    )
 
 
 def _stop(
     arguments: argparse.Namespace, robot: str, settings: Settings, stopped: Callable[[], bool]
 ) -> StopReport:
     """Stop, and say it first where nothing was sent, or nobody can look: the line with the cause is long."""
-    who, button = ("all robots", BUTTONS) if robot == keys.ALL else (robot, BUTTON)
+    many = "*" in robot
+    who, button = ("all robots" if robot == keys.ALL else robot, BUTTONS if many else BUTTON)
+    heard: list[StopReport] = []
+
+    def tell(report: StopReport) -> None:
+        if robot == keys.ALL and not report.linked:
+            sys.stderr.write(f"{who}: {NOTHING_SENT}: there is no link. {button}\n")
+        if many and robot != keys.ALL and not _named(report):
+            # A pattern that nobody answers to is as silent as a name.
+            report = msgspec.structs.replace(report, silent=[robot])
+        heard.append(report)
+        _tell(report, as_json=arguments.json)
+
     try:
-        report = remote_stop.stop_from_here(settings, robot, arguments.operator or "", arguments.timeout, stopped)
+        report = remote_stop.stop_from_here(
+            settings,
+            robot,
+            arguments.operator or "",
+            arguments.timeout,
+            stopped,
+            told=tell if arguments.wait else None,
+        )
     except NotSentError as error:
         sys.stderr.write(f"{who}: {NOTHING_SENT}. {button}\n")
         raise error.cause from error
     except CommandError:
         sys.stderr.write(f"{who}: NOT SEEN TO STOP: it was sent, and nothing is seen. {button}\n")
         raise
-    if robot == keys.ALL and not report.linked:
-        sys.stderr.write(f"{who}: {NOTHING_SENT}: there is no link. {button}\n")
-    return report
+    if not arguments.wait:
+        tell(report)
+    for name in report.unfinished:
+        sys.stderr.write(f"{name}: it stands; its stop sequence is not seen to end: 'cruiser why {name}'\n")
+    return msgspec.structs.replace(heard[0], unfinished=report.unfinished)
+
+
+def _named(report: StopReport) -> bool:
+    return bool(report.stopped or report.refused or report.unconfirmed or report.unverified or report.silent)
 
 
 def _unverified(name: str, word: Unverified) -> str:
@@ -105,10 +166,11 @@ def _unverified(name: str, word: Unverified) -> str:
     return plain(f"{verdict}: {word.says}. This cannot be verified: {word.why}{cure}. {look}")
 
 
-def _code(report: StopReport, robot: str, settings: Settings, waited: str) -> ExitCode:
+def _code(report: StopReport, robots: list[str], settings: Settings, waited: str) -> ExitCode:
     unstopped = report.refused or report.unconfirmed or report.unverified
     if not report.stopped and not unstopped:
         who = "nobody answered" if report.linked else "no Zenoh node answered"
-        others = who_is_there(settings, robot) if robot != keys.ALL else ""
+        others = who_is_there(settings, robots[0]) if len(robots) == 1 and "*" not in robots[0] else ""
         raise CommandError(f"{who} {waited}{others}", ExitCode.UNREACHABLE)
-    return ExitCode.PARTIAL if report.silent or unstopped or not report.counted else ExitCode.OK
+    is_partial = report.silent or unstopped or report.unfinished or not report.counted
+    return ExitCode.PARTIAL if is_partial else ExitCode.OK

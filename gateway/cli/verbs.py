@@ -22,9 +22,9 @@ from schemas.settings import Settings
 LAMPS: Final = ("headlamp", "left", "right")
 
 WANTS_ENGAGED: Final = """\
-This wants an engaged robot. With --lease, that of another command of the same operator is used ('cruiser drive'
-and 'cruiser lease --engage' show its number). Without it the lease is acquired, the robot engaged, and afterwards
-it is stopped and the lease given back."""
+This engages the robot: the lease is acquired, and afterwards the robot is stopped and the lease given back. With
+--lease, the engaged robot of another command of the same operator is used ('cruiser drive' and 'cruiser lease
+--engage' show its number)."""
 
 
 class VerbCommand(msgspec.Struct, frozen=True):
@@ -66,6 +66,7 @@ class VerbCommand(msgspec.Struct, frozen=True):
             if arguments.lease is not None:
                 self._ask(robot, arguments, arguments.lease)
                 return int(ExitCode.OK)
+            sys.stderr.write(f"{robot.name}: engages the robot for this; it stands by again afterwards\n")
             with robot.lease() as lease, engaged(lease, robot):
                 self._ask(robot, arguments, lease.number)
                 if self.lasts:

@@ -214,7 +214,7 @@ class RobotLink:
         if isinstance(reply, PayloadFault):
             raise Unreachable(f"{self.robot}: {command.verb}: {reply.detail}")
         if not reply.ok:
-            raise refused(self.robot, command.verb, reply)
+            raise refused(self.robot, command.verb, reply, self.commands.operator)
         if proof is None or not isinstance(reply, LeaseReply) or proof.begin_lease(reply, received[0].attachment):
             return reply
         raise Unreachable(f"{self.robot}: {command.verb}: the reply has no key for the lease")

@@ -27,7 +27,7 @@ from gateway.zenoh.client import PendingQuery, RobotListener
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.codec import PayloadFault
-from schemas.decisions import Reply, SafetyState
+from schemas.decisions import ArbiterState, Reply, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.messages import RobotState
 from schemas.operator_name import login_operator
@@ -47,6 +47,9 @@ ASK_S: Final = 0.25
 """A query without any answer is put again after this time."""
 
 POLL_S: Final = 0.005
+
+REST_S: Final = 8.0
+"""From full speed to standing by takes less: the ramp, a second of holding, half a second of disabling."""
 
 
 class NotSentError(CommandError):
@@ -90,6 +93,7 @@ class StopReport(msgspec.Struct, frozen=True):
         unverified: robots of which there is no verified answer, and another that cannot be verified.
         seen: the states of those that are silent, in words.
         reached_all: false where a stop of all at once was sent with a certificate that stops one robot alone.
+        unfinished: robots that stopped, and whose stop sequence was waited for and not seen to end.
     """
 
     stopped: list[str]
@@ -101,6 +105,7 @@ class StopReport(msgspec.Struct, frozen=True):
     unverified: dict[str, Unverified] = {}
     seen: dict[str, str] = {}
     reached_all: bool = True
+    unfinished: list[str] = []
 
 
 Seen = tuple[int, str, SafetyState | RobotState | PayloadFault]
@@ -119,18 +124,28 @@ Look = Callable[[], Iterable[Seen | Missed | Unproven]]
 Doubt = Callable[[str], Unmet]
 """The reason for which an answer of a robot cannot be verified."""
 
+Told = Callable[[StopReport], None]
+"""Hears the report as soon as it is known, before the end of the stop sequences is waited for."""
+
 
 def stop_from_here(
-    settings: Settings, robot: str, operator: str, timeout_s: float, stopped: Callable[[], bool] = lambda: False
+    settings: Settings,
+    robot: str,
+    operator: str,
+    timeout_s: float,
+    stopped: Callable[[], bool] = lambda: False,
+    *,
+    told: Told | None = None,
 ) -> StopReport:
-    """Stop a robot, or all with ``keys.ALL``, over sessions of our own.
+    """Stop a robot, several by a pattern, or all with ``keys.ALL``, over sessions of our own.
 
     Args:
         settings: where the robots are, and in signed mode where keys and grant are.
-        robot: its name.
+        robot: its name, or a pattern of names.
         operator: who stops; if empty, the name of the grant, or else the login name.
         timeout_s: how long to wait.
         stopped: gives up when it turns true.
+        told: with it the end of the stop sequences is waited for too.
 
     Raises:
         NotSentError: no session opens, or a name or an endpoint is not of its form.
@@ -141,7 +156,7 @@ def stop_from_here(
         try:
             proof = stop_proof(settings)
             name = operator or (proof.name if proof is not None else "") or login_operator()
-            port = stack.enter_context(CommandPort.open(settings, robot, name))
+            port = stack.enter_context(CommandPort.open(settings, keys.chunk_of(robot), name))
         except CommandError as error:
             raise NotSentError(error) from error
         port.prover = proof
@@ -158,10 +173,21 @@ def stop_from_here(
                     proof.sign(port, one[1], one[2].challenge)
                 yield one
 
-        if proof is None:
-            return stop(port, root, robot, timeout_s, look, stopped)
-        report = stop(port, root, robot, timeout_s, look, stopped, proof.doubt)
-        return msgspec.structs.replace(report, reached_all=robot != keys.ALL or proof.may_stop_all)
+        stopping = _Stopping(port, root, robot, look, _unsigned if proof is None else proof.doubt)
+        reached_all = proof is None or robot != keys.ALL or proof.may_stop_all
+        report = msgspec.structs.replace(_settle(stopping, timeout_s, stopped), reached_all=reached_all)
+        if told is None:
+            return report
+        told(report)
+        end_s = time.monotonic() + REST_S
+        while (unfinished := stopping.unfinished(report.stopped)) and not stopped() and time.monotonic() < end_s:
+            stopping.hear()
+            time.sleep(POLL_S)
+        return msgspec.structs.replace(report, unfinished=unfinished)
+
+
+def _unsigned(_robot: str) -> Unmet:
+    return UNSIGNED
 
 
 def _read(heard: Iterable[Arrival], proof: StopProof | None) -> Iterator[Seen | Missed | Unproven]:
@@ -185,14 +211,14 @@ def stop(
     timeout_s: float,
     look: Look,
     stopped: Callable[[], bool] = lambda: False,
-    doubt: Doubt = lambda _: UNSIGNED,
+    doubt: Doubt = _unsigned,
 ) -> StopReport:
-    """Stop a robot, or all with ``keys.ALL``; returns once all stand or cannot be stopped, or after the timeout.
+    """Stop a robot, or several; returns once all stand or cannot be stopped, or after the timeout.
 
     Args:
         port: to the robot, or to all.
         root: of the keys.
-        robot: its name.
+        robot: its name, or a pattern of names.
         timeout_s: how long to wait.
         look: at what the robots publish.
         stopped: gives up when it turns true.
@@ -201,7 +227,10 @@ def stop(
     Raises:
         CommandError: the session is closed.
     """
-    stopping = _Stopping(port, root, robot, look, doubt)
+    return _settle(_Stopping(port, root, robot, look, doubt), timeout_s, stopped)
+
+
+def _settle(stopping: _Stopping, timeout_s: float, stopped: Callable[[], bool]) -> StopReport:
     started_s = time.monotonic()
     while True:
         now_s = time.monotonic()
@@ -217,7 +246,11 @@ _UNCONFIRMED: Final = "its speed reads 0, which no feedback has confirmed"
 
 
 class _Sight:
-    """The evidence that a robot is latched, and that it stands."""
+    """The evidence that a robot is latched, and that it stands.
+
+    Attributes:
+        rests: no stop sequence is under way, by its newest state.
+    """
 
     def __init__(self) -> None:
         self._latch, self._stand = Evidence(), Evidence()
@@ -225,6 +258,7 @@ class _Sight:
         self._says = False
         self._is_confirmed = True
         self._unreadable = ""
+        self.rests = False
 
     def see(self, message: SafetyState | RobotState | PayloadFault, now_ns: int) -> None:
         """It published this."""
@@ -234,6 +268,7 @@ class _Sight:
         if isinstance(message, SafetyState):
             self._says = Reason.REMOTE_STOP in message.latched
             self._is_confirmed = message.rest_confirmed
+            self.rests = message.state is ArbiterState.STANDBY
             evidence, holds = self._latch, self._says
         else:
             speeds = (message.speed_mps, message.rear_left_speed_mps, message.rear_right_speed_mps)
@@ -317,6 +352,10 @@ class _Testimony:
         doubt = self._sights[name].doubt
         return f"it replied that it stops, but {doubt}" if doubt else ""
 
+    def rests(self, name: str) -> bool:
+        """No stop sequence of the robot is under way."""
+        return self._sights[name].rests
+
     def shows(self, name: str) -> str:
         """The states of a robot, in words; empty if none was received."""
         return self._sights[name].words if name in self._sights else ""
@@ -325,20 +364,19 @@ class _Testimony:
 class _Stopping:
     """A remote stop that is under way."""
 
-    def __init__(
-        self, port: CommandPort, root: str, robot: str, look: Look, doubt: Doubt = lambda _: UNSIGNED
-    ) -> None:
+    def __init__(self, port: CommandPort, root: str, robot: str, look: Look, doubt: Doubt = _unsigned) -> None:
         self._port = port
         self._look = look
         self._doubt = doubt
         self._proven, self._unproven = _Testimony(), _Testimony()
         self._robot = robot
         self._robot_of = re.compile(rf"{re.escape(root)}/({keys.ROBOT_PATTERN})/.*")
-        self._expected = set() if robot == keys.ALL else {robot}
+        is_one = "*" not in robot
+        self._expected = {robot} if is_one else set()
         self._questions: list[tuple[int, PendingQuery]] = []
         self._asked = 0
-        self._roll = RollCall(port, root) if robot == keys.ALL else None
-        self._is_counted = robot != keys.ALL
+        self._roll = None if is_one else RollCall(port, root)
+        self._is_counted = is_one
         self._put_s = self._ask_s = float("-inf")
         self._linked = False
 
@@ -354,7 +392,7 @@ class _Stopping:
         return self.all_answered and all(map(self._proven.is_settled, self._proven.answers))
 
     def step(self, now_s: float) -> None:
-        """Say it, and hear who answers."""
+        """Say it, and hear."""
         self._linked = self._linked or self._port.connected()
         if now_s - self._put_s >= REPEAT_S:
             self._put_s = now_s
@@ -366,6 +404,10 @@ class _Stopping:
         if self._roll is not None:
             self._expected |= self._roll.step(now_s)
             self._is_counted = self._roll.is_complete(now_s)
+        self.hear()
+
+    def hear(self) -> None:
+        """Hear who answers, and who stands."""
         for number, question in self._questions:
             for received in question.poll():
                 self._proven.hear(self._robot_in(received), received, number)
@@ -381,6 +423,10 @@ class _Stopping:
                     self._unproven.see(one)
                 case _:
                     self._proven.see(seen)
+
+    def unfinished(self, robots: Iterable[str]) -> list[str]:
+        """Return those of these robots whose stop sequence is under way."""
+        return [name for name in robots if not self._proven.rests(name)]
 
     def report(self) -> StopReport:
         """Return who answered, and who did not."""

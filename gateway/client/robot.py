@@ -6,7 +6,7 @@
         for _ in range(50):
             lease.drive(0.3, angle_deg=5.0)      # holds for 0.5 s unless it is renewed
             time.sleep(0.1)
-        lease.disengage()
+        lease.disengage()                        # returns once the robot stands by
 
 A thread of the library receives the robot's states and keeps the stream of drive commands going. Each failure is
 an exception that carries the reason: ``Refused``, ``Stopped``, ``LeaseLost``, ``Unreachable``.
@@ -24,12 +24,12 @@ from gateway.client import remote_stop
 from gateway.client.drive_stream import HOLD_S, DriveStream, SetPoint
 from gateway.client.link import RobotLink, Sighting
 from gateway.client.link_proof import LinkProof, operator_proof
-from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
-from gateway.client.remote_stop import StopReport
+from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, Unreachable
+from gateway.client.remote_stop import REST_S, StopReport
 from gateway.zenoh.client import place
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import keys
-from schemas.decisions import LeaseReply, Reply, SafetyEvent, SafetyState
+from schemas.decisions import COMMANDING, ArbiterState, LeaseReply, Reply, SafetyEvent, SafetyState
 from schemas.exit_codes import CommandError
 from schemas.operator_name import login_operator
 from schemas.reasons import Reason
@@ -48,7 +48,7 @@ from schemas.requests import (
     Take,
     Unpark,
 )
-from schemas.settings import Settings
+from schemas.settings import RESET_MIN_NS, Settings
 
 log = logging.getLogger(__name__)
 
@@ -62,6 +62,15 @@ ENGAGED_SEEN_S: Final = 1.0
 
 ZERO_SEEN_S: Final = 1.0
 """The time from a drive command of zero speed until safety/state must agree."""
+
+RESET_SEEN_S: Final = 1.0
+"""The same from the reply to reset."""
+
+RESET_AGAIN_S: Final = RESET_MIN_NS / 1e9 + 0.3
+"""For so long a reset that came too soon is asked for again."""
+
+AGAIN_S: Final = 0.05
+"""Pause before that."""
 
 
 class Robot:
@@ -165,10 +174,12 @@ class Robot:
         """Wait until the robot's newest state is so. False if it never was in time."""
         return self._link.wait_for(condition, timeout_s)
 
-    def stop(self, timeout_s: float = CONNECT_TIMEOUT_S) -> None:
+    def stop(self, timeout_s: float = CONNECT_TIMEOUT_S, *, wait: bool = True) -> None:
         """The remote stop: at once, latched, whoever holds the lease. It is no emergency stop.
 
-        Returns once the robot is seen to stand.
+        Args:
+            timeout_s: the longest wait until the robot is seen to stand.
+            wait: return once its stop sequence has ended too, and it can be reset; else once it is seen to stand.
 
         Raises:
             Unreachable: nobody answered. It was sent all the same, again and again.
@@ -191,6 +202,20 @@ class Robot:
             raise Refused(f"{self.name} is not stopped", Reason.NONE, why, robot=self.name)
         if not report.stopped:
             raise Unreachable(f"{self.name} did not answer the stop within {timeout_s:g} s")
+        if wait:
+            self.wait_for_rest()
+
+    def reset(self, lease: int, of: str = "", *, wait: bool = True) -> str:
+        """Clear what is latched, by the number of a lease of the same operator: see ``Lease.reset``."""
+        return _reset(self._link, lease, of, wait=wait)
+
+    def wait_for_rest(self) -> None:
+        """Wait until the robot stands by.
+
+        Raises:
+            RobotError: it is not seen to.
+        """
+        _wait_for_rest(self._link)
 
     def lease(self, role: Role = Role.OPERATOR) -> Lease:
         """The lease, if nobody holds it: acquired where a ``with`` begins, given back where it ends."""
@@ -282,13 +307,16 @@ class Lease:
             raise Stopped(f"{robot} obeys no more", ending.reason, ending.detail, robot=robot)
         self._link.sighting()
 
-    def engage(self, speed_limit_mps: float | None = None, deadman_s: float | None = None) -> None:
+    def engage(
+        self, speed_limit_mps: float | None = None, deadman_s: float | None = None, *, wait: bool = True
+    ) -> None:
         """Take command of the standing chassis. Returns once it reads auto.
 
         Args:
             speed_limit_mps: a lower limit than the configured one.
             deadman_s: a longer deadman than the configured one, up to 1 s, for a link that stalls. The robot
                 drives the slower for it: see ``travel_speed_limit_mps`` in its state.
+            wait: let a stop sequence that is under way end first; else the robot refuses meanwhile.
 
         Raises:
             Refused, LeaseLost, Stopped, Unreachable: it does not.
@@ -296,6 +324,8 @@ class Lease:
         stream = self._in_force()
         if stream.engaged:
             raise Refused(f"{self._link.robot} cannot be engaged", Reason.ALREADY_ENGAGED, robot=self._link.robot)
+        if wait:
+            _let_stop_end(self._link)
         with self._link.heard:
             stream.expect_engaged()
         try:
@@ -337,23 +367,34 @@ class Lease:
                 raise Refused(f"{self._link.robot} cannot be driven", Reason.NOT_ENGAGED, robot=self._link.robot)
             stream.aim(set_point, hold_s, time.monotonic_ns())
 
-    def disengage(self) -> None:
-        """Stop in a controlled way and give up command of the chassis. Returns at once; nothing is latched."""
+    def disengage(self, *, wait: bool = True) -> None:
+        """Stop in a controlled way and give up command of the chassis; nothing is latched.
+
+        Args:
+            wait: return once the robot stands by; else once the stop has begun.
+
+        Raises:
+            RobotError: it is not seen to come to rest.
+        """
         stream = self._in_force()
         with self._link.heard:
             stream.give_up()
         self._ask(Disengage(lease=stream.lease))
+        if wait:
+            _wait_for_rest(self._link)
 
-    def reset(self, of: str = "") -> str:
+    def reset(self, of: str = "", *, wait: bool = True) -> str:
         """Clear what is latched. Returns what that was, in words.
 
         Args:
             of: whose remote stop is cleared, where it was somebody else's: see ``stopped_by`` in its state.
+            wait: let a stop sequence that is under way end first, and what was latched a moment ago become old
+                enough for a reset; else the robot refuses meanwhile. What is latched later is not reset.
 
         Raises:
             Refused: the cause is not gone, or somebody else has stopped the robot (``stopped_by_other``).
         """
-        return self._ask(Reset(self.number, self._link.sighting().state.challenge, of)).detail
+        return _reset(self._link, self.number, of, wait=wait)
 
     def park(self) -> None:
         """Apply the parking brake of the engaged robot, which may still be slowing down to zero."""
@@ -391,15 +432,72 @@ class Lease:
         return self._stream
 
 
+def _reset(link: RobotLink, lease: int, of: str, *, wait: bool) -> str:
+    seen = link.sighting().state
+    challenge = seen.challenge
+    if wait and seen.state is not ArbiterState.STANDBY:
+        _let_stop_end(link)
+        now = link.sighting().state
+        # It is as if the reset were asked for now, and nobody has seen what was latched since it was.
+        challenge = now.challenge
+        if new := [reason for reason in now.latched if reason not in seen.latched]:
+            raise Refused(
+                f"{link.robot} is not reset, for this is new", new[-1], now.stop_detail, robot=link.robot
+            )
+    end_s = time.monotonic() + RESET_AGAIN_S
+    while True:
+        try:
+            cleared = link.ask(Reset(lease, challenge, of), ANSWER_TIMEOUT_S).detail
+        except Refused as refusal:
+            if not wait or refusal.reason not in seen.latched or time.monotonic() > end_s:
+                raise
+            time.sleep(AGAIN_S)
+        else:
+            break
+    if wait:
+        link.wait_for(lambda state: not state.latched, RESET_SEEN_S)
+    return cleared
+
+
+def _let_stop_end(link: RobotLink) -> None:
+    """Wait until no stop sequence is under way, or for so long as one may take: the robot says what it is then.
+
+    The newest state may be from before the stop, so one that is commanded is believed only after a moment.
+    """
+    believed_s = time.monotonic() + ENGAGED_SEEN_S
+
+    def is_over(state: SafetyState) -> bool:
+        return state.state is ArbiterState.STANDBY or (state.state in COMMANDING and time.monotonic() > believed_s)
+
+    link.wait_for(is_over, REST_S)
+
+
+def _wait_for_rest(link: RobotLink) -> None:
+    if not link.wait_for(lambda state: state.state is ArbiterState.STANDBY, REST_S):
+        what = f"{link.robot} was not seen to come to rest within {REST_S:g} s"
+        raise RobotError(what, Reason.NOT_CONFIRMED, robot=link.robot)
+
+
 def stop_all(
-    operator: str = "", settings: Settings | None = None, timeout_s: float = CONNECT_TIMEOUT_S
+    operator: str = "",
+    settings: Settings | None = None,
+    timeout_s: float = CONNECT_TIMEOUT_S,
+    *,
+    wait: bool = True,
 ) -> StopReport:
     """The remote stop of every robot under the root: who is seen to stop, and who is not.
+
+    Args:
+        operator: who stops.
+        settings: where the robots are.
+        timeout_s: the longest wait until they are seen to stand.
+        wait: return once their stop sequences have ended too, and they can be reset.
 
     Raises:
         CommandError: a name or an endpoint is not of its form.
     """
-    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator, timeout_s)
+    told = (lambda _: None) if wait else None
+    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator, timeout_s, told=told)
 
 
 def _problem(link: RobotLink) -> str:

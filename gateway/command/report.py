@@ -194,7 +194,7 @@ def reply(answer: VerbAnswer) -> Reply:
     command = BY_VERB.get(answer.verb)
     kind = command.reply if command is not None else Reply
     accepted = ruling.reason is Reason.NONE
-    text, cure = ruling.text, TEXTS[ruling.reason].cure
+    text, cure = ruling.text, ruling.cure or TEXTS[ruling.reason].cure
     if kind is LeaseReply and accepted:
         return LeaseReply(
             accepted, ruling.reason, text, cure, lease=ruling.lease or 0, expires_s=ruling.expires_ns / _NS_PER_S

@@ -66,6 +66,7 @@ class Ruling(msgspec.Struct, frozen=True):
         lease: the identifier of what the request names, or of what was given.
         expires_ns: the remaining duration of the lease.
         sequence, asked: a drive command's.
+        cure: what would cure it at this moment; empty if it is the reason's.
         age_ns: the greatest age that it can have, where it echoes a known challenge.
     """
 
@@ -77,6 +78,7 @@ class Ruling(msgspec.Struct, frozen=True):
     sequence: int | None = None
     age_ns: int | None = None
     asked: Target | None = None
+    cure: str = ""
 
     @property
     def text(self) -> str:

@@ -213,10 +213,12 @@ class Verbs:
         if self._latches.details and latched_for_ns < RESET_MIN_NS:
             # Whoever sent this reset cannot have seen the newest cause yet.
             detail = f"latched {latched_for_ns / 1e6:.0f} ms ago; a reset counts after {RESET_MIN_NS / 1e6:.0f} ms"
-            return Ruling(self._latches.newest, detail, lease=request.lease)
+            cure = f"wait {(RESET_MIN_NS - latched_for_ns) / 1e9:.1f} s"
+            return Ruling(self._latches.newest, detail, lease=request.lease, cure=cure)
         unseen = self._unseen_reason(request.challenge, now_ns)
         if unseen is not Reason.NONE:
-            return Ruling(unseen, "it was made before this was to be seen", lease=request.lease)
+            detail, cure = "it was made before this was to be seen", "look at what is latched now, and reset that"
+            return Ruling(unseen, detail, lease=request.lease, cure=cure)
         others = [name for name in self._latches.stopped_by if name != operator]
         if others and request.of != others[0]:
             return Ruling(Reason.STOPPED_BY_OTHER, others[0], lease=request.lease)

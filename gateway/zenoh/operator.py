@@ -50,9 +50,10 @@ class Prover(Protocol):
 
 
 class CommandPort(SessionOwner):
-    """Sends an operator's commands to one robot, or to all. Owns its session.
+    """Sends an operator's commands to one robot, or stops to several: the chunk of their keys. Owns its session.
 
     Attributes:
+        operator: whose they are.
         prover: proves the commands, in signed mode.
     """
 
@@ -63,6 +64,7 @@ class CommandPort(SessionOwner):
             ValueError: a part of the keys is not of its form.
         """
         super().__init__(session)
+        self.operator = operator
         self.prover: Prover | None = None
         self._authority = keys.authority(root, robot)
         self._keys = {verb: keys.command(root, robot, operator, verb) for verb in BY_VERB}
@@ -73,7 +75,7 @@ class CommandPort(SessionOwner):
             "express": COMMAND_QOS.express,
         }
         # A reply is as express as its question, and then has a batch of its own: most of a fleet's were dropped.
-        self._asking_qos = self._qos | {"express": COMMAND_QOS.express and robot != keys.ALL}
+        self._asking_qos = self._qos | {"express": COMMAND_QOS.express and "*" not in robot}
         # Its stub says that the matching status is a bool; it is an object, and always true.
         self._querier: Any = session.declare_querier(self._keys["acquire"])
 

@@ -7,7 +7,7 @@ from pkgutil import resolve_name
 import msgspec
 import pytest
 
-from gateway.cli import drive, engaged, lease, reset, stop, watch, why
+from gateway.cli import drive, lease, reset, stop, watch, why
 from gateway.cli.main import COMMANDS
 from gateway.cli.verbs import HORN, LIGHT, ODOMETER, PARK, UNPARK
 from gateway.client.robot import Robot
@@ -42,11 +42,6 @@ def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = 
     code = module.run(arguments, settings, StopWhen(until))  # type: ignore[attr-defined]
     assert isinstance(code, int)
     return code
-
-
-def counts_a_reset(fake: FakeRobot) -> bool:
-    """Is what is latched so old that a reset counts?"""
-    return fake.now_ns - fake.flow.arbiter.latches.newest_ns > RESET_MIN_NS
 
 
 def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture) -> None:
@@ -111,7 +106,7 @@ def test_drive_says_what_was_latched_as_it_came_to_rest(capsys: Capture) -> None
 
 def test_drive_says_that_the_robot_was_not_seen_to_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its parking brake never reads applied: it stands in gear, and its motor holds it."""
-    monkeypatch.setattr(engaged, "REST_S", 3.0)
+    monkeypatch.setattr("gateway.client.robot.REST_S", 3.0)
     with FakeRobot() as fake:
 
         def loosen() -> bool:
@@ -164,7 +159,9 @@ def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None
         assert len(fake.accepted(verb)) == 1
         assert fake.state is ArbiterState.STANDBY
         assert fake.flow.arbiter.leases.held is None
-    assert capsys.readouterr().out == ""
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("cruiser-1: engages the robot for this;")
 
 
 @pytest.mark.parametrize("verb", ACTIONS)
@@ -194,7 +191,6 @@ def test_stop_and_reset(capsys: Capture) -> None:
         assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
         with pytest.raises(CommandError, match="remote_stop"):
             run(PARK, fake.listen, "cruiser-1")
-        wait_until(lambda: counts_a_reset(fake))
         assert run(reset, fake.listen, "cruiser-1") == 0
         assert not fake.flow.arbiter.latches.details
         assert run(reset, fake.listen, "cruiser-1") == 0
@@ -215,13 +211,52 @@ def test_a_stop_of_somebody_elses_is_reset_by_name(capsys: Capture) -> None:
         with Robot.connect("cruiser-1", "bob", settings, 20) as robot:
             robot.stop()
             assert robot.state().state.stopped_by == ["bob"]
-        wait_until(lambda: counts_a_reset(fake))
-        with pytest.raises(CommandError, match=r"bob.*--of") as caught:
+        with pytest.raises(CommandError, match="bob") as caught:
             run(reset, fake.listen, "cruiser-1")
+        assert "'cruiser reset cruiser-1 --of NAME'" in caught.value.line
         assert caught.value.code is ExitCode.REFUSED
         assert run(why, fake.listen, "cruiser-1") == ExitCode.FAILURE
         assert "stopped by bob" in capsys.readouterr().out
         assert run(reset, fake.listen, "cruiser-1", "--of", "bob") == ExitCode.OK
+
+
+def test_stop_reset_and_drive_follow_each_other(capsys: Capture) -> None:
+    """Each returns when it is done: nothing has to be waited for in between."""
+    with FakeRobot() as fake:
+        settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))
+        with Robot.connect("cruiser-1", "first", settings, 20) as robot, robot.lease() as held:
+            held.engage()
+            held.unpark()
+            wait_until(lambda: fake.speed_mps > 0.2, lambda: held.drive(1.0))
+            assert run(stop, fake.listen, "cruiser-1", "--no-wait") == 0
+            assert robot.state().state.state is ArbiterState.STOPPING
+            assert run(stop, fake.listen, "cruiser-1") == 0
+            assert fake.state is ArbiterState.STANDBY
+        assert run(reset, fake.listen, "cruiser-1") == 0
+        assert run(drive, fake.listen, "cruiser-1", "--speed", "0.2", "--seconds", "0.3") == 0
+    assert capsys.readouterr().out.splitlines()[:3] == [
+        "cruiser-1: stops, latched until a reset",
+        "cruiser-1: stops, latched until a reset",
+        "cruiser-1: cleared remote_stop",
+    ]
+
+
+def test_stop_takes_several_names_and_patterns(capsys: Capture) -> None:
+    """Those that are meant alone; a name or a pattern that nobody answers to is said, exit code 3."""
+    with (
+        FakeRobot("depot-1") as fake,
+        FakeRobot("depot-2", connect=fake.listen) as second,
+        FakeRobot("yard-1", connect=fake.listen) as third,
+        FakeRobot("yard-2", connect=fake.listen) as other,
+    ):
+        assert run(stop, fake.listen, "depot-*", "yard-1", "--json") == 0
+        assert json.loads(capsys.readouterr().out)["stopped"] == ["depot-1", "depot-2", "yard-1"]
+        assert all(Reason.REMOTE_STOP in one.flow.arbiter.latches.details for one in (fake, second, third))
+        assert not other.flow.arbiter.latches.details
+        assert run(stop, fake.listen, "yard-2", "hall-*", "--timeout", "3") == ExitCode.PARTIAL
+        said = capsys.readouterr()
+    assert said.out == "yard-2: stops, latched until a reset\n"
+    assert said.err == "hall-*: NO ANSWER; it was sent all the same. Use the button on the robot\n"
 
 
 def test_reset_leaves_a_lease_of_another_alone() -> None:
@@ -305,7 +340,6 @@ def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
         assert "nothing is wrong" not in text
         assert "lately:" in text
         assert "latched until a reset" in text
-        wait_until(lambda: counts_a_reset(fake))
         assert run(reset, fake.listen, "cruiser-1") == 0
         capsys.readouterr()
         settings = Settings(zenoh=ZenohSettings(connect=[fake.listen]))

@@ -1,3 +1,4 @@
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -62,7 +63,7 @@ def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
         assert all(one.tick < first for one in fake.refused("drive"))
         assert fake.accepted("drive")[-1].requested_angle_deg == 5.0
         lease.disengage()
-        assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, 20)
+        assert robot.state().state.state is ArbiterState.STANDBY
         with pytest.raises(Refused) as caught:
             lease.drive(0.5)
         assert caught.value.reason is Reason.NOT_ENGAGED
@@ -130,8 +131,8 @@ def test_a_stop_ends_the_stream_and_is_told_with_its_reason() -> None:
         with pytest.raises(Stopped) as caught:
             lease.drive(1.0)
         assert caught.value.reason is Reason.FRONT_BUMPER
-        assert caught.value.cure == cure_of(TEXTS[Reason.FRONT_BUMPER].cure, "cruiser-1")
-        assert "'cruiser reset cruiser-1'" in str(caught.value)
+        assert caught.value.line.endswith(cure_of(TEXTS[Reason.FRONT_BUMPER].cure, "cruiser-1"))
+        assert "'cruiser reset cruiser-1'" in caught.value.line
         assert caught.value.code is ExitCode.FAILURE
         assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, 20)
         fake.front_bumper = False
@@ -193,7 +194,8 @@ def test_what_is_refused_says_why_and_what_would_cure_it() -> None:
         with pytest.raises(Refused) as caught:
             lease.park()
         assert caught.value.reason is Reason.NOT_ENGAGED
-        assert "'cruiser drive cruiser-1'" in caught.value.cure
+        assert "lease.engage()" in caught.value.cure
+        assert "'cruiser drive cruiser-1'" in caught.value.line
         assert caught.value.code is ExitCode.REFUSED
         assert "park" in str(caught.value)
         assert caught.value.detail in str(caught.value)
@@ -246,6 +248,45 @@ def test_a_lower_speed_limit_holds_until_disengaged() -> None:
     with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
         lease.engage(speed_limit_mps=0.3)
         assert robot.state().state.speed_limit_mps == 0.3
+
+
+def test_what_returns_is_done_and_what_follows_is_taken() -> None:
+    """Unless nobody waits: then a stop sequence is under way, and the next request lets it end."""
+    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+        lease.disengage(wait=False)
+        with pytest.raises(Refused, match="stopping"):
+            lease.engage(wait=False)
+        lease.engage()
+        robot.stop(30, wait=False)
+        with pytest.raises(Refused, match="stopping"):
+            lease.reset(wait=False)
+        assert lease.reset() == "remote_stop"
+        assert not robot.state().state.latched
+        lease.engage()
+        robot.stop(30)
+        assert fake.state is ArbiterState.STANDBY
+        # At standby a stop is over at once, and a moment too young to be reset.
+        robot.stop(30)
+        fake.flow.arbiter.latches.newest_ns = fake.now_ns
+        tick = robot.state().state.tick
+        assert robot.wait_for(lambda state: state.tick > tick + 1, 5)
+        with pytest.raises(Refused, match=r"latched \d+ ms ago.*Cure: wait 0\.\d s") as caught:
+            lease.reset(wait=False)
+        assert caught.value.reason is Reason.REMOTE_STOP
+        assert lease.reset() == "remote_stop"
+
+
+def test_what_is_latched_after_a_reset_was_asked_for_is_not_reset() -> None:
+    """The reset waits for the end of a stop, and nobody has seen what comes meanwhile."""
+    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+        robot.stop(30, wait=False)
+        latch = threading.Timer(0.1, fake.flow.arbiter.engagement.latch, (Reason.OVERSPEED, "", fake.now_ns))
+        latch.start()
+        with pytest.raises(Refused, match="is not reset, for this is new") as caught:
+            lease.reset()
+        latch.join()
+        assert caught.value.reason is Reason.OVERSPEED
+        assert set(fake.flow.arbiter.latches.details) == {Reason.REMOTE_STOP, Reason.OVERSPEED}
 
 
 def test_the_remote_stop_needs_no_lease() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 import pytest
 
@@ -15,7 +16,13 @@ from schemas.settings import Settings
 
 def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int:
     """Run the command, whose stop ends so."""
-    monkeypatch.setattr(remote_stop, "stop_from_here", lambda *_: report)
+
+    def stop_from_here(*_: object, told: Callable[[StopReport], None] | None) -> StopReport:
+        if told is not None:
+            told(report)
+        return report
+
+    monkeypatch.setattr(remote_stop, "stop_from_here", stop_from_here)
     parser = argparse.ArgumentParser()
     stop.add_arguments(parser)
     return stop.run(parser.parse_args(list(words)), Settings(), lambda: False)

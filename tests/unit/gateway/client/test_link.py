@@ -76,6 +76,7 @@ class FakeDoor(FakePort):
     def __init__(self, *answers: Reason | None) -> None:
         super().__init__([])
         self.prover: Any = None
+        self.operator = "ann"
         self.answers = list(answers)
         self.asked = 0
 

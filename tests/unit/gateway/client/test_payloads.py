@@ -31,7 +31,7 @@ def test_a_reply_of_a_newer_robot_is_read_as_far_as_it_is_known(command: Command
     read = read_reply(command, Received("key", command.reply_encoding, with_new_word(reply, ("reason",))))
     assert isinstance(read, Reply)
     assert (read.ok, read.reason.value, read.detail) == (False, NEW_WORD, "d")
-    assert NEW_WORD in str(refused("cruiser-1", command.verb, read))
+    assert NEW_WORD in str(refused("cruiser-1", command.verb, read, "ann"))
     other = read_reply(command, Received("key", newer(command.reply_encoding), b""))
     assert isinstance(other, PayloadFault)
     assert other.detail.endswith("and this program knows 1: upgrade this program")

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, refused
 from schemas.decisions import Reply
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason, cure_of
 
 
 @pytest.mark.parametrize("kind", [Refused, Stopped, LeaseLost])
@@ -18,6 +18,23 @@ def test_a_cure_names_the_robot(kind: type[RobotError], reason: Reason) -> None:
 
 def test_so_does_that_of_a_reply() -> None:
     """The robot's own words quote commands for any robot."""
-    cure = "engage with 'cruiser drive ROBOT'"
-    error = refused("cruiser-7", "unpark", Reply(ok=False, reason=Reason.NOT_ENGAGED, detail="", cure=cure))
-    assert error.cure == "engage with 'cruiser drive cruiser-7'"
+    cure = "ask at ROBOT"
+    error = refused("cruiser-7", "unpark", Reply(ok=False, reason=Reason.NOT_ENGAGED, detail="", cure=cure), "ann")
+    assert error.cure == "ask at cruiser-7"
+
+
+@pytest.mark.parametrize("reason", [reason for reason in Reason if "provision" not in TEXTS[reason].cure])
+def test_programs_are_cured_by_methods_and_people_by_commands(reason: Reason) -> None:
+    """Only what nobody does by the library stays a command. The line for people is the robot's own."""
+    error = Refused("it does not", reason, robot="cruiser-7")
+    assert "cruiser " not in error.cure
+    assert error.line.endswith(cure_of(TEXTS[reason].cure, "cruiser-7"))
+
+
+def test_another_session_of_the_same_person_is_called_so() -> None:
+    """By ann, to ann, would say nothing."""
+    means = TEXTS[Reason.LEASE_HELD].means
+    held = Reply(ok=False, reason=Reason.LEASE_HELD, detail=f"{means}; by ann, expires in 1.9 s", cure="")
+    said = refused("cruiser-7", "acquire", held, "ann")
+    assert "another session of ann holds the lease; it expires in 1.9 s" in str(said)
+    assert "by ann, expires" in str(refused("cruiser-7", "acquire", held, "bob"))
