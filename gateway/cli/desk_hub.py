@@ -54,9 +54,6 @@ STOPS_MAX: Final = 4
 
 STOP_THREADS: Final = 16
 
-SAID_MAX: Final = 8
-"""Messages of one browser that are read in a period; it waits with more, so that nobody else has to."""
-
 LOOK_NS: Final = 500_000_000
 """The last minutes of a robot are sent to one browser at most so often: making them takes milliseconds."""
 
@@ -79,8 +76,6 @@ class Browser:
     Attributes:
         outbox: what waits to be sent to it.
         ready: set when something does.
-        turn: set while it may say more in this period.
-        said: messages that were read in this period.
         questions: those under way, by the browser's own numbers.
         replies: how many came to each of them.
         stops: robots that it has stopped, as long as the outcome is looked for.
@@ -91,9 +86,6 @@ class Browser:
     def __init__(self) -> None:
         self.outbox = BrowserOutbox()
         self.ready = asyncio.Event()
-        self.turn = asyncio.Event()
-        self.turn.set()
-        self.said = 0
         self.questions: dict[int, PendingQuery] = {}
         self.replies: Counter[int] = Counter()
         self.stops: set[str] = set()
@@ -170,8 +162,6 @@ class Hub:
         for browser in self._browsers:
             self._carry_replies(browser)
             self._show_history(browser)
-            browser.said = 0
-            browser.turn.set()
         if now_ns - self._rows_ns < ROWS_S * 1e9:
             return
         self._rows_ns = now_ns
@@ -186,9 +176,6 @@ class Hub:
 
     def receive(self, browser: Browser, data: bytes) -> None:
         """Do what a browser says. Whatever cannot be read, or done, is answered in words."""
-        browser.said += 1
-        if browser.said >= SAID_MAX:
-            browser.turn.clear()
         try:
             self._obey(browser, words.decode(data))
         except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:

@@ -57,8 +57,6 @@ async def _serve(socket: WebSocket, hub: Hub) -> None:
             if message["type"] == "websocket.disconnect":
                 return
             hub.receive(browser, message.get("bytes") or b"")
-            # Who says too much waits, and nobody else.
-            await browser.turn.wait()
     finally:
         hub.leave(browser)
         sending.cancel()

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Final
 from recorder.cli.show import show
 from recorder.disk.upload_note import UploadNote
 from recorder.upload.background import enter_background
-from recorder.upload.pace import RateLimit, is_within
+from recorder.upload.hours import is_within
 from recorder.upload.relay import paced_way
 from recorder.upload.row import row_maker
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.missing_extra import missing_extra
 from schemas.printable import plain
+from schemas.rate_limit import RateLimit
 from schemas.recorder_settings import UploadSettings
 from schemas.settings import Settings
 

@@ -17,8 +17,8 @@ import msgspec
 from recorder.mcap.reader import is_mcap
 from recorder.reading.contents import read_contents
 from recorder.record.robots import METADATA_NAME
-from recorder.upload.pace import RateLimit
 from schemas.file_kinds import other_kind
+from schemas.rate_limit import RateLimit
 
 READ_BYTES: Final = 65_536
 

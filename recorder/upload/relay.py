@@ -17,7 +17,7 @@ from contextlib import asynccontextmanager, suppress
 from typing import Final, cast
 from urllib.parse import urlsplit
 
-from recorder.upload.pace import RateLimit
+from schemas.rate_limit import RateLimit
 
 PIECE_BYTES: Final = 8192
 
@@ -90,7 +90,7 @@ class _Relay:
         for family, _, _, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
             one = socket.socket(family, socket.SOCK_STREAM)
             try:
-                _yield_to_others(one, self._up.bytes_per_s)
+                _yield_to_others(one, self._up.per_s)
                 one.setblocking(False)  # noqa: FBT003 - the library's own
                 await loop.sock_connect(one, address)
                 return await asyncio.open_connection(sock=one, limit=PIECE_BYTES)
@@ -103,7 +103,7 @@ class _Relay:
         raise failure
 
 
-def _yield_to_others(one: socket.socket, bytes_per_s: int) -> None:
+def _yield_to_others(one: socket.socket, bytes_per_s: float) -> None:
     """Before it is connected: little of it under way, and that less urgent than all else."""
     under_way = max(UNDER_WAY_MIN_BYTES, int(UNDER_WAY_S * bytes_per_s))
     one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, under_way)

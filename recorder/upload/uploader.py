@@ -33,10 +33,10 @@ from recorder.upload.manifest import (
     object_names,
     read_manifest,
 )
-from recorder.upload.pace import RateLimit
 from recorder.upload.row import RowError, Summarize
 from recorder.upload.store import LogStore
 from schemas.printable import plain
+from schemas.rate_limit import RateLimit
 
 log = logging.getLogger(__name__)
 

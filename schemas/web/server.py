@@ -7,7 +7,7 @@ import contextlib
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import uvicorn
 from starlette.applications import Starlette
@@ -17,6 +17,8 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.routing import BaseRoute, Mount
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from schemas.web.door import Door
 
 HEADERS: Final = {
     # Nothing but this server's own files, and no script in the page itself.
@@ -33,6 +35,10 @@ HEADERS: Final = {
 
 PING_S: Final = 2.0
 """A browser that is not heard for this time after a ping is gone."""
+
+
+HEAD_BYTES: Final = 8192
+"""The longest head of a request."""
 
 
 class SecurityHeaders:
@@ -83,12 +89,30 @@ def is_own(scheme: str, headers: Headers) -> bool:
 
 
 class _Server(uvicorn.Server):
-    """A server that leaves the signals to the command."""
+    """A server that leaves the signals to the command, and the connections to the door."""
+
+    def __init__(self, config: uvicorn.Config, door: Door) -> None:
+        super().__init__(config)
+        self._door = door
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Take no signals."""
         yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Open the door."""
+        await super().startup(sockets)
+        self._door.open(self._protocol, self.config.ssl)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Close the door, and end what is open."""
+        self._door.close()
+        await super().shutdown(sockets)
+
+    def _protocol(self, state: dict[str, Any]) -> asyncio.Protocol:
+        protocol: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
+        return protocol(config=self.config, server_state=self.server_state, app_state=state)
 
 
 async def serve(
@@ -108,9 +132,10 @@ async def serve(
         socket_bytes: the longest message over a WebSocket; 0 is for a page that opens none.
     """
     chain, key = certificate if certificate is not None else (None, None)
+    door = Door(app, listening)
     server = _Server(
         uvicorn.Config(
-            app,
+            door,
             ws="websockets-sansio" if socket_bytes else "none",
             ws_max_size=socket_bytes,
             ws_ping_interval=PING_S,
@@ -124,7 +149,10 @@ async def serve(
             timeout_graceful_shutdown=1,
             ssl_certfile=chain,
             ssl_keyfile=key,
-        )
+            h11_max_incomplete_event_size=HEAD_BYTES,
+            proxy_headers=False,
+        ),
+        door,
     )
 
     async def end() -> None:
@@ -134,4 +162,4 @@ async def serve(
 
     async with asyncio.TaskGroup() as group:
         group.create_task(end())
-        await server.serve([listening])
+        await server.serve([])

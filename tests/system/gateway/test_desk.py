@@ -6,8 +6,9 @@ import http.client
 import re
 import signal
 import socket
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from urllib.parse import urlparse
 
@@ -23,6 +24,7 @@ from tests.support.messages import STATE
 from tests.support.metrics import received
 from tests.support.nights import by_night
 from tests.support.processes.desk import (
+    ATTEMPTS,
     DeskScene,
     chromium,
     desk_scene,
@@ -197,6 +199,55 @@ def test_a_desk_that_dies_while_somebody_drives_stops_the_robot(
             page.get_by_text("You no longer drive").wait_for()
             assert max(map(abs, scene.told_mps()[stood:])) == 0
             assert scene.desk.stop() == 0
+
+
+def flood(address: str, said: bytes, ended: threading.Event) -> None:
+    """A raw socket of this machine opens the WebSocket, and says this over and over; again when it is cut off."""
+    host = urlparse(address).netloc
+    place = ("127.0.0.1", int(host.rpartition(":")[2]))
+    head = "".join(f"{name}: {value}\r\n" for name, value in upgrade(f"http://{host}", host).items())
+    while not ended.is_set():
+        with (
+            closing(socket.create_connection(place)) as loud,
+            suppress(OSError),
+        ):
+            loud.sendall(f"GET /link HTTP/1.1\r\n{head}\r\n".encode())
+            loud.recv(1)
+            loud.settimeout(0.05)
+            left = said
+            while not ended.is_set():
+                with suppress(TimeoutError):
+                    left = left[loud.send(left) :] or said
+                    loud.recv(1 << 20)
+
+
+@pytest.mark.parametrize("opcode", [by_night(0x89), 0x8A, by_night(0x82)], ids=["pings", "pongs", "messages"])
+def test_no_flood_of_other_connections_stops_a_driven_robot(opcode: int, context: BrowserContext) -> None:
+    """Megabytes of the smallest frames, from the address of the browser; a stop from its page is carried out."""
+    with desk_scene() as scene:
+        page = open_robot(context, scene)
+        ended = threading.Event()
+        said = bytes([opcode, 0x80, 0, 0, 0, 0]) * 10_000
+        flooding = [threading.Thread(target=flood, args=(scene.address, said, ended)) for _ in range(8)]
+        for one in flooding:
+            one.start()
+        try:
+            # A busy machine may let it stop once or twice; a flood that is read as it comes does so each time.
+            for _ in range(ATTEMPTS):
+                drive(scene, page)
+                told = len(scene.told_mps())
+                wait_until(lambda told=told: len(scene.told_mps()) > told + 300 or not scene.is_told_to_move)  # type: ignore[misc]
+                if scene.is_told_to_move:
+                    break
+                page.mouse.up()
+            assert min(scene.told_mps()[told:]) > 0
+            page.keyboard.press("Escape")
+            page.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
+            page.mouse.up()
+        finally:
+            ended.set()
+            for one in flooding:
+                one.join()
 
 
 def test_a_desk_that_hangs_shows_nothing_as_current_and_no_stop_as_made(context: BrowserContext) -> None:

@@ -14,7 +14,6 @@ from gateway.cli.desk_hub import (
     LOOK_NS,
     QUESTIONS_MAX,
     REPLIES_MAX,
-    SAID_MAX,
     SAMPLE_MAX_BYTES,
     STOPS_MAX,
     Browser,
@@ -258,19 +257,6 @@ def test_a_browser_that_stops_too_many_is_told_that_it_learns_no_more() -> None:
             hold.set()
 
     asyncio.run(scenario())
-
-
-def test_who_says_too_much_waits_and_nobody_else() -> None:
-    """In each period a few messages of a browser are read, however many it has sent."""
-    scene = Scene()
-    loud, quiet = scene.hub.join(), scene.hub.join()
-    for _ in range(SAID_MAX):
-        assert loud.turn.is_set()
-        scene.say(loud, **{"is": "look", "robot": ""})
-    assert not loud.turn.is_set()
-    assert quiet.turn.is_set()
-    scene.step()
-    assert loud.turn.is_set()
 
 
 def test_the_last_minutes_are_put_together_seldom() -> None:

@@ -16,11 +16,11 @@ from recorder.upload import finished
 from recorder.upload import store as stores
 from recorder.upload import uploader as uploading
 from recorder.upload.manifest import NAMESAKES_MAX, ROW_SUFFIX, UploadManifest, UploadState
-from recorder.upload.pace import RateLimit
 from recorder.upload.row import RowError
 from recorder.upload.store import LogStore, ObstoreLogs
 from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.rate_limit import RateLimit
 from tests.support.fakes.log_store import FakeLogStore
 from tests.support.logs import gears, own_log, saved
 

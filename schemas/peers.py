@@ -1,0 +1,176 @@
+"""Who is connected to a server of ours, and what each may say. Pure: the server's own loop asks.
+
+A peer is an address. All behind one proxy share one, and all on one machine. So each connection is bounded by
+itself too, and one that is of use keeps its place.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections import Counter
+from typing import Final, Generic, TypeVar
+
+from schemas.rate_limit import RateLimit
+
+CONNECTIONS_MAX: Final = 256
+PEER_CONNECTIONS_MAX: Final = 128
+"""Connections that are open, of all and of one peer."""
+
+FILES_SHARE: Final = 0.5
+"""The part of the files that this process may open that connections may take. Zenoh and the logs have the rest."""
+
+CONNECTS_PER_S: Final = 100.0
+PEER_CONNECTS_PER_S: Final = 50.0
+"""Connections that are taken in, of all and of one peer..."""
+
+CONNECT_BURST_S: Final = 2.0
+"""... after a pause of this time so many at once as it would have had room for."""
+
+REQUEST_S: Final = 10.0
+"""Within this time a connection asks for something; it counts anew from each answer."""
+
+FRAME_BYTES: Final = 512
+"""A frame of a WebSocket, and a piece that is read, counts as so many bytes besides what it carries."""
+
+SOCKET_BYTES_PER_S: Final = 65_536
+SOCKET_BURST_S: Final = 1.0
+"""Bytes of a WebSocket that are read. A page that drives says 50 messages a second, of 0.4 kB each."""
+
+PORTION_BYTES: Final = 8 * FRAME_BYTES
+"""Bytes of one connection that are read before it is the turn of others."""
+
+PIECES_MAX: Final = 64
+"""Pieces that a message of a WebSocket may have. Browsers do not cut them up."""
+
+Connection = TypeVar("Connection")
+
+
+def peer_of(host: str) -> str:
+    """The peer that an address belongs to: a network of IPv6 has 2**64 addresses, and is one peer."""
+    address = ipaddress.ip_address(host.partition("%")[0])
+    if isinstance(address, ipaddress.IPv4Address):
+        return str(address)
+    if address.ipv4_mapped is not None:
+        return str(address.ipv4_mapped)
+    return str(ipaddress.ip_network((address, 64), strict=False))
+
+
+def most_connections(files: int) -> int:
+    """Return the number of connections for a process that may open so many files."""
+    return max(1, min(CONNECTIONS_MAX, int(files * FILES_SHARE)))
+
+
+class Peers(Generic[Connection]):
+    """The connections of a server.
+
+    Where there is no room, a new one takes the place of the oldest that asks for nothing: of its own peer, or of
+    the peer that has the most. So no connections without a request keep anybody out.
+
+    Args:
+        most: connections of all peers.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._peer_most = min(PEER_CONNECTIONS_MAX, most)
+        self._rate = RateLimit(CONNECTS_PER_S, CONNECT_BURST_S)
+        self._rates: dict[str, RateLimit] = {}
+        self._peers: dict[Connection, str] = {}
+        self._counts: Counter[str] = Counter()
+        self._silent: dict[Connection, None] = {}
+        """Those that ask for nothing, the oldest first."""
+
+    def __len__(self) -> int:
+        return len(self._peers)
+
+    def pause_s(self, now_s: float) -> float:
+        """The time in which nobody is taken in: too many came."""
+        return self._rate.delay_s(0, now_s)
+
+    def enter(self, connection: Connection, peer: str, now_s: float) -> list[Connection] | None:
+        """Take a connection in. Returns those to be cut for it, which have left; None if it cannot be taken in."""
+        rate = self._rates.setdefault(peer, RateLimit(PEER_CONNECTS_PER_S, CONNECT_BURST_S))
+        if rate.delay_s(0, now_s):
+            return None
+        rate.delay_s(1, now_s)
+        self._rate.delay_s(1, now_s)
+        gone = []
+        if self._counts[peer] >= self._peer_most or len(self._peers) >= self._most:
+            is_own = self._counts[peer] >= self._peer_most
+            candidates = [one for one in self._silent if not is_own or self._peers[one] == peer]
+            if not candidates:
+                return None
+            gone = [max(candidates, key=lambda one: self._counts[self._peers[one]])]
+            self.leave(gone[0])
+        self._peers[connection] = peer
+        self._counts[peer] += 1
+        self._silent[connection] = None
+        self._forget()
+        return gone
+
+    def asks(self, connection: Connection) -> None:
+        """It has asked for something, and keeps its place until it is answered."""
+        self._silent.pop(connection, None)
+
+    def rests(self, connection: Connection) -> None:
+        """It has been answered."""
+        if connection in self._peers:
+            self._silent[connection] = None
+
+    def leave(self, connection: Connection) -> None:
+        """It has ended, however often that is said."""
+        peer = self._peers.pop(connection, None)
+        self._silent.pop(connection, None)
+        if peer is not None:
+            self._counts[peer] -= 1
+
+    def _forget(self) -> None:
+        """Forget peers that have gone: there are very many addresses."""
+        if len(self._rates) > 2 * CONNECTIONS_MAX:
+            self._counts = +self._counts
+            self._rates = {peer: rate for peer, rate in self._rates.items() if peer in self._counts}
+
+
+class SocketFrames:
+    """Where the frames of a WebSocket begin and end, by their heads (RFC 6455, 5.2).
+
+    Attributes:
+        pieces: of the message that has not ended.
+    """
+
+    def __init__(self) -> None:
+        self._head = bytearray()
+        self._left = 0
+        self.pieces = 0
+
+    def portion(self, data: bytes | bytearray) -> tuple[int, int]:
+        """Return the bytes at the beginning that make a portion, and how many they count as."""
+        place = cost = 0
+        while place < len(data) and cost < PORTION_BYTES:
+            if self._left:
+                step = min(self._left, len(data) - place, PORTION_BYTES - cost)
+                self._left -= step
+                place += step
+                cost += step
+                continue
+            self._head.append(data[place])
+            place += 1
+            if len(self._head) >= 2 and len(self._head) == self._head_bytes():
+                cost += FRAME_BYTES
+                self._begin()
+        return place, max(cost, FRAME_BYTES)
+
+    def _head_bytes(self) -> int:
+        return 2 + self._length_bytes() + (4 if self._head[1] & 0x80 else 0)
+
+    def _length_bytes(self) -> int:
+        return {126: 2, 127: 8}.get(self._head[1] & 0x7F, 0)
+
+    def _begin(self) -> None:
+        extended = self._length_bytes()
+        self._left = int.from_bytes(self._head[2 : 2 + extended]) if extended else self._head[1] & 0x7F
+        is_control = bool(self._head[0] & 0x08)
+        is_last = bool(self._head[0] & 0x80)
+        if not is_control:
+            self.pieces = 0 if is_last else self.pieces + 1
+        self._head.clear()
