@@ -34,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
     parser.add_argument("--hold", action="store_true", help="acquire it, print its number, keep it until Ctrl-C")
     add_take_arguments(parser)
-    parser.add_argument("--engage", action="store_true", help="engage the robot as well; it stands")
+    parser.add_argument(
+        "--engage", action="store_true", help="engage the robot as well; it stands, until command.idle_s ends that"
+    )
     parser.add_argument("--seconds", type=seconds, metavar="S", help="keep it for this time")
     parser.add_argument("--json", action="store_true", help="one JSON object")
 

@@ -19,6 +19,7 @@ from tests.system.scenarios.plant import (
     BODY,
     DRIVE,
     GEAR_N,
+    LIGHT_CMD,
     MOTION_CMDS,
     PARKING_MPS2,
     REMOTE,
@@ -118,7 +119,7 @@ class Oracle:
         # What is asked.
         self._asked_mps = 0.0
         self._asked_s = -9.0
-        self._zero_since_s = 0.0
+        self._zero_since_s = self._engaged_s = 0.0
         self._is_permitted = self._was_engaged = False
         self._engage_asked_s: float | None = None
         self._cause_s: float | None = None
@@ -181,7 +182,7 @@ class Oracle:
         if verb == "engage" and fields["ok"]:
             self._is_permitted, self._cause_s, self._emergency = True, None, False
             self._engage_asked_s = None
-            self._asked_s = now_s
+            self._asked_s = self._engaged_s = now_s
             self._rest_m, self._rest_sign, self._rest_is_stop, self._rest_bound_m = None, 0.0, False, 0.0
         elif verb == "park" and plant is not None:
             standing = self._was_engaged and self._is_permitted and now_s - self._zero_since_s > 0.1
@@ -228,6 +229,7 @@ class Oracle:
             self._bytes[identifier] = data
         if set(MOTION_CMDS) <= {identifier for identifier, _ in frames}:
             self._judge_order(told(self._bytes, fine=self._fine), now_s)
+            self._judge_hazard(now_s, is_due=by_guard or (bool(self._latched) and not self._is_permitted))
 
     def motion(self, plant: Plant, now_s: float, *, gateway_lives: bool) -> None:
         self._plant = plant
@@ -240,6 +242,8 @@ class Oracle:
         if not plant.can_hold or not self._follows(plant):
             self.disturb(now_s, 3.0)
         self._expect_deadman(now_s)
+        if self._is_permitted and self._idle_s(now_s) > SEEING_S:
+            self._fail("idle_engaged", now_s, f"engaged, and asked for nothing since {self._zero_since_s:.1f} s")
         is_back = self._was_excused and now_s >= self._excused_until_s
         if is_back and not self._is_permitted and (plant.speed_mps or plant.mode == AUTO):
             # Back in our hands, and maybe moving: from here on it is a stop like any other.
@@ -290,6 +294,7 @@ class Oracle:
             "gear_change_unbraked": shifts and not (order.parking and last.parking),
             "gear_reserved": order.gear not in {*SIGN, GEAR_N},
             "speed_against_brake": order.speed_mps > 0 and order.parking,
+            "unwarned": order.speed_mps > 0 and now_s - self._engaged_s < limits.warning_s - SEEING_S,
             "over_limit": order.speed_mps > limits.speed_limit_mps + self._bit_mps / 2,
             "angle": abs(order.angle_deg) > limits.steering_limit_deg + ANGLE_BIT_DEG,
             "steering_rate": obeys and turned_deg > turns_deg,
@@ -413,10 +418,23 @@ class Oracle:
         if self._is_permitted and now_s - self._asked_s > self._limits.deadman_s + 0.03:
             self._cause_stop("deadman", now_s, at_once=False)
 
+    def _idle_s(self, now_s: float) -> float:
+        """For how long it should have been disengaged, because nobody asks for a speed; negative before."""
+        limit_s = self._limits.idle_s
+        begin_s = max(self._zero_since_s, self._engaged_s)
+        return -1.0 if self._asked_mps or not limit_s else now_s - begin_s - limit_s
+
+    def _judge_hazard(self, now_s: float, *, is_due: bool) -> None:
+        """A stop that is latched shows both indicators, the guard's too."""
+        lamps = self._bytes.get(LIGHT_CMD, bytes(8))
+        if self._timer("hazard").lasts(now_s, holds=is_due) > SEEING_S and not lamps[1] & lamps[2] & 1:
+            self._fail("no_hazard", now_s, f"the lamps were told {lamps[:3].hex()}; latched {self._latched}")
+
     def _find_cause(self, state: Fields, now_s: float) -> None:
         """The gateway has stopped the robot, and nobody of us asked it to."""
         reason = state["stop_reason"]
         is_free = now_s < max(self._disturbed_until_s, self._excused_until_s) or self.is_damaged()
+        is_free |= reason == "idle" and self._idle_s(now_s) > -SEEING_S
         if not is_free and not (reason == "deadman" and now_s - self._asked_s > self._limits.deadman_s - 0.03):
             self._fail("false_stop", now_s, f"{reason}; latched {state['latched']}")
         if reason in LATCHING and reason not in state["latched"]:
@@ -698,7 +716,10 @@ class Oracle:
         if order is not None and stands_s > 1.0 + 0.4 and not order.parking and now_s - self._zero_since_s > 1.5:
             self._fail("no_auto_hold", now_s, f"standing for {stands_s:.1f} s without the parking brake")
         kept = engaged and abs(self._asked_mps) >= 0.2 and abs(plant.speed_mps) < 0.05 and plant.can_climb
-        if self._timer("kept").lasts(now_s, holds=kept and quiet and plant.wall is None) > 3.0:
+        if (
+            self._timer("kept").lasts(now_s, holds=kept and quiet and plant.wall is None)
+            > 3.0 + self._limits.warning_s
+        ):
             self._fail("does_not_move", now_s, f"asked {self._asked_mps:.2f} m/s for 3 s")
         adrift = (
             self._mode(plant) == STOP and not plant.braked and abs(plant.speed_mps) > 0.15 and not plant.is_away

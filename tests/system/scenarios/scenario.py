@@ -261,6 +261,8 @@ def _command(random: Random, speed_limit_mps: float, link_s: float) -> CommandSe
         steering_limit_deg=random.uniform(1.0, 24.0),
         steering_rate_degps=random.uniform(5.0, 60.0),
         lateral_acceleration_mps2=random.uniform(0.2, 3.0),
+        idle_s=random.choice((0.0, 300.0, 3.0)),
+        warning_s=random.choice((0.0, 0.0, random.uniform(0.2, 1.5))),
     )
 
 

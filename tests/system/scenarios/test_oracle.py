@@ -6,6 +6,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from schemas.settings import CommandSettings
 from tests.system.scenarios.oracle import Oracle
@@ -283,6 +284,26 @@ def does_not_move(stage: Stage) -> None:
     stage.run(4.0, lambda: stage.burst(GEAR_D, parking=1))
 
 
+def no_hazard(stage: Stage) -> None:
+    """A latched stop whose frames leave the lamps alone."""
+    stage.accelerate()
+    stage.oracle.requests("stop", {}, stage.now_s)
+    stage.state = {**stage.state, "engaged": False, "latched": ["remote_stop"]}
+    stage.slow_down(50)
+
+
+def idle_engaged(stage: Stage) -> None:
+    """Engaged for longer than it may be without a speed asked for."""
+    stage.oracle._limits = replace(stage.oracle._limits, idle_s=1.0)
+    stage.run(1.5, lambda: stage.burst(GEAR_D, parking=1))
+
+
+def unwarned(stage: Stage) -> None:
+    """A speed before people were warned for as long as it is set."""
+    stage.oracle._limits = replace(stage.oracle._limits, warning_s=2.0)
+    stage.accelerate()
+
+
 BREAKS: dict[Callable[[Stage], None], str] = {
     neutral_unbraked: "neutral_unbraked",
     gear_change_unbraked: "gear_change_unbraked",
@@ -313,6 +334,9 @@ BREAKS: dict[Callable[[Stage], None], str] = {
     malformed_frame: "malformed_frame",
     given_back_fast: "given_back_fast",
     does_not_move: "does_not_move",
+    no_hazard: "no_hazard",
+    idle_engaged: "idle_engaged",
+    unwarned: "unwarned",
 }
 
 
