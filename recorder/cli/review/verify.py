@@ -19,7 +19,7 @@ from recorder.review.verifying.authority import GrantInfo, ShownStatement
 from recorder.review.verifying.commands import RefusedProof, SignedVerb
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from schemas.authority.fingerprint import key_fingerprint
-from schemas.authority.trust import AuthorityKeys, Trust
+from schemas.authority.trust import AuthorityKeys, Trust, keys_fingerprint
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.file_kinds import check_regular
 from schemas.printable import plain
@@ -64,13 +64,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Verify."""
-    trusts = [read_authority(path) for path in arguments.authority]
+    given = {path: read_authority(path) for path in arguments.authority}
+    trusts = [keys.trust for keys in given.values()]
     archives = [path for path in arguments.logs if path.suffix == ARCHIVE]
     logs = [path for path in arguments.logs if path.suffix != ARCHIVE]
     codes = [_verify_archive(path, trusts, arguments, stopped) for path in archives]
     if logs:
         arguments.logs = logs
         codes.append(_verify(arguments, trusts, (), stopped))
+    if not arguments.json:
+        sys.stdout.writelines(
+            f"{plain(str(path))}: keys {keys_fingerprint(keys)}\n" for path, keys in given.items()
+        )
     return int(max(codes, key=_GRAVITY.index))
 
 
@@ -132,7 +137,7 @@ def code_of(report: RobotProofReport) -> ExitCode:
     return ExitCode.OK if report.is_proven else ExitCode.PARTIAL
 
 
-def read_authority(path: Path) -> Trust:
+def read_authority(path: Path) -> AuthorityKeys:
     """The fleet's authority, as a file has it.
 
     Raises:
@@ -141,7 +146,7 @@ def read_authority(path: Path) -> Trust:
     shown = plain(str(path))
     try:
         check_regular(path, path.stat().st_mode)
-        keys = msgspec.json.decode(path.read_bytes(), type=AuthorityKeys)
+        return msgspec.json.decode(path.read_bytes(), type=AuthorityKeys)
     except OSError as error:
         raise CommandError(f"cannot read {shown}: {error.strerror or error}", ExitCode.USAGE) from error
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -149,7 +154,6 @@ def read_authority(path: Path) -> Trust:
             f"{shown} is no authority.json: {plain(str(error))}; 'cruiser provision install' writes one",
             ExitCode.USAGE,
         ) from error
-    return keys.trust
 
 
 def describe(report: RobotProofReport) -> str:

@@ -36,7 +36,7 @@ from schemas import codec, keys
 from schemas.authority.chain import first_link, heads_text, next_link
 from schemas.authority.fingerprint import fingerprint
 from schemas.authority.statement import GrantRole, chain_text
-from schemas.authority.trust import Trust
+from schemas.authority.trust import AuthorityKeys, Trust, keys_fingerprint
 from schemas.decisions import ChainHead, ChainHeads, Decision, Journal, SafetyEvent, SignedStatement
 from schemas.exit_codes import CommandError
 from schemas.messages import Message, RobotState
@@ -939,6 +939,8 @@ def test_the_command_names_another_authority_and_the_one_that_was_given(
         assert fingerprint(key) in said
     assert "no rotation" in said
     assert ", as given" not in said
+    keys = AuthorityKeys(other.authority.key.hex(), other.standby.key.hex())
+    assert said.endswith(f"{tmp_path / 'authority.json'}: keys {keys_fingerprint(keys)}\n")
 
 
 @pytest.mark.parametrize("kind", CHAINED_KINDS)
