@@ -330,4 +330,4 @@ def test_a_missing_package_is_one_line_that_says_how_to_get_it(tmp_path: Path, l
     command = [sys.executable, "-c", program, "serve", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
     assert done.returncode == ExitCode.FAILURE
-    assert re.fullmatch(rf"cruiser serve: this needs .*{library}.*'cruiser-gateway\[{extra}\]'\n", done.stderr)
+    assert re.fullmatch(rf"cruiser serve: this needs .*{library}.*'\.\[{extra}\]'.*\n", done.stderr)

@@ -47,5 +47,5 @@ def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyP
     for name in ("gateway.cli.metrics_server", "gateway.metrics.fleet_metrics"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
-    with pytest.raises(CommandError, match=r"prometheus_client: pip install 'cruiser-gateway\[metrics\]'"):
+    with pytest.raises(CommandError, match=r"prometheus_client: pip install -e '\.\[metrics\]'"):
         run(parsed(), Settings(), lambda: True)

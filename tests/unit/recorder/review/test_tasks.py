@@ -76,7 +76,7 @@ def test_a_task_that_is_lost_is_one_clear_error() -> None:
 def test_ray_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """What to install."""
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(CommandError, match=r"pip install 'cruiser-gateway\[ray\]'"), ray_cluster("ray://here:1"):
+    with pytest.raises(CommandError, match=r"pip install -e '\.\[ray\]'"), ray_cluster("ray://here:1"):
         pass
 
 

@@ -24,5 +24,5 @@ def test_daft_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     from schemas.exit_codes import CommandError  # noqa: PLC0415
 
     monkeypatch.setitem(sys.modules, "daft", None)
-    with pytest.raises(CommandError, match=r"pip install 'cruiser-gateway\[daft\]'"):
+    with pytest.raises(CommandError, match=r"pip install -e '\.\[daft\]'"):
         spread.daft_runner()
