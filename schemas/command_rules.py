@@ -56,7 +56,8 @@ CHANGES: Final[dict[int, str]] = {
     "a robot that is commanded to move and is seen to stand stops, and so does one whose speeds are frozen; "
     "a commanded speed waits for a robot that does not follow; "
     "a robot that becomes faster than commanded gets its parking brake after 100 ms; "
-    "a speed of zero that no feedback has confirmed is not called standing",
+    "a speed of zero that no feedback has confirmed is not called standing; "
+    "the speed limit of an idle robot is the one that an engage would bring",
 }
 """The changes that each version of the rules brought."""
 

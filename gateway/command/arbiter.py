@@ -14,6 +14,7 @@ from gateway.command.actuation import Actuation
 from gateway.command.chassis_state import ChassisState
 from gateway.command.engagement import Engagement
 from gateway.command.lease import Leases
+from gateway.command.limits import MotionLimits
 from gateway.command.motion import Target
 from gateway.command.notices import Notices
 from gateway.command.operator_link import OperatorLink
@@ -180,6 +181,16 @@ class Arbiter:
         elif self.monitor.found_moving(now_ns):
             engagement.begin_stop(Reason.FOUND_MOVING, now_ns)
 
+    @property
+    def limits_of_next_engage(self) -> MotionLimits:
+        """The highest limits that would be in force if the robot were engaged now."""
+        return self._lowered(self.setpoint.configured_limits)
+
+    def _lowered(self, limits: MotionLimits) -> MotionLimits:
+        chassis = self.monitor.chassis
+        is_whole = chassis.guarded and chassis.realtime
+        return limits if is_whole else limits.lowered(self._speed_limit_without_realtime_mps)
+
     def _stop_for_faults(self, now_ns: int, late_ns: int) -> None:
         # During a stop too: a graver cause hastens it, and may latch.
         is_engaged = self.state is ArbiterState.ENGAGED
@@ -197,9 +208,8 @@ class Arbiter:
         engagement, setpoint = self.engagement, self.setpoint
         if engagement.needs_guard and not chassis.guarded:
             engagement.begin_stop(Reason.UNGUARDED, now_ns)
-        if not (chassis.guarded and chassis.realtime):
-            # It stays lower until the robot is engaged again: limits are never raised while it is driven.
-            setpoint.limits = setpoint.limits.lowered(self._speed_limit_without_realtime_mps)
+        # It stays lower until the robot is engaged again: limits are never raised while it is driven.
+        setpoint.limits = self._lowered(setpoint.limits)
         if engagement.state is ArbiterState.ENGAGING and now_ns >= engagement.engage_until_ns:
             engagement.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the mode does not read auto")
         silent_ns = now_ns - self.link.fresh_ns

@@ -62,7 +62,7 @@ class Reporter:
         engaged = arbiter.state is ArbiterState.ENGAGED
         self.state_due_ns = now_ns + (SAFETY_STATE_ENGAGED_PERIOD_NS if engaged else SAFETY_STATE_PERIOD_NS)
         arbiter.link.challenges.publish(challenge, now_ns)
-        limits = arbiter.setpoint.limits if arbiter.state in COMMANDING else arbiter.setpoint.configured_limits
+        limits = arbiter.setpoint.limits if arbiter.state in COMMANDING else arbiter.limits_of_next_engage
         told = arbiter.output.actuation
         output = told or AT_REST
         # Without a holder there is no link; what is left of the last one's would not be at rest.

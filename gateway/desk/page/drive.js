@@ -11,11 +11,13 @@ const HORN_MS = 600;
 const SPEEDS = { min: "0.1", max: "2.2", step: "0.1" };
 const NAME = /^[A-Za-z0-9_.-]{1,64}$/;
 
-/** The name under which this browser commands in open mode, and stops in any. */
+/** The name under which this browser commands in open mode, and stops in any: its own, until somebody types theirs. */
 export function operatorName() {
   // Whatever another page of this address has left there: no stop fails for a name.
   const name = localStorage.getItem("operator") ?? "";
-  return NAME.test(name) ? name : "desk";
+  if (NAME.test(name)) return name;
+  localStorage.setItem("operator", `desk-${Array.from(crypto.getRandomValues(new Uint8Array(2)), (byte) => byte.toString(16).padStart(2, "0")).join("")}`);
+  return localStorage.getItem("operator");
 }
 
 export class DrivePanel {
@@ -39,7 +41,7 @@ export class DrivePanel {
     this.pad = h("div", { class: "pad", tabindex: "0", role: "button" }, this.padText);
     this.note = h("p", { role: "status" });
     this.who = h("span", { class: "soft" });
-    this.name = h("input", { value: operatorName(), maxlength: "64", onchange: () => NAME.test(this.name.value) && localStorage.setItem("operator", this.name.value) });
+    this.name = h("input", { value: operatorName(), maxlength: "64", onchange: () => this.rename() });
     this.named = h("label", {}, `${t("your_name")} `, this.name);
     this.keys = keysBox(() => this.showWho());
     this.element = h("section", { class: "card wide drive" }, h("h2", {}, t("control")),
@@ -61,6 +63,23 @@ export class DrivePanel {
     this.named.hidden = this.signer !== null;
     setText(this.who, this.signer ? this.rights() : t("open_mode"));
     this.update(this.safety);
+  }
+
+  rename() {
+    if (!NAME.test(this.name.value)) return setText(this.note, t("name_form"));
+    localStorage.setItem("operator", this.name.value);
+    localStorage.setItem("operator_asked", "yes");
+    setText(this.note, "");
+  }
+
+  /** Ask once who drives here: others see the name, and the log keeps it. Whoever presses again drives under it. */
+  asksName() {
+    if (this.signer || localStorage.getItem("operator_asked")) return false;
+    localStorage.setItem("operator_asked", "yes");
+    setText(this.note, t("ask_name", this.ownName));
+    this.name.focus();
+    this.name.select();
+    return true;
   }
 
   /** Who signs here, and what the grant allows. */
@@ -135,6 +154,8 @@ export class DrivePanel {
   }
 
   async begin(verb, more = {}) {
+    this.signer ??= await keys.signer().catch(() => null);
+    if (this.asksName()) return;
     const control = await this.newControl();
     const held = new Held(this.pad, () => control.driving && control.tick());
     this.held = held;

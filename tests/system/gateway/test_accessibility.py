@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Final, Literal
 
 import pytest
 from playwright.sync_api import Browser, Page
 
+from gateway.client.robot_word import WORDS
 from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.desk_states import desk_of_all_states
 from tests.support.nights import by_night, every_value
@@ -18,6 +20,13 @@ LOG: Final = "needs-reset-20260102T030405Z.mcap"
 
 REPORT_MS: Final = 100_000
 """A report is made when it is asked for; a busy machine takes its time."""
+
+
+CUT: Final = """() => [...document.querySelectorAll(".band, .band *, .why, .why *, #link")]
+    .filter((one) => !one.matches(".heard"))
+    .filter((one) => one.scrollWidth > one.clientWidth + 1 && getComputedStyle(one).overflowX !== "visible"
+        || one.getBoundingClientRect().right > innerWidth)
+    .map((one) => one.outerHTML)"""
 
 
 @pytest.fixture(scope="module")
@@ -101,3 +110,23 @@ def test_every_page_is_for_everybody(
         assert_fits_a_small_phone(page)
     finally:
         context.close()
+
+
+def test_on_a_phone_stop_stays_under_the_thumb_and_no_warning_is_cut(
+    address: str, running_browser: Browser
+) -> None:
+    """Whatever is said, whichever robot is shown, however far the page is scrolled."""
+    with running_browser.new_context(viewport={"width": 360, "height": 640}, has_touch=True) as context:
+        page = context.new_page()
+        stops = []
+        for look in ("#/", "#/wall", *(f"#/robot/{word.replace('_', '-')}" for word in WORDS)):
+            page.goto(f"{address}{look}")
+            if "robot" in look:
+                page.locator(".band .word", has_text=re.compile(r"\w")).wait_for()
+                assert page.evaluate(CUT) == []
+            page.keyboard.press("Escape")
+            page.mouse.wheel(0, 300)
+            stops.append(page.locator("#stop-all").bounding_box())
+        assert all(box == stops[0] for box in stops)
+        assert stops[0] is not None
+        assert stops[0]["y"] + stops[0]["height"] <= 640

@@ -55,6 +55,8 @@ def context(running_browser: Browser) -> Iterator[BrowserContext]:
     """A profile of its own. A page that complains in the console fails the test."""
     complaints: list[str] = []
     context = running_browser.new_context(locale="en-GB")
+    # Whoever drives here has said who they are, or was asked once.
+    context.add_init_script("try { localStorage.setItem('operator_asked', 'yes'); } catch {}")
     context.on("weberror", lambda error: complaints.append(str(error.error)))
     context.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
     yield context
@@ -329,6 +331,34 @@ def name_page(page: Page, name: str) -> None:
     page.get_by_label("Your name").blur()
 
 
+def test_two_browsers_have_two_names_and_are_asked_for_them_once(
+    scene: DeskScene, running_browser: Browser
+) -> None:
+    """Whoever drives is known by name: to the others, and to the log by the events of the lease."""
+    with (
+        running_browser.new_context(locale="en-GB") as one,
+        running_browser.new_context(locale="en-GB") as another,
+    ):
+        first, second = open_robot(one, scene), open_robot(another, scene)
+        names = [page.get_by_label("Your name").input_value() for page in (first, second)]
+        assert len(set(names)) == 2
+        assert all(re.fullmatch("desk-[0-9a-f]{4}", name) for name in names)
+        first.get_by_role("button", name="Take control").click()
+        first.get_by_text(f"You drive as {names[0]}: others see this name").wait_for()
+        assert not is_driven(first)
+        name_page(first, "ann")
+        take_control(first)
+        first.get_by_text("you are in control").wait_for()
+        second.get_by_text("ann is in control").wait_for()
+        second.locator(".events", has_text="ann has acquired the lease").first.wait_for()
+        first.get_by_role("button", name="Give back").click()
+        wait_ready(first)
+        first.reload()
+        wait_ready(first)
+        first.get_by_role("button", name="Take control").click()
+        wait_until(lambda: is_driven(first))
+
+
 def test_a_robot_is_asked_for_and_handed_over(scene: DeskScene, context: BrowserContext) -> None:
     """The driver keeps it, and drives on; or hands it over: it stops, and whoever takes it has it."""
     first, second = open_robot(context, scene), open_robot(context, scene)
@@ -385,10 +415,10 @@ def test_an_alarm_is_acknowledged_for_all_and_cured_beside_its_reason(
     overview.get_by_text("1 needs reset, 1 not acknowledged").wait_for()
     wait_until(lambda: overview.title() == page.title().replace("cruiser-1 · ", "") == "(1) Cruiser")
     row.get_by_role("button", name="Acknowledge cruiser-1").click()
-    row.get_by_text("acknowledged by desk").wait_for()
+    row.get_by_text("acknowledged by desk-").wait_for()
     wait_until(lambda: overview.title() == "Cruiser")
     reset(page)
-    row.get_by_text("acknowledged by desk").wait_for(state="hidden")
+    row.get_by_text("acknowledged by desk-").wait_for(state="hidden")
 
 
 def test_a_kiosk_shows_one_robot_and_leads_nowhere(scene: DeskScene, context: BrowserContext) -> None:

@@ -1261,6 +1261,8 @@ def test_without_realtime_or_a_guard_the_robot_is_engaged_to_a_lower_speed_limit
     """Row 'a gateway without real-time priority: its speed limit is a setting of its own (1.0 m/s)'."""
     rig, operator = ready(accept_unguarded=True)
     rig.links = msgspec.structs.replace(GUARDED, **{lacks: False})
+    rig.run(0.2)
+    assert rig.says.speed_limit_mps == 1.0, "said before it is engaged"
     operator.engage()
     assert rig.says.speed_limit_mps == 1.0
     operator.drive(2.0, seconds=3.0)
