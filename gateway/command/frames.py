@@ -61,8 +61,8 @@ class FrameMaker:
             enabled=actuation.enabled,
             gear=actuation.gear,
             # Down to the bit: to the nearest one it would be above the limit.
-            speed_mps=_toward_zero(actuation.speed_mps, self._scales[known]),
-            angle_deg=_toward_zero(actuation.angle_deg, self._angle_scale_deg),
+            speed_mps=toward_zero(actuation.speed_mps, self._scales[known]),
+            angle_deg=toward_zero(actuation.angle_deg, self._angle_scale_deg),
             parking=actuation.parking,
         )
         frames = [encode(name, values[name], counters[name]) for name in MOTION_FRAMES]
@@ -81,6 +81,6 @@ class FrameMaker:
             self.counters[name] = (self.counters[name] + 1) % COUNTER_SPAN
 
 
-def _toward_zero(value: float, scale: float) -> float:
+def toward_zero(value: float, scale: float) -> float:
     """Return the value of the nearest whole number of bits that is not beyond it."""
     return floor(abs(value) / scale + _HAIR) * scale * (-1 if value < 0 else 1)

@@ -9,6 +9,7 @@ import msgspec
 
 from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.chassis_monitor import ChassisMonitor
+from gateway.command.frames import toward_zero
 from gateway.command.link_age import LinkAge
 from gateway.command.motion import MotionConstraints, MotionProfile, Target
 from gateway.command.setpoint import Setpoint
@@ -54,11 +55,12 @@ class Output:
 
     @property
     def told(self) -> Actuation:
-        """The chassis's command as its frames say it: at rest if there is none, and zero speed below one bit."""
+        """The chassis's command as its frames say it: at rest if there is none, and down to the bit."""
         actuation = self.actuation or AT_REST
-        if 0 < actuation.speed_mps < SPEED_BIT_MPS.get(self.variant, 0.0):
-            return msgspec.structs.replace(actuation, speed_mps=0.0)
-        return actuation
+        bit_mps = SPEED_BIT_MPS.get(self.variant)
+        if bit_mps is None or not actuation.speed_mps:
+            return actuation
+        return msgspec.structs.replace(actuation, speed_mps=toward_zero(actuation.speed_mps, bit_mps))
 
     def begin(self, variant: Variant) -> None:
         """Begin to command the chassis, in the scale of this variant."""

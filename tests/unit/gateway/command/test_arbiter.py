@@ -721,3 +721,13 @@ def test_a_run_is_told_by_its_number() -> None:
     one, same = ArbiterRig(), ArbiterRig()
     assert one.arbiter.tick_number == same.arbiter.tick_number
     assert one.ask("acquire") == same.ask("acquire")
+
+
+@pytest.mark.parametrize(("asked_mps", "is_stopped"), [(0.11, False), (0.13, True)])
+def test_a_speed_is_judged_as_its_frames_say_it(asked_mps: float, *, is_stopped: bool) -> None:
+    """Row 'frozen feedback': asked 0.11 m/s, a coarse chassis is told 0.08 m/s, and may read one bit, 0.04 m/s."""
+    bench = engaged()
+    bench.drive_for(60, asked_mps)
+    bench.changes = {"speed_mps": 0.04, "wheel_speed_mps": 0.04, "fastest_wheel_mps": 0.04, "pulses": 1}
+    bench.drive_for(10, asked_mps)
+    assert (bench.arbiter.engagement.stop_reason is Reason.FEEDBACK_FROZEN) is is_stopped
