@@ -280,7 +280,9 @@ function keysBox(changed) {
   }) }, t("take_over_bundle"));
   const load = h("input", { type: "file", accept: ".bundle", "aria-label": t("load_bundle"), onchange: attempt(async () => {
     take.hidden = true;
-    const [bundle, request] = await keys.answerOf(await load.files[0].text());
+    const text = await load.files[0].text();
+    load.value = ""; // else a file of the same name, another bundle maybe, would load nothing
+    const [bundle, request] = await keys.answerOf(text);
     const shown = `${bundle.name}: ${t("request")} ${request}, ${t("authority")} ${bundle.fingerprint}`;
     if (await keys.isKnown(bundle)) {
       await keys.install(bundle);

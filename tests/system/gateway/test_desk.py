@@ -39,6 +39,7 @@ from tests.support.processes.desk import (
 from tests.support.processes.gateway import run
 from tests.support.processes.letting_go import let_go_of_the_pointer, lose_the_focus, shut_the_lid
 from tests.support.provisioning import ProvisionedFleet
+from tests.support.provisioning import run as provision
 from tests.support.rigs.scenarios import front_bumper, recorded
 from tests.support.waiting import wait_until
 
@@ -541,6 +542,30 @@ def test_a_bundle_of_somebody_else_is_refused(
     page.get_by_label("Load bundle").set_input_files(fleet.sign(fleet.request("operator", "bob")))
     page.get_by_text("this bundle is for another key").wait_for()
     assert page.get_by_text("Open mode").is_visible()
+
+
+def test_a_bundle_that_was_changed_or_swapped_on_its_way_lets_nobody_in(
+    signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext, tmp_path: Path
+) -> None:
+    """Another authority shows its own fingerprint; one that was compared here is taken over without asking."""
+    scene, fleet = signed
+    page = open_robot(context, scene)
+    let_ann_in(page, fleet, tmp_path)
+    bundle, takes = tmp_path / "operator-ann.bundle", page.get_by_role("button", name="They are the same")
+    changed, thieves = tmp_path / "changed.bundle", ProvisionedFleet(tmp_path / "thieves")
+    changed.write_bytes(bundle.read_bytes().replace(b'"root":"fleet"', b'"root":"fleeT"'))
+    page.get_by_label("Load bundle").set_input_files(changed)
+    page.get_by_text("the bundle was changed after it was signed").wait_for()
+    assert not takes.is_visible()
+    provision(
+        "sign", tmp_path / "operator-ann.request", "--directory", thieves.authority, "-o", changed, "--replace"
+    )
+    page.get_by_label("Load bundle").set_input_files(changed)
+    page.get_by_text(f"authority {thieves.fingerprint}. Compare").wait_for()
+    page.get_by_label("Load bundle").set_input_files(bundle)
+    page.get_by_text(re.compile(f"authority {fleet.fingerprint}$")).wait_for()
+    assert not takes.is_visible()
+    assert page.get_by_text("Signs as ann, operator, at most 0.4 m/s").is_visible()
 
 
 def ask(address: str, path: str = "/", **headers: str) -> http.client.HTTPResponse:
