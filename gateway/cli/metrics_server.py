@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import resource
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Final, Self
+from contextlib import suppress
+from typing import Any, Final, Self
 from wsgiref.simple_server import WSGIRequestHandler, make_server
 
 from prometheus_client import CollectorRegistry, Metric, ProcessCollector, make_wsgi_app
@@ -19,11 +21,9 @@ from gateway.metrics.fleet_metrics import FleetMetrics
 from gateway.zenoh.client import FleetListener
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import shown_address
+from schemas.peers import REQUEST_S, Peers, most_connections, peer_of
 
 log = logging.getLogger(__name__)
-
-REQUEST_TIMEOUT_S: Final = 10.0
-"""A client that then sends or reads nothing for this time is cut off."""
 
 POLL_S: Final = 0.1
 """The period in which arrivals are taken from Zenoh."""
@@ -53,7 +53,7 @@ class MetricsServer(Collector):
         ProcessCollector(registry=registry)
         registry.register(self)
 
-        class Server(ThreadingWSGIServer):
+        class Server(_Server):
             address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
         if not ipaddress.ip_address(host).is_loopback:
@@ -99,10 +99,54 @@ class MetricsServer(Collector):
         self._thread.join()
 
 
+class _Server(ThreadingWSGIServer):
+    """Answers each connection on a thread of its own: so many as there may be, each for as long as it may take."""
+
+    request_queue_size = 128
+
+    def __init__(self, *arguments: Any) -> None:  # noqa: ANN401 - the library's
+        most = most_connections(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+        self._peers: Peers[socket.socket] = Peers(most)
+        self._begun_s: dict[socket.socket, float] = {}
+        self._lock = threading.Lock()
+        super().__init__(*arguments)
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:  # noqa: ANN401 - the library's
+        """Take a connection in, or not; called on the server's thread, as ``service_actions`` is."""
+        now_s = time.monotonic()
+        with self._lock:
+            if self._peers.pause_s(now_s):
+                return False
+            gone = self._peers.enter(request, peer_of(client_address[0]), now_s)
+            if gone is None:
+                return False
+            self._begun_s[request] = now_s
+        self._cut(gone)
+        return True
+
+    def service_actions(self) -> None:
+        """End what takes too long: called twice a second, and behind each connection."""
+        late_s = time.monotonic() - REQUEST_S
+        with self._lock:
+            late = [one for one, begun_s in self._begun_s.items() if begun_s < late_s]
+        self._cut(late)
+
+    def close_request(self, request: Any) -> None:  # noqa: ANN401 - the library's
+        """Make room; called on the connection's thread."""
+        with self._lock:
+            self._peers.leave(request)
+            self._begun_s.pop(request, None)
+        super().close_request(request)
+
+    def _cut(self, connections: list[socket.socket]) -> None:
+        for one in connections:
+            # Its thread reads the end, and closes it.
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+
+
 class _Handler(WSGIRequestHandler):
     """Answers one request."""
-
-    timeout = REQUEST_TIMEOUT_S
 
     def log_message(self, *_said: object) -> None:
         """Log nothing: Prometheus asks every few seconds."""
