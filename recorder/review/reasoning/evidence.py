@@ -75,6 +75,8 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
             Reason.REPLAYED,
             Reason.GRANT_UNKNOWN,
             Reason.NOT_GRANTED,
+            Reason.STOPPED_BY_OTHER,
+            Reason.IDLE,
         )
     },
     # Their own words name the list or the time by which the grant ended.
@@ -98,6 +100,7 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.FRONT_BUMPER: lambda window: frame_evidence.bumper(window, "FrontBumper", "front_bumper"),
     Reason.REAR_BUMPER: lambda window: frame_evidence.bumper(window, "RearBumper", "rear_bumper"),
     Reason.IMPLAUSIBLE_SPEED: frame_evidence.speeds,
+    Reason.NOT_MOVING: frame_evidence.speeds,
     Reason.ROLLING: lambda window: frame_evidence.speeds(window, frame_evidence.ROLLING),
     Reason.OVERSPEED: lambda window: frame_evidence.speeds(window, frame_evidence.OVERSPEED),
     Reason.STEERING: frame_evidence.steering,

@@ -85,7 +85,7 @@ def test_what_was_reset_is_not_to_be_reset(tmp_path: Path) -> None:
     rig, operator = _remotely_stopped()
     latched_ns = rig.at_ns
     assert operator.take_lease() is Reason.NONE
-    assert operator.reason("reset") is Reason.NONE
+    assert operator.reset() is Reason.NONE
     rig.run(0.3)
     before = ask(tmp_path / "log.mcap", rig.log(), latched_ns)
     after = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
