@@ -7,7 +7,7 @@ from gateway.command.actuation import Actuation
 from gateway.command.causes import STOPS
 from gateway.command.chassis_monitor import ChassisMonitor
 from gateway.command.chassis_state import ChassisState
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from tests.support.rigs.arbiter import MS
 from tests.support.rigs.arbiter import STANDING as IN_STOP
@@ -107,6 +107,37 @@ def test_standstill_is_five_slow_ticks(changes: dict[str, object], slow: bool) -
     assert monitoring(*[seen] * 4).stands is False
     assert monitoring(*[seen] * 5).stands is slow
     assert monitoring(*[seen] * 4, MOVING, *[seen] * 4).stands is False
+
+
+RELEASED = but(brake=ParkingStatus.RELEASED)
+DRIVEN = msgspec.structs.replace(TOLD, speed_mps=1.0)
+PARKED = msgspec.structs.replace(TOLD, parking=True)
+
+
+@pytest.mark.parametrize(
+    ("driven", "stopped", "parked", "is_confirmed"),
+    [
+        (MOVING, STANDING, STANDING, True),
+        (RELEASED, MOVING, RELEASED, True),
+        (RELEASED, RELEASED, STANDING, True),
+        (RELEASED, RELEASED, RELEASED, False),
+        (STANDING, STANDING, STANDING, False),
+        (MOVING, MOVING, MOVING, False),
+    ],
+    ids=["it moved", "it moved on", "its brake answered", "nothing answered", "frozen as parked", "it moves"],
+)
+def test_a_robot_that_was_told_a_speed_stands_once_its_feedback_has_answered(
+    driven: ChassisState,
+    stopped: ChassisState,
+    parked: ChassisState,
+    is_confirmed: bool,  # noqa: FBT001 - a case
+) -> None:
+    """Row '"the robot stands"': a speed that rose and fell, or a parking brake that turned applied when asked."""
+    monitor = monitoring(STANDING)
+    for chassis, told in ((driven, DRIVEN), (stopped, TOLD), (parked, PARKED)):
+        for _ in range(5):
+            monitor.update(chassis, 0, told)
+    assert monitor.is_rest_confirmed is is_confirmed
 
 
 def test_a_speed_beyond_the_chassis_is_one_in_the_other_scale() -> None:

@@ -573,10 +573,26 @@ def test_a_robot_that_was_taken_while_its_mode_was_unknown_is_left_at_rest(away_
     rig.fault("sticks 0 0")
     rig.run(3)
     before_m = rig.chassis.state.x_m
+    # By what it was left with alone: the gateway and its guard may be gone by now.
+    rig.chassis_hears = False
     rig.fault("transmitter command")
     rig.run(5)
-    assert rig.speed_mps == 0
+    assert (rig.speed_mps, rig.chassis.state.parking_status) == (0, ParkingStatus.APPLIED)
     assert rig.chassis.state.x_m - before_m < 0.05
+
+
+def test_a_robot_that_is_given_back_in_motion_is_told_no_speed() -> None:
+    """Row 'on yielding to mode remote': what it was left with is zero speed, and no stop begins above that."""
+    rig, operator = driving(1.0)
+    rig.fault("transmitter remote")
+    rig.fault("sticks 1.0 0")
+    operator.drive(1.0, seconds=1)
+    told = len(rig.bursts)
+    rig.fault("transmitter command")
+    rig.run(4)
+    assert rig.speed_mps == 0
+    assert len(rig.bursts) > told
+    assert not any(burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts[told:])
 
 
 @pytest.mark.parametrize("phase_ms", range(10, 410, 10))
@@ -600,6 +616,7 @@ def test_an_owed_stop_has_no_speed_while_the_remote_control_may_have_the_robot(p
     rig.run(2)
     assert not any(burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts[told:])
     assert all(burst["Auto_ParkingCmd"]["ParkingRequest"] for _, burst in rig.bursts[told:])
+    assert phase_ms > 150 or not rig.bursts[told:], "a body frame that comes in time is waited for"
 
 
 def test_a_latched_robot_that_is_given_back_gets_its_parking_brake_again() -> None:
@@ -773,6 +790,24 @@ def test_frozen_feedback_stops_the_robot(frozen: tuple[str, ...], driven_s: floa
     assert rig.chassis.state.x_m - before_m < at_most_m
     assert rig.speed_mps == 0
     assert rig.says.latched[0] in {Reason.NOT_MOVING, Reason.FEEDBACK_FROZEN}
+
+
+@pytest.mark.parametrize(
+    ("frozen", "at_most_m"), [("Auto_MileageAndBodyFeedback", 0.6), ("Auto_WheelPulseFeedback", 3.2)]
+)
+def test_a_slow_robot_whose_speeds_are_frozen_is_found_by_pulses_or_by_mileage(
+    frozen: str, at_most_m: float
+) -> None:
+    """Row 'frozen feedback': at a command that need not show, either of the two is enough."""
+    rig, operator = ready()
+    operator.engage()
+    before_m = rig.chassis.state.x_m
+    for name in (*SPEEDS, frozen):
+        rig.fault(f"freeze {name}")
+    operator.drive(0.2, seconds=20)
+    assert rig.says.latched[0] is Reason.FEEDBACK_FROZEN
+    assert rig.speed_mps == 0
+    assert rig.chassis.state.x_m - before_m < at_most_m
 
 
 def test_a_blocked_robot_gives_up_and_was_never_told_to_jump() -> None:

@@ -177,6 +177,15 @@ def test_acceleration_and_deceleration() -> None:
     assert robot.bounds == set()
 
 
+@pytest.mark.parametrize(("seen_mps", "told_mps"), [(0.0, 1.0), (0.6, 1.1), (1.2, 1.5)])
+def test_a_robot_that_does_not_follow_is_told_no_more_and_no_less(seen_mps: float, told_mps: float) -> None:
+    """Row 'the ramp': it rises to the greatest seen speed and 0.5 m/s; above that it is held, and never cut."""
+    robot = going(1.0)
+    robot.speed_mps = seen_mps
+    assert robot.tick(1.5, count=100).speed_mps == pytest.approx(told_mps)
+    assert (Bound.FOLLOWING in robot.motion.bounds) is (told_mps < 1.5)
+
+
 @pytest.mark.parametrize(("asked_deg", "told_deg"), [(24.0, 24.0), (24.1, 24.0), (-1e308, -24.0)])
 def test_the_steering_limit(asked_deg: float, told_deg: float) -> None:
     """Row 'steering limit: 24 deg'."""
