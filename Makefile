@@ -24,7 +24,7 @@ demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operato
 	$(BIN)/cruiser demo-fleet --out demo-fleet
 
 demo-desk: $(DEMO)  ## a virtual fleet and the desk, in your browser, until Ctrl-C
-	$(BIN)/cruiser demo-desk --out demo-desk
+	$(BIN)/cruiser demo --desk --out demo-desk
 
 # Tests that only reckon take the processor time that the tests of processes leave over, so that they hold up no robot.
 test: test-packages $(STAMP)  ## the whole test suite; what it lacks of Debian's packages it installs, or names

@@ -77,7 +77,7 @@ def report(page: Path, picture: Path) -> None:
 
 def desk(where: Path, picture: Path) -> None:
     """The desk of a virtual fleet: the overview, and below it a robot that drives, as a browser shows them."""
-    words = ("demo-desk", "--no-browser", "--robots", str(ROBOTS), "--patrol", "1")
+    words = ("demo", "--desk", "--no-browser", "--robots", str(ROBOTS), "--patrol", "1")
     command = [sys.executable, "-m", "gateway", *words]
     environment = os.environ | {"PYTHONPATH": str(PICTURES.parents[1])}
     with subprocess.Popen(command, cwd=where, env=environment, stdout=subprocess.PIPE, text=True) as demo:

@@ -102,6 +102,11 @@ class Child:
             self.check()
         return line
 
+    @property
+    def is_over(self) -> bool:
+        """It has ended."""
+        return self._process.poll() is not None
+
     def check(self) -> None:
         """Raise a CommandError if it has ended."""
         code = self._process.poll()

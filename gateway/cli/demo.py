@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import msgspec
 
+from gateway.cli import demo_desk
 from gateway.cli.child import CRUISER, Child, address_of, free_port, fresh, load
 from gateway.cli.demo_drive import HELD_UP, DemoDrive, TimelineEntry
 from gateway.client.refusal import RobotError, Unreachable
@@ -26,10 +27,17 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.zenoh_link import ANY_LOCAL_PORT
 
-EXAMPLE = "  cruiser demo --seconds 40 --out demo-log"
+EXAMPLE = """\
+  cruiser demo --seconds 40 --out demo-log
+  cruiser demo --desk
+  cruiser demo --desk --robots 10 --patrol 3"""
+
+OUT: Final = Path("demo-log")
 
 SHORTEST_S: Final = 20.0
 """Stops, a reset, a stalled link and a second operator take their time."""
+
+LONGEST_S: Final = 86_400
 
 ATTEMPTS: Final = 10
 
@@ -44,14 +52,16 @@ open it with
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser demo``."""
     parser.add_argument(
-        "--seconds", type=_seconds, default=30.0, metavar="N", help="about how long (default 30, at least 20)"
+        "--seconds",
+        type=seconds,
+        metavar="N",
+        help="about how long (default 30, at least 20); with --desk until Ctrl-C if left out",
     )
     parser.add_argument(
         "--out",
         type=Path,
-        default=Path("demo-log"),
         metavar="DIR",
-        help="where the log goes, or DIR-2 and so on if that holds something (default demo-log)",
+        help=f"where the log goes, or DIR-2 and so on if that holds something ({OUT}, or {demo_desk.OUT})",
     )
     parser.add_argument(
         "--link",
@@ -60,14 +70,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what the first operator's link is like (default %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    parser.add_argument(
+        "--desk", action="store_true", help="instead: a virtual fleet and the desk, and the browser on it"
+    )
+    demo_desk.add_arguments(parser.add_argument_group("with --desk"))
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Run the demo that was asked for.
+
+    Raises:
+        CommandError: it is to be too short, or a part of it ends by itself.
+    """
+    if arguments.desk:
+        return demo_desk.run(arguments, settings, stopped)
+    arguments.seconds = 30.0 if arguments.seconds is None else arguments.seconds
+    if not SHORTEST_S <= arguments.seconds <= LONGEST_S:
+        raise CommandError(f"--seconds: must be from {SHORTEST_S:g} to {LONGEST_S:g}", ExitCode.USAGE)
+    return _record_demo(arguments, settings, stopped)
+
+
+def _record_demo(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run the three, as often as a busy machine needs, then say what was recorded."""
     if arguments.log_level == "warning":
         # What the operators' library warns of is what is shown here, and the timeline has it.
         logging.getLogger("gateway.client").setLevel(logging.ERROR)
-    directory = fresh(arguments.out)
+    directory = fresh(arguments.out or OUT)
     sys.stderr.write(
         f"demo: starts chassis, gateway and recorder; two operators drive for about {arguments.seconds:g} s; "
         f"the log goes to {directory}\n"
@@ -133,13 +161,6 @@ def describe(summary: dict[str, Any], robot: str) -> str:
 def _is_held_up(problem: CommandError) -> bool:
     """Report whether a busy machine explains the problem, so that another attempt may succeed."""
     return problem.reason in HELD_UP if isinstance(problem, RobotError) else isinstance(problem, Unreachable)
-
-
-def _seconds(text: str) -> float:
-    duration_s = seconds(text)
-    if not SHORTEST_S <= duration_s <= 86_400:
-        raise argparse.ArgumentTypeError(f"must be from {SHORTEST_S:g} to 86400")
-    return duration_s
 
 
 def _record(

@@ -1,4 +1,4 @@
-"""``cruiser demo-desk``: a virtual fleet, a recorder and the desk in one command, and the browser on it."""
+"""``cruiser demo --desk``: a virtual fleet, a recorder and the desk in one command, and the browser on it."""
 
 from __future__ import annotations
 
@@ -18,15 +18,11 @@ from gateway.cli.child import fresh
 from gateway.cli.sim import whole
 from gateway.cli.sim_fleet import POLL_S, ROBOTS_PER_PROCESSOR, VirtualFleet, warn_of_load
 from gateway.cli.sim_patrol import Patrol
-from schemas.arguments import ending_after, seconds
+from schemas.arguments import ending_after
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import address, shown_address
 from schemas.settings import DEFAULT_ENDPOINT, Settings
 from schemas.zenoh_link import split_endpoint, with_port
-
-EXAMPLE: Final = """\
-  cruiser demo-desk
-  cruiser demo-desk --robots 10 --patrol 3"""
 
 HOST: Final = "127.0.0.1"
 DESK_PORT: Final = 8080
@@ -38,9 +34,11 @@ ROBOTS_MOST: Final = 64
 
 PATROLLING: Final = 2
 
+OUT: Final = Path("demo-desk")
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
+
+def add_arguments(parser: argparse._ArgumentGroup) -> None:
+    """Declare the flags that belong to ``--desk``."""
     parser.add_argument(
         "--robots",
         type=partial(whole, high=ROBOTS_MOST),
@@ -56,13 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="so many at a time drive by themselves, as operator 'patrol' (default %(default)s)",
     )
     parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("demo-desk"),
-        metavar="DIR",
-        help="where the log goes, or DIR-2 and so on if that holds something (default demo-desk)",
-    )
-    parser.add_argument(
         "--browser", action=argparse.BooleanOptionalAction, default=True, help="open the browser, if there is one"
     )
     parser.add_argument(
@@ -76,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ENDPOINT",
         help=f"where the fleet meets ({DEFAULT_ENDPOINT}, or a free port if that is taken)",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -89,10 +79,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     listen = shown_address(*(arguments.listen or (HOST, _port(DESK_PORT))))
     configuration = [] if arguments.config is None else ["--config", arguments.config]
     warn_of_load(arguments.robots)
-    sys.stderr.write(f"demo-desk: starts {arguments.robots} robots, a recorder and the desk\n")
+    sys.stderr.write(f"demo: starts {arguments.robots} robots, a recorder and the desk\n")
     fleet = VirtualFleet(arguments.robots, endpoint, [], configuration)
     with fleet:
-        directory = fresh(arguments.out)
+        directory = fresh(arguments.out or OUT)
         fleet.start("record", "-o", str(directory), "--connect", endpoint)
         desk = fleet.start("desk", "--listen", listen, "--connect", endpoint, "--logs", str(directory))
         page = re.search(r"http://\S+/", desk)
@@ -106,10 +96,15 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         ends = ending_after(stopped, arguments.seconds, time.monotonic)
         with Patrol(fleet.robots, arguments.patrol, settings, endpoint):
             while not ends():
-                fleet.check()
+                fleet.tend(_tell)
                 time.sleep(POLL_S)
         fleet.end()
     return int(ExitCode.OK)
+
+
+def _tell(line: str) -> None:
+    sys.stdout.write(f"{time.strftime('%H:%M:%S')}  {line}\n")
+    sys.stdout.flush()
 
 
 def _port(wanted: int) -> int:

@@ -31,9 +31,11 @@ if TYPE_CHECKING:
     from schemas.exit_codes import CommandError
 
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
-    "demo": ("gateway.cli.demo", "chassis, gateway and recorder together, then a summary"),
+    "demo": (
+        "gateway.cli.demo",
+        "chassis, gateway and recorder together, then a summary; with --desk a fleet in the browser",
+    ),
     "demo-fleet": ("gateway.cli.demo_fleet", "a first fleet in signed mode: let in, driven, attacked, locked out"),
-    "demo-desk": ("gateway.cli.demo_desk", "a virtual fleet, a recorder and the desk, and the browser on it"),
     "sim": ("gateway.cli.sim", "a virtual chassis on a CAN bus"),
     "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
     "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),

@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final, Self
 
 from gateway.cli.child import Child, address_of
 from gateway.cli.sim_patrol import Patrol
+from gateway.host.stop_note import StopNote
 from gateway.zenoh.client import close_session
 from gateway.zenoh.router import open_local_router
 from schemas.exit_codes import ExitCode
@@ -21,6 +25,9 @@ ROBOTS_PER_PROCESSOR: Final = 5
 """A chassis, its gateway and its guard take an eighth of a processor at rest, and more while it is driven."""
 
 POLL_S: Final = 0.2
+
+BEGUN_MAX: Final = 5
+"""A gateway that died so often is started no more."""
 
 _ENDED_AT_ONCE: Final = 8
 """Processes that are ended at the same time."""
@@ -51,7 +58,9 @@ class VirtualFleet:
         self._configuration = configuration
         self._stack = ExitStack()
         self._chassis: list[Child] = []
-        self._gateways: list[Child] = []
+        self._gateways: dict[str, Child] = {}
+        self._begun: Counter[str] = Counter()
+        self._noted: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         """Start all of it. Each process has started before the first of its kind is waited for.
@@ -61,18 +70,21 @@ class VirtualFleet:
         """
         with ExitStack() as stack:
             stack.callback(close_session, open_local_router(self.endpoint))
+            # A stop by the guard in another run latches none of these; one in this run does.
+            self._state = Path(stack.enter_context(TemporaryDirectory(prefix="cruiser-")))
             words = [*self._words, "--listen", "127.0.0.1:0"]
             self._chassis = [stack.enter_context(Child("sim", words)) for _ in self.robots]
-            for robot, chassis in zip(self.robots, self._chassis, strict=True):
-                own = ["--robot", robot, "--interface", "socketcand", "--channel", address_of(chassis)]
-                gateway = Child(
-                    "gateway", [*self._configuration, *own, "--connect", self.endpoint], environment=environment()
-                )
-                self._gateways.append(stack.enter_context(gateway))
-            for gateway in self._gateways:
+            self._gateways = {robot: stack.enter_context(self._gateway(robot)) for robot in self.robots}
+            for gateway in self._gateways.values():
                 gateway.wait_ready()
             self._stack = stack.pop_all()
         return self
+
+    def _gateway(self, robot: str) -> Child:
+        self._begun[robot] += 1
+        bus = ["--interface", "socketcand", "--channel", address_of(self._chassis[self.robots.index(robot)])]
+        words = [*self._configuration, "--robot", robot, *bus, "--connect", self.endpoint]
+        return Child("gateway", words, environment=environment(self._state))
 
     def __exit__(self, *raised: object) -> None:
         self._stack.close()
@@ -87,10 +99,26 @@ class VirtualFleet:
         self.started.append(child)
         return child.wait_ready()
 
-    def check(self) -> None:
-        """Raise a CommandError if anything that was started has ended."""
-        for child in (*self._chassis, *self._gateways, *self.started):
+    def tend(self, tell: Callable[[str], object]) -> None:
+        """Start a gateway that has died again, and tell of it, and of what its guard did.
+
+        Raises:
+            CommandError: anything else has ended, or a gateway dies again and again.
+        """
+        for child in (*self._chassis, *self.started):
             child.check()
+        for robot, gateway in self._gateways.items():
+            if not gateway.is_over:
+                continue
+            if self._begun[robot] > BEGUN_MAX:
+                gateway.check()
+            tell(f"{robot}: its gateway has died. Its guard stops the robot; another gateway starts")
+            self._gateways[robot] = self._stack.enter_context(self._gateway(robot))
+        for path in self._state.glob("*.guard-stop"):
+            line = StopNote(path).last()
+            if line is not None and self._noted.get(path.name) != line[1]:
+                self._noted[path.name] = line[1]
+                tell(f"{path.name.split('.')[-2]}: {line[1]}")
 
     def end(self) -> None:
         """End all of it, the gateways before their chassis: a robot that moves is stopped first.
@@ -98,17 +126,18 @@ class VirtualFleet:
         Raises:
             CommandError: a process ended before, or does not end.
         """
-        for children in (self.started, self._gateways, self._chassis):
+        for children in (self.started, self._gateways.values(), self._chassis):
             with ThreadPoolExecutor(_ENDED_AT_ONCE) as pool:
                 list(pool.map(Child.end, children))
 
 
-def environment() -> Mapping[str, str]:
-    """The environment of a virtual robot's gateway.
+def environment(state: Path) -> Mapping[str, str]:
+    """The environment of a virtual robot's gateway: it has no keys, and meets all others at the router.
 
-    It has no keys, and meets all others at the router. A stop by the guard in another run must not latch it.
+    Args:
+        state: the directory of what outlives it.
     """
-    own = {"ZENOH_MODE": "client", "ZENOH_CONFIG": "", "AUTHORITY_MODE": "open", "GATEWAY_STATE_DIR": ""}
+    own = {"ZENOH_MODE": "client", "ZENOH_CONFIG": "", "AUTHORITY_MODE": "open", "GATEWAY_STATE_DIR": str(state)}
     return os.environ | {f"CRUISER_{name}": text for name, text in own.items()}
 
 
@@ -140,7 +169,7 @@ def run(fleet: VirtualFleet, patrolling: int, settings: Settings, ends: Callable
         sys.stderr.flush()
         with Patrol(fleet.robots, patrolling, settings, fleet.endpoint):
             while not ends():
-                fleet.check()
+                fleet.tend(lambda line: sys.stderr.write(f"sim: {line}\n"))
                 time.sleep(POLL_S)
         fleet.end()
     return int(ExitCode.OK)

@@ -1,4 +1,4 @@
-"""``cruiser sim --fleet`` and ``cruiser demo-desk``, as a user starts them."""
+"""``cruiser sim --fleet`` and ``cruiser demo --desk``, as a user starts them."""
 
 import json
 import os
@@ -38,6 +38,12 @@ def descendants(pid: int) -> set[int]:
     return found - {pid}
 
 
+def gateway_of(robot: str, pid: int) -> int:
+    """The process of a robot's gateway, of those that this one has started."""
+    commands = {one: Path(f"/proc/{one}/cmdline").read_bytes().split(b"\0") for one in descendants(pid)}
+    return next(one for one, words in commands.items() if b"--robot" in words and robot.encode() in words)
+
+
 def is_running(pid: int) -> bool:
     """It is there, and no zombie that nobody waits for."""
     try:
@@ -71,7 +77,20 @@ def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
         (("sim", "--fleet", "1", "--endpoint", "ENDPOINT"), 3),  # a chassis, its gateway and the guard
         by_night(("demo", "--seconds", "60"), 4),
         by_night(("demo-fleet", "--hold"), 6),
-        (("demo-desk", "--robots", "1", "--no-browser", "--listen", "127.0.0.1:0", "--endpoint", "ENDPOINT"), 5),
+        (
+            (
+                "demo",
+                "--desk",
+                "--robots",
+                "1",
+                "--no-browser",
+                "--listen",
+                "127.0.0.1:0",
+                "--endpoint",
+                "ENDPOINT",
+            ),
+            5,
+        ),
     ],
     ids=["sim", "demo", "demo-fleet", "demo-desk"],
 )
@@ -138,12 +157,19 @@ def test_the_demo_shows_a_fleet_on_the_desk_and_opens_the_browser(
     browser.chmod(0o755)
     words = ["--robots", "2", "--patrol", "1", "--out", str(out), "--listen", "127.0.0.1:0"]
     monkeypatch.setenv("BROWSER", f"{browser} %s")
-    with started("demo-desk", *words, "--endpoint", free_endpoint()) as demo:
+    with started("demo", "--desk", *words, "--endpoint", free_endpoint()) as demo:
         wait_until(lambda: (opened.exists() and opened.read_text() != "") or demo.process.poll() is not None)
         with DeskClient(opened.read_text()) as page:
             while sorted(page.rows) != TWO or not page.recorders:
                 page.receive()
-            while not any(row["driver"] == "patrol" and row["word"] == "driving" for row in page.rows.values()):
+            driven: list[str] = []
+            while not driven:
+                page.receive()
+                rows = page.rows.items()
+                driven = [name for name, row in rows if row["driver"] == "patrol" and row["word"] == "driving"]
+            # Its gateway dies: the demo goes on, and the desk shows what the guard has done.
+            os.kill(gateway_of(driven[0], demo.process.pid), signal.SIGKILL)
+            while page.rows[driven[0]]["reasons"] != ["guard"]:
                 page.receive()
         wait_until(lambda: logs_of("cruiser-1", opened.read_text()))
         # The terminal is closed.

@@ -1,7 +1,6 @@
 """``cruiser demo``: what it prints."""
 
 import argparse
-import re
 from pathlib import Path
 
 import pytest
@@ -10,16 +9,16 @@ from gateway.cli import demo
 from gateway.cli.child import fresh
 from gateway.cli.demo import describe
 from schemas.exit_codes import CommandError
+from schemas.settings import Settings
 
 
-@pytest.mark.parametrize("text", ["abc", "5", "nan", "1e6"])
-def test_its_length_is_a_number_of_seconds(text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """The line says what it should be."""
+@pytest.mark.parametrize("text", ["5", "1e6"])
+def test_its_length_is_bounded(text: str) -> None:
+    """The line says what it should be. A fleet and its desk may be shown for any time."""
     parser = argparse.ArgumentParser()
     demo.add_arguments(parser)
-    with pytest.raises(SystemExit):
-        parser.parse_args(["--seconds", text])
-    assert re.search("is not a number of seconds|must be from 20 to 86400", capsys.readouterr().err)
+    with pytest.raises(CommandError, match="must be from 20 to 86400"):
+        demo.run(parser.parse_args(["--seconds", text]), Settings(), lambda: True)
 
 
 def test_a_viewer_is_given_the_path_of_a_topic_in_the_log() -> None:
