@@ -150,7 +150,6 @@ async def serve(
             ssl_certfile=chain,
             ssl_keyfile=key,
             h11_max_incomplete_event_size=HEAD_BYTES,
-            proxy_headers=False,
         ),
         door,
     )
