@@ -45,7 +45,7 @@ _LAST: Final = (
     AuxiliaryFrame(SPEAKER_COMMAND, speaker_signals()),
     AuxiliaryFrame(ODOMETER_COMMAND, odometer_signals()),
 )
-"""The chassis keeps these for ever too, and nobody else ends them any more. The stop is latched, so it hazards."""
+"""The chassis keeps these for ever too, and nobody else ends them any more. The indicators are hazard lights."""
 
 _HEARD_AHEAD_MAX: Final = 3
 """A counter received from the bus may be this far ahead of the heartbeat's: the gateway died between the two."""
