@@ -123,7 +123,7 @@ test-cluster: $(STAMP)  ## export, rerun and regress on a Ray cluster of two nod
 # Their packages are not among the constraints: they are the examples' own, and nothing of the product needs them.
 CARGO := CARGO_TARGET_DIR=$(CURDIR)/build/rust cargo
 BRIDGE := $(CURDIR)/build/bridge
-NPM_INSTALL := npm install --ignore-scripts --no-package-lock --no-audit --no-fund --loglevel error
+NPM_INSTALL := npm ci --ignore-scripts --no-audit --no-fund --loglevel error
 clients:  ## the proofs of the clients in Rust and TypeScript, by the test vectors; Rust 1.85 and Node.js 20
 	$(CARGO) test --quiet --manifest-path docs/examples/rust/proof/Cargo.toml
 	cd docs/examples/typescript && $(NPM_INSTALL) && npm test --silent

@@ -32,8 +32,9 @@ REMOVED: Final = frozenset({"command.brake_pedal_percent"})
 """Settings of earlier versions, which their logs hold."""
 
 
-NO_GATEWAYS: Final = frozenset({"desk"})
-"""Tables that no gateway reads. Logs hold its settings, and earlier versions read none that they do not know."""
+NO_GATEWAYS: Final = frozenset({"desk", "upload"})
+"""Tables that no gateway reads. Everybody reads its settings, and the options of a store may be secrets; logs hold
+them, and earlier versions read none that they do not know."""
 
 
 class TomlSource(msgspec.Struct, frozen=True):

@@ -1,5 +1,6 @@
 """The pages and the Makefile: links lead somewhere, named tests and places exist, the README is short."""
 
+import json
 import re
 import subprocess
 import sys
@@ -208,3 +209,16 @@ def test_the_last_line_of_all_tests_sums_them_up() -> None:
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stdout.splitlines()[-1] == "FAILED: 1 failed, 1 errors, 25 passed, 2 skipped"
+
+
+def test_what_npm_brings_has_a_hash_and_no_registry() -> None:
+    """Whichever registry is set gives the same, or nothing."""
+    found = subprocess.run(
+        ["git", "ls-files", "*package.json"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    manifests = [ROOT / line for line in found.stdout.splitlines()]
+    assert manifests
+    for manifest in manifests:
+        packages = json.loads(manifest.with_name("package-lock.json").read_text("utf-8"))["packages"]
+        brought = {place: one for place, one in packages.items() if place}
+        assert [place for place, one in brought.items() if "resolved" in one or "integrity" not in one] == []

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import re
 import resource
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any, Final, Self
 from wsgiref.simple_server import WSGIRequestHandler, make_server
+from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
 from prometheus_client import CollectorRegistry, Metric, ProcessCollector, make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
@@ -58,8 +60,11 @@ class MetricsServer(Collector):
 
         if not ipaddress.ip_address(host).is_loopback:
             log.warning("whoever reaches %s reads how the robots are", shown_address(host, port))
+        app = make_wsgi_app(registry)
+        if ipaddress.ip_address(host).is_loopback:
+            app = _for_this_machine(app)
         try:
-            self._server = make_server(host, port, make_wsgi_app(registry), Server, _Handler)
+            self._server = make_server(host, port, app, Server, _Handler)
         except OSError as error:
             text = f"cannot listen on {shown_address(host, port)}: {error.strerror or error}"
             raise CommandError(text, ExitCode.UNREACHABLE) from error
@@ -143,6 +148,23 @@ class _Server(ThreadingWSGIServer):
             # Its thread reads the end, and closes it.
             with suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
+
+
+def _for_this_machine(app: WSGIApplication) -> WSGIApplication:
+    """Refuse a request under another name than an address or localhost: of a page whose name points here."""
+
+    def answer(environ: WSGIEnvironment, start: StartResponse) -> Iterable[bytes]:
+        name = re.sub(r":\d*$", "", environ.get("HTTP_HOST", "")).strip("[]")
+        try:
+            is_own = name == "localhost" or bool(ipaddress.ip_address(name))
+        except ValueError:
+            is_own = False
+        if is_own:
+            return app(environ, start)
+        start("421 Misdirected Request", [("Content-Type", "text/plain")])
+        return [b"ask for 127.0.0.1, [::1] or localhost\n"]
+
+    return answer
 
 
 class _Handler(WSGIRequestHandler):

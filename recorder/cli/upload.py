@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.cli.show import show
 from recorder.disk.upload_note import UploadNote
+from recorder.objects.address import shown_url
 from recorder.upload.background import enter_background
 from recorder.upload.hours import is_within
 from recorder.upload.relay import paced_way
@@ -76,7 +77,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         raise CommandError("no store is named: give --store URL, or upload.store in the settings", ExitCode.USAGE)
     if not upload.store.startswith(KINDS):
         # The library has others: one in memory, of which nothing would be left, while its logs were called safe.
-        raise CommandError(f"a store is one of {', '.join(KINDS)}, and not {plain(upload.store)}", ExitCode.USAGE)
+        raise CommandError(
+            f"a store is one of {', '.join(KINDS)}, and not {shown_url(upload.store)}", ExitCode.USAGE
+        )
     if not directory.is_dir():
         raise CommandError(f"{plain(str(directory))} is no directory", ExitCode.USAGE)
     try:
@@ -110,14 +113,18 @@ async def _upload(
             way = await stack.enter_async_context(paced_way(upload.rate_bytes_s))
         store = ObstoreLogs(upload.store, upload.options, upload.rate_bytes_s, way)
         plan = UploadPlan(
-            directory, upload.store, upload.logs == "incidents", upload.read_back, version("cruiser-gateway")
+            directory,
+            shown_url(upload.store),
+            upload.logs == "incidents",
+            upload.read_back,
+            version("cruiser-gateway"),
         )
         # The way over the network has its own.
         pace = RateLimit(upload.rate_bytes_s if is_local else 0)
         uploader = Uploader(
             plan, store, note, pace, row_maker("recorder.review.catalog") if upload.catalog else None
         )
-        log.info("finished logs of %s go to %s", plain(str(directory)), plain(upload.store))
+        log.info("finished logs of %s go to %s", plain(str(directory)), shown_url(upload.store))
         work = asyncio.create_task(_work(uploader, upload.hours, stopped, is_once=is_once))
         while not work.done():
             await asyncio.wait([work], timeout=POLL_S)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 import msgspec
+
+from schemas.printable import plain
 
 SCHEMES: Final = ("s3://", "gs://", "az://", "file://", "https://", "http://")
 """The stores that can be read."""
@@ -41,6 +44,15 @@ class StoreAddress(msgspec.Struct, frozen=True):
     def join(self, name: str) -> StoreAddress:
         """The address of an object of this place."""
         return StoreAddress(f"{self.url.rstrip('/')}/{name}")
+
+
+_SECRET: Final = re.compile(r"(?<=://)[^/]*@|(?<=\?).+")
+"""What may be one: a name and a password, and what follows the path, as of an address that somebody has signed."""
+
+
+def shown_url(url: str) -> str:
+    """Return an address for messages and notes: what may be a secret in it is masked."""
+    return plain(_SECRET.sub(lambda found: "***@" if found[0].endswith("@") else "***", url))
 
 
 def is_address(text: str) -> bool:

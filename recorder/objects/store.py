@@ -24,7 +24,7 @@ from obstore.exceptions import (
 )
 from obstore.store import ObjectStore, from_url
 
-from recorder.objects.address import StoreAddress
+from recorder.objects.address import StoreAddress, shown_url
 from recorder.objects.interface import ListedObject, StoredObject, StoreError
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain, short
@@ -194,12 +194,12 @@ def open_store(
             store: ObjectStore = opened(url)
         elif url.startswith("file://"):
             if not may_make and not Path(url.removeprefix("file://")).is_dir():
-                raise CommandError(f"cannot use the store {plain(url)}: no such directory")
+                raise CommandError(f"cannot use the store {shown_url(url)}: no such directory")
             store = opened(url, mkdir=may_make, **config)
         else:
             store = opened(url, config=config, client_options=client, retry_config=retries)
     except (BaseError, ValueError, TypeError, OSError) as error:
-        raise CommandError(f"cannot use the store {plain(url)}: {line_of(error)}", ExitCode.USAGE) from error
+        raise CommandError(f"cannot use the store {shown_url(url)}: {line_of(error)}", ExitCode.USAGE) from error
     return store
 
 

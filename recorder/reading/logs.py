@@ -18,6 +18,7 @@ from mcap import records
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
 from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, is_mcap, read_pieces
 from recorder.mcap.summary_reader import read_summary
+from recorder.objects.address import shown_url
 from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile, StoredLog
@@ -118,7 +119,7 @@ def look_at_stored(stored: StoredLog) -> LogFile:
     Raises:
         CommandError: it cannot be read, is empty, or is no MCAP file.
     """
-    shown = plain(stored.url)
+    shown = shown_url(stored.url)
     try:
         if stored.size == 0:
             raise CommandError(f"{shown} is empty")

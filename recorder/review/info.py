@@ -15,6 +15,7 @@ from typing import BinaryIO, Final
 import msgspec
 
 from recorder.backfill.backfilling import BACKFILLED_FROM
+from recorder.objects.address import shown_url
 from recorder.reading.contents import Contents, read_contents, walk_contents
 from recorder.reading.log_file import StoredLog
 from recorder.reading.logs import is_being_written, open_log
@@ -24,7 +25,6 @@ from recorder.record.incidents import INCIDENT_NAME
 from recorder.record.robots import METADATA_NAME
 from schemas import keys
 from schemas.exit_codes import CommandError
-from schemas.printable import plain
 
 CUT_NAME: Final = "cruiser.cut"
 """The metadata record of a part of a log: which time and topics it is, and of which files."""
@@ -166,7 +166,7 @@ def read_stored_info(stored: StoredLog, progress: Progress = lambda _: None) -> 
         with stored.open() as stream:
             return _read(stream, stored.size, stored.url, progress, is_verifying=False)
     except OSError as error:
-        raise CommandError(f"cannot read {plain(stored.url)}: {error.strerror or error}") from error
+        raise CommandError(f"cannot read {shown_url(stored.url)}: {error.strerror or error}") from error
 
 
 def brief(info: LogInfo) -> LogBrief:

@@ -23,7 +23,7 @@ from recorder.cli.review.asking import (
     table,
 )
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
-from recorder.objects.address import StoreAddress, is_address
+from recorder.objects.address import StoreAddress, is_address, shown_url
 from recorder.reading.faults import Faults
 from recorder.reading.times import in_words
 from recorder.review.report.links import iso
@@ -122,7 +122,7 @@ def _catalog(
 
 
 def _shown(place: Path | StoreAddress) -> str:
-    return plain(str(place) if isinstance(place, Path) else place.url)
+    return plain(str(place)) if isinstance(place, Path) else shown_url(place.url)
 
 
 def _with_paths(place: Path | StoreAddress, rows: pa.Table) -> pa.Table:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, BinaryIO
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
-from recorder.objects.address import SCHEMES, StoreAddress
+from recorder.objects.address import SCHEMES, StoreAddress, shown_url
 from recorder.objects.interface import Objects, StoreError
 from recorder.objects.ranged import RangedObject
 from recorder.objects.store import ObstoreObjects
@@ -14,7 +14,6 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import look_at_stored
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
 from schemas.recorder_settings import UploadSettings
 
 
@@ -39,9 +38,9 @@ class LogObject:
         try:
             found = objects.look(name)
         except StoreError as error:
-            raise CommandError(f"cannot read {plain(self.url)}: {error}", ExitCode.UNREACHABLE) from error
+            raise CommandError(f"cannot read {shown_url(self.url)}: {error}", ExitCode.UNREACHABLE) from error
         if found is None:
-            raise CommandError(f"cannot read {plain(self.url)}: there is no such object")
+            raise CommandError(f"cannot read {shown_url(self.url)}: there is no such object")
         self.size = found.bytes
         self.ranged = RangedObject(objects, name, found.bytes, found.e_tag)
 
@@ -82,7 +81,7 @@ def find_stored(addresses: Sequence[StoreAddress], upload: UploadSettings, fault
                     raise
                 faults.add(str(error))
         if len(found) == before and not faults:
-            raise CommandError(f"there is no log in {plain(address.url)}")
+            raise CommandError(f"there is no log in {shown_url(address.url)}")
     return found
 
 
@@ -99,12 +98,12 @@ def log_names(objects: Objects, place: StoreAddress) -> Iterator[str]:
     """
     if not place.has_list:
         raise CommandError(
-            f"{plain(place.url)} names no log, and such a server lists none: name one", ExitCode.USAGE
+            f"{shown_url(place.url)} names no log, and such a server lists none: name one", ExitCode.USAGE
         )
     try:
         yield from sorted(one.name for one in objects.names() if is_log(one.name))
     except StoreError as error:
-        raise CommandError(f"cannot list {plain(place.url)}: {error}", ExitCode.UNREACHABLE) from error
+        raise CommandError(f"cannot list {shown_url(place.url)}: {error}", ExitCode.UNREACHABLE) from error
 
 
 def open_objects(place: StoreAddress, upload: UploadSettings) -> Objects:

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from recorder.disk.log_directory import SUFFIX
-from recorder.objects.address import StoreAddress
+from recorder.objects.address import StoreAddress, shown_url
 from recorder.objects.interface import Objects, StoreError
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Progress
@@ -77,7 +77,7 @@ class PlaceCatalog:
         self._columns = list(columns)
         with self._reachable(place.url):
             if not place.has_list:
-                text = f"find cannot ask {plain(place.url)}: such a server does not list what it holds"
+                text = f"find cannot ask {shown_url(place.url)}: such a server does not list what it holds"
                 raise CommandError(text, ExitCode.USAGE)
             listed = {one.name: one.bytes for one in objects.names()}
         self._logs = {name: size for name, size in listed.items() if name.endswith(SUFFIX)}
@@ -116,7 +116,7 @@ class PlaceCatalog:
         """
         made: list[CatalogRow] = []
         if self.stale:
-            url = plain(self._place.url)
+            url = shown_url(self._place.url)
             self.notes.append(f"{len(self.stale)} logs of {url} had no row that holds: they were read")
         try:
             while self.stale:
@@ -145,7 +145,7 @@ class PlaceCatalog:
         try:
             table = read_stream(BytesIO(self._bytes(CATALOG_NAME)))
         except (StoreError, CatalogUnreadableError) as error:
-            self.notes.append(f"{plain(url)}: {error}: the rows beside the logs are read instead")
+            self.notes.append(f"{shown_url(url)}: {error}: the rows beside the logs are read instead")
             return []
         sizes = [self._logs.get(name) for name in table.column("file").to_pylist()]
         return [table.filter(pc.equal(table.column("bytes"), pa.array(sizes, pa.int64())))]
@@ -202,7 +202,7 @@ class PlaceCatalog:
                 path = path.with_name("log.incident.mcap")
             found = self._objects.look(name)
             if found is None:
-                raise CommandError(f"cannot read {plain(url)}: there is no such object")
+                raise CommandError(f"cannot read {shown_url(url)}: there is no such object")
             with path.open("wb") as copy:
                 for start in range(0, found.bytes, PIECE_BYTES):
                     end = min(start + PIECE_BYTES, found.bytes)
@@ -211,7 +211,7 @@ class PlaceCatalog:
             try:
                 return row_of(path, name, 0)
             except CommandError as error:
-                raise CommandError(str(error).replace(plain(str(path)), plain(url))) from error
+                raise CommandError(str(error).replace(plain(str(path)), shown_url(url))) from error
 
     def _gather(self) -> None:
         stream = BytesIO()
@@ -219,7 +219,7 @@ class PlaceCatalog:
         try:
             self._objects.write(CATALOG_NAME, stream.getvalue())
         except StoreError as error:
-            url = plain(self._place.join(CATALOG_NAME).url)
+            url = shown_url(self._place.join(CATALOG_NAME).url)
             self.notes.append(f"cannot write {url}: {error}; what was read is read again next time")
 
     @contextmanager
@@ -227,6 +227,6 @@ class PlaceCatalog:
         try:
             yield
         except StoreError as error:
-            raise CommandError(f"cannot read {plain(url)}: {error}", ExitCode.UNREACHABLE) from error
+            raise CommandError(f"cannot read {shown_url(url)}: {error}", ExitCode.UNREACHABLE) from error
         except OSError as error:
-            raise CommandError(f"cannot copy {plain(url)}: {error.strerror or error}") from error
+            raise CommandError(f"cannot copy {shown_url(url)}: {error.strerror or error}") from error

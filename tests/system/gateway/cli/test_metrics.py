@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import http.client
 import socket
 import time
 import urllib.error
@@ -172,6 +173,19 @@ def test_that_others_can_ask_is_said(caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(CommandError, match=r"cannot listen on 192\.0\.2\.1:9747"):
         MetricsServer(fleet(), "192.0.2.1", 9747)
     assert "whoever reaches 192.0.2.1:9747 reads how the robots are" in caplog.text
+
+
+def test_a_page_whose_name_points_here_is_answered_nothing() -> None:
+    """A browser says the page's name in its request."""
+    own, others = ("localhost", "127.0.0.1:9747", "[::1]:9747"), ("robots.example", "robots.example:9747", "")
+    with MetricsServer(fleet(), "127.0.0.1", 0) as server:
+        for name in (*own, *others):
+            asked = http.client.HTTPConnection(server.where.split("/")[2], timeout=10)
+            asked.request("GET", "/metrics", headers={"Host": name})
+            answer = asked.getresponse()
+            expected = (200, True) if name in own else (421, False)
+            assert (answer.status, b"cruiser_" in answer.read()) == expected
+            asked.close()
 
 
 def test_who_asks_for_nothing_whole_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:

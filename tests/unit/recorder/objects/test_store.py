@@ -8,7 +8,7 @@ import pytest
 from obstore.exceptions import GenericError, PermissionDeniedError, UnauthenticatedError
 
 from recorder.objects import store as stores
-from recorder.objects.address import StoreAddress, is_address
+from recorder.objects.address import StoreAddress, is_address, shown_url
 from recorder.objects.interface import ListedObject, StoredObject, StoreError
 from recorder.objects.store import ObstoreObjects
 from schemas.exit_codes import CommandError
@@ -154,3 +154,16 @@ def test_addresses_are_told_from_paths() -> None:
     assert (one.parent.url, one.name, one.has_list) == ("s3://logs/plant-1", "a.mcap", True)
     assert one.parent.join("b").url == "s3://logs/plant-1/b"
     assert not StoreAddress("https://example.com/a.mcap").has_list
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("s3://logs/plant-1/a@b.mcap", "s3://logs/plant-1/a@b.mcap"),
+        ("s3://key:secret@logs/plant-1", "s3://***@logs/plant-1"),
+        ("https://logs.example/a.mcap?X-Amz-Signature=1234", "https://logs.example/a.mcap?***"),
+    ],
+)
+def test_what_may_be_a_secret_in_an_address_is_not_shown(url: str, shown: str) -> None:
+    """In no message, and not in the note beside the logs."""
+    assert shown_url(url) == shown
