@@ -342,6 +342,11 @@ class Core:
         """Nothing is sent on the bus."""
         return self.command is None or self.command.arbiter.state is ArbiterState.STANDBY
 
+    @property
+    def is_held_by_motor(self) -> bool:
+        """A stop is under way that does not end by itself: the motor alone holds the robot."""
+        return self.command is not None and self.command.arbiter.engagement.is_held_by_motor
+
     def _command(
         self, command: CommandFlow, due: TickEffects, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes
     ) -> None:

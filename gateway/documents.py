@@ -72,6 +72,11 @@ BUS_RULES: Final = (
         "drive, gear, steering, braking and parking, in this order, then others; each once; all or nothing",
         ".py::test_a_burst_is_whole_and_in_order",
     ),
+    (
+        "after a part of a burst",
+        "at zero speed also drive, parking, gear, steering and braking, in this order",
+        ".py::test_a_torn_burst_may_be_followed_by_the_brake_first",
+    ),
     ("values", "those above", "_exhausted.py::test_every_value_of_every_signal"),
     ("enables", "all five or none", ".py::test_each_combination_of_enables"),
     (
@@ -106,7 +111,7 @@ BUS_RULES: Final = (
     ),
     (
         "the parking request ends",
-        "in reverse or drive, at zero speed, and never in a stop",
+        "in reverse or drive, at zero speed; in a stop once after an engagement, for a brake that does not hold",
         ".py::test_the_parking_brake_is_released_in_gear_at_zero_speed_and_not_in_a_stop",
     ),
     (

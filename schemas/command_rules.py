@@ -57,7 +57,9 @@ CHANGES: Final[dict[int, str]] = {
     "a commanded speed waits for a robot that does not follow; "
     "a robot that becomes faster than commanded gets its parking brake after 100 ms; "
     "a speed of zero that no feedback has confirmed is not called standing; "
-    "the speed limit of an idle robot is the one that an engage would bring",
+    "the speed limit of an idle robot is the one that an engage would bring; "
+    "a robot whose parking brake slips is given back to its motor; a stop that lets it move twice stays in gear; "
+    "at zero speed, after a part of a burst, the parking frame is sent second",
 }
 """The changes that each version of the rules brought."""
 

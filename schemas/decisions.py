@@ -110,6 +110,7 @@ COMMANDING: Final = frozenset({ArbiterState.ENGAGING, ArbiterState.ENGAGED})
 class StopPhase(Enum):
     """The phase of a stop: ramp, brake, park, hold, disable. ``idle``: no stop is under way.
 
+    ``motor``: the parking brake does not hold the robot, so it is released, and the motor holds it in gear.
     ``neutral`` occurs in older logs only. Append new phases at the end: a log stores a phase by its place.
     """
 
@@ -120,6 +121,7 @@ class StopPhase(Enum):
     HOLD = "hold"
     DISABLE = "disable"
     PARK = "park"
+    MOTOR = "motor"
 
 
 class Severity(Enum):

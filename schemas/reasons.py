@@ -94,6 +94,7 @@ class Reason(Enum):
     STOPPED_BY_OTHER = "stopped_by_other"
     IDLE = "idle"
     NOT_MOVING = "not_moving"
+    BRAKE_SLIPS = "brake_slips"
 
 
 class Text(msgspec.Struct, frozen=True):
@@ -304,6 +305,11 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.NOT_MOVING: Text(
         "the robot is commanded to move, and is seen to stand",
         f"look for what blocks it, and whether it moves although its speed reads zero; then {RESET}{ENGAGE}",
+    ),
+    Reason.BRAKE_SLIPS: Text(
+        "the parking brake reads applied and does not hold the robot: the motor alone holds it",
+        "chock its wheels, or drive it to level ground with the remote control; "
+        f"once it has stood braked for 5 s, {RESET}mend the brake before the next slope",
     ),
 }
 

@@ -125,6 +125,21 @@ WARN_AGAIN_NS: Final = 5_000_000_000
 BLINK_NS: Final = 350_000_000
 """Indicators that warn are on for this long, and off for as long."""
 
+SLIPS_NS: Final = 2_000_000_000
+"""A robot that moves within this time of the auto-hold was held by its motor, and is not by its parking brake."""
+
+MOTOR_HOLDS_NS: Final = 300_000_000
+"""A robot that was given back to its motor is not faster after this time, or gets its parking brake for good."""
+
+BRAKE_RETURNS: Final = 2
+"""A stop whose disabled frames let the robot move so many times does not disable any more."""
+
+RETURN_NS: Final = 10_000_000_000
+"""A robot that is found moving within this time of the end of its stop was not held either."""
+
+BRAKED_NS: Final = 5_000_000_000
+"""A stop that does not disable ends by a reset once the robot has stood braked for this long."""
+
 STANDSTILL_TICKS: Final = 5
 """The robot stands when its speed was under STANDSTILL_MPS for this many ticks, 50 ms."""
 

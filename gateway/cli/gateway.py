@@ -205,6 +205,12 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
         except Exception:
             _stop_unguarded(core, bus, guard, settings)
             raise
+        if core.is_held_by_motor:
+            # The guard goes on, and the chassis executes its last command: zero speed, in gear.
+            raise CommandError(
+                "the robot is held by the motor alone, its parking brake does not hold it: chock its wheels",
+                ExitCode.PARTIAL,
+            )
     return core.carried if renewal.is_taken and not ends() else None
 
 

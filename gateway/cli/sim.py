@@ -55,6 +55,7 @@ _CONDITION_FLAGS: Final = {
         "GAIN",
         "how much of the brake the brake pedal applies, from {low:g} to {high:g}",
     ),
+    "parking_grip": ("--parking-grip", "SHARE", "share of its grip that the parking brake has, to {high:g}"),
     "parking_delay_s": ("--parking-delay", "S", "seconds that the parking brake takes, up to {high:g}"),
 }
 """The conditions that have a flag: its name, its value, its help."""

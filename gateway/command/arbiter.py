@@ -24,7 +24,7 @@ from gateway.command.verbs import Verbs
 from schemas.decisions import COMMANDING, ArbiterState, Bound, EventKind, Severity
 from schemas.messages import Mode, Variant
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import Settings
+from schemas.settings import SLIPS_NS, TICK_NS, Settings
 
 _NS_PER_S: Final = 1_000_000_000
 _TICK_BITS: Final = 40
@@ -196,12 +196,20 @@ class Arbiter:
         is_engaged = self.state is ArbiterState.ENGAGED
         limit_mps = self.setpoint.limits.speed_mps
         for reason in self.monitor.faults(self.output.told, limit_mps, late_ns, now_ns, is_engaged=is_engaged):
-            self.engagement.begin_stop(reason, now_ns, self.monitor.fault_detail(reason, late_ns))
+            if reason is Reason.ROLLING and is_engaged and self._slips(now_ns):
+                self.engagement.release_brake(now_ns, self.monitor.fault_detail(reason, late_ns))
+            else:
+                self.engagement.begin_stop(reason, now_ns, self.monitor.fault_detail(reason, late_ns))
         if self.monitor.plausibility.runs_away and self.output.sequence is not None:
             # A ramp would be in vain: the motor does not hold it.
             self.output.sequence.park(now_ns)
         if self.output.variant is Variant.UNKNOWN:
             self.engagement.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
+
+    def _slips(self, now_ns: int) -> bool:
+        """The robot stood by its motor, and began to roll once its parking brake was applied by itself."""
+        held_ns = self.output.motion.held_ticks * TICK_NS
+        return held_ns > 0 and held_ns - self.monitor.plausibility.rolling_ns(now_ns) <= SLIPS_NS
 
     def _stop_for_lapses(self, chassis: ChassisState, now_ns: int) -> None:
         """Stop where somebody ought to have done something in time, and has not."""

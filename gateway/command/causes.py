@@ -31,6 +31,7 @@ STOPS: Final[dict[Reason, StopRule]] = {
     Reason.FRONT_BUMPER: StopRule(at_once=True, latched=True),
     Reason.REAR_BUMPER: StopRule(at_once=True, latched=True),
     Reason.ROLLING: StopRule(at_once=True, latched=True, parks=True),
+    Reason.BRAKE_SLIPS: StopRule(at_once=True, latched=True),
     Reason.IMPLAUSIBLE_SPEED: StopRule(at_once=True, latched=True, ramps=False),
     Reason.OVERSPEED: StopRule(at_once=True, latched=True),
     Reason.STEERING: StopRule(at_once=True, latched=True),

@@ -25,7 +25,7 @@ from gateway.command.stop import StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
 from schemas.messages import GearPosition, Mode, ParkingStatus
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, CommandSettings
+from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, RETURN_NS, CommandSettings
 
 
 class Engagement:
@@ -68,6 +68,8 @@ class Engagement:
         self.bars: dict[Reason, str] = {}
         self._is_brake_missed = False
         self._stray_ns: int | None = None
+        self._returns = 0
+        self._rested_ns: int | None = None
 
     def blockers(self, now_ns: int) -> list[Reason]:
         """Return why the robot cannot be engaged now, whoever asks; the gravest first."""
@@ -94,6 +96,7 @@ class Engagement:
         """Give the five enables with zero speed. Nothing speaks against it any more."""
         self._go(Trigger.ENGAGE)
         self.owes_stop = False
+        self._returns = 0
         chassis, configured = self.monitor.chassis, self.setpoint.configured_limits
         self.setpoint.reset(limits)
         angle_deg = inferred_angle_deg(chassis, configured)
@@ -136,7 +139,8 @@ class Engagement:
                 return  # Standing by stays silent.
             self.setpoint.limits = self.setpoint.configured_limits
             self._begin_output(last)
-        output.sequence = StopSequence(last, deceleration_mps2, now_ns)
+        returns = self._count_returns(now_ns) if is_stray else 0
+        output.sequence = StopSequence(last, deceleration_mps2, now_ns, returns)
         is_repeated = is_stray and self._note_stray(now_ns)
         # The remote control may have a robot whose mode is not known: a ramp would leave it a speed.
         is_unsure = is_stray and chassis.mode is not Mode.AUTO
@@ -153,6 +157,12 @@ class Engagement:
         severity = Severity.INFO if is_calm and not rule.at_once else Severity.WARNING
         text = f"stopping: {_in_words(reason, detail)}"
         self.outbox.add_event(severity, EventKind.STOP, reason, text, operator)
+
+    def release_brake(self, now_ns: int, detail: str) -> None:
+        """Give an engaged robot back to its motor, which held it: its parking brake does not. Latched."""
+        self.begin_stop(Reason.BRAKE_SLIPS, now_ns, detail)
+        if self.output.sequence is not None:
+            self.output.sequence.release(now_ns)
 
     def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
         """Keep the robot from being engaged until a reset, if the table says so."""
@@ -203,9 +213,28 @@ class Engagement:
             self._is_brake_missed = True
             text = "the parking brake does not read applied; the motor holds the robot in gear meanwhile"
             self.outbox.add_event(Severity.ERROR, EventKind.FAULT, Reason.NOT_CONFIRMED, text)
+        if sequence.stays and Reason.BRAKE_SLIPS not in self.latches.details:
+            detail = f"it moved {sequence.returns} times when the enables were gone; it stays in gear"
+            self.begin_stop(Reason.BRAKE_SLIPS, now_ns, detail)
         if actuation is None:
+            self._returns, self._rested_ns = sequence.returns, now_ns
             self._rest(now_ns)
         return actuation
+
+    @property
+    def is_held_by_motor(self) -> bool:
+        """True if a stop does not end by itself, for the parking brake does not hold the robot."""
+        return self.output.sequence is not None and self.output.sequence.stays
+
+    def may_finish(self, now_ns: int) -> bool:
+        """Return True if such a stop may end by a reset: the robot has stood braked for long enough."""
+        sequence = self.output.sequence
+        return sequence is not None and sequence.stays and sequence.is_braked(now_ns)
+
+    def finish_stop(self, now_ns: int) -> None:
+        """Let such a stop end; it begins again where the robot moves."""
+        if self.output.sequence is not None:
+            self.output.sequence.finish(now_ns)
 
     def leave(self, reason: Reason, now_ns: int) -> None:
         """Cease the output at once: somebody else commands the chassis, or no command can reach it."""
@@ -255,6 +284,11 @@ class Engagement:
         if self.output.actuation is not None:
             return self.output.actuation
         return inferred_actuation(self.monitor.chassis, self.setpoint.configured_limits, self.handover.left)
+
+    def _count_returns(self, now_ns: int) -> int:
+        """Return how often the robot has moved since its last stop took the enables away."""
+        is_return = self._rested_ns is not None and now_ns - self._rested_ns < RETURN_NS
+        return self._returns + 1 if is_return and self.monitor.chassis.moves else 0
 
     def _note_stray(self, now_ns: int) -> bool:
         """Remember a stop that begins while standing by.

@@ -9,6 +9,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.cruiser.frames import (
+    BRAKE_FIRST_FRAMES,
     DRIVE_COMMAND,
     MOTION_FRAMES,
     STEERING_COMMAND,
@@ -33,6 +34,7 @@ class FrameMaker:
 
     Attributes:
         counters: the next alive counter of each command frame, by the frame's name.
+        is_torn: the bus took only a part of the last burst that it took anything of.
     """
 
     def __init__(self) -> None:
@@ -46,6 +48,7 @@ class FrameMaker:
         self._angle_scale_deg = layouts[Variant.COARSE].messages[STEERING_COMMAND].signal(TARGET_ANGLE).scale
         self.counters = {message.name: 0 for message in commands}
         self._names = {message.can_id: message.name for message in commands}
+        self.is_torn = False
 
     def make(self, actuation: Actuation, auxiliary: list[AuxiliaryFrame], variant: Variant) -> list[Frame]:
         """Return the frames of this tick: the five motion frames, then others that were requested.
@@ -65,7 +68,8 @@ class FrameMaker:
             angle_deg=toward_zero(actuation.angle_deg, self._angle_scale_deg),
             parking=actuation.parking,
         )
-        frames = [encode(name, values[name], counters[name]) for name in MOTION_FRAMES]
+        order = BRAKE_FIRST_FRAMES if self.is_torn and not values[DRIVE_COMMAND][TARGET_SPEED] else MOTION_FRAMES
+        frames = [encode(name, values[name], counters[name]) for name in order]
         frames += [encode(extra.name, extra.values, counters[extra.name]) for extra in auxiliary]
         return frames
 
@@ -75,7 +79,9 @@ class FrameMaker:
             self.counters[self._names[can_id]] = (counter + 1) % COUNTER_SPAN
 
     def sent(self, frames: list[Frame]) -> None:
-        """These were sent: their counters advance."""
+        """These were sent, the first of a burst: their counters advance."""
+        if frames:
+            self.is_torn = len(frames) < len(MOTION_FRAMES)
         for frame in frames:
             name = self._names[frame.can_id]
             self.counters[name] = (self.counters[name] + 1) % COUNTER_SPAN

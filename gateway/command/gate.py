@@ -14,6 +14,7 @@ import msgspec
 from gateway.chassis.cruiser.gate_table import (
     ANGLE_RAW,
     ANGLE_STEP_RAW,
+    BRAKE_FIRST,
     DRIVE_ID,
     ENABLES,
     GEARS,
@@ -61,6 +62,9 @@ class Gate:
         self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
         self._before: MotionBurst | None = None
         self._before_ns = 0
+        self._is_stopping = self._is_torn = False
+        # In a stop the parking brake is released once at most, by a robot that it does not hold.
+        self._may_release = False
 
     def admit(
         self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False
@@ -75,7 +79,7 @@ class Gate:
             variant: the scale of the speed in it.
             now_ns: monotonic.
             stopping: they belong to a stop. Only a stop may begin with the parking brake released; in a stop no
-                speed rises, and the parking brake stays applied.
+                speed rises, and the parking brake stays applied, but for one release at zero speed.
         """
         if len(frames) > BURST_MAX_FRAMES or len({frame.can_id for frame in frames}) != len(frames):
             return GateFault(0, "too many frames, or one twice")
@@ -83,11 +87,17 @@ class Gate:
             fault = self._frame_fault(frame, now_ns)
             if fault:
                 return GateFault(frame.can_id, fault)
-        if tuple(frame.can_id for frame in frames[: len(MOTION)]) != MOTION:
+        order = tuple(frame.can_id for frame in frames[: len(MOTION)])
+        if order != MOTION and not (order == BRAKE_FIRST and self._is_torn):
             return GateFault(0, "a burst begins with the five motion frames")
         motion = read_motion(frames)
+        if order != MOTION and motion.speed_raw:
+            return GateFault(DRIVE_ID, "the parking frame comes second at zero speed alone")
         before = self._before if now_ns - self._before_ns < FORGET_NS else None
-        fault = motion_fault(motion, variant) or step_fault(motion, before, variant, stopping=stopping)
+        self._is_stopping = stopping
+        fault = motion_fault(motion, variant) or step_fault(
+            motion, before, variant, stopping=stopping, may_release=self._may_release
+        )
         return GateFault(DRIVE_ID, fault) if fault else None
 
     def sent(self, frames: list[Frame], now_ns: int) -> None:
@@ -95,9 +105,15 @@ class Gate:
         for frame in frames:
             self.counters[frame.can_id] = frame.data[6] >> 4
             self._times_ns[frame.can_id].append(now_ns)
+        if frames:
+            self._is_torn = len(frames) < len(MOTION)
         if len(frames) >= len(MOTION):
-            self._before = read_motion(frames)
-            self._before_ns = now_ns
+            motion, before = read_motion(frames), self._before
+            if not self._is_stopping:
+                self._may_release = True
+            elif before is not None and before.parking > motion.parking:
+                self._may_release = False
+            self._before, self._before_ns = motion, now_ns
 
     def pause(self) -> None:
         """Nothing is sent, on purpose: somebody else may command meanwhile, and what follows begins anew."""
@@ -151,7 +167,9 @@ def motion_fault(motion: MotionBurst, variant: Variant) -> str:
     return _broken(rules)
 
 
-def step_fault(motion: MotionBurst, before: MotionBurst | None, variant: Variant, *, stopping: bool) -> str:
+def step_fault(
+    motion: MotionBurst, before: MotionBurst | None, variant: Variant, *, stopping: bool, may_release: bool
+) -> str:
     """Return the fault of the step from one burst to the next; empty if there is none.
 
     Args:
@@ -159,6 +177,8 @@ def step_fault(motion: MotionBurst, before: MotionBurst | None, variant: Variant
         before: the one before; None out of silence.
         variant: the scale of the speeds.
         stopping: the burst belongs to a stop.
+        may_release: this stop may release the parking brake, for there was an engagement before it, and no release
+            since.
     """
     if before is None:
         return "" if stopping or motion.parking else "released out of silence"
@@ -172,7 +192,7 @@ def step_fault(motion: MotionBurst, before: MotionBurst | None, variant: Variant
         # Parked is at zero speed: this keeps the gear at speed as well.
         (not shifts or motion.parking & before.parking, "the gear changes without the parking brake"),
         (not shifts or NEUTRAL in {motion.gear, before.gear}, "the direction changes without neutral"),
-        (not releases or not stopping, "a stop releases the parking brake"),
+        (not releases or not stopping or may_release, "a stop releases the parking brake"),
         (not releases or not moves, "the parking brake is released at speed"),
     )
     return _broken(rules)

@@ -55,6 +55,7 @@ class MotionProfile:
         angle_deg: left is positive.
         gear: neutral until the first gear is wanted.
         parking: the parking brake is asked for.
+        held_ticks: ticks since a robot that stood by its motor got its parking brake by itself; 0 if it did not.
         bounds: the limits that changed what was asked in the last tick.
     """
 
@@ -64,6 +65,7 @@ class MotionProfile:
         self.gear = gear
         self.parking = True
         self.bounds: list[Bound] = []
+        self.held_ticks = 0
         self._stood_ticks = 0
         self._gear_ticks = SHIFT_TICKS
 
@@ -126,6 +128,8 @@ class MotionProfile:
 
     def _stand(self, constraints: MotionConstraints) -> float:
         """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""
+        if self.held_ticks or (not self.parking and self._stood_ticks > AUTO_HOLD_TICKS):
+            self.held_ticks += 1
         if constraints.parked or self._stood_ticks > AUTO_HOLD_TICKS:
             self.parking = True
         if self.parking:
@@ -134,6 +138,7 @@ class MotionProfile:
 
     def _drive_off(self, speed_mps: float, constraints: MotionConstraints) -> float:
         """The speed to go to now: zero until the gear of that direction is in and the brake is released."""
+        self.held_ticks = 0
         wanted = GearPosition.DRIVE if speed_mps > 0 else GearPosition.REVERSE
         if self.gear is not wanted:
             self._bound(Bound.GEAR if self.gear is GearPosition.NEUTRAL else Bound.REVERSAL)

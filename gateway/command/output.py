@@ -83,10 +83,10 @@ class Output:
         Otherwise the chassis's next command would be several steps from its last one; or a stop that it never
         received would proceed to neutral. A ramp whose speed frame was accepted continues all the same.
         """
-        told = self.actuation
+        told, stepped = self.actuation, self.sequence
         self.motion, self.sequence, self.actuation = self._before
-        if is_speed_told and told is not None and self.sequence is not None:
-            self.sequence.not_above(told.speed_mps)
+        if is_speed_told and told is not None and stepped is not None and self.sequence is not None:
+            self.sequence = stepped.after_part(self.sequence, told.speed_mps)
 
     def replace_step(self, actuation: Actuation) -> None:
         """Command this instead. If the bus does not accept it either, the stop that has begun is still due."""

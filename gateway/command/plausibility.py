@@ -227,6 +227,10 @@ class Plausibility:
         self.runs_away = "runs" in lasting
         return list(dict.fromkeys(lasting.values()))
 
+    def rolling_ns(self, now_ns: int) -> int:
+        """Return for how long the robot has been rolling."""
+        return now_ns - min(self._since_ns.get("rolls", now_ns), self._since_ns.get("creeps", now_ns))
+
     def _lasts(self, check: str, reason: Reason, detail: str, now_ns: int) -> int:
         """For how long, in nanoseconds; -1 if it does not hold."""
         if not detail:

@@ -8,6 +8,7 @@ this sequence; so does the guard when there is no arbiter any more.
 
 from __future__ import annotations
 
+from math import inf
 from typing import Final
 
 import msgspec
@@ -17,9 +18,12 @@ from schemas.decisions import StopPhase
 from schemas.messages import GearPosition
 from schemas.settings import (
     BRAKE_MAX_NS,
+    BRAKE_RETURNS,
     BRAKE_UNSEEN_NS,
+    BRAKED_NS,
     DISABLE_NS,
     HOLD_NS,
+    MOTOR_HOLDS_NS,
     NOT_SLOWING_NS,
     SLOWING_MPS,
     STANDSTILL_MPS,
@@ -55,16 +59,21 @@ class StopSequence:
 
     Attributes:
         phase: the present one; IDLE when the stop has ended.
+        returns: number of times that the robot moved when the enables were gone, in this stop and just before it.
     """
 
-    def __init__(self, last: Actuation, deceleration_mps2: float, now_ns: int) -> None:
+    def __init__(self, last: Actuation, deceleration_mps2: float, now_ns: int, returns: int = 0) -> None:
         """Begin to stop.
 
         Args:
             last: the chassis's last command.
             deceleration_mps2: how fast the commanded speed goes to zero.
             now_ns: monotonic.
+            returns: so many times the robot moved when the enables were gone, in stops just before this one.
         """
+        self.returns = returns
+        self._is_released = False
+        self._released_mps = inf
         self._gear = last.gear
         self._speed_mps = last.speed_mps
         self._angle_deg = last.angle_deg
@@ -83,6 +92,26 @@ class StopSequence:
         """The parking brake should read applied by now, and the sequence still waits for it."""
         return self.phase is StopPhase.PARK and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
 
+    @property
+    def stays(self) -> bool:
+        """True if the enables are not taken away: without them the robot would move."""
+        return self._is_released or self.returns >= BRAKE_RETURNS
+
+    def is_braked(self, now_ns: int) -> bool:
+        """The robot has stood behind its applied parking brake for so long that a stop which stays may end."""
+        return self.phase is StopPhase.HOLD and now_ns - self._begun_ns >= BRAKED_NS
+
+    def finish(self, now_ns: int) -> None:
+        """Take the enables away from a robot that has stood braked."""
+        self.returns, self._is_released = 0, False
+        self._enter(StopPhase.DISABLE, now_ns)
+
+    def release(self, now_ns: int) -> None:
+        """Give the robot back to its motor, which held it before: the parking brake does not."""
+        self._is_released = True
+        self._speed_mps, self._released_mps = 0.0, inf
+        self._enter(StopPhase.MOTOR, now_ns)
+
     def hasten(self, deceleration_mps2: float) -> None:
         """Slow down faster, for a graver cause. Never slower."""
         self._deceleration_mps2 = max(self._deceleration_mps2, deceleration_mps2)
@@ -90,6 +119,17 @@ class StopSequence:
     def not_above(self, speed_mps: float) -> None:
         """Go on with the ramp from this speed, if it is a lower one."""
         self._speed_mps = min(self._speed_mps, speed_mps)
+
+    def after_part(self, before: StopSequence, told_mps: float) -> StopSequence:
+        """Return the sequence to go on with after the bus took the speed of a burst, and not the whole of it.
+
+        At zero speed it goes on to the parking brake, which the next burst has second. Never further: a chassis
+        that did not receive it would lose its enables.
+        """
+        if not told_mps and self.phase in {StopPhase.RAMP, StopPhase.BRAKE, StopPhase.PARK}:
+            return self
+        before.not_above(told_mps)
+        return before
 
     def park(self, now_ns: int) -> None:
         """Apply the parking brake at once, at whatever speed."""
@@ -127,14 +167,25 @@ class StopSequence:
                 self._enter(StopPhase.HOLD, now_ns)
             case StopPhase.HOLD if feedback.moves:
                 self._begun_ns = now_ns
-            case StopPhase.DISABLE if feedback.moves:
-                # Its brake does not hold it when the enables are gone.
+            case StopPhase.DISABLE | StopPhase.MOTOR if self._is_not_held(feedback, now_ns):
+                self.returns += self.phase is StopPhase.DISABLE
                 self._enter(StopPhase.PARK, now_ns)
-            case StopPhase.HOLD if now_ns - self._begun_ns >= HOLD_NS:
+            case StopPhase.HOLD if now_ns - self._begun_ns >= HOLD_NS and not self.stays:
                 self._enter(StopPhase.DISABLE, now_ns)
             case StopPhase.DISABLE if now_ns - self._begun_ns >= DISABLE_NS:
                 self._enter(StopPhase.IDLE, now_ns)
         return self._actuation()
+
+    def _is_not_held(self, feedback: StopFeedback, now_ns: int) -> bool:
+        """Neither its brake holds a robot whose enables are gone, nor its motor one whose brake was released."""
+        if self.phase is StopPhase.DISABLE:
+            return feedback.moves
+        speed_mps = feedback.speed_mps or 0.0
+        is_early = now_ns - self._begun_ns < MOTOR_HOLDS_NS
+        is_faster = not is_early and speed_mps > self._released_mps + STANDSTILL_MPS
+        if self._released_mps == inf or (not is_early and speed_mps < self._released_mps):
+            self._released_mps = speed_mps
+        return is_faster
 
     def _enter(self, phase: StopPhase, now_ns: int) -> None:
         self.phase, self._begun_ns = phase, now_ns

@@ -225,6 +225,7 @@ class Verbs:
         self._monitor.acknowledge(self._latches.details)
         cleared = ", ".join(reason.value for reason in self._latches.details)
         self._latches.details.clear()
+        self._engagement.finish_stop(now_ns)
         self._leases.renew(now_ns)
         self._outbox.add_event(
             Severity.INFO, EventKind.RESET, Reason.NONE, f"reset: {cleared or 'nothing was latched'}", operator
@@ -245,7 +246,7 @@ class Verbs:
 
     def _reset_refusal(self, now_ns: int) -> Reason | None:
         """Return why nothing can be reset: the robot must be seen to stand, and nobody may ask it to move."""
-        if self._engagement.state is not ArbiterState.STANDBY:
+        if self._engagement.state is not ArbiterState.STANDBY and not self._engagement.may_finish(now_ns):
             return _BY_STATE[self._engagement.state]
         if self._monitor.chassis.guard_sends:
             return Reason.GUARD

@@ -23,6 +23,8 @@ class Beat(msgspec.Struct, frozen=True):
         variant: the one in force.
         last: the chassis's last command; at rest if that is over and done.
         counters: the next alive counter of each command frame, in the layout's order.
+        is_released: a stop has given the robot back to its motor, for the parking brake does not hold it.
+        returns: so many times the robot moved in this stop when the enables were gone.
     """
 
     now_ns: int
@@ -34,6 +36,8 @@ class Beat(msgspec.Struct, frozen=True):
     variant: Variant = Variant.UNKNOWN
     last: Actuation = AT_REST
     counters: bytes = bytes(8)
+    is_released: bool = False
+    returns: int = 0
 
 
 class Cause(Enum):
@@ -54,6 +58,7 @@ class StopOutcome(Enum):
     REMOTE = "the remote control has the robot"
     OTHER = "the remote control had the robot, and another computer commands it since"
     GIVEN_UP = "it has given up"
+    MOTOR = "the motor alone holds the robot, by its last command: chock its wheels"
 
 
 class GuardView(msgspec.Struct, frozen=True):

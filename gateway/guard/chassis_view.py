@@ -117,10 +117,15 @@ class ChassisView:
         return None if wheels is None else sum(wheels) / 2
 
     def moves(self, variant: Variant, now_ns: int) -> bool:
-        """The robot is seen to move; by the raw drive feedback where its scale is not known."""
-        drive = self._fresh(DRIVE, now_ns) if variant is Variant.UNKNOWN else None
+        """The robot is seen to move; by raw drive feedback and wheel speeds where their scale is not known."""
+        if variant is not Variant.UNKNOWN:
+            return (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
+        drive, wheels = self._fresh(DRIVE, now_ns), self._fresh(WHEEL_SPEED, now_ns)
         turns = drive is not None and int.from_bytes(drive[1:3], "little") >= TURNING_RAW_MIN
-        return turns or (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
+        # What each variant calls standing is many m/s in the other, or not a wheel speed at all.
+        return turns or (
+            wheels is not None and bool(wheels[0] & 1) and self._evidence.of(wheels) is Variant.UNKNOWN
+        )
 
     def is_braked(self, now_ns: int) -> bool | None:
         """True if the parking brake reads applied; None if it is not reported."""

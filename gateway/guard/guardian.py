@@ -7,7 +7,7 @@ from typing import Final
 from gateway.chassis.frame import Frame
 from gateway.guard.beat import Beat, Cause, GuardStatus, StopOutcome
 from gateway.guard.chassis_view import ChassisView
-from gateway.guard.stopper import NOT_OBEYED, REMOTE, STANDS, UNSEEN, Stopper
+from gateway.guard.stopper import MOTOR, NOT_OBEYED, REMOTE, STANDS, UNSEEN, Stopper
 from schemas.messages import Mode
 from schemas.settings import (
     COMMANDER_NS,
@@ -169,7 +169,15 @@ class Guardian:
         self.outcome = StopOutcome.NONE
         self.stops += 1
         self._began_ns = self._feedback_ns = now_ns
-        self._stopper.begin(last.last, last.variant, last.counters, now_ns, last.told_ns)
+        self._stopper.begin(
+            last.last,
+            last.variant,
+            last.counters,
+            now_ns,
+            last.told_ns,
+            is_released=last.is_released,
+            returns=last.returns,
+        )
         age_ms = (now_ns - last.now_ns) / 1e6
         self._lines.append(f"{cause.value}, last heartbeat {age_ms:.0f} ms ago: stopping the robot")
 
@@ -180,6 +188,9 @@ class Guardian:
         if is_superfluous:
             # This process was the one that stood still, and the loop no longer counts on it.
             self._stopper.give_up("given back to the gateway, after a pause of the guard itself")
+        elif now_ns - self._began_ns > GUARD_GIVES_UP_NS and self._stopper.stays:
+            # The chassis executes its last command for ever: zero speed, in gear.
+            self._stopper.give_up(MOTOR)
         elif now_ns - self._began_ns > GUARD_GIVES_UP_NS:
             why = NOT_OBEYED if self._stopper.is_transmitting(now_ns) else "the bus takes no frames"
             self._stopper.give_up(f"given up: {why}")

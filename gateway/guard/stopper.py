@@ -37,6 +37,7 @@ STANDS: Final = StopOutcome.STANDS.value
 UNSEEN: Final = StopOutcome.UNSEEN.value
 REMOTE: Final = StopOutcome.REMOTE.value
 OTHER: Final = StopOutcome.OTHER.value
+MOTOR: Final = StopOutcome.MOTOR.value
 NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
 """Ends of a stop, and reasons to wait."""
 
@@ -81,6 +82,7 @@ class Stopper:
         self._went_on_ns = self._look_until_ns = self._paused_ns = self._due_ns = 0
         self._bursts_off = self._partings = 0
         self._offered: list[Frame] = []
+        self._is_released, self._returns = False, 0
         self.is_over = True
         self.is_paused = False
         self.frames = 0
@@ -93,6 +95,9 @@ class Stopper:
         counters: bytes | None,
         now_ns: int,
         told_ns: int | None = None,
+        *,
+        is_released: bool = False,
+        returns: int = 0,
     ) -> None:
         """Begin to stop.
 
@@ -102,13 +107,16 @@ class Stopper:
             counters: the next alive counters in the layout's order; None if they are known from the bus only.
             now_ns: monotonic.
             told_ns: when ``last`` was sent; just now if left out.
+            is_released: the robot was given back to its motor, for its parking brake does not hold it.
+            returns: so many times it moved before when the enables were gone.
         """
+        self._is_released, self._returns = is_released, returns
         self._variant = variant
         self._told = last
         self._told_ns = now_ns if told_ns is None else told_ns
         # What was sent by others is not this gate's to judge: it begins anew.
         self._gate = Gate()
-        self._maker.counters = self._counters(counters, now_ns)
+        self._maker.counters, self._maker.is_torn = self._counters(counters, now_ns), False
         self._due_ns = now_ns
         self.is_over = self.is_paused = False
         self.frames = 0
@@ -172,9 +180,9 @@ class Stopper:
             self._bursts_off += count == len(self._offered)
         elif self._offered:
             # The chassis was not told: a stop that nobody heard must not go on to neutral.
-            self._sequence = self._before
-            if sent and self._sequence is not None:
-                self._sequence.not_above(self._actuation.speed_mps)
+            stepped, self._sequence = self._sequence, self._before
+            if sent and stepped is not None and self._before is not None:
+                self._sequence = stepped.after_part(self._before, self._actuation.speed_mps)
         self._offered = []
         self._maker.sent(sent)
         self._gate.sent(sent, now_ns)
@@ -217,8 +225,17 @@ class Stopper:
         slowest_mps = self._view.slowest_mps(self._variant, now_ns)
         if slowest_mps is not None:
             first = replace(first, speed_mps=_lower(first.speed_mps, slowest_mps))
-        self._sequence = StopSequence(_possible(first, self._variant), self._deceleration_mps2, now_ns)
-        if mode is Mode.STOP and self._view.is_braked(now_ns) and not self._view.moves(self._variant, now_ns):
+        self._sequence = StopSequence(
+            _possible(first, self._variant), self._deceleration_mps2, now_ns, self._returns
+        )
+        if self._is_released and not first.parking:
+            self._sequence.release(now_ns)
+        if (
+            not self.stays
+            and mode is Mode.STOP
+            and self._view.is_braked(now_ns)
+            and not self._view.moves(self._variant, now_ns)
+        ):
             # It obeys nobody, and its brake holds it: enables would only switch it back to auto.
             self._sequence.phase = StopPhase.DISABLE
         self._went_on_ns = now_ns
@@ -256,6 +273,11 @@ class Stopper:
     def give_up(self, outcome: str) -> None:
         """Send nothing more."""
         self._end(outcome)
+
+    @property
+    def stays(self) -> bool:
+        """The stop does not end by itself: the motor alone holds the robot."""
+        return self._sequence is not None and self._sequence.stays
 
     @property
     def phase(self) -> StopPhase:

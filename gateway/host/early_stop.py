@@ -25,14 +25,17 @@ MS = 1_000_000
 
 # The layout, as the DBC files have it: a test holds it against them. Identifiers are those of extended frames.
 EXTENDED = 0x8000_0000
-GEAR, STEERING, DRIVE, PARKING, WHEEL_SPEED, BODY = (
-    0x98C400EF | number << 8 for number in (0xD1, 0xD2, 0xD3, 0xD5, 0xD7, 0xD9)
+GEAR, STEERING, DRIVE, PARKING, WHEEL_SPEED, WHEEL_PULSE, BODY = (
+    0x98C400EF | number << 8 for number in (0xD1, 0xD2, 0xD3, 0xD5, 0xD7, 0xD8, 0xD9)
 )
 GEAR_COMMAND, STEERING_COMMAND, DRIVE_COMMAND, BRAKING_COMMAND, PARKING_COMMAND = (
     0x98C400D0 | number << 8 for number in range(0xD1, 0xD6)
 )
 ODOMETER_COMMAND, LIGHT_COMMAND, SPEAKER_COMMAND = (0x98C400D0 | number << 8 for number in range(0xD6, 0xD9))
 MOTION = (DRIVE_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND, PARKING_COMMAND)
+BRAKE_FIRST = (DRIVE_COMMAND, PARKING_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND)
+"""After a burst of which the bus took only a part."""
+
 EXTRAS = (LIGHT_COMMAND, SPEAKER_COMMAND, ODOMETER_COMMAND)
 """Lamps, horn and odometer: the chassis keeps these for ever too."""
 
@@ -46,6 +49,7 @@ SILENCE_NS = {
     PARKING: 100 * MS,
     BODY: 200 * MS,
     WHEEL_SPEED: 500 * MS,
+    WHEEL_PULSE: 500 * MS,
 }
 AUTO, REMOTE, STOP, UNDEFINED = 0, 1, 2, 3
 REVERSE, NEUTRAL, FORWARD = 2, 3, 4
@@ -68,9 +72,10 @@ STANDS_NS = 50 * MS
 GIVES_UP_NS = 30_000 * MS
 REMOTE_FRAMES = 2
 OFF_BURSTS = 10
+BRAKE_RETURNS = 2
 
-MOVING_FRAMES = 3
-"""So many drive feedbacks in a row that show motion are believed."""
+MOVING_FRAMES = {DRIVE: 3, WHEEL_SPEED: 3, WHEEL_PULSE: 6}
+"""So many frames in a row that show motion are believed; pulses that count the same way."""
 
 WATCH_NS = 120_000 * MS
 """So long after the interface came up it watches, where no gateway comes."""
@@ -103,13 +108,14 @@ class Chassis:
     Attributes:
         commander_ns: when a command frame that moves the robot was last received; None if never.
         next_counters: the alive counter that each command frame would have next, by its identifier.
-        moving: drive feedbacks in a row that show motion.
+        moving: frames in a row that show motion, by identifier.
     """
 
     def __init__(self) -> None:
         self.commander_ns: int | None = None
         self.next_counters: dict[int, int] = {}
-        self.moving = 0
+        self.moving = dict.fromkeys(MOVING_FRAMES, 0)
+        self._way = 0
         self._latest: dict[int, tuple[bytes, int]] = {}
         self._remote_frames = 0
         self._slow_since_ns: int | None = None
@@ -127,10 +133,28 @@ class Chassis:
             if before is not None and before[0][6] >> 4 == data[6] >> 4:
                 return  # It repeats its counter, and says nothing new.
             self._latest[can_id] = (data, now_ns)
-            if can_id == DRIVE:
-                self.moving = self.moving + 1 if _raw(data) >= TURNING_RAW_MIN else 0
+            if can_id in self.moving:
+                self.moving[can_id] = self.moving[can_id] + 1 if self._shows_motion(can_id, data, before) else 0
             elif can_id == BODY:
                 self._remote_frames = self._remote_frames + 1 if _mode(data) == REMOTE else 0
+
+    def _shows_motion(self, can_id: int, data: bytes, before: tuple[bytes, int] | None) -> bool:
+        if can_id == DRIVE:
+            return _raw(data) >= TURNING_RAW_MIN
+        if not data[0] & 1:
+            return False  # it says itself that it is not valid
+        if can_id == WHEEL_SPEED:
+            return not _wheels_stand(data)
+        counted = 0 if before is None else _counted(data, before[0])
+        way, self._way = self._way, (counted > 0) - (counted < 0)
+        return bool(counted) and way in {0, self._way}
+
+    def is_moving(self, now_ns: int) -> bool:
+        """The robot is seen to move by drive feedback, wheels or pulses, whichever shows it for long enough."""
+        return any(
+            self.moving[can_id] >= frames and self.fresh(can_id, now_ns) is not None
+            for can_id, frames in MOVING_FRAMES.items()
+        )
 
     def fresh(self, can_id: int, now_ns: int) -> bytes | None:
         """The newest frame, unless it is old."""
@@ -148,9 +172,11 @@ class Chassis:
         return UNDEFINED if mode == REMOTE and self._remote_frames < REMOTE_FRAMES else mode
 
     def moves(self, now_ns: int) -> bool:
-        """The robot is seen to move, in either speed scale."""
-        data = self.fresh(DRIVE, now_ns)
-        return data is not None and _raw(data) >= TURNING_RAW_MIN
+        """The robot is seen to move by drive feedback or wheels, in either speed scale."""
+        drive, wheels = self.fresh(DRIVE, now_ns), self.fresh(WHEEL_SPEED, now_ns)
+        return (drive is not None and _raw(drive) >= TURNING_RAW_MIN) or (
+            wheels is not None and bool(wheels[0] & 1) and not _wheels_stand(wheels)
+        )
 
     def stands(self, now_ns: int) -> bool:
         """It was seen to stand whenever this was asked in the last 50 ms."""
@@ -202,18 +228,20 @@ class EarlyStop:
         self._counters = dict.fromkeys((*MOTION, *EXTRAS), 0)
         self._phase = ""
         self._before = ("", 0)
+        self._is_torn = False
+        self._returns = 0
         self._gear = self._angle_raw = self._bursts = 0
         self._due_ns = self._look_until_ns = self._entered_ns = self._told_ns = self._begun_ns = 0
         self._offered: list[Command] = []
 
     def is_needed(self, now_ns: int) -> bool:
-        """The chassis moves in auto, and nobody has commanded it for as long as it has been listened to."""
+        """The chassis moves in auto, or in no known mode, and nobody has commanded it since it is listened to."""
         chassis = self.chassis
+        is_auto = chassis.mode(now_ns) == AUTO or chassis.fresh(BODY, now_ns) is None
         return (
             not self.is_sending
-            and chassis.moving >= MOVING_FRAMES
-            and chassis.moves(now_ns)
-            and chassis.mode(now_ns) == AUTO
+            and chassis.is_moving(now_ns)
+            and is_auto
             and now_ns - self._since_ns >= COMMANDER_NS
             and not chassis.is_commanded(now_ns)
         )
@@ -225,6 +253,8 @@ class EarlyStop:
         self.frames = 0
         self._counters |= self.chassis.next_counters
         self._begun_ns = self._due_ns = now_ns
+        self._is_torn = False
+        self._returns = 0
         self._look(now_ns)
 
     def tick(self, now_ns: int) -> list[Command]:
@@ -250,10 +280,13 @@ class EarlyStop:
         """The bus took so many of the frames of this tick."""
         if count >= len(MOTION):
             self._told_ns = now_ns
+            self._is_torn = False
             self._bursts += count == len(self._offered)
         elif self._offered:
-            # The chassis was not told: a stop that nobody received must not go on.
-            self._phase, self._entered_ns = self._before
+            # The chassis was not told all: a stop that nobody received must not go on, but to the parking brake.
+            if not count or self._phase not in {"zero", "park"}:
+                self._phase, self._entered_ns = self._before
+            self._is_torn |= count > 0
         for can_id, _ in self._offered[:count]:
             self._counters[can_id] = self._counters[can_id] + 1 & 0xF
         self._offered = []
@@ -306,10 +339,11 @@ class EarlyStop:
                 self._enter("hold", now_ns)
             case "hold" if moves:
                 self._entered_ns = now_ns
-            case "hold" if age_ns >= HOLD_NS:
+            case "hold" if age_ns >= HOLD_NS and self._returns < BRAKE_RETURNS:
                 self._enter("disable", now_ns)
             # Its brake does not hold it when the enables are gone.
             case "disable" if moves:
+                self._returns += 1
                 self._enter("park", now_ns)
             case "disable" if age_ns >= DISABLE_NS:
                 return True
@@ -325,7 +359,8 @@ class EarlyStop:
             BRAKING_COMMAND: 0,
             PARKING_COMMAND: parks,
         }
-        frames = [(can_id, _data(enable | values[can_id] << 8, self._counters[can_id])) for can_id in MOTION]
+        order = BRAKE_FIRST if self._is_torn else MOTION
+        frames = [(can_id, _data(enable | values[can_id] << 8, self._counters[can_id])) for can_id in order]
         if self._bursts < OFF_BURSTS:
             frames += [
                 (can_id, _data(HAZARD if can_id == LIGHT_COMMAND else 0, self._counters[can_id]))
@@ -339,7 +374,7 @@ class EarlyStop:
     def _end(self, outcome: str) -> list[Command]:
         self.is_sending = False
         self.outcome = outcome
-        self.chassis.moving = 0
+        self.chassis.moving = dict.fromkeys(MOVING_FRAMES, 0)
         return []
 
 
@@ -352,6 +387,16 @@ def _data(word: int, counter: int) -> bytes:
 
 def _raw(data: bytes) -> int:
     return data[1] | data[2] << 8
+
+
+def _counted(data: bytes, before: bytes) -> int:
+    """Return the pulses of both wheels from one frame to the next, across the wrap of their 16 bits."""
+    return sum(
+        (int.from_bytes(data[at : at + 2], "little") - int.from_bytes(before[at : at + 2], "little") + 0x8000)
+        % 0x1_0000
+        - 0x8000
+        for at in (1, 3)
+    )
 
 
 def _mode(body: bytes) -> int:
@@ -575,8 +620,9 @@ def look(names: list[str]) -> int:
         except OSError:
             continue  # It is down, or gone: nothing can be known, and nothing is commanded from here.
         now_ns = time.monotonic_ns()
-        if chassis.moves(now_ns) or chassis.is_commanded(now_ns):
-            say(f"the robot on {name} {'moves' if chassis.moves(now_ns) else 'is being commanded'}")
+        is_moving = chassis.is_moving(now_ns) or chassis.moves(now_ns)
+        if is_moving or chassis.is_commanded(now_ns):
+            say(f"the robot on {name} {'moves' if is_moving else 'is being commanded'}")
             code = MOVES
     return code
 

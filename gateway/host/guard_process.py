@@ -18,6 +18,7 @@ from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.flow import CommandFlow
 from gateway.guard.beat import Beat, GuardStatus, GuardView
 from gateway.host.heartbeat import Heartbeat
+from schemas.decisions import StopPhase
 from schemas.interpreter import module_command
 from schemas.messages import Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
@@ -73,7 +74,8 @@ class GuardProcess:
         self._started: _Child | None = None
         self._stops_before = 0
         self._silent_ticks = 0
-        self._was_told = False
+        self._was_told = self._is_released = False
+        self._returns = 0
         self._newest = Beat(0)
 
     @property
@@ -97,6 +99,9 @@ class GuardProcess:
     def beat(self, now_ns: int, command: CommandFlow) -> None:
         """The loop lives, and has sent what it had to."""
         arbiter = command.arbiter
+        sequence = arbiter.output.sequence
+        self._is_released = sequence is not None and sequence.phase is StopPhase.MOTOR
+        self._returns = 0 if sequence is None else sequence.returns
         self.tell(
             now_ns,
             arbiter.output.variant,
@@ -146,6 +151,8 @@ class GuardProcess:
             variant=variant,
             last=last,
             counters=bytes(counters.values()),
+            is_released=self._is_released,
+            returns=self._returns,
         )
         self._was_told = is_told
         self._memory.write_beat(self._newest)

@@ -41,6 +41,7 @@ GRAMMAR: Final = """\
   payload KG                   0 to 100
   pedal GAIN                   0 to 1: how much of the brake the brake pedal applies
   motor STRENGTH               0 to 1: how much of its force the motor has; 1 is whole
+  brake GRIP                   0 to 1: how much of its grip the parking brake has; it reads applied all the same
   reboot                       the control unit reboots, 2 s unless told otherwise: no feedback, no drive, all
                                commands forgotten, counters from 0
   clear                        everything as it was at the start
@@ -395,6 +396,7 @@ _PARSERS: Final[dict[str, Callable[[_Words], _Parsed]]] = {
     "payload": _condition("payload_kg"),
     "pedal": _condition("pedal_gain"),
     "motor": _condition("motor_strength"),
+    "brake": _condition("parking_grip"),
     "reboot": lambda _words: (Reboot(), 0),
     "clear": lambda _words: (Clear(), 0),
 }

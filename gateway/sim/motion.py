@@ -130,7 +130,8 @@ class Motion:
 
     def _next_speed_mps(self, demand: Demand, dt_s: float) -> float:
         if self.parked:
-            return self._pushed(0.0, PARKING_DECELERATION_MPS2, dt_s)
+            grip_mps2 = PARKING_DECELERATION_MPS2 * self.conditions.parking_grip
+            return self._pushed(0.0, max(grip_mps2, ROLLING_DECELERATION_MPS2), dt_s)
         pedal_mps2 = BRAKING_DECELERATION_MPS2 * self.conditions.pedal_gain * demand.pedal_percent / 100
         if pedal_mps2 or demand.gear is GearPosition.NEUTRAL:
             return self._pushed(0.0, ROLLING_DECELERATION_MPS2 + pedal_mps2, dt_s)

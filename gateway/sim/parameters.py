@@ -109,6 +109,7 @@ class Conditions(msgspec.Struct, frozen=True):
         slope_deg: positive with the nose up, whichever way the robot turns.
         pedal_gain: share of the service brake that the brake pedal applies. The manual calls the pedal reserved.
         motor_strength: share of its greatest force that the motor has.
+        parking_grip: share of its grip that the parking brake has; it reads applied all the same.
         parking_delay_s: time that the parking brake takes to apply, and to release. Chosen.
         stop_mode: the chassis's behaviour in mode stop.
     """
@@ -118,6 +119,7 @@ class Conditions(msgspec.Struct, frozen=True):
     pedal_gain: float = 0.0
     motor_strength: float = 1.0
     parking_delay_s: float = 0.05
+    parking_grip: float = 1.0
     stop_mode: StopMode = StopMode.BRAKES
 
     @property
@@ -140,5 +142,6 @@ CONDITION_BOUNDS: Final = {
     "pedal_gain": (0.0, 1.0),
     "motor_strength": (0.0, 1.0),
     "parking_delay_s": (0.0, 1.0),
+    "parking_grip": (0.0, 1.0),
 }
 """Each condition with a number: from, to. The payload's is the manual's (V2.0, 2.2)."""

@@ -31,6 +31,9 @@ GEAR, STEERING, DRIVE, BRAKING, PARKING, ODOMETER, LIGHT, SPEAKER = PICTURES
 BURST: Final = (DRIVE, GEAR, STEERING, BRAKING, PARKING)
 """The speed goes first: a bus that accepts only a part of a burst still brings the robot to rest."""
 
+BRAKE_FIRST: Final = (DRIVE, PARKING, GEAR, STEERING, BRAKING)
+"""After such a part, and at zero speed: so that the parking brake gets through too."""
+
 GEARS: Final = {2: "R", 3: "N", 4: "D"}
 """P, 1, is reserved; the others have no meaning."""
 
@@ -107,7 +110,9 @@ def is_well_formed(identifier: int, data: bytes) -> bool:
 
 def read(burst: Sequence[Frame], bit_umps: int | None) -> Told:
     """What the first five frames of a burst say; in an unknown scale every speed but zero is beyond all."""
-    drive, gear, steering, braking, parking = (frame.data for frame in burst[:5])
+    drive, gear, steering, braking, parking = (
+        next(frame.data for frame in burst[:5] if frame.identifier == identifier) for identifier in BURST
+    )
     raw = value(DRIVE, "v", drive)
     return Told(
         enables="".join(bit_string(frame.data)[0] for frame in burst[:5]),
@@ -135,8 +140,13 @@ def may_be_told(told: Told) -> bool:
     return told.speed_umps == 0 or not told.is_parked
 
 
-def may_follow(told: Told, before: Told | None, bit_umps: int | None, *, is_stop: bool) -> bool:
-    """Whether the chassis may be told this after that; None out of silence, or where others may command."""
+def may_follow(
+    told: Told, before: Told | None, bit_umps: int | None, *, is_stop: bool, may_let_go: bool = False
+) -> bool:
+    """Whether the chassis may be told this after that; None out of silence, or where others may command.
+
+    ``may_let_go``: this stop may still give the robot back to its motor, which its parking brake does not hold.
+    """
     if before is None:
         return is_stop or told.is_parked
     gain_umps = 0 if is_stop else GAIN_UMPS + (bit_umps or 0)
@@ -149,7 +159,7 @@ def may_follow(told: Told, before: Told | None, bit_umps: int | None, *, is_stop
         at_rest = told.speed_umps == before.speed_umps == 0
         return through_neutral and at_rest and told.is_parked and before.is_parked
     if before.is_parked and not told.is_parked:
-        return not is_stop and told.gear in {"R", "D"} and told.speed_umps == 0
+        return (not is_stop or may_let_go) and told.gear in {"R", "D"} and told.speed_umps == 0
     return True
 
 
@@ -162,25 +172,38 @@ class Bus:
         self.counters: dict[int, int] = {}
         self.before: tuple[Frame, ...] = ()
         self.before_ns = 0
+        self.is_torn = self.may_let_go = self.was_stop = False
 
     def may_send(self, burst: Sequence[Frame], bit_umps: int | None, now_ns: int, *, is_stop: bool) -> bool:
         """Whether this burst may be sent now, as a whole."""
         identifiers = [self._identifier(frame) for frame in burst]
-        if tuple(identifiers[:5]) != BURST or len(set(identifiers)) != len(identifiers):
+        is_brake_first = tuple(identifiers[:5]) == BRAKE_FIRST and self.is_torn
+        if not (tuple(identifiers[:5]) == BURST or is_brake_first) or len(set(identifiers)) != len(identifiers):
             return False
         if not all(map(self._may_send_frame, burst, identifiers, [now_ns] * len(burst))):
             return False
         is_fresh = self.before and now_ns - self.before_ns < 200 * MS
         before = read(self.before, bit_umps) if is_fresh else None
         told = read(burst, bit_umps)
-        return may_be_told(told) and may_follow(told, before, bit_umps, is_stop=is_stop)
+        self.was_stop = is_stop
+        if is_brake_first and told.speed_umps:
+            return False
+        follows = may_follow(told, before, bit_umps, is_stop=is_stop, may_let_go=self.may_let_go)
+        return may_be_told(told) and follows
 
     def sent(self, burst: Sequence[Frame], now_ns: int) -> None:
         """So much of a burst was accepted by the bus; only a whole one tells what the chassis was told."""
         for frame in burst:
             self.sent_ns[frame.identifier] = [*self.sent_ns[frame.identifier][-11:], now_ns]
             self.counters[frame.identifier] = value(frame.identifier, "c", frame.data)
+        if burst:
+            self.is_torn = len(burst) < 5
         if len(burst) >= 5:
+            was_parked = self.before != () and read(self.before, None).is_parked
+            if not self.was_stop:
+                self.may_let_go = True
+            elif was_parked and not read(burst, None).is_parked:
+                self.may_let_go = False
             self.before, self.before_ns = tuple(burst), now_ns
 
     def pause(self) -> None:

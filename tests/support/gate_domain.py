@@ -75,11 +75,12 @@ def make_burst(raw: Raw, variant: Variant, counter: int = 0) -> Burst:
 
 def read_raw(frames: Sequence[Frame]) -> Raw:
     """What the five frames say, in raw values."""
+    five = [next(frame for frame in frames[:5] if frame.identifier == identifier) for identifier in BURST]
     speed, gear, angle, pedal, parking = (
         bus_rules.value(identifier, letter, frame.data)
-        for identifier, letter, frame in zip(BURST, "vgabp", frames, strict=False)
+        for identifier, letter, frame in zip(BURST, "vgabp", five, strict=True)
     )
-    enables = sum((frame.data[0] & 1) << index for index, frame in enumerate(frames[:5]))
+    enables = sum((frame.data[0] & 1) << index for index, frame in enumerate(five))
     return Raw(enables, gear, angle, speed, pedal, parking)
 
 
@@ -125,9 +126,15 @@ def wrong_steps(befores: Iterable[Raw], nexts: Iterable[Raw], variant: Variant) 
     motions, all_told = [burst.motion for burst in bursts], [burst.told for burst in bursts]
     for raw in befores:
         _, before, before_told = make_burst(raw, variant)
-        for is_stop in (NO_STOP, STOP):
-            gate = [not step_fault(motion, before, variant, stopping=is_stop) for motion in motions]
-            rules = [bus_rules.may_follow(told, before_told, bit_umps, is_stop=is_stop) for told in all_told]
+        for is_stop, may_release in ((NO_STOP, False), (STOP, False), (STOP, True)):
+            gate = [
+                not step_fault(motion, before, variant, stopping=is_stop, may_release=may_release)
+                for motion in motions
+            ]
+            rules = [
+                bus_rules.may_follow(told, before_told, bit_umps, is_stop=is_stop, may_let_go=may_release)
+                for told in all_told
+            ]
             if gate != rules:
                 wrong.append((raw, is_stop))
     return wrong
@@ -192,6 +199,7 @@ class Walk:
         self._random = Random(seed)  # noqa: S311 - any numbers will do, and always the same
         self._raw = Raw(parking=1)
         self._now_ns = 0
+        self._is_stop = False
 
     def step(self) -> None:
         """Offer a burst; what is admitted is sent, at times only in part."""
@@ -201,8 +209,13 @@ class Walk:
         if random.random() < 0.01:
             self.gate.pause()
             self.bus.pause()
-        raw, is_stop = self._next(), random.random() < 0.3
-        frames = self._spoilt(self._frames(raw))
+        # A stop lasts for some bursts, so that one can let go of the parking brake twice.
+        self._is_stop ^= random.random() < 0.1
+        raw, is_stop = self._next(), self._is_stop
+        frames = self._frames(raw)
+        if random.random() < (0.3 if self.bus.is_torn else 0.02):
+            frames = [frames[0], frames[4], *frames[1:4], *frames[5:]]
+        frames = self._spoilt(frames)
         if self._offer(frames, is_stop=is_stop):
             self._send(frames[: random.choice((1, 4, 5, 8, 8, 8, 8, 8))])
             return

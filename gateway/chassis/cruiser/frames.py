@@ -30,6 +30,9 @@ ODOMETER_COMMAND: Final = "Auto_OdometerCmd"
 MOTION_FRAMES: Final = (DRIVE_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND, PARKING_COMMAND)
 """The five of a burst. The speed frame is sent first, so even a partly accepted burst stops the robot."""
 
+BRAKE_FIRST_FRAMES: Final = (DRIVE_COMMAND, PARKING_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND)
+"""Their order at zero speed, after a burst of which the bus took only a part: so the brake comes through too."""
+
 TARGET_SPEED: Final = "TargetVelocity"
 TARGET_ANGLE: Final = "TargetAngle"
 

@@ -25,6 +25,9 @@ _SPEAKER: Final = 0x18C4D8D0 | EXTENDED
 MOTION: Final = (DRIVE_ID, _GEAR, _STEERING, _BRAKING, _PARKING)
 """The five of a burst, in their order."""
 
+BRAKE_FIRST: Final = (DRIVE_ID, _PARKING, _GEAR, _STEERING, _BRAKING)
+"""Their order at zero speed, after a burst of which the bus took only a part."""
+
 _ALIVE_BITS: Final = 0xF << 52
 
 USED_BITS: Final[dict[int, int]] = {
@@ -80,8 +83,9 @@ class MotionBurst(msgspec.Struct, frozen=True, gc=False):
 
 
 def read_motion(frames: list[Frame]) -> MotionBurst:
-    """Read the five frames that a burst begins with."""
-    drive, gear, steering, braking, parking = (int.from_bytes(frame.data, "little") for frame in frames[:5])
+    """Read the five frames that a burst begins with, in whatever order."""
+    words = {frame.can_id: int.from_bytes(frame.data, "little") for frame in frames[:5]}
+    drive, gear, steering, braking, parking = (words[can_id] for can_id in MOTION)
     return MotionBurst(
         enables=(drive & 1) + (gear & 1) + (steering & 1) + (braking & 1) + (parking & 1),
         gear=gear >> 8 & 0x7,

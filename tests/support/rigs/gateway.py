@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import msgspec
 
-from gateway.chassis.cruiser.frames import MOTION_FRAMES
+from gateway.chassis.cruiser.frames import BRAKE_FIRST_FRAMES, MOTION_FRAMES
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.decode import Decoded, FrameDecoder, Value
 from gateway.chassis.frame import Frame
@@ -118,6 +118,7 @@ class GatewayRig:
         self._handles = 0
         self._counters: dict[int, int] = {}
         self._partings = 0
+        self._is_torn = False
         self._latched: set[Reason] = set()
 
     @property
@@ -266,13 +267,17 @@ class GatewayRig:
             assert last is None or frame.data[6] >> 4 == (last + 1) % 16
             self._counters[frame.can_id] = frame.data[6] >> 4
         if len(taken) < len(MOTION_FRAMES):
+            self._is_torn |= bool(taken)
             return
         signals: dict[str, Signals] = {}
         for frame in taken:
             decoded = self._decoder.decode(frame)
             assert isinstance(decoded, Decoded), decoded
             signals[decoded.layout.name] = decoded.signals
-        assert tuple(signals)[:5] == MOTION_FRAMES
+        is_torn, self._is_torn = self._is_torn, False
+        assert tuple(signals)[:5] == MOTION_FRAMES or (
+            is_torn and tuple(signals)[:5] == BRAKE_FIRST_FRAMES and not signals["Auto_DriveCmd"]["TargetVelocity"]
+        )
         self._witness_motion(signals)
         self.bursts.append((self.now_ns, signals))
 
@@ -327,7 +332,8 @@ class GatewayRig:
             assert was_parking, "a gear is changed behind the parking request only"
             assert parking
         if was_parking and not parking:
-            assert self.core.command.arbiter.state is ArbiterState.ENGAGED  # type: ignore[union-attr]
+            arbiter = self.core.command.arbiter  # type: ignore[union-attr]
+            assert arbiter.state is ArbiterState.ENGAGED or Reason.BRAKE_SLIPS in arbiter.latches.details
             assert not signals["Auto_DriveCmd"]["TargetVelocity"]
 
 

@@ -764,6 +764,17 @@ def test_a_body_frame_that_is_frozen_hides_a_bumper_for_four_metres_at_most() ->
     assert rig.chassis.state.mileage_m - begun_m < 4
 
 
+@pytest.mark.parametrize("taken", [1, 2, 3, 4])
+def test_a_stop_brakes_also_where_the_bus_takes_only_a_part_of_each_burst(taken: int) -> None:
+    """Row 'a burst of which the bus took only a part': at zero speed the parking brake comes second."""
+    rig, operator = driving(1.0)
+    operator.ask("stop")
+    rig.takes = taken
+    rig.run(3)
+    assert rig.speed_mps == 0
+    assert (rig.chassis.state.parking_status is ParkingStatus.APPLIED) is (taken > 1)
+
+
 AT_FULL_SPEED = CommandSettings(speed_limit_mps=2.222, travel_delay_m=3.0)
 ALL = ("all",)
 SPEEDS = ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback")

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from gateway.chassis.cruiser.gate_table import MOTION, USED_BITS
+from gateway.chassis.cruiser.gate_table import BRAKE_FIRST, MOTION, USED_BITS
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import FD, Frame
 from gateway.command import gate as gate_module
@@ -267,6 +267,45 @@ def test_the_parking_brake_is_released_in_gear_at_zero_speed_and_not_in_a_stop()
     assert bench.offer(bench.burst(released), stopping=True) == "a stop releases the parking brake"
     assert bench.offer(bench.burst(released)) == ""
     assert bench.offer(bench.burst(slow)) == ""
+
+
+def test_a_stop_after_an_engagement_releases_the_parking_brake_once() -> None:
+    """Row 'a parking brake that reads applied and does not hold': back to the motor, in gear at zero speed."""
+    bench = Bench()
+    parked = msgspec.structs.replace(DRIVING, speed_mps=0.0, parking=True)
+    released = msgspec.structs.replace(DRIVING, speed_mps=0.0)
+    slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
+    assert bench.offer(bench.burst(parked), stopping=False) == ""
+    assert bench.offer(bench.burst(slow), stopping=True) == "the speed rises too fast"
+    assert bench.offer(bench.burst(released), stopping=True) == ""
+    assert bench.offer(bench.burst(parked), stopping=True) == ""
+    assert bench.offer(bench.burst(released), stopping=True) == "a stop releases the parking brake"
+    assert bench.offer(bench.burst(parked), stopping=False) == ""
+    assert bench.offer(bench.burst(released), stopping=True) == ""
+
+
+def test_a_torn_burst_may_be_followed_by_the_brake_first() -> None:
+    """Row 'a burst of which the bus took only a part': at zero speed alone, and only then."""
+    bench = Bench()
+    slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
+
+    def brake_first(actuation: Actuation) -> list[Frame]:
+        by_id = {frame.can_id: frame for frame in bench.burst(actuation)}
+        return [by_id[can_id] for can_id in BRAKE_FIRST]
+
+    assert bench.offer(brake_first(REST)) == "a burst begins with the five motion frames"
+    assert bench.offer(bench.burst(REST)) == ""
+    for taken in (1, 4):
+        torn = bench.burst(REST)[:taken]
+        bench.gate.sent(torn, bench.now_ns)
+        bench.maker.sent(torn)
+        assert [frame.can_id for frame in bench.burst(REST)[:5]] == list(BRAKE_FIRST)
+        assert (
+            bench.offer(brake_first(slow), stopping=True) == "the parking frame comes second at zero speed alone"
+        )
+        assert bench.offer(brake_first(REST)) == ""
+        assert [frame.can_id for frame in bench.burst(REST)[:5]] == list(MOTION)
+        assert bench.offer(brake_first(REST)) == "a burst begins with the five motion frames"
 
 
 def test_what_follows_a_pause_begins_anew() -> None:

@@ -12,7 +12,7 @@ from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import Conditions
-from schemas.decisions import ArbiterState, EventKind
+from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import HOLD_NS, CommandSettings
@@ -187,6 +187,50 @@ def test_a_motor_that_holds_is_not_taken_for_one_that_died(cause: str) -> None:
                 hill.tick(2)
     hill.operator.drive(0.0 if cause == "let go" else 2.0, seconds=3.0)
     assert (hill.says.engaged, hill.says.latched) == (True, [])
+
+
+@pytest.mark.parametrize("grip", [0.0, 0.2, 0.45])
+@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
+def test_a_brake_that_slips_gives_the_robot_back_to_its_motor(slope_deg: float, grip: float) -> None:
+    """Row 'a parking brake that reads applied and does not hold': auto-hold hands it over, and takes it back."""
+    hill = Hill(slope_deg)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault(f"brake {grip}")
+    hill.operator.drive(0.0, seconds=1.0)
+    stood_m = hill.chassis.state.x_m
+    hill.operator.drive(0.0, seconds=5.0)
+    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
+    assert hill.speed_mps == 0
+    assert hill.says.latched[0] is Reason.BRAKE_SLIPS
+    assert hill.says.stop_phase is StopPhase.MOTOR
+    [event] = [
+        event for event in hill.events if event.kind is EventKind.LATCH and event.reason is Reason.BRAKE_SLIPS
+    ]
+    assert event.severity is Severity.ERROR
+    assert hill.operator.reason("reset") is Reason.STOPPING
+    hill.run(30)
+    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
+
+
+def test_a_robot_that_creeps_when_its_enables_are_gone_is_kept_in_gear() -> None:
+    """Row 'a parking brake that does not hold': after the second return; by a reset it may try once more."""
+    hill = Hill(-20.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.operator.ask("stop")
+    begun_m = hill.chassis.state.x_m
+    for _ in range(12_000):
+        # Of this brake the enables hold it: disabled, it slips.
+        is_enabled = not hill.told or hill.told["Auto_ParkingCmd"]["Enable"]
+        hill.fault("brake 1" if is_enabled and hill.told else "brake 0.45")
+        hill.tick()
+    assert abs(hill.chassis.state.x_m - begun_m) < 0.5
+    assert Reason.BRAKE_SLIPS in hill.says.latched
+    assert (hill.says.state, hill.says.stop_phase) == (ArbiterState.STOPPING, StopPhase.HOLD)
+    hill.fault("brake 1")
+    hill.operator.take_lease()
+    assert hill.operator.reason("reset") is Reason.NONE
+    hill.run(2)
+    assert (hill.says.state, hill.says.latched) == (ArbiterState.STANDBY, [])
 
 
 @pytest.mark.parametrize("slope_deg", [8.0, 20.0])

@@ -250,6 +250,44 @@ def test_a_robot_that_its_brake_does_not_hold_without_enables_is_held_by_them() 
     assert (stop.sequence.phase, told.enabled, told.parking) == (StopPhase.PARK, True, True)
 
 
+def test_after_the_second_return_the_enables_stay_until_a_reset() -> None:
+    """Row 'a parking brake that does not hold': in gear, where the motor holds it, until a reset."""
+    stop = Run()
+    for returns in (1, 2):
+        while stop.sequence.phase is not StopPhase.DISABLE:
+            assert not stop.sequence.stays
+            stop.run(HELD)
+        stop.run(moving(0.1))
+        assert stop.sequence.returns == returns
+    assert stop.sequence.stays
+    stop.run(HELD, 4_990)
+    assert not stop.sequence.is_braked(stop.now_ms * MS)
+    stop.run(HELD, 60_000)
+    assert (stop.sequence.phase, stop.last.enabled, stop.last.gear) == (StopPhase.HOLD, True, DRIVE)
+    assert stop.sequence.is_braked(stop.now_ms * MS)
+    stop.sequence.finish(stop.now_ms * MS)
+    stop.run(HELD, 1_000)
+    assert stop.sequence.phase is StopPhase.IDLE
+
+
+@pytest.mark.parametrize(("later_mps", "is_braked"), [(0.3, True), (0.1, False), (0.0, False)])
+def test_a_robot_that_is_given_back_to_its_motor_is_braked_again_if_it_becomes_faster(
+    later_mps: float,
+    is_braked: bool,  # noqa: FBT001 - a case of the table
+) -> None:
+    """Row 'a parking brake that does not hold: faster 300 ms later: brake again, for good'."""
+    parked = Actuation(enabled=True, gear=DRIVE, parking=True)
+    stop = Run(parked)
+    stop.sequence.release(0)
+    told = stop.run(moving(0.2), 300)
+    assert (told.enabled, told.gear, told.speed_mps, told.parking) == (True, DRIVE, 0.0, False)
+    seen = moving(later_mps, is_braked=True) if later_mps else HELD
+    assert stop.run(seen, 10_000).parking is is_braked
+    assert stop.sequence.stays
+    assert stop.run(moving(0.4, is_braked=True), 10_000).parking
+    assert stop.run(HELD, 60_000).enabled
+
+
 def test_a_parking_brake_that_never_reads_applied_keeps_the_robot_in_gear() -> None:
     """Row 'neutral only behind an applied parking brake': the motor holds it, for ever; said after 3 s."""
     stop = Run()

@@ -122,14 +122,14 @@ def test_wheels_that_turn_against_each_other_do_not_stand(variant: Variant) -> N
         (DRIVE, {"Speed": 0.0}, (False, False)),
         (DRIVE, {"Speed": 0.04}, (False, False)),
         (DRIVE, {"Speed": 0.08}, (True, True)),
-        (WHEELS, {"RearLeftSpeed": 0.2, "RearRightSpeed": -0.2}, (True, False)),
+        (WHEELS, {"RearLeftSpeed": 0.2, "RearRightSpeed": -0.2}, (True, True)),
         (WHEELS, {"RearLeftSpeed": 0.2, "RearRightSpeed": 0.2, "Valid": False}, (False, False)),
     ],
 )
 def test_motion_is_seen_by_either_speed(
     name: str, values: dict[str, float | bool], moves: tuple[bool, bool]
 ) -> None:
-    """Row 'stop: a robot that is seen to move'; in an unknown scale by the raw drive feedback."""
+    """Row 'stop: a robot that is seen to move'; in an unknown scale by what stands in neither."""
     view = ChassisView()
     view.receive(Feedback(Variant.COARSE).frame(name, values), 0)
     assert (view.moves(Variant.COARSE, 0), view.moves(Variant.UNKNOWN, 0)) == moves

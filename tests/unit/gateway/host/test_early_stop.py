@@ -106,6 +106,31 @@ def test_a_robot_left_in_motion_is_told_zero_at_once_and_ends_parked(
 
 
 @pytest.mark.parametrize("variant", both_variants())
+@pytest.mark.parametrize(
+    "silent",
+    [
+        (),
+        ("Auto_DriveFeedBack",),
+        ("Auto_MileageAndBodyFeedback",),
+        ("Auto_DriveFeedBack", "Auto_MileageAndBodyFeedback"),
+        ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback"),
+        ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback", "Auto_MileageAndBodyFeedback"),
+        ("Auto_WheelSpdFeedback", "Auto_WheelPulseFeedback"),
+    ],
+)
+def test_whatever_shows_the_motion_is_enough(silent: tuple[str, ...], variant: Variant) -> None:
+    """Drive feedback, wheels or pulses, with or without body frames: who moves is stopped."""
+    left = Left(variant)
+    for name in silent:
+        line = parse(f"silence {name}")
+        assert isinstance(line, FaultLine)
+        left.chassis.inject(line, left.now_ns)
+    left.until(3.0)
+    assert left.chassis.state.speed_mps == 0
+    assert left.chassis.state.parking_status is ParkingStatus.APPLIED
+
+
+@pytest.mark.parametrize("variant", both_variants())
 def test_a_robot_that_another_computer_commands_is_left_alone(variant: Variant) -> None:
     """A burst each 10 ms on the bus; also when it begins while the early stop listens."""
     left, maker = Left(variant), FrameMaker()

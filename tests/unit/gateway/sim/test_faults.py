@@ -62,6 +62,7 @@ RIGHT = {
     "payload 100": FaultLine(Condition("payload_kg", 100.0)),
     "pedal 0.3": FaultLine(Condition("pedal_gain", 0.3)),
     "motor 0.5": FaultLine(Condition("motor_strength", 0.5)),
+    "brake 0.2": FaultLine(Condition("parking_grip", 0.2)),
     "reboot": FaultLine(Reboot()),
     "reboot for 3s": FaultLine(Reboot(), 3 * S),
     "clear": FaultLine(Clear()),
