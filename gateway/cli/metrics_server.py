@@ -154,7 +154,7 @@ def _for_this_machine(app: WSGIApplication) -> WSGIApplication:
     """Refuse a request under another name than an address or localhost: of a page whose name points here."""
 
     def answer(environ: WSGIEnvironment, start: StartResponse) -> Iterable[bytes]:
-        name = re.sub(r":\d*$", "", environ.get("HTTP_HOST", "")).strip("[]")
+        name = re.sub(r":\d*\Z", "", environ.get("HTTP_HOST", "")).strip("[]")
         try:
             is_own = name == "localhost" or bool(ipaddress.ip_address(name))
         except ValueError:

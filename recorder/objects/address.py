@@ -47,7 +47,7 @@ class StoreAddress(msgspec.Struct, frozen=True):
 
 
 _SECRET: Final = re.compile(r"(?<=://)[^/]*@|(?<=\?).+")
-"""What may be one: a name and a password, and what follows the path, as of an address that somebody has signed."""
+"""Name and password, and all behind the path, as of an address that somebody has signed."""
 
 
 def shown_url(url: str) -> str:
