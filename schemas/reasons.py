@@ -317,6 +317,7 @@ TEXTS: Final[dict[Reason, Text]] = _Texts(_KNOWN_TEXTS)
 """Every reason in words; a test holds that none is missing."""
 
 _RENEW_ROBOT: Final = "'cruiser provision renew robot' on the robot, 'sign' at the authority, 'install --replace'"
+_RENEW_NEW: Final = _RENEW_ROBOT.replace("--replace'", "--replace --fingerprint F'")
 
 OF_A_ROBOT: Final[dict[Reason, Text]] = _Texts(
     {
@@ -327,10 +328,10 @@ OF_A_ROBOT: Final[dict[Reason, Text]] = _Texts(
             f"set its clock if it is wrong; if not: {_RENEW_ROBOT}",
         ),
         Reason.GRANT_REVOKED: Text(
-            "the robot's own grant was revoked", f"if its authority was replaced: {_RENEW_ROBOT}; else ask there"
+            "the robot's own grant was revoked", f"if its authority was replaced: {_RENEW_NEW}; else ask there"
         ),
         Reason.GRANT_UNKNOWN: Text(
-            "the robot's own grant is not of the authority that it knows", f"let it in anew: {_RENEW_ROBOT}"
+            "the robot's own grant is not of the authority that it knows", f"let it in anew: {_RENEW_NEW}"
         ),
     }
 )

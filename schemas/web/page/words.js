@@ -181,8 +181,8 @@ const ZH = {
   of_robot: {
     no_lease: ["没有人持有控制权", "按“取得控制权”"],
     grant_expired: ["机器人自己的授权已过期，或尚未生效", "时钟不准就校正时钟；否则：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace'"],
-    grant_revoked: ["机器人自己的授权已被撤销", "如果授权方已更换：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace'；否则询问授权方"],
-    grant_unknown: ["机器人自己的授权不是它所认识的授权方签发的", "重新接纳它：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace'"],
+    grant_revoked: ["机器人自己的授权已被撤销", "如果授权方已更换：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace --fingerprint F'；否则询问授权方"],
+    grant_unknown: ["机器人自己的授权不是它所认识的授权方签发的", "重新接纳它：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace --fingerprint F'"],
   },
   // Sentences of robots, by the kind of event: $1 is a part as it was sent, {1} one that is put in words as well.
   event: {
