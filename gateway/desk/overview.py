@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from gateway.client.fleet import RobotStatus, alarm
-from gateway.client.reasons_text import link_line, state_line, text_of
+from gateway.client.reasons_text import state_line, text_of
 from gateway.client.robot_word import FINE, LOOK, WORDS, word_of
 from gateway.desk.words import RecorderRow, RobotRow
 from schemas.decisions import SafetyEvent, SafetyState
@@ -36,7 +36,7 @@ def row_of(report: RobotStatus, event: SafetyEvent | None) -> RobotRow:
         text=short(plain(_text_of(report, word, reasons))),
         driver=short(plain(safety.lease_holder)) if safety is not None else "",
         speed_mps=_rounded(state.speed_mps if state is not None else None),
-        limit_mps=_rounded(safety.speed_limit_mps if safety is not None else None),
+        limit_mps=_rounded(_limit_mps(safety) if safety is not None else None),
         link_age_s=_rounded(safety.link_age_s if safety is not None else None),
         lost=_count(sum(frame.lost for frame in report.health.feedback)) if report.health is not None else None,
         event=short(plain(event.text)) if event is not None else "",
@@ -64,8 +64,6 @@ def why_not(
     notes = [short(plain(note)) for note in health.notes] if health is not None else []
     if health is not None and not health.realtime:
         notes.append(_text(Reason.NO_REALTIME, robot)[0])
-    if link := link_line(safety):
-        notes.append(link)
     return reasons, notes
 
 
@@ -99,6 +97,12 @@ def _text_of(report: RobotStatus, word: str, reasons: list[Reason]) -> str:
 
 def _meanings(reasons: list[Reason], robot: str) -> str:
     return "; ".join(_text(one, robot)[0] for one in reasons)
+
+
+def _limit_mps(safety: SafetyState) -> float:
+    """The speed limit in force, with that of the commands' age."""
+    travel_mps = safety.travel_speed_limit_mps
+    return safety.speed_limit_mps if travel_mps is None else min(safety.speed_limit_mps, travel_mps)
 
 
 def _count(value: int) -> int:

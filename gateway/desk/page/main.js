@@ -16,6 +16,7 @@ const byId = (id) => document.getElementById(id);
 const fleet = { rows: new Map(), recorders: [], linked: false };
 const link = new Link();
 const stops = new Stops(link, byId("stops"), fleet);
+const kept = new Map(); // the rows as they were when nothing came any more: a desk that goes on sends only what has changed
 let hello = null;
 let view = null;
 
@@ -64,7 +65,10 @@ function showLink() {
 function loseRows() {
   const known = [...fleet.rows].filter(([, row]) => row.word !== "offline");
   if (known.length === 0) return;
-  for (const [robot, row] of known) fleet.rows.set(robot, { ...row, ...LOST });
+  for (const [robot, row] of known) {
+    kept.set(robot, row);
+    fleet.rows.set(robot, { ...row, ...LOST });
+  }
   showTitle();
   if (view instanceof Overview) view.update();
 }
@@ -72,9 +76,12 @@ function loseRows() {
 link.on("hello", (message) => {
   hello = message;
   learnReasons(message.reasons);
+  kept.clear(); // a new connection begins with all rows
   link.send({ is: "look", robot: shownRobot() });
 });
 link.on("rows", ({ rows, recorders, linked, full }) => {
+  for (const [robot, row] of kept) fleet.rows.set(robot, row);
+  kept.clear();
   for (const [robot, row] of Object.entries(rows)) {
     if (row === null) fleet.rows.delete(robot);
     else fleet.rows.set(robot, row);

@@ -11,6 +11,9 @@ const IDLE = ["no_lease", "not_engaged"];
 const SPEEDS = ["asked_mps", "told_mps", "speed_mps", "limit_mps"];
 const ANGLES = ["asked_deg", "told_deg", "angle_deg"];
 
+/** The speed limit in force, also of a robot that idles. */
+const limitOf = (safety) => Math.min(safety.speed_limit_mps, safety.travel_speed_limit_mps ?? Infinity);
+
 /** Beside the path there is room for a higher one. */
 const chartHeight = (chart) => (chart.clientWidth > 500 ? 205 : 170);
 
@@ -30,8 +33,10 @@ export class RobotPage {
     this.band = h("section", { class: "band wide", "aria-label": t("state") }, h("h1", {}, name), this.word, this.what, this.alert, driver.buttons);
     this.speed = h("span", { class: "big" });
     this.angle = h("span", { class: "big" });
+    this.limit = h("span");
     this.gauge = h("i");
     this.linkText = h("span");
+    this.linkMore = h("span", { class: "more" });
     this.notes = h("ul", { class: "card wide soft notes" });
     this.reasons = h("ul");
     this.blockers = h("section", { class: "card wide why", "aria-label": t("blockers"), hidden: true }, h("h2", {}, t("blockers")), this.reasons);
@@ -44,8 +49,8 @@ export class RobotPage {
     this.path = new Path(canvas);
     this.element = h("div", { class: "robot" }, this.band,
       h("section", { class: "card wide top" },
-        h("div", { class: "now" }, this.speed, this.angle,
-          h("span", { class: "link" }, `${t("link_age")}: `, h("span", { class: "gauge" }, this.gauge), " ", this.linkText))),
+        h("div", { class: "now" }, this.speed, this.angle, this.limit,
+          h("span", { class: "link" }, `${t("link_age")}: `, h("span", { class: "gauge" }, this.gauge), " ", this.linkText, this.linkMore))),
       this.blockers, this.driver.element, this.notes,
       h("section", { class: "card past" }, h("h2", {}, t("speed_chart")), this.charts[0], h("h2", {}, t("angle_chart")), this.charts[1]),
       h("section", { class: "card" }, h("h2", {}, t("path")), canvas, h("h2", {}, t("facts")), this.facts),
@@ -121,7 +126,7 @@ export class RobotPage {
     this.heardMs = nowMs;
     if (this.wheelbase) this.path.go(state.speed_mps, state.angle_deg, sinceS, this.wheelbase);
     const safety = this.safety;
-    const limit = safety && Math.min(safety.speed_limit_mps, safety.travel_speed_limit_mps ?? Infinity);
+    const limit = safety && limitOf(safety);
     const point = [nowMs / 1000, safety?.target_speed_mps, safety?.output_speed_mps, state.speed_mps, limit, safety?.target_angle_deg, safety?.output_angle_deg, state.angle_deg];
     this.points.forEach((column, at) => column.push(point[at] ?? null));
     const old = this.points[0].findIndex((time) => time > nowMs / 1000 - 2 * SHOWN_S);
@@ -168,10 +173,11 @@ export class RobotPage {
     const parts = this.isLost ? [t("no_contact", this.name, ((performance.now() - this.heardMs) / 1000).toFixed(1))] : [];
     const holder = this.safety?.lease_holder;
     if (holder) parts.push(this.driver.driving ? t("in_control_here") : t("in_control", holder));
-    if (known && row.level > 0) parts.push(textOf(row));
+    // Of a robot that is offline the row says first for how long, which this page knows better.
+    if (known && row.level > 0) parts.push(this.isLost ? said(row.text.split("; ").slice(1).join("; ")) : textOf(row));
     if (this.safety?.stopped_by?.length) parts.push(t("stopped_by", this.safety.stopped_by.join(", ")));
     if (this.why) parts.push(t("since", new Date(Date.now() - 1000 * this.why.since_s).toLocaleTimeString()));
-    setText(this.what, parts.join(" · "));
+    setText(this.what, parts.filter(Boolean).join(" · "));
     if (!this.isLost) setText(this.alert, "");
     else if (!this.alert.textContent) setText(this.alert, parts[0]);
   }
@@ -188,8 +194,11 @@ export class RobotPage {
     this.showWhy();
     setText(this.speed, number(state?.speed_mps, 2, "m/s"));
     setText(this.angle, number(state?.angle_deg, 1, "°"));
+    setText(this.limit, `${t("limit")}: ${number(safety && limitOf(safety), 2, "m/s")}`);
     const age = safety?.link_age_s ?? null;
-    setText(this.linkText, age === null ? t("obeys_none") : `${Math.round(1000 * age)} ms, ≤ ${number(safety.travel_speed_limit_mps, 2, "m/s")}`);
+    setText(this.linkText, age === null ? t("obeys_none") : `${Math.round(1000 * age)} ms`);
+    const p99 = safety?.link_age_p99_s ?? null;
+    setText(this.linkMore, age === null ? "" : t("link_more", p99 === null ? "--" : Math.round(1000 * p99), Math.round(1000 * safety.deadman_s), number(safety.travel_delay_m)));
     const share = age === null ? 0 : Math.min(1, safety.travel_speed_limit_mps / safety.speed_limit_mps);
     this.gauge.style.width = `${100 * share}%`;
     this.updateFacts(state);

@@ -98,3 +98,17 @@ def test_what_waited_in_a_desk_that_hung_is_not_what_the_robot_does(
         page.locator("#link", has_text=re.compile("^connected$")).wait_for()
         wait_until(lambda: lost_s(page) > 2 * LONG_S)
         assert not page.evaluate("window.wasShown")
+
+
+def test_what_is_shown_again_after_a_pause_is_all_of_it(running_browser: Browser) -> None:
+    """A desk that goes on after a moment sends only what has changed; a robot that has not is there again too."""
+    with desk_scene() as scene, running_browser.new_context() as context:
+        page = context.new_page()
+        page.goto(scene.address)
+        word = page.locator("tr[data-robot=cruiser-1] .pill")
+        word.get_by_text("ready").wait_for()
+        scene.desk.process.send_signal(signal.SIGSTOP)
+        wait_until(lambda: word.inner_text() == "offline")
+        scene.desk.process.send_signal(signal.SIGCONT)
+        word.get_by_text("ready").wait_for()
+        page.get_by_text("No contact with the desk").wait_for(state="hidden")

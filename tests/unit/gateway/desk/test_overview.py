@@ -92,6 +92,13 @@ def test_nothing_old_is_shown_as_current() -> None:
     assert row.text.startswith("no contact for 0.1 s; ")
 
 
+@pytest.mark.parametrize(("travel_mps", "limit_mps"), [(None, 1.0), (0.4, 0.4), (2.7, 1.0)])
+def test_the_limit_is_the_one_in_force(travel_mps: float | None, limit_mps: float) -> None:
+    """That of the commands' age too, where it is the lower one."""
+    row = row_of(report(AUTO, safety(speed_limit_mps=1.0, travel_speed_limit_mps=travel_mps)), None)
+    assert row.limit_mps == limit_mps
+
+
 def test_every_word_has_a_level() -> None:
     """There are three."""
     assert set(WORDS.values()) == {FINE, LOOK, ALARM}
