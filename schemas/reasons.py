@@ -337,6 +337,9 @@ OF_A_ROBOT: Final[dict[Reason, Text]] = _Texts(
 )
 """The same where a reason is said of a robot, not of a request."""
 
+AS_ASKED: Final = frozenset({Reason.DISENGAGED, Reason.IDLE, Reason.LEASE_RELEASED, Reason.SHUTDOWN})
+"""Ends that the driver, or who runs the gateway, asked for or left to happen: nothing is wrong, at any speed."""
+
 NO_STOP: Final = frozenset({Reason.HAND_TRANSMITTER, Reason.BUS_DOWN})
 """While one of these holds, a remote stop cannot be carried out."""
 

@@ -149,7 +149,8 @@ class Arbiter:
 
     def _stop_for_causes(self, chassis: ChassisState, now_ns: int, late_ns: int) -> None:
         engagement, hits = self.engagement, self.monitor.hits
-        self.outbox.add_events(self._notices.look(chassis, now_ns, late_ns))
+        is_idle = engagement.state is ArbiterState.STANDBY
+        self.outbox.add_events(self._notices.look(chassis, now_ns, late_ns, is_idle=is_idle))
         for bumper in hits:
             engagement.latch(bumper, "", now_ns)
         if engagement.state is ArbiterState.STANDBY:

@@ -63,7 +63,4 @@ STOPS: Final[dict[Reason, StopRule]] = {
 }
 """Every cause to stop, the gravest first."""
 
-AS_ASKED: Final = frozenset({Reason.DISENGAGED, Reason.IDLE, Reason.LEASE_RELEASED, Reason.SHUTDOWN})
-"""Stops that the driver, or who runs the gateway, asked for or left to happen: nothing is wrong, at any speed."""
-
 BUMPERS: Final = (Reason.FRONT_BUMPER, Reason.REAR_BUMPER)

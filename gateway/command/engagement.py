@@ -8,7 +8,7 @@ import msgspec
 
 from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import Auxiliary
-from gateway.command.causes import AS_ASKED, STOPS, StopRule
+from gateway.command.causes import STOPS, StopRule
 from gateway.command.chassis_monitor import ChassisMonitor
 from gateway.command.handover import Handover, may_be_stopped
 from gateway.command.inferred import IN_GEAR, inferred_actuation, inferred_angle_deg
@@ -24,7 +24,7 @@ from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopSequence
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
 from schemas.messages import GearPosition, Mode, ParkingStatus
-from schemas.reasons import TEXTS, Reason
+from schemas.reasons import AS_ASKED, TEXTS, Reason
 from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, RETURN_NS, CommandSettings
 
 

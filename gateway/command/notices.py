@@ -31,13 +31,13 @@ class Notices:
         self._is_realtime = False
         self._commander_ns: int | None = None
 
-    def look(self, chassis: ChassisState, now_ns: int, late_ns: int) -> Iterator[Event]:
-        """Yield what is new at this tick, which began so late."""
+    def look(self, chassis: ChassisState, now_ns: int, late_ns: int, *, is_idle: bool = False) -> Iterator[Event]:
+        """Yield what is new at this tick, which began so late. Of a robot that is idle a late one is no fault."""
         if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
             self._late_told_ns = now_ns
-            yield Event(
-                Severity.WARNING, EventKind.FAULT, Reason.LOOP_LATE, f"the loop was {late_ns / 1e6:.0f} ms late"
-            )
+            severity = Severity.INFO if is_idle else Severity.WARNING
+            text = f"the loop was {late_ns / 1e6:.0f} ms late"
+            yield Event(severity, EventKind.FAULT, Reason.LOOP_LATE, text)
         before, self._controller = self._controller, chassis.controller
         if self._controller is not before:
             yield Event(

@@ -32,7 +32,7 @@ from recorder.review.find import (
     newest,
     read_words,
 )
-from recorder.review.timeline.entries import STOPS, EntryKind
+from recorder.review.timeline.entries import ENDS, EntryKind
 from recorder.serve.answers import BEGINS, NearDrives, answer, whole
 from recorder.serve.notes import NOTES_SUFFIX, notes_path, read_notes, tags_of
 from schemas.exit_codes import CommandError, ExitCode
@@ -56,7 +56,7 @@ ROUND_S: Final = (30.0, 3600.0)
 AT_ONCE: Final = 1
 """Answers that are read from the catalog at once: the bound on what it unpacks to is the process's."""
 
-NEAR: Final = frozenset({*BEGINS, *(kind.value for kind in STOPS), EntryKind.GATEWAY.value, INCIDENT})
+NEAR: Final = frozenset({*BEGINS, *(kind.value for kind in ENDS), EntryKind.GATEWAY.value, INCIDENT})
 """Kinds of moments that are shown with a drive: who began, what ended it, and incidents."""
 
 NEAR_MAX: Final = 100 * ANSWERS

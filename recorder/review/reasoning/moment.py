@@ -184,7 +184,7 @@ def _soon(now: EvidenceWindow, focus: Entry | None) -> str:
     """The stop that came right after the moment."""
     if focus is None:
         return ""
-    what = "a stop began" if focus.kind is EntryKind.STOP else "the gateway let go of it"
+    what = "a stop began" if focus.kind in {EntryKind.STOP, EntryKind.END} else "the gateway let go of it"
     return f"; {span(focus.time_ns - now.at_ns)} later {what}: {_why(focus)}"
 
 
@@ -198,7 +198,7 @@ def _standby(now: EvidenceWindow, state: SafetyState, focus: Entry | None, latch
     if latch is not None and latch.time_ns > focus.time_ns:
         latched = f"{before(latch.time_ns, now.at_ns)}: {_why(latch)}"
         return f"It was not engaged, and was latched {latched}. The last stop was {when}: {why}."
-    if focus.kind is not EntryKind.STOP:
+    if focus.kind not in {EntryKind.STOP, EntryKind.END}:
         return f"The gateway let go of it {when}: {why}."
     return f"It was not engaged. The last stop was {when}: {why}."
 

@@ -13,7 +13,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, decoded_rows, read_rows
 from recorder.review.reasoning.window import EvidenceWindow, Heard, is_other_run
 from recorder.review.timeline.clock import NEAR_NS
-from recorder.review.timeline.entries import STOPS, Entry, EntryKind, EntrySource
+from recorder.review.timeline.entries import ENDS, STOPS, Entry, EntryKind, EntrySource
 from recorder.review.timeline.timeline import Timeline, read_events
 from schemas.decisions import ArbiterState, SafetyEvent, SafetyState, Severity, is_same_run
 from schemas.reasons import Reason
@@ -30,12 +30,13 @@ class Story:
         self._entries = sorted(deque(entries, maxlen=KEPT), key=lambda entry: entry.time_ns)
 
     def last_stop(self, until_ns: int = END_OF_TIME_NS) -> Entry | None:
-        """The last one up to a time with which the robot was commanded no longer."""
-        return next(filter(_stops, self._before(until_ns, STOPS)), None)
+        """The last stop up to a time; where there was none, the last end that somebody asked for."""
+        either = (next(filter(_stops, self._before(until_ns, kinds)), None) for kinds in (STOPS, ENDS))
+        return next(filter(None, either), None)
 
     def stop_before(self, until_ns: int) -> Entry | None:
         """The last stop up to a time, if the robot has not been engaged since."""
-        stops = (one for one in self._before(until_ns, {*STOPS, EntryKind.ENGAGED}))
+        stops = (one for one in self._before(until_ns, {*ENDS, EntryKind.ENGAGED}))
         last = next((one for one in stops if one.kind is EntryKind.ENGAGED or _stops(one)), None)
         return None if last is None or last.kind is EntryKind.ENGAGED else last
 
@@ -100,7 +101,7 @@ class Story:
 
 def _stops(entry: Entry) -> bool:
     # That a guard is there, or is gone, has no reason: it stops nothing by itself.
-    return entry.kind in STOPS and entry.reason is not Reason.NONE and not entry.tells_of_guard
+    return entry.kind in ENDS and entry.reason is not Reason.NONE and not entry.tells_of_guard
 
 
 def _is_death(entry: Entry) -> bool:
@@ -133,7 +134,7 @@ def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress
 def derived(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
     """Return the story with the changes between states too, where events are missing. Reads all of a log."""
     kinds = EntryKind.LATCH, EntryKind.RESET, EntryKind.STOPPED, EntryKind.ENGAGED, EntryKind.GATEWAY
-    wanted = frozenset({*STOPS, *kinds})
+    wanted = frozenset({*ENDS, *kinds})
     return Story(read_events(logs, Selection(), faults, progress, robots=frozenset({robot}), kinds=wanted))
 
 

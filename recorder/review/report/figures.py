@@ -51,6 +51,7 @@ MARKS: Final = {
     "lease": ("circle-open", BLUE),
     "engaged": ("circle", GREEN),
     "stopped": ("square-open", GREY),
+    "end": ("square", GREY),
     "reset": ("diamond-open", BLUE),
     "gateway": ("cross", RED),
     "gap": ("line-ns", RED),

@@ -9,7 +9,7 @@ import msgspec
 
 from schemas.decisions import GUARD_STOP_ENDED, EventKind, Severity
 from schemas.messages import Count, TimeNs
-from schemas.reasons import Reason
+from schemas.reasons import AS_ASKED, Reason
 from schemas.requests import Tick
 
 
@@ -31,12 +31,21 @@ class EntryKind(Enum):
     RECORDER = "recorder"
     GAP = "gap"
     CLOCK = "clock"
+    END = "end"
 
 
 OF_EVENT: Final = {kind: EntryKind(kind.value) for kind in EventKind}
 
 STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
-"""Entries with which the robot is commanded no longer."""
+"""Entries with which the robot is commanded no longer, though nobody wanted it so."""
+
+ENDS: Final = STOPS | {EntryKind.END}
+"""And with those that somebody asked for."""
+
+
+def kind_of(kind: EntryKind, reason: Reason) -> EntryKind:
+    """The kind of an entry for this reason: what was asked for is no stop."""
+    return EntryKind.END if kind is EntryKind.STOP and reason in AS_ASKED else kind
 
 
 class EntrySource(Enum):

@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource, kind_of
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState, Severity
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import SAFETY_STATE_PERIOD_NS
@@ -110,7 +110,7 @@ def entry_of(change: Change, robot: str, time_ns: int, holder: str) -> Entry:
         time_ns=time_ns,
         last_ns=time_ns,
         robot=robot,
-        kind=change.kind,
+        kind=kind_of(change.kind, change.reason),
         severity=change.severity,
         source=EntrySource.STATE,
         text=change.text,

@@ -17,7 +17,7 @@ from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import Progress, Row, Selection, Wants, read_rows
 from recorder.reading.topics import UNREADABLE
 from recorder.review.timeline.ending import SILENT_NS, LogEnding, ending
-from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, EntrySource
+from recorder.review.timeline.entries import OF_EVENT, Entry, EntryKind, EntrySource, kind_of
 from recorder.review.timeline.health_changes import risen
 from recorder.review.timeline.repeats import IDS_KEPT, Repeats
 from recorder.review.timeline.robot_track import RobotTrack
@@ -217,7 +217,7 @@ class Timeline:
                 time_ns=time_ns,
                 last_ns=time_ns,
                 robot=robot.name,
-                kind=kind,
+                kind=kind_of(kind, event.reason),
                 severity=event.severity,
                 source=EntrySource.EVENT,
                 text=event.text,

@@ -20,6 +20,8 @@ def test_a_late_loop_is_told_once_a_second() -> None:
     ]
     assert list(notices.look(ChassisState(), LATE_TOLD_NS, 80 * MS)) == []
     assert len(list(notices.look(ChassisState(), LATE_TOLD_NS + 1, 80 * MS))) == 1
+    (idle,) = notices.look(ChassisState(), 2 * LATE_TOLD_NS + 1, 80 * MS, is_idle=True)
+    assert idle.severity is Severity.INFO, "a recorder makes an incident of warnings"
 
 
 def test_each_change_of_the_controller_is_told() -> None:

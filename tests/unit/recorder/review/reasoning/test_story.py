@@ -39,6 +39,15 @@ def test_a_reset_is_of_the_latches_that_it_names_in_its_run() -> None:
     assert Story([latch, *others, own]).reset_of(latch) == own
 
 
+def test_the_last_stop_is_one_that_nobody_asked_for() -> None:
+    """Where there was none, it is the end of the drive."""
+    stop = _entry(EntryKind.STOP, 1, "stopping", tick=10, reason=Reason.DEADMAN)
+    end = _entry(EntryKind.END, 2, "stopping", tick=20, reason=Reason.DISENGAGED)
+    assert Story([stop, end]).last_stop() == stop
+    assert Story([end]).last_stop() == end
+    assert Story([stop, end]).stop_before(3) == end
+
+
 def _next(rig: RecordedRig, run: int, seconds: float = 1.0) -> None:
     """Another gateway begins a second after this one was last heard; its samples are put behind."""
     other = RecordedRig.beginning(rig.at_ns + SECOND, run)

@@ -5,12 +5,12 @@ from datetime import UTC, datetime
 import msgspec
 import pytest
 
-from recorder.review.report.event_log import ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, EventLog
+from recorder.review.report.event_log import ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, EventLog, is_stop
 from recorder.review.report.findings import Outage
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource, kind_of
 from schemas.decisions import Severity
-from schemas.reasons import Reason
+from schemas.reasons import AS_ASKED, Reason
 from tests.support.messages import SECOND, WALL_NS
 
 HOUR_NS = 3600 * SECOND
@@ -42,6 +42,18 @@ def happened(*entries: Entry) -> EventLog:
     for one in entries:
         found.take(one)
     return found
+
+
+@pytest.mark.parametrize("reason", [reason for reason in Reason if reason in AS_ASKED])
+def test_an_end_that_somebody_asked_for_is_no_stop(reason: Reason) -> None:
+    """Neither among the numbers nor among the moments; one for any other reason is both."""
+    end, stop = (
+        entry(1, kind_of(EntryKind.STOP, why), reason=why, source=EntrySource.EVENT)
+        for why in (reason, Reason.DEADMAN)
+    )
+    assert (end.kind, stop.kind) == (EntryKind.END, EntryKind.STOP)
+    assert happened(end, stop).stops == {"deadman": 1}
+    assert (is_stop(end), is_stop(stop)) == (False, True)
 
 
 def test_the_silence_before_a_restart_is_its_own() -> None:
