@@ -38,6 +38,11 @@ POLL_S: Final = 0.01
 ROWS_S: Final = 0.2
 """The period of the overview, sent also where nothing has changed: a page that receives nothing has no contact."""
 
+LATE_NS: Final = 1_000_000_000
+"""After a pause of so long the states that have waited are old, and passed over: newer ones come at once."""
+
+AGEING: Final = ("/state", "/gateway/health")
+
 ASK_S: Final = 3.0
 """The longest wait for the replies to a question."""
 
@@ -157,8 +162,9 @@ class Hub:
 
     def step(self, now_ns: int) -> None:
         """Take what has arrived, and give each browser what it looks at."""
+        is_late = 0 < self._now_ns < now_ns - LATE_NS
         self._now_ns = now_ns
-        self._carry_arrivals()
+        self._carry_arrivals(is_late=is_late)
         for browser in self._browsers:
             self._carry_replies(browser)
             self._show_history(browser)
@@ -281,7 +287,7 @@ class Hub:
             browser.stops.discard(robot)
             browser.tell(outcome)
 
-    def _carry_arrivals(self) -> None:
+    def _carry_arrivals(self, *, is_late: bool) -> None:
         looked_at: dict[str, list[Browser]] = {}
         for browser in self._browsers:
             if browser.outbox.robot:
@@ -289,6 +295,8 @@ class Hub:
         subjects = {f"{self._root}/{robot}/{name}": (robot, name) for robot in looked_at for name in CLOSE}
         for arrival in self._listener.drain():
             if isinstance(arrival, Received) and _size(arrival) > SAMPLE_MAX_BYTES:
+                continue
+            if is_late and isinstance(arrival, Received) and arrival.key.endswith(AGEING):
                 continue
             self._view.receive(arrival)
             if not isinstance(arrival, Received) or arrival.key not in subjects:

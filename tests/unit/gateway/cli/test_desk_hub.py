@@ -79,6 +79,21 @@ def test_whoever_comes_is_told_all_and_then_what_changes() -> None:
     assert told(browser, words.DeskRows) == []
 
 
+def test_what_has_waited_while_the_desk_hung_is_not_current() -> None:
+    """Neither in a row nor closely; an event is said all the same, and the next state is current."""
+    scene = Scene()
+    browser = scene.hub.join()
+    scene.step(STATE, HEALTH)
+    scene.say(browser, **{"is": "look", "robot": "cruiser-1"})
+    scene.step(STATE, event(1), seconds=5.0)
+    messages = browser.outbox.take()
+    assert [one.subject for one in messages if isinstance(one, words.DeskSample)] == ["safety/event"]
+    rows = [one.rows for one in messages if isinstance(one, words.DeskRows)]
+    assert rows[-1]["cruiser-1"].word == "offline"  # type: ignore[union-attr]
+    scene.step(STATE)
+    assert told(browser, words.DeskRows)[0].rows["cruiser-1"].word == "telemetry"
+
+
 def test_samples_go_to_whom_looks_at_their_robot() -> None:
     """As they came, with their proofs; events of before at once; to nobody else."""
     scene = Scene()
