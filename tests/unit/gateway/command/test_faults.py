@@ -773,6 +773,7 @@ def test_a_stop_brakes_also_where_the_bus_takes_only_a_part_of_each_burst(taken:
     rig.run(3)
     assert rig.speed_mps == 0
     assert (rig.chassis.state.parking_status is ParkingStatus.APPLIED) is (taken > 1)
+    assert rig.says.stop_phase is (StopPhase.HOLD if taken > 1 else StopPhase.PARK), "the enables stay"
 
 
 AT_FULL_SPEED = CommandSettings(speed_limit_mps=2.222, travel_delay_m=3.0)

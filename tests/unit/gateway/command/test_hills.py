@@ -226,8 +226,14 @@ def test_a_robot_that_creeps_when_its_enables_are_gone_is_kept_in_gear() -> None
     assert abs(hill.chassis.state.x_m - begun_m) < 0.5
     assert Reason.BRAKE_SLIPS in hill.says.latched
     assert (hill.says.state, hill.says.stop_phase) == (ArbiterState.STOPPING, StopPhase.HOLD)
+    hill.fault("brake 0.45")
+    hill.run(0.5)
     hill.fault("brake 1")
     hill.operator.take_lease()
+    assert hill.operator.reason("reset") is Reason.STOPPING, "it has not stood braked for 5 s"
+    for _ in range(10):
+        hill.operator.ask("renew")
+        hill.run(0.6)
     assert hill.operator.reason("reset") is Reason.NONE
     hill.run(2)
     assert (hill.says.state, hill.says.latched) == (ArbiterState.STANDBY, [])
