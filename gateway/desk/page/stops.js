@@ -31,7 +31,8 @@ export class Stops {
 
   show({ robot, standing, refused, unconfirmed, silent, counted }) {
     const rows = [
-      ...Object.entries(refused).map(([name, text]) => `${name}: ${t("refused")}: ${said(text)}`),
+      // A robot that reads zero before it has moved stops all right; only nothing has shown it.
+      ...Object.entries(refused).map(([name, text]) => `${name}: ${t(text.startsWith("not_confirmed") ? "unconfirmed" : "refused")}: ${said(text)}`),
       ...Object.entries(unconfirmed).map(([name, text]) => `${name}: ${t("unconfirmed")}: ${said(text)}`),
       ...this.unheard(robot, standing, refused, unconfirmed, silent).map((name) => `${name}: ${t("silent_robot")}`),
     ];

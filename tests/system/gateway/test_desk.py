@@ -157,6 +157,8 @@ def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, con
     """Of a robot that is driven by somebody else; it stands latched until somebody resets it here."""
     page, other = open_robot(context, scene), open_robot(context, scene)
     drive(scene, page)
+    # A robot that is told to move and has not answered yet is not known to stand, whatever it reads.
+    wait_until(lambda: texts(other, ".now .big")[0] not in {"--", "0.00 m/s"})
     other.keyboard.press("Escape")
     other.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
     page.mouse.up()
