@@ -41,7 +41,7 @@ def play(job: tuple[int, bool]) -> Result:
     except Exception as error:  # noqa: BLE001 - the seed must be told, whatever it was
         where = traceback.extract_tb(error.__traceback__)[-1]
         crash = Violation("crash", 0.0, f"{type(error).__name__}: {error} in {where.name}, line {where.lineno}")
-        return Result(seed, [crash], 0, 0.0, 0.0, scenario(seed).slope_deg, 0.0, 0.0, [])
+        return Result(seed, [crash], 0, 0.0, 0.0, scenario(seed).slope_deg, 0.0, 0.0, 0.0, [])
 
 
 def main() -> int:

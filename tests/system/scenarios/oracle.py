@@ -7,6 +7,7 @@ of ``SEEING_S``: a 50 ms frame, one of them lost, and a tick.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from math import radians, sqrt, tan
 from typing import Any, Final
@@ -14,14 +15,20 @@ from typing import Any, Final
 import msgspec
 
 from schemas.settings import CommandSettings
+from tests.system.scenarios.heard import NOT_YET_S, Heard
 from tests.system.scenarios.plant import (
     AUTO,
     BODY,
     DRIVE,
+    DRIVE_CMD,
+    GEAR_CMD,
     GEAR_N,
     LIGHT_CMD,
     MOTION_CMDS,
+    PARKING,
+    PARKING_CMD,
     PARKING_MPS2,
+    PULSES,
     REMOTE,
     SIGN,
     STEERING,
@@ -59,7 +66,25 @@ RETURNS_S: Final = 0.5
 GUARD_S: Final = 0.1
 RELEASE_M, STOP_M = 0.10, 0.30
 UNSTARTED_M: Final = 0.10
-LATCHING: Final = frozenset({"rolling", "remote_stop", "front_bumper", "rear_bumper", "implausible_speed"})
+UNTRUE_SPEED: Final = frozenset({"not_moving", "feedback_frozen"})
+LATCHING: Final = UNTRUE_SPEED | {"rolling", "remote_stop", "front_bumper", "rear_bumper", "implausible_speed"}
+TOLD_MPS, STANDS_MPS, FROZEN_MPS, FROZEN_TOLD_MPS = 0.3, 0.15, 0.05, 0.1
+"""Told over the first and seen under the second; seen under the third while pulses or mileage count."""
+
+LEAD_MPS, LEAD_S = 0.5, 0.6
+"""So far a rising speed may be ahead of the one that is seen: the greater of this and of so long a ramp."""
+
+RUNAWAY_MPS, RUNAWAY_RISE_MPS, RISE_S = 0.3, 0.08, 0.2
+
+YIELDS: Final = 10
+"""Bursts that may follow a takeover."""
+
+USUAL, BRAKE_FIRST = (DRIVE_CMD, GEAR_CMD), (DRIVE_CMD, PARKING_CMD)
+"""How the five of a burst begin; the second after one that went out in part."""
+
+LOOSE_S: Final = 1.0
+"""A latched robot does not stand so long without its parking brake while nothing is told."""
+
 STUCK_DEG: Final = 6.5
 """5 deg, and what noise and a bit make of it."""
 
@@ -68,6 +93,13 @@ LAGGING_S, LAGGING_MPS2 = 0.4, 0.8
 
 FOLLOWS_MPS2: Final = 0.3
 """With less than this beyond the ramps the motor cannot follow them down this hill, and a stop is no false one."""
+
+PULSES_EVERY_S: Final = 0.05
+SUPERVISION: Final = (
+    *("roll1.0", "roll-1.0", "dies1.0", "dies-1.0", "stuck", "fast", "lateral", "drive", "brake"),
+    *("stands", "frozen", "pulses", "mileage"),
+)
+"""Timers of what is judged only while the robot is commanded."""
 
 Fields = dict[str, Any]
 
@@ -117,14 +149,12 @@ class Oracle:
         self._is_undisturbed = is_undisturbed
         self._lag_s = lag_s
         # What is asked.
-        self._asked_mps = 0.0
-        self._asked_s = -9.0
+        self._asked_mps, self._asked_s = 0.0, -9.0
         self._zero_since_s = self._engaged_s = 0.0
         self._is_permitted = self._was_engaged = False
         self._engage_asked_s: float | None = None
         self._cause_s: float | None = None
-        self._cause = ""
-        self._emergency = False
+        self._cause, self._emergency = "", False
         self._latched: list[str] = []
         # What is told.
         self._order: Told | None = None
@@ -134,20 +164,23 @@ class Oracle:
         self._counters: dict[int, int] = {}
         self._ceiling_mps = 0.0
         self._excess_s: float | None = None
-        self._excess_mps = 0.0
-        self._excess_rate = self._falls_mps2(at_once=False)
+        self._excess_mps, self._excess_rate = 0.0, self._falls_mps2(at_once=False)
         # What happens.
         self._plant: Plant | None = None
         self._excused_until_s = self._blind_until_s = 0.0
         self.is_damaged: Callable[[], bool] = lambda: False
         self._was_excused = False
+        self._heard = Heard(fine=fine)
+        self._yields, self._begins_unknown = 0, False
+        self._was_cut: bool | None = False
+        self._lately: deque[tuple[float, float]] = deque([(0.0, 0.0)] * 100, round(1 / TICK_S))
+        self._counted_m, self._latched_s, self._told_range = 0.0, 0.0, (0.0, 0.0)
         self._disturbed_until_s = self._frozen_wheels_s = -9.0
         self._left_mps: float | None = None
         self._remote = Since()
         self._seen_mps = 0.0
         self._rest_m: float | None = None
-        self._rest_sign = 0.0
-        self._rest_is_stop = False
+        self._rest_sign, self._rest_is_stop = 0.0, False
         self._rest_bound_m = self._start_bound_m = 0.0
         self._best_m: float | None = None
         self._asked_sign = 0.0
@@ -157,8 +190,7 @@ class Oracle:
         self._frozen_m: float | None = None
         self._struck: str | None = None
         self._struck_s = self._clear_s = self._pressed_s = -9.0
-        self._acknowledged = False
-        self._is_unsure = False
+        self._acknowledged = self._is_unsure = False
         self._timers: dict[str, Since] = {}
         self._gateway_lives = True
 
@@ -188,6 +220,10 @@ class Oracle:
             standing = self._was_engaged and self._is_permitted and now_s - self._zero_since_s > 0.1
             if not fields["ok"] and standing and not self._asked_mps and fields["reason"] != "not_engaged":
                 self._fail("park_refused", now_s, f"{fields['reason']} at {plant.speed_mps:.2f} m/s")
+        elif (
+            verb == "stop" and plant is not None and self._claims_rest(fields) and abs(plant.speed_mps) > MOVES_MPS
+        ):
+            self._fail("stands_untrue", now_s, f"{plant.speed_mps:.2f} m/s, and: {fields['detail']}")
         elif verb == "stop" and self._remote.lasts(now_s, holds=self._is_remote(now_s)) > 0.2:
             if fields["ok"] and not fields["detail"]:
                 self._fail("stop_lies", now_s, "ok alone, while the remote control has the robot")
@@ -203,6 +239,7 @@ class Oracle:
         if self._acknowledged and is_new and not self._is_unsure:
             self._fail("bumper_relatched", now_s, f"{self._struck} again, while acknowledged")
         self._latched = latched
+        self._latched_s = self._timer("latched").lasts(now_s, holds=bool(latched))
         if state["engaged"]:
             self._was_engaged = True
         elif self._was_engaged:
@@ -212,10 +249,15 @@ class Oracle:
                 self._find_cause(state, now_s)
             self._begin_stop(now_s)
 
-    def frames(self, frames: list[CanFrame], now_s: float, *, by_guard: bool) -> None:
-        if not frames:
+    def hears(self, frames: list[CanFrame], now_s: float) -> None:
+        self._heard.receive(frames, now_s)
+
+    def frames(self, burst: list[CanFrame], now_s: float, *, taken: int, by_guard: bool) -> None:
+        if not burst:
             self._judge_silence(now_s)
             return
+        frames = burst[:taken]
+        self._judge_parts(burst, taken, now_s)
         # The guard goes on with the gateway's counters; a gateway that comes back begins with its own.
         comes_back = self._is_guards and not by_guard
         goes_on = now_s - self._order_s < PAUSE_S and not comes_back
@@ -230,6 +272,8 @@ class Oracle:
         if set(MOTION_CMDS) <= {identifier for identifier, _ in frames}:
             self._judge_order(told(self._bytes, fine=self._fine), now_s)
             self._judge_hazard(now_s, is_due=by_guard or (bool(self._latched) and not self._is_permitted))
+        elif frames and set(MOTION_CMDS) <= self._bytes.keys():
+            self._order, self._order_s = told(self._bytes, fine=self._fine), now_s
 
     def motion(self, plant: Plant, now_s: float, *, gateway_lives: bool) -> None:
         self._plant = plant
@@ -241,6 +285,9 @@ class Oracle:
             self._excused_until_s = max(self._excused_until_s, now_s + RETURNS_S)
         if not plant.can_hold or not self._follows(plant):
             self.disturb(now_s, 3.0)
+        if not plant.can_hold and not plant.brake_holds:
+            # Nothing can.
+            self._excused_until_s = max(self._excused_until_s, now_s + RETURNS_S)
         self._expect_deadman(now_s)
         if self._is_permitted and self._idle_s(now_s) > SEEING_S:
             self._fail("idle_engaged", now_s, f"engaged, and asked for nothing since {self._zero_since_s:.1f} s")
@@ -249,6 +296,7 @@ class Oracle:
             # Back in our hands, and maybe moving: from here on it is a stop like any other.
             self._begin_stop(now_s)
         self._was_excused = now_s < self._excused_until_s
+        self._lately.append((0.0 if self._order is None else self._order.signed_mps, plant.speed_mps))
         self._judge_remote(plant, now_s)
         self._judge_roll_back(plant, now_s)
         self._judge_stop(plant, now_s)
@@ -273,7 +321,26 @@ class Oracle:
         self._blind_until_s = now_s + lasts_s
         self._excused_until_s = max(self._excused_until_s, self._blind_until_s + RETURNS_S)
 
+    @staticmethod
+    def _claims_rest(reply: Fields) -> bool:
+        return bool(reply["ok"] and "stands" in reply["detail"] and "not confirmed" not in reply["detail"])
+
     # The bytes.
+
+    def _judge_parts(self, burst: list[CanFrame], taken: int, now_s: float) -> None:
+        """Zero speed and the parking brake come first where the burst before went out in part."""
+        motion = tuple(identifier for identifier, _ in burst if identifier in MOTION_CMDS)
+        if set(motion) != set(MOTION_CMDS):
+            return
+        order = told(dict(burst), fine=self._fine)
+        if order.enabled and now_s - self._order_s < PAUSE_S and self._was_cut is not None:
+            due = BRAKE_FIRST if self._was_cut and not order.speed_mps else USUAL
+            if motion[:2] != due:
+                names = " ".join(f"{identifier:08X}" for identifier in motion)
+                self._fail("burst_order", now_s, f"{names}, {'' if self._was_cut else 'not '}after a part of one")
+        # Where all of the five were taken or none of the burst, both orders may be right.
+        is_part = 0 < taken < len(MOTION_CMDS)
+        self._was_cut = True if is_part else False if taken == len(burst) else None
 
     def _judge_order(self, order: Told, now_s: float) -> None:
         limits = self._limits
@@ -294,7 +361,9 @@ class Oracle:
             "gear_change_unbraked": shifts and not (order.parking and last.parking),
             "gear_reserved": order.gear not in {*SIGN, GEAR_N},
             "speed_against_brake": order.speed_mps > 0 and order.parking,
-            "unwarned": order.speed_mps > 0 and now_s - self._engaged_s < limits.warning_s - SEEING_S,
+            "unwarned": self._is_permitted
+            and order.speed_mps > 0
+            and now_s - self._engaged_s < limits.warning_s - SEEING_S,
             "over_limit": order.speed_mps > limits.speed_limit_mps + self._bit_mps / 2,
             "angle": abs(order.angle_deg) > limits.steering_limit_deg + ANGLE_BIT_DEG,
             "steering_rate": obeys and turned_deg > turns_deg,
@@ -307,10 +376,26 @@ class Oracle:
         in_stop = self._plant is not None and self._mode(self._plant) == STOP and not self._plant.is_away
         if self._timer("stop").lasts(now_s, holds=in_stop and order.speed_mps > 0) > SEEING_S:
             self._fail("speed_in_mode_stop", now_s, f"{order.speed_mps:.2f} m/s")
-        taken_s = self._remote.lasts(now_s, holds=self._is_remote(now_s))
-        if taken_s > 0.1 and self._plant is not None and self._plant.sticks:
-            self._fail("talks_to_remote", now_s, "a frame, 100 ms after the remote control took over")
+        self._judge_yield(order, last, now_s, begins=before is None)
         self._order, self._order_s, self._was_auto = order, now_s, is_auto
+
+    def _judge_yield(self, order: Told, last: Told, now_s: float, *, begins: bool) -> None:
+        """To the remote control nothing is told but a few times zero speed with the parking brake."""
+        if begins:
+            self._begins_unknown = not self._heard.is_ours(now_s) and not self._is_guards
+        elif self._was_engaged:
+            self._begins_unknown = False
+        if self._begins_unknown and order.speed_mps:
+            self._fail("speed_from_standby", now_s, f"{_brief(order)}, and the mode is remote or unknown")
+        if self._heard.remote_s == NOT_YET_S:
+            self._yields = 0
+        if now_s - self._heard.remote_s < 1.5 * TICK_S or self.is_damaged():
+            return
+        self._yields += 1
+        if self._yields > YIELDS:
+            self._fail("talks_to_remote", now_s, f"burst {self._yields} since the remote control has the robot")
+        if order.speed_mps or not order.parking or (order.enabled and order.gear != last.gear):
+            self._fail("commands_remote", now_s, f"{_brief(order)}; before {_brief(last)}")
 
     def _judge_speed(self, order: Told, before: Told | None, gap_s: float, now_s: float) -> None:
         """The told speed: never up without leave, never faster than the ramps, down when it has to be."""
@@ -330,6 +415,11 @@ class Oracle:
             self._ceiling_mps += self._limits.acceleration_mps2 * gap_s
             if speed_mps > self._ceiling_mps + bit_mps + 0.002:
                 self._fail("acceleration", now_s, f"{speed_mps:.3f} m/s, at most {self._ceiling_mps:.3f}")
+        ahead_mps = max(LEAD_MPS, LEAD_S * self._limits.acceleration_mps2) + self._limits.acceleration_mps2 * gap_s
+        seen_mps = self._heard.greatest_mps(now_s)
+        is_ahead = speed_mps > seen_mps + ahead_mps + self._bit_mps and now_s >= self._blind_until_s
+        if before is not None and speed_mps > before_mps + 1e-9 and is_ahead:
+            self._fail("runs_ahead", now_s, f"told {speed_mps:.2f} m/s, seen {seen_mps:.2f}")
         self._ceiling_mps = min(self._ceiling_mps, speed_mps) if before is not None else speed_mps
         if before is None and speed_mps:
             # A burst after a silence begins where the chassis was left, or by what is seen.
@@ -362,6 +452,9 @@ class Oracle:
         if not self._gateway_lives:
             return
         self._left_mps = order.speed_mps
+        is_yielded = self._heard.remote_s != NOT_YET_S and not self.is_damaged()
+        if is_yielded and order.enabled and (order.speed_mps or not order.parking):
+            self._fail("left_to_remote", now_s, f"the last word is {_brief(order)}")
         is_true = self._is_reachable(now_s) and not self.is_damaged()
         if plant.mode == AUTO and order.enabled and not order.parking and is_true:
             self._fail("silence_unbraked", now_s, f"enabled and no parking request at {plant.speed_mps:.2f} m/s")
@@ -381,6 +474,16 @@ class Oracle:
         self._excess_mps = self._order.speed_mps if self._order is not None else 0.0
         self._begin_stop(now_s)
         self.disturb(now_s, 6.0)
+
+    def loses_bus(self) -> None:
+        """The gateway knows that it has lost the bus: what was heard before says nothing."""
+        self._heard.forget()
+
+    def all_fail(self, now_s: float, until_s: float) -> None:
+        """Gateway and guard are gone, and nobody tells the chassis anything until another gateway begins."""
+        self._cause_stop("all failed", now_s, at_once=False)
+        self._excused_until_s = max(self._excused_until_s, until_s + 1.0)
+        self.disturb(until_s, 6.0)
 
     def gateway_returns(self) -> None:
         """Another gateway begins. It knows of no bumper that was acknowledged, and of no latch but the guard's."""
@@ -414,6 +517,11 @@ class Oracle:
             and self._plant.mode == AUTO
         )
 
+    @property
+    def is_told_to_move(self) -> bool:
+        """The last burst has a speed."""
+        return self._order is not None and self._order.speed_mps > 0
+
     def _expect_deadman(self, now_s: float) -> None:
         if self._is_permitted and now_s - self._asked_s > self._limits.deadman_s + 0.03:
             self._cause_stop("deadman", now_s, at_once=False)
@@ -435,11 +543,24 @@ class Oracle:
         reason = state["stop_reason"]
         is_free = now_s < max(self._disturbed_until_s, self._excused_until_s) or self.is_damaged()
         is_free |= reason == "idle" and self._idle_s(now_s) > -SEEING_S
+        if reason in UNTRUE_SPEED:
+            plant = self._plant
+            is_free = is_free and not (self._is_undisturbed and plant is not None and plant.can_climb)
+            if not self._is_untrue(reason, now_s):
+                self._fail("reason_untrue", now_s, f"{reason}, seen {self._heard.speed_mps:.2f} m/s")
         if not is_free and not (reason == "deadman" and now_s - self._asked_s > self._limits.deadman_s - 0.03):
             self._fail("false_stop", now_s, f"{reason}; latched {state['latched']}")
         if reason in LATCHING and reason not in state["latched"]:
             self._fail("not_latched", now_s, f"{reason}; latched {state['latched']}")
         self._cause_s, self._cause, self._is_permitted = now_s, reason, False
+
+    def _is_untrue(self, reason: str, now_s: float) -> bool:
+        """The speed that is seen contradicts what is told, in the way of this reason."""
+        if self.is_damaged() or self._plant is None or BODY in self._plant.frozen:
+            return True
+        seen_mps = self._heard.speed_mps - 2 * self._bit_mps
+        stands = seen_mps < (STANDS_MPS if reason == "not_moving" else FROZEN_MPS)
+        return stands or (reason == "feedback_frozen" and now_s - self._heard.unchanged_s > 0.9)
 
     def _falls_mps2(self, *, at_once: bool) -> float:
         """The least by which the told speed falls in a stop: a tenth is for bits and ticks."""
@@ -531,9 +652,16 @@ class Oracle:
             self.worst_stop_m = max(self.worst_stop_m, rolled_m)
         else:
             self.worst_release_m = max(self.worst_release_m, rolled_m)
-        if rolled_m > (STOP_M if self._rest_is_stop else RELEASE_M) + self._rest_bound_m:
+        is_stop = self._rest_is_stop or not plant.brake_holds
+        self._expect_notice(plant, rolled_m, now_s)
+        if rolled_m > (STOP_M if is_stop else RELEASE_M) + self._rest_bound_m:
             kind = "roll_back_at_stop" if self._rest_is_stop else "roll_back_at_release"
             self._fail(kind, now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg, {speed_mps:.2f} m/s")
+
+    def _expect_notice(self, plant: Plant, rolled_m: float, now_s: float) -> None:
+        """That a parking brake does not hold is noticed and latched."""
+        if not plant.brake_holds and rolled_m > STOP_M / 2 and not self._latched and self._gateway_lives:
+            self._fail("brake_unnoticed", now_s, f"{rolled_m:.2f} m, {'braked' if plant.braked else 'released'}")
 
     def _judge_start(self, plant: Plant, now_s: float) -> None:
         """While a speed is asked for, the robot does not roll the other way."""
@@ -585,6 +713,9 @@ class Oracle:
             self._stop_record = None
             # One that was given back and stands in mode stop is told nothing, and one whose mode frame is frozen.
             is_ours = self._mode(plant) is not None and (plant.mode == AUTO or self._order_s >= began_s)
+            # Where the brake does not hold, only the metres count.
+            if not plant.brake_holds:
+                return
             if abs(plant.speed_mps) > 0.02 or (is_ours and not plant.braked):
                 how = "braked" if plant.braked else "not braked"
                 self._fail("stop_unfinished", now_s, f"{due_s:.1f} s after, {plant.speed_mps:.2f} m/s, {how}")
@@ -595,12 +726,13 @@ class Oracle:
         is_blind = now_s < self._blind_until_s or not {STEERING, DRIVE, WHEELS} <= shown.keys()
         commands = order is not None and order.enabled and plant.mode == AUTO
         if not self._gateway_lives or not commands or order is None or is_blind:
-            for name in ("roll1.0", "roll-1.0", "stuck", "fast", "lateral", "drive", "brake"):
+            for name in SUPERVISION:
                 self._timer(name).lasts(now_s, holds=False)
             self._left_deg = self._right_deg = plant.angle_deg
             self._explained = {1.0: plant.speed_mps, -1.0: -plant.speed_mps}
             return
         speed_mps = plant.speed_mps
+        self._judge_seen(plant, order, now_s)
         if WHEELS in plant.frozen:
             self._frozen_wheels_s = now_s
         # Rolling: faster one way than the last commands that way, and a drive that follows them late, explain.
@@ -619,6 +751,7 @@ class Oracle:
             if lasts_s > allowed_s + (GUARD_BRAKE_S if self._is_guards else 0.0):
                 kind = "rolling_against" if order.speed_mps else "rolling_unnoticed"
                 self._fail(kind, now_s, f"{speed_mps:.2f} m/s, told {order.signed_mps:.2f}, no parking request")
+        self._judge_runaway(plant, order, now_s)
         # Steering: as it is shown, between what was told lately and followers that are slower than any chassis.
         shown_deg = (int.from_bytes(shown[STEERING][1:3], "little") & 0xFFF) * 0.043945 - 90
         follow_deg = 25.0 * TICK_S
@@ -646,6 +779,44 @@ class Oracle:
         if self._timer("brake").lasts(now_s, holds=plant.braked and order.speed_mps > 0) > SEEING_S:
             self._fail("speed_against_closed_brake", now_s, f"told {order.speed_mps:.2f} m/s")
         self._judge_frozen_body(plant, now_s)
+
+    def _judge_runaway(self, plant: Plant, order: Told, now_s: float) -> None:
+        """A robot that grows faster than it was told to be has its parking brake asked for."""
+        for sign in (1.0, -1.0):
+            over_mps = plant.speed_mps * sign - self._explained[sign] - 2 * self._bit_mps
+            risen_mps = (plant.speed_mps - self._lately[-round(RISE_S / TICK_S)][1]) * sign - 2 * self._bit_mps
+            dies = over_mps > RUNAWAY_MPS and risen_mps > RUNAWAY_RISE_MPS and not plant.frozen & {DRIVE, WHEELS}
+            lasts_s = self._timer(f"dies{sign}").lasts(now_s, holds=dies and not order.parking)
+            if lasts_s > 0.1 + SEEING_S and not self._is_guards:
+                self._fail("runaway_unbraked", now_s, f"{plant.speed_mps:.2f} m/s, told {order.signed_mps:.2f}")
+
+    def _judge_seen(self, plant: Plant, order: Told, now_s: float) -> None:
+        """A robot that is told to move is seen to move, and what is seen changes with what is told."""
+        seen_mps = self._heard.speed_mps
+        told_mps = abs(order.signed_mps) - self._bit_mps if self._is_permitted else 0.0
+        # The command as it was a second ago, since when drive and wheels say the same.
+        before_mps = self._lately[0][0]
+        low_mps, high_mps = (
+            (before_mps, before_mps) if now_s - self._heard.unchanged_s <= 1.0 else self._told_range
+        )
+        self._told_range = min(low_mps, before_mps), max(high_mps, before_mps)
+        changed_mps = self._told_range[1] - self._told_range[0] if self._is_permitted else 0.0
+        # At rest each reading is like the one before, and the other rows judge.
+        is_frozen = seen_mps >= FROZEN_MPS and changed_mps > TOLD_MPS + self._bit_mps
+        counts = told_mps > FROZEN_TOLD_MPS and seen_mps < FROZEN_MPS
+        rises = abs(plant.speed_mps) * plant.build.pulses_per_m * PULSES_EVERY_S > 2 and PULSES not in plant.frozen
+        if not counts or BODY in plant.frozen:
+            self._counted_m = plant.travelled_m
+        # Which, by which rule, after which time beyond that of seeing it.
+        rows = (
+            ("stands", "not_moving_unnoticed", 1.0 + LAGGING_S, told_mps > TOLD_MPS and seen_mps < STANDS_MPS),
+            ("frozen", "frozen_unnoticed", 0.0, is_frozen),
+            ("pulses", "frozen_pulses_unnoticed", PULSES_S, counts and rises),
+            ("mileage", "frozen_mileage_unnoticed", 0.0, plant.travelled_m - self._counted_m > 3.0),
+        )
+        for timer, kind, rule_s, holds in rows:
+            detail = f"told {order.signed_mps:.2f} m/s, seen {seen_mps:.2f}"
+            self._expect_latch(timer, kind, rule_s, now_s, detail, holds=holds)
 
     def _expect_latch(
         self, timer: str, kind: str, rule_s: float, now_s: float, detail: str, *, holds: bool
@@ -721,6 +892,13 @@ class Oracle:
             > 3.0 + self._limits.warning_s
         ):
             self._fail("does_not_move", now_s, f"asked {self._asked_mps:.2f} m/s for 3 s")
+        is_loose = self._mode(plant) in {AUTO, STOP} and not plant.braked and not self._is_permitted
+        is_loose = is_loose and self._latched_s > 0 and self._is_reachable(now_s) and PARKING not in plant.frozen
+        if (
+            self._timer("loose").lasts(now_s, holds=is_loose and self._gateway_lives) > LOOSE_S
+            and now_s - self._order_s > LOOSE_S
+        ):
+            self._fail("latched_unbraked", now_s, f"{plant.speed_mps:.2f} m/s, and nothing is told")
         adrift = (
             self._mode(plant) == STOP and not plant.braked and abs(plant.speed_mps) > 0.15 and not plant.is_away
         )
@@ -736,6 +914,11 @@ class Oracle:
         if abs(plant.speed_mps) > 0.02 or not plant.braked:
             how = "braked" if plant.braked else "not braked"
             self._fail(kind, now_s, f"{plant.speed_mps:.2f} m/s, {how}")
+
+    def expect_latched(self, now_s: float, kind: str) -> None:
+        """By now it must be latched."""
+        if not self._latched:
+            self._fail(kind, now_s, "nothing is latched")
 
     def expect_frames(self, now_s: float, kind: str) -> None:
         """By now somebody must be telling the chassis to stop."""

@@ -30,6 +30,9 @@ ROLLING_MPS2: Final = 0.2
 PARKING_MPS2: Final = 7.0
 """Grip of the locked wheels. 20 deg need 3.4 m/s2."""
 
+BLOCKED_MPS2: Final = 30.0
+"""What holds the wheels is stronger than any motor."""
+
 PEDAL_MPS2: Final = 3.0
 """Service brake at full pedal and a gain of 1."""
 
@@ -123,6 +126,8 @@ class Build(msgspec.Struct, frozen=True, kw_only=True):
         fine: speeds in 0.001 m/s a bit, else in 0.04 m/s.
         stop_mode: outside auto it "brakes" with the motor, "coasts" in neutral or "parks".
         brake_delay_s: until the parking brake has closed or opened.
+        battery: share of the motor's force and of its highest speed that the voltage leaves.
+        parks_motor: behind the parking brake the motor is off; else it holds the robot with it.
         pulses_per_m: the manual gives none.
         is_noisy: measured values flicker by one bit.
         missing: feedback frames that it does not send.
@@ -134,6 +139,8 @@ class Build(msgspec.Struct, frozen=True, kw_only=True):
     drive_lag_s: float = 0.15
     steering_lag_s: float = 0.1
     brake_delay_s: float = 0.05
+    battery: float = 1.0
+    parks_motor: bool = False
     pulses_per_m: float = 776.0
     is_noisy: bool = False
     missing: frozenset[int] = frozenset()
@@ -150,10 +157,14 @@ class Plant:
         slope_deg: now; it goes to ``slope_target_deg`` at ``slope_rate_degps``.
         pedal_gain, motor_strength, speed_gain: 0 to 1 and more; they may change at any time.
         stuck: the steering motor does not move.
+        blocked: something holds the wheels.
+        brake_grip: share of its grip that the parking brake has, whatever it reads; it creeps at
+            ``brake_creep_mps`` where it holds all the same.
         hand: somebody pushes: at which speed, and with how many newtons at most.
         button: held in mode stop, whatever is enabled.
         sticks: the remote control has the robot: speed and angle; None gives it back.
         frozen: frames that repeat their values; their counters run on.
+        silent: frames that are not sent.
         wall: which bumper touches, and where the robot was then; None for nothing there.
         speed_mps, x_m, angle_deg, gear, braked: the truth.
         is_away: the controller restarts, and neither hears nor says anything.
@@ -166,10 +177,12 @@ class Plant:
         self.slope_rate_degps = 5.0
         self.pedal_gain = 0.0
         self.motor_strength = self.speed_gain = 1.0
-        self.stuck = self.button = False
+        self.stuck = self.button = self.blocked = False
+        self.brake_grip, self.brake_creep_mps = 1.0, 0.0
         self.hand: tuple[float, float] | None = None
         self.sticks: tuple[float, float] | None = None
-        self.frozen: set[int] = set()
+        self.frozen: frozenset[int] = frozenset()
+        self.silent: frozenset[int] = frozenset()
         self.wall: tuple[str, float] | None = None
         self.speed_mps = self.x_m = self.angle_deg = 0.0
         self.travelled_m = 12_345.0
@@ -196,20 +209,35 @@ class Plant:
         return GRAVITY_MPS2 * sin(radians(self.slope_deg))
 
     @property
+    def motor_n(self) -> float:
+        """The most that the motor can do now."""
+        return MOTOR_N * self.motor_strength * self.build.battery
+
+    @property
     def can_hold(self) -> bool:
         """The motor has the force that this hill takes, and some to spare."""
-        return self.build.mass_kg * (abs(self.load_mps2) - ROLLING_MPS2) < MOTOR_N * self.motor_strength
+        return self.build.mass_kg * (abs(self.load_mps2) - ROLLING_MPS2) < self.motor_n
+
+    @property
+    def brake_holds(self) -> bool:
+        """The parking brake, if it is applied, holds the robot on this hill for good."""
+        pull = abs(self.load_mps2) - ROLLING_MPS2
+        return pull <= 0 or (not self.brake_creep_mps and pull <= self._grip_mps2)
+
+    @property
+    def _grip_mps2(self) -> float:
+        return PARKING_MPS2 * self.brake_grip * cos(radians(self.slope_deg))
 
     @property
     def slows_mps2(self) -> float:
         """How fast the motor can bring the robot to rest on this hill, going down."""
-        return MOTOR_N * self.motor_strength / self.build.mass_kg + ROLLING_MPS2 - abs(self.load_mps2)
+        return self.motor_n / self.build.mass_kg + ROLLING_MPS2 - abs(self.load_mps2)
 
     @property
     def can_climb(self) -> bool:
         """The motor has the force to set the robot going up this hill."""
         needed = abs(self.load_mps2) + ROLLING_MPS2 + 0.3
-        return self.build.mass_kg * needed < MOTOR_N * self.motor_strength
+        return self.build.mass_kg * needed < self.motor_n
 
     def reboot(self, seconds: float) -> None:
         """The controller restarts: every command is forgotten, and the motor is free meanwhile."""
@@ -247,7 +275,7 @@ class Plant:
         return [
             self._frame(identifier)
             for offset, (identifier, period) in enumerate(PERIOD_STEPS.items())
-            if (self.step_count + offset) % period == 0 and identifier not in self.build.missing
+            if (self.step_count + offset) % period == 0 and identifier not in self.build.missing | self.silent
         ]
 
     # What is asked of it.
@@ -284,25 +312,19 @@ class Plant:
         elif wanted:
             self.gear = GEAR_N
         mass_kg = self.build.mass_kg
-        resisted = ROLLING_MPS2 + pedal * self.pedal_gain * PEDAL_MPS2
-        if self.braked:
-            resisted += PARKING_MPS2 * cos(radians(self.slope_deg))
+        resisted = self._resistance(pedal)
         pull = -self.load_mps2
-        if self.gear in SIGN and pedal == 0 and not self.is_away:
-            pull += self._motor_n(min(speed_mps, TOP_SPEED_MPS * 1.5) * SIGN[self.gear]) / mass_kg
-        elif self.gear in SIGN and not self.is_away:
+        is_driven = self.gear in SIGN and not self.is_away and not (self.braked and self.build.parks_motor)
+        if is_driven and pedal == 0:
+            most_mps = TOP_SPEED_MPS * 1.5 * self.build.battery
+            pull += self._motor_n(min(speed_mps, most_mps) * SIGN[self.gear]) / mass_kg
+        elif is_driven:
             pull += self._motor_n(0.0) / mass_kg
         if self.hand is not None:
             at_mps, most_n = self.hand
             pull += max(-most_n, min(most_n, HAND_NPM * (at_mps - self.speed_mps))) / mass_kg
         before = self.speed_mps
-        if before == 0:
-            after = 0.0 if abs(pull) <= resisted else (pull - copysign(resisted, pull)) * STEP_S
-        else:
-            after = before + (pull - copysign(resisted, before)) * STEP_S
-            if after * before < 0:
-                after = 0.0
-        self.speed_mps = after
+        self.speed_mps = after = self._next_mps(pull, resisted)
         if angle_deg is not None and not self.stuck:
             goal = max(-STEERING_LIMIT_DEG, min(STEERING_LIMIT_DEG, angle_deg))
             most = STEERING_RATE_DEGPS * STEP_S
@@ -314,6 +336,23 @@ class Plant:
         self._wheels_m[0] += moved - turn
         self._wheels_m[1] += moved + turn
 
+    def _next_mps(self, pull: float, resisted: float) -> float:
+        before = self.speed_mps
+        if before == 0:
+            after = 0.0 if abs(pull) <= resisted else (pull - copysign(resisted, pull)) * STEP_S
+        else:
+            after = before + (pull - copysign(resisted, before)) * STEP_S
+            if after * before < 0:
+                after = 0.0
+        if self.braked and not after and self.brake_creep_mps and abs(pull) > ROLLING_MPS2:
+            after = copysign(self.brake_creep_mps, pull)
+        return after
+
+    def _resistance(self, pedal: float) -> float:
+        """What slows it down but the motor."""
+        held = (self._grip_mps2 if self.braked else 0.0) + (BLOCKED_MPS2 if self.blocked else 0.0)
+        return ROLLING_MPS2 + pedal * self.pedal_gain * PEDAL_MPS2 + held
+
     def _motor_n(self, goal_mps: float) -> float:
         """Force of the motor: it goes to the speed with a lag, and holds it against the hill as far as it can."""
         wanted = (goal_mps - self.speed_mps) / self.build.drive_lag_s
@@ -322,7 +361,7 @@ class Plant:
         wanted = max(-most, min(most, wanted))
         moves = self.speed_mps or goal_mps
         against = self.load_mps2 + (copysign(ROLLING_MPS2, moves) if moves else 0.0)
-        most_n = MOTOR_N * self.motor_strength
+        most_n = self.motor_n
         return max(-most_n, min(most_n, self.build.mass_kg * (wanted + against)))
 
     # What it says.
@@ -345,7 +384,7 @@ class Plant:
                 raw = self._measured((self.angle_deg + 90) / 0.043945)
                 return bytes([1]) + raw.to_bytes(2, "little") + bytes(3)
             case 0x18C4D3EF:
-                raw = max(0, self._measured(abs(self.speed_mps) / bit_mps))
+                raw = min(0xFFFF, max(0, self._measured(abs(self.speed_mps) / bit_mps)))
                 return bytes([1]) + raw.to_bytes(2, "little") + bytes(3)
             case 0x18C4D4EF:
                 return bytes([1, 0, (1 if self.braked else 0) << 4, 0, 0, 0])

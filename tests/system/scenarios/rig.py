@@ -90,8 +90,10 @@ class Gateway:
             if self._keeps and sample is not None:
                 self.samples.append(sample)
 
-    def tick(self, now_ns: int, late_ns: int, guard: GuardView, *, former_sends: bool = False) -> list[CanFrame]:
-        """One tick of the loop; the bus takes all frames, unless a guard has the robot: ours or the former."""
+    def tick(
+        self, now_ns: int, late_ns: int, guard: GuardView, bus: Bus, *, former_sends: bool = False
+    ) -> list[CanFrame]:
+        """One tick of the loop. Returns what it sends: nothing if a guard has the robot, ours or the former."""
         for verb, fields in self._requests:
             self._handle += 1
             handle = 0 if verb in PUTS else self._handle
@@ -100,7 +102,8 @@ class Gateway:
             self._core.receive_request(RawRequest(handle, verb, NAME, payload, len(payload)), now_ns)
         self._requests = []
         links = {
-            "bus_up": True,
+            "bus_up": not bus.is_away,
+            "bus_losses": bus.losses,
             "guarded": guard.is_watching,
             "guard_sends": guard.is_sending or (former_sends and self._core.hears_commands(now_ns)),
             "guard_stops": guard.stops,
@@ -112,7 +115,7 @@ class Gateway:
         due = self._core.tick(now_ns, wall_ns, late_ns, *challenge)
         frames = [] if guard.is_sending else due.frames
         self.replies = [(self._verbs.pop(one.handle), msgspec.msgpack.decode(one.payload)) for one in due.replies]
-        samples = [*due.samples, *self._core.sent(len(frames), now_ns, wall_ns)]
+        samples = [*due.samples, *self._core.sent(bus.takes(len(frames)), now_ns, wall_ns)]
         for sample in samples:
             if sample.subject == "safety/state":
                 self.state = msgspec.msgpack.decode(sample.payload)
@@ -188,13 +191,13 @@ class Guard:
         """The loop has beaten."""
         self._beat = gateway.beat(self._beat or Beat(0), now_ns)
 
-    def tick(self, now_ns: int, *, parent_lives: bool) -> list[CanFrame]:
+    def tick(self, now_ns: int, bus: Bus, *, parent_lives: bool) -> list[CanFrame]:
         """Every 5 ms. Returns what the guard sends."""
         if self._guardian.is_ended:
             return []
-        frames = self._guardian.tick(self._beat, now_ns, parent_lives=parent_lives, bus_up=True)
+        frames = self._guardian.tick(self._beat, now_ns, parent_lives=parent_lives, bus_up=not bus.is_away)
         if frames:
-            self._guardian.sent(len(frames), now_ns)
+            self._guardian.sent(bus.takes(len(frames)), now_ns)
         self.lines += self._guardian.take_lines()
         return [(frame.can_id & IDENTIFIER_MASK, frame.data) for frame in frames]
 
@@ -302,10 +305,12 @@ class Operator:
 
 
 class Bus:
-    """Loses and damages frames.
+    """Loses and damages frames, takes only a part of a burst, and is away.
 
     Attributes:
         loss, corruption: share of the frames.
+        most: frames of a burst that it takes; None for all.
+        is_away: nobody can send or hear; ``losses``: how often that has begun.
         failed_ns: when damage was last a cause to stop by the rule on checksum faults.
         passed_ns: when a damaged frame last passed for a whole one and may have said that a bumper was hit or that
             the mode changed.
@@ -314,12 +319,26 @@ class Bus:
     def __init__(self, random: Random, loss: float, corruption: float) -> None:
         self.loss = loss
         self.corruption = corruption
+        self.most: int | None = None
+        self.is_away = False
+        self.losses = 0
         self.failed_ns = self.passed_ns = -(10**12)
         self._damaged_ns: dict[int, deque[int]] = {}
         self._random = random
 
+    def go(self, *, away: bool) -> None:
+        """Be away, or return."""
+        self.losses += away and not self.is_away
+        self.is_away = away
+
+    def takes(self, count: int) -> int:
+        """So many frames of a burst are sent."""
+        return 0 if self.is_away else count if self.most is None else min(count, self.most)
+
     def carry(self, frames: list[CanFrame], now_ns: int) -> list[CanFrame]:
         """What of these arrives."""
+        if self.is_away:
+            return []
         if not self.loss and not self.corruption:
             return frames
         arrived = []
@@ -358,8 +377,12 @@ class Judge(Protocol):
         """The gateway replies."""
         ...
 
-    def frames(self, frames: list[CanFrame], now_s: float, *, by_guard: bool) -> None:
-        """Frames go out on the bus in this tick; maybe none."""
+    def hears(self, frames: list[CanFrame], now_s: float) -> None:
+        """Feedback arrives at the robot's computer."""
+        ...
+
+    def frames(self, burst: list[CanFrame], now_s: float, *, taken: int, by_guard: bool) -> None:
+        """A burst is sent in this tick, maybe an empty one, and so many of its frames go out on the bus."""
         ...
 
     def state(self, state: Fields, now_s: float) -> None:
@@ -404,6 +427,7 @@ class Rig:
             self.now_ns += STEP_NS
             frames = self.bus.carry(self.plant.step(), self.now_ns)
             self._waiting += frames
+            self.judge.hears(frames, self.now_s)
             self._let_hear(frames)
             if self.now_ns % TICK_NS == 0:
                 self.judge.motion(self.plant, self.now_s, gateway_lives=not self.hangs and not self.dead)
@@ -411,7 +435,7 @@ class Rig:
                 self._run_gateway()
             for guard in self.guards:
                 lives = guard is self.guards[-1] and not self.dead
-                self._send(guard.tick(self.now_ns, parent_lives=lives), guard)
+                self._send(guard.tick(self.now_ns, self.bus, parent_lives=lives), guard)
 
     def succeed(self, gateway: Gateway, guard: Guard) -> None:
         """Another gateway begins in the place of the dead one, whose guard may still be stopping the robot."""
@@ -450,7 +474,7 @@ class Rig:
         view = self.guards[-1].view(now_ns) if self.guards else GuardView(is_watching=True)
         before = self.gateway.state
         former_sends = any(guard.is_sending for guard in self.guards[:-1])
-        frames = self.gateway.tick(now_ns, late_ns, view, former_sends=former_sends)
+        frames = self.gateway.tick(now_ns, late_ns, view, self.bus, former_sends=former_sends)
         for verb, reply in self.gateway.replies:
             self._down.append((now_ns + self.link_ns, verb, reply))
             self.judge.reply(verb, reply, self.now_s)
@@ -467,11 +491,12 @@ class Rig:
                 guard.hear(frames, self.now_ns)
 
     def _send(self, frames: list[CanFrame], guard: Guard | None = None) -> None:
+        taken = self.bus.takes(len(frames))
         if guard is None or frames:
-            self.judge.frames(frames, self.now_s, by_guard=guard is not None)
-        if not frames:
+            self.judge.frames(frames, self.now_s, taken=taken, by_guard=guard is not None)
+        if not taken:
             return
-        arrived = self.bus.carry(frames, self.now_ns)
+        arrived = self.bus.carry(frames[:taken], self.now_ns)
         for identifier, data in arrived:
             self.plant.receive(identifier, data)
         if guard is not None:

@@ -9,8 +9,9 @@ from typing import Any, Final, Literal
 import msgspec
 
 from schemas.settings import ChassisSettings, CommandSettings, Settings
-from tests.system.scenarios.oracle import GUARD_S, Oracle, Violation
+from tests.system.scenarios.oracle import GUARD_S, MOVES_MPS, Oracle, Violation
 from tests.system.scenarios.plant import (
+    AUTO,
     BODY,
     BRAKING,
     DRIVE,
@@ -19,6 +20,8 @@ from tests.system.scenarios.plant import (
     GEAR_R,
     LIGHT,
     PARKING,
+    PERIOD_STEPS,
+    PULSES,
     SPEAKER,
     STEERING,
     WHEELS,
@@ -40,18 +43,25 @@ DAMAGE_SHOWS_S: Final = 0.1
 
 LOSS, CORRUPTION = 0.01, 0.001
 
+ALL_FEEDBACK: Final = frozenset(PERIOD_STEPS)
+SPEED_FEEDBACK: Final = frozenset({DRIVE, WHEELS})
+
 
 class Act(msgspec.Struct, frozen=True):
     """A knob of the plant or of the bus is turned.
 
     Attributes:
         shows_s: for so long a stop has a cause in it.
+        when: it waits until the robot does this, of ``MOMENTS``.
+        then: what follows, from its own moment.
     """
 
     at_s: float
     knob: str
     value: Any
     shows_s: float = 0.0
+    when: str = ""
+    then: tuple[Act, ...] = ()
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,8 +71,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
         finds_variant: the gateway is not told which variant the chassis is.
         found_mps: at the start the chassis drives by itself at this speed; 0 if it stands.
         fails_s, hangs_s: when the gateway's process fails, and for how long; without a guard never.
+        guard_dies: the guard fails with it, and for ever.
         returns_s: so long after one that fails for ever, another one begins; 0: none does.
-        limit_s: it ends then.
+        limit_s: it ends then, or ``rests_s`` after the operator has done.
     """
 
     seed: int
@@ -82,8 +93,10 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     found_mps: float = 0.0
     fails_s: float = 0.0
     hangs_s: float = 0.0
+    guard_dies: bool = False
     returns_s: float = 0.0
     limit_s: float = LIMIT_S
+    rests_s: float = 5.0
 
     @property
     def is_undisturbed(self) -> bool:
@@ -96,6 +109,7 @@ class Result(msgspec.Struct, frozen=True):
 
     Attributes:
         slope_deg: the steepest.
+        way_m: metres travelled since the first act.
     """
 
     seed: int
@@ -106,6 +120,7 @@ class Result(msgspec.Struct, frozen=True):
     slope_deg: float
     worst_release_m: float
     worst_stop_m: float
+    way_m: float
     disturbances: list[str]
 
 
@@ -164,8 +179,80 @@ def _reboot(random: Random) -> list[Act]:
 
 def _freeze(random: Random) -> list[Act]:
     identifier = random.choice((GEAR, STEERING, DRIVE, PARKING, WHEELS, BODY, BODY))
-    lasts_s = random.uniform(0.5, 6.0)
-    return [Act(0, "freeze", identifier, lasts_s + SHOWS_S), Act(lasts_s, "thaw", identifier)]
+    return [_at("", "frozen", frozenset({identifier}), frozenset(), random.uniform(0.5, 6.0))]
+
+
+def _at(when: str, knob: str, value: object, after: object, lasts_s: float) -> Act:
+    """From such a moment on, and for so long."""
+    return Act(0, knob, value, lasts_s + SHOWS_S, when, (Act(lasts_s, knob, after),))
+
+
+def _frozen_speed(random: Random) -> list[Act]:
+    """All feedback, or that of the speed alone, while pulses and mileage count; the frames go on."""
+    frozen = random.choice((ALL_FEEDBACK, ALL_FEEDBACK - {PULSES, BODY}, SPEED_FEEDBACK, SPEED_FEEDBACK))
+    lasts_s = random.choice((random.uniform(1.0, 6.0), FOREVER_S))
+    return [_at(random.choice(("released", "accelerating")), "frozen", frozen, frozenset(), lasts_s)]
+
+
+def _blocked(random: Random) -> list[Act]:
+    lasts_s = random.choice((random.uniform(0.3, 4.0), FOREVER_S))
+    return [_at(random.choice(("", "released")), "blocked", 1, 0, lasts_s)]
+
+
+def _motor_dies(random: Random) -> list[Act]:
+    """Downhill, wherever the robot is in its ramps."""
+    steep_deg = random.choice((-1, 1)) * random.uniform(8, 20)
+    return [
+        Act(0, "slope_rate_degps", 30.0),
+        Act(0, "slope_target_deg", steep_deg, SHOWS_S),
+        Act(0, "motor_strength", random.choice((0.0, 0.0, 0.3)), FOREVER_S, "downhill"),
+    ]
+
+
+def _brake(random: Random) -> list[Act]:
+    """A parking brake that reads applied: it holds nothing, slips, or creeps."""
+    grip, creep_mps = random.choice(
+        ((0.0, 0.0), (random.uniform(0, 0.4), 0.0), (1.0, random.uniform(0.005, 0.05)))
+    )
+    when = random.choice(("", "braked"))
+    steep_deg = random.choice((-1, 1)) * random.uniform(2, 20)
+    return [
+        Act(0, "slope_target_deg", steep_deg, SHOWS_S),
+        Act(0, "brake_grip", grip, FOREVER_S, when),
+        Act(0, "brake_creep_mps", creep_mps, 0.0, when),
+    ]
+
+
+def _remote_unseen(random: Random) -> list[Act]:
+    """The remote control takes over and gives back, and the bus is away at any phase of that; a stop is owed."""
+    lasts_s, away_s = random.uniform(0.2, 3.0), random.choice((0.02, 0.1, 0.2, random.uniform(0.2, 2.0)))
+    from_s = random.uniform(0.0, away_s)
+    sticks = (random.choice((0.0, 0.0, random.uniform(-1.0, 1.0))), 0.0)
+    return [
+        Act(0, "away", value=True, shows_s=away_s + SHOWS_S),
+        Act(away_s, "away", value=False),
+        Act(from_s, "sticks", sticks, lasts_s + SHOWS_S),
+        Act(from_s + lasts_s, "sticks", None),
+        *([Act(random.uniform(0, away_s + 0.5), "ask", "stop")] if random.random() < 0.4 else []),
+    ]
+
+
+def _body_away(random: Random) -> list[Act]:
+    """The body frames are away for a moment while the remote control takes over; later it gives back."""
+    away_s, from_s = random.uniform(0.4, 0.6), random.uniform(0.0, 0.4)
+    back_s = random.uniform(1.0, 5.0)
+    return [
+        _at("accelerating", "silent", frozenset({BODY}), frozenset(), away_s),
+        Act(from_s, "sticks", (0.0, 0.0), back_s + SHOWS_S, "accelerating", (Act(back_s, "sticks", None),)),
+    ]
+
+
+def _part(random: Random) -> list[Act]:
+    """The bus takes some frames of each burst and no more."""
+    lasts_s = random.choice((0.01, 0.01, random.uniform(0.02, 1.0)))
+    acts = [Act(0, "most", random.randint(0, 6), lasts_s + SHOWS_S)]
+    acts += [Act(lasts_s * part / 3, "most", random.randint(0, 6)) for part in (1, 2) if lasts_s > 0.1]
+    return [*acts, Act(lasts_s, "most", None)]
 
 
 def _touch(random: Random) -> list[Act]:
@@ -176,6 +263,15 @@ def _losses(random: Random) -> list[Act]:
     lasts_s = random.uniform(0.1, 1.0)
     return [Act(0, "loss", random.uniform(0.2, 1.0), lasts_s + SHOWS_S), Act(lasts_s, "loss", 0.0)]
 
+
+MOMENTS: Final[dict[str, Callable[[Plant], bool]]] = {
+    "": lambda _: True,
+    "released": lambda plant: plant.mode == AUTO and not plant.braked and not plant.speed_mps,
+    "accelerating": lambda plant: plant.mode == AUTO and abs(plant.speed_mps) > 0.2,
+    "downhill": lambda plant: plant.speed_mps * plant.load_mps2 < 0 and abs(plant.slope_deg) > 5,
+    "braked": lambda plant: plant.mode == AUTO and plant.braked and not plant.speed_mps,
+}
+"""Moments that an act may wait for."""
 
 DISTURBANCES: Final[dict[str, Callable[[Random], list[Act]]]] = {
     "slope": _slope,
@@ -188,6 +284,11 @@ DISTURBANCES: Final[dict[str, Callable[[Random], list[Act]]]] = {
     "remote control": _remote,
     "reboot": _reboot,
     "freeze": _freeze,
+    "frozen speed": _frozen_speed,
+    "blocked": _blocked,
+    "motor dies": _motor_dies,
+    "remote control unseen": _remote_unseen,
+    "body away": _body_away,
     "bumper": _touch,
     "losses": _losses,
 }
@@ -278,6 +379,8 @@ def scenario(seed: int) -> Scenario:
         drive_lag_s=random.choice((0.05, 0.15, 0.4, random.uniform(0.05, 0.4))),
         steering_lag_s=random.uniform(0.05, 0.2),
         brake_delay_s=random.choice((0.0, 0.05, 0.15)),
+        battery=random.choice((1.0, 1.0, 1.0, random.uniform(0.6, 1.0))),
+        parks_motor=random.random() < 0.5,
         pulses_per_m=random.uniform(200, 3000),
         is_noisy=random.random() < 0.4,
         missing=found or frozenset({BRAKING, LIGHT, SPEAKER} if random.random() < 0.05 else ()),
@@ -294,6 +397,7 @@ def scenario(seed: int) -> Scenario:
             names.append(name)
             acts += [msgspec.structs.replace(act, at_s=at_s + act.at_s) for act in DISTURBANCES[name](random)]
     fails_s = random.uniform(2.5, SCRIPT_S) if kind == "guard" else 0.0
+    guard_dies = False
     if kind in {"guard", "found"}:
         names.append(kind)
     return Scenario(
@@ -315,8 +419,13 @@ def scenario(seed: int) -> Scenario:
         disturbances=names,
         found_mps=random.uniform(0.3, 1.8) if kind == "found" else 0.0,
         fails_s=fails_s,
-        hangs_s=random.choice((FOREVER_S, random.uniform(0.15, 2.0))) if fails_s else 0.0,
-        returns_s=random.choice((0.0, random.uniform(0.4, 8.0))) if fails_s else 0.0,
+        hangs_s=random.choice((FOREVER_S, FOREVER_S if guard_dies else random.uniform(0.15, 2.0)))
+        if fails_s
+        else 0.0,
+        guard_dies=guard_dies,
+        returns_s=random.choice((0.4 if guard_dies else 0.0, random.uniform(0.4, 8.0))) if fails_s else 0.0,
+        rests_s=35.0 if "brake" in names else 5.0,
+        limit_s=LIMIT_S + 35.0 if "brake" in names else LIMIT_S,
     )
 
 
@@ -327,7 +436,11 @@ def _variant(plan: Scenario) -> Literal["auto", "fine", "coarse"]:
 
 
 class Play:
-    """A scenario being played."""
+    """A scenario being played.
+
+    Attributes:
+        began_m: the way that the robot had travelled at the first act.
+    """
 
     def __init__(self, plan: Scenario, *, keeps: bool, watch: Callable[[Play], None] | None = None) -> None:
         self._watch = watch
@@ -356,6 +469,7 @@ class Play:
         self.rig.link_ns = round(plan.link_s * 1e9)
         self.oracle.is_damaged = lambda: self.rig.now_s - max(bus.failed_ns, bus.passed_ns) / 1e9 < DAMAGE_SHOWS_S
         self._acts = list(plan.acts)
+        self.began_m: float | None = None
         self._checks = self._expectations()
 
     def run(self) -> Result:
@@ -369,7 +483,7 @@ class Play:
             if self._watch is not None:
                 self._watch(self)
             if rig.operator.is_done:
-                end_s = min(end_s, rig.now_s + 5.0)
+                end_s = min(end_s, rig.now_s + plan.rests_s)
                 rig.operator.is_done = False
             if abs(self.plant.slope_deg) > abs(steepest_deg):
                 steepest_deg = self.plant.slope_deg
@@ -383,6 +497,7 @@ class Play:
             steepest_deg,
             oracle.worst_release_m,
             oracle.worst_stop_m,
+            0.0 if self.began_m is None else self.plant.travelled_m - self.began_m,
             plan.disturbances,
         )
 
@@ -411,7 +526,10 @@ class Play:
         next_s = now_s + (self.plan.returns_s or FOREVER_S)
         if rig.dead:
             self._checks.append((next_s, self._begin_gateway))
-        if oracle.is_commanded:
+        if self.plan.guard_dies:
+            rig.guards.clear()
+            oracle.all_fail(now_s, next_s)
+        elif oracle.is_commanded:
             speed_mps = abs(self.plant.speed_mps)
             self._checks.append((now_s + GUARD_S, lambda at_s: oracle.expect_frames(at_s, "guard_late")))
             rest_s = now_s + speed_mps / self.plan.command.deceleration_mps2 + 4.0
@@ -426,16 +544,23 @@ class Play:
 
     def _begin_gateway(self, now_s: float) -> None:
         del now_s
-        rig = self.rig
+        rig, oracle = self.rig, self.oracle
+        if self.plan.guard_dies and oracle.is_commanded and abs(self.plant.speed_mps) > MOVES_MPS:
+            rest_s = rig.now_s + 1.0 + abs(self.plant.speed_mps) / self.plan.command.deceleration_mps2 + 4.0
+            self._checks += [
+                (rig.now_s + 1.2, lambda at_s: oracle.expect_frames(at_s, "found_moving_ignored")),
+                (rig.now_s + 1.2, lambda at_s: oracle.expect_latched(at_s, "found_moving_not_latched")),
+                (rest_s, lambda at_s: oracle.expect_rest(at_s, "found_moving_no_rest")),
+            ]
         self.gateway = Gateway(
             self._settings,
             self._random,
             keeps=self._keeps,
             now_ns=rig.now_ns,
-            stopped_before=rig.guards[-1].has_stopped,
+            stopped_before=any(guard.has_stopped for guard in rig.guards[-1:]),
         )
         rig.succeed(self.gateway, Guard(self._settings.command))
-        self.oracle.gateway_returns()
+        oracle.gateway_returns()
 
     def _turn_knobs(self) -> None:
         now_s = self.rig.now_s
@@ -445,21 +570,28 @@ class Play:
             check[1](now_s)
         if self.oracle.is_damaged():
             self.oracle.disturb(now_s, SHOWS_S)
-        while self._acts and now_s >= self._acts[0].at_s:
-            self._turn(self._acts.pop(0), now_s)
+        for act in [act for act in self._acts if now_s >= act.at_s and MOMENTS[act.when](self.plant)]:
+            self._acts.remove(act)
+            self._turn(act, now_s)
 
     def _turn(self, act: Act, now_s: float) -> None:
         rig, plant, oracle = self.rig, self.plant, self.oracle
+        self._acts += [msgspec.structs.replace(after, at_s=now_s + after.at_s) for after in act.then]
+        if self.began_m is None:
+            self.began_m = plant.travelled_m
         if act.shows_s:
             oracle.disturb(now_s, act.shows_s)
         match act.knob:
             case "reboot":
                 plant.reboot(act.value)
                 oracle.blind(now_s, act.value)
-            case "freeze":
-                plant.frozen.add(act.value)
-            case "thaw":
-                plant.frozen.discard(act.value)
+            case "away":
+                oracle.blind(now_s, max(0.0, act.shows_s - SHOWS_S))
+                rig.bus.go(away=act.value)
+                oracle.loses_bus()
+            case "most":
+                oracle.blind(now_s, max(0.0, act.shows_s - SHOWS_S))
+                rig.bus.most = act.value
             case "touch":
                 plant.touch(act.value)
                 oracle.touch(now_s)

@@ -12,13 +12,21 @@ from schemas.settings import CommandSettings
 from tests.system.scenarios.oracle import Oracle
 from tests.system.scenarios.plant import (
     AUTO,
+    BODY,
+    BRAKING_CMD,
+    DRIVE,
+    DRIVE_CMD,
+    GEAR_CMD,
     GEAR_D,
     GEAR_N,
     GEAR_R,
     PARKING_CMD,
+    PERIOD_STEPS,
+    PULSES,
     REMOTE,
     STEERING_CMD,
     STEP_S,
+    WHEELS,
     Build,
     Plant,
     checksum,
@@ -35,23 +43,35 @@ class Stage:
         self.now_s = 1.0
         self.state: dict[str, Any] = {"latched": [], "engaged": True, "stop_reason": "none"}
         self._counter = 0
+        self.order = (DRIVE_CMD, GEAR_CMD, STEERING_CMD, BRAKING_CMD, PARKING_CMD)
         self.asked_mps = 0.0
         self.asks = True
         self.burst(GEAR_D, parking=1)
         self.run(0.5, lambda: self.burst(GEAR_D, parking=1))
         self.oracle.reply("engage", {"ok": True, "reason": "none"}, self.now_s)
 
-    def burst(self, gear: int, speed_mps: float = 0.0, *, parking: int = 0, raw_angle: int = 2048) -> None:
-        """The five go out."""
+    def burst(
+        self,
+        gear: int,
+        speed_mps: float = 0.0,
+        *,
+        parking: int = 0,
+        raw_angle: int = 2048,
+        taken: int = 5,
+        enabled: int = 1,
+    ) -> None:
+        """The five go out, or the first of them."""
         frames = orders(gear, speed_mps, fine=True)
         bodies = {PARKING_CMD: bytes([1, parking, 0]), STEERING_CMD: b"\x01" + raw_angle.to_bytes(2, "little")}
+        on = bytes([enabled])
         sent = []
-        for identifier, data in frames.items():
-            head = bodies.get(identifier, data[:3]) + bytes([0, 0, 0, self._counter << 4])
+        for identifier in self.order:
+            data = frames[identifier]
+            head = on + bodies.get(identifier, data[:3])[1:] + bytes([0, 0, 0, self._counter << 4])
             sent.append((identifier, head + bytes([checksum(head)])))
         self._counter = (self._counter + 1) % 16
-        self.oracle.frames(sent, self.now_s, by_guard=False)
-        for identifier, data in sent:
+        self.oracle.frames(sent, self.now_s, taken=taken, by_guard=False)
+        for identifier, data in sent[:taken]:
             self.plant.receive(identifier, data)
 
     def run(self, seconds: float, each: Callable[[], None]) -> None:
@@ -59,7 +79,7 @@ class Stage:
         for _ in range(round(seconds * 100)):
             self.now_s += 0.01
             for _ in range(round(0.01 / STEP_S)):
-                self.plant.step()
+                self.oracle.hears(self.plant.step(), self.now_s)
             self.oracle.motion(self.plant, self.now_s, gateway_lives=True)
             if self.asks:
                 self.oracle.requests("drive", {"speed_mps": self.asked_mps}, self.now_s)
@@ -71,6 +91,10 @@ class Stage:
         for step in range(ticks):
             told_mps = max(0.0, 0.49 - 0.012 * step)
             self.run(0.01, partial(self.burst, GEAR_D, told_mps))
+
+    def silence(self) -> None:
+        """Nothing goes out in this tick."""
+        self.oracle.frames([], self.now_s, taken=0, by_guard=False)
 
     def accelerate(self, to_mps: float = 0.5) -> None:
         """Drive as the rules want it, from the parking brake on."""
@@ -209,7 +233,7 @@ def overspeed_unnoticed(stage: Stage) -> None:
 def frozen_body_unnoticed(stage: Stage) -> None:
     """The body frame says the same for 3 m."""
     stage.accelerate()
-    stage.plant.frozen.add(0x18C4D9EF)
+    stage.plant.frozen = frozenset({BODY})
     stage.run(7.0, lambda: stage.burst(GEAR_D, 0.5))
 
 
@@ -221,9 +245,33 @@ def bumper_unnoticed(stage: Stage) -> None:
 
 
 def talks_to_remote(stage: Stage) -> None:
-    """Commands while the remote control drives."""
+    """Twice as often as it may, the remote control is told to stand with its parking brake."""
     stage.plant.sticks = (0.5, 0.0)
-    stage.run(0.3, lambda: stage.burst(GEAR_D))
+    stage.run(0.3, lambda: stage.burst(GEAR_D, parking=1))
+
+
+def commands_remote(stage: Stage) -> None:
+    """The ramp goes on when the body frame has said that the remote control drives."""
+    stage.accelerate()
+    stage.plant.sticks = (0.5, 0.0)
+    stage.run(0.05, lambda: stage.burst(GEAR_D, 0.4))
+
+
+def left_to_remote(stage: Stage) -> None:
+    """The remote control takes over, and half a metre a second is the last that the chassis was told."""
+    stage.accelerate()
+    stage.plant.sticks = (0.5, 0.0)
+    stage.run(0.03, lambda: None)
+    stage.burst(GEAR_D, 0.4)
+    stage.silence()
+
+
+def speed_from_standby(stage: Stage) -> None:
+    """After half a second without a body frame and without a burst, a stop begins as a ramp."""
+    stage.accelerate()
+    stage.plant.silent = frozenset({BODY})
+    stage.run(0.5, stage.silence)
+    stage.burst(GEAR_D, 0.4)
 
 
 def stop_lies(stage: Stage) -> None:
@@ -241,7 +289,7 @@ def silence_unbraked(stage: Stage) -> None:
     """Enabled, not parked, and then nothing more."""
     stage.run(0.2, lambda: stage.burst(GEAR_D))
     assert stage.plant.mode == AUTO
-    stage.run(0.01, lambda: stage.oracle.frames([], stage.now_s, by_guard=False))
+    stage.run(0.01, stage.silence)
 
 
 def no_auto_hold(stage: Stage) -> None:
@@ -274,8 +322,127 @@ def malformed_frame(stage: Stage) -> None:
 def given_back_fast(stage: Stage) -> None:
     """A first burst with a speed that nobody sees."""
     stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
-    stage.run(0.5, lambda: stage.oracle.frames([], stage.now_s, by_guard=False))
+    stage.run(0.5, stage.silence)
     stage.burst(GEAR_D, 0.5)
+
+
+def not_moving_unnoticed(stage: Stage) -> None:
+    """The wheels are held, and half a metre a second is told on and on."""
+    stage.plant.blocked = True
+    stage.accelerate()
+    stage.run(1.5, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def runs_ahead(stage: Stage) -> None:
+    """The wheels are held, and the ramp goes on to 0.9 m/s."""
+    stage.plant.blocked = True
+    stage.accelerate(0.9)
+
+
+def frozen_unnoticed(stage: Stage) -> None:
+    """All feedback says for ever what it said in the midst of the ramp."""
+    stage.accelerate(0.3)
+    stage.plant.frozen = frozenset(PERIOD_STEPS)
+    stage.asked_mps = 0.7
+    for step in range(250):
+        stage.run(0.01, partial(stage.burst, GEAR_D, min(0.7, 0.3 + 0.008 * step)))
+
+
+def frozen_pulses_unnoticed(stage: Stage) -> None:
+    """Drive and wheels say zero, and the pulses count."""
+    stage.run(0.3, lambda: stage.burst(GEAR_D))
+    stage.plant.frozen = frozenset({DRIVE, WHEELS})
+    stage.accelerate(0.25)
+    stage.run(1.0, lambda: stage.burst(GEAR_D, 0.25))
+
+
+def frozen_mileage_unnoticed(stage: Stage) -> None:
+    """Drive, wheels and pulses say the same, and the mileage counts."""
+    stage.run(0.3, lambda: stage.burst(GEAR_D))
+    stage.plant.frozen = frozenset({DRIVE, WHEELS, PULSES})
+    stage.accelerate(0.25)
+    stage.run(14.0, lambda: stage.burst(GEAR_D, 0.25))
+
+
+def reason_untrue(stage: Stage) -> None:
+    """A robot that was pushed is stopped, because it is not seen to move, and it is."""
+    stage.accelerate()
+    stage.oracle.disturb(stage.now_s, 1.0)
+    stage.state = {**stage.state, "engaged": False, "latched": ["not_moving"], "stop_reason": "not_moving"}
+    stage.run(0.02, lambda: stage.burst(GEAR_D, 0.49))
+
+
+def runaway_unbraked(stage: Stage) -> None:
+    """The motor dies downhill, and the speed is told on."""
+    stage.accelerate()
+    stage.plant.motor_strength = 0.0
+    stage.plant.slope_deg = stage.plant.slope_target_deg = -15
+    stage.run(0.6, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def stop_latched(stage: Stage) -> None:
+    """A stop is latched, carried out and ended."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    stage.oracle.requests("stop", {}, stage.now_s)
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "remote_stop", "latched": ["remote_stop"]}
+    stage.run(1.0, lambda: stage.burst(GEAR_D, parking=1))
+    stage.run(0.5, lambda: stage.burst(GEAR_N, parking=1, enabled=0))
+    stage.run(0.01, stage.silence)
+
+
+def latched_unbraked(stage: Stage) -> None:
+    """The remote control gives a latched robot back without its parking brake, and nothing is told."""
+    stop_latched(stage)
+    stage.plant.sticks = (0.0, 0.0)
+    stage.run(0.5, stage.silence)
+    stage.plant.sticks = None
+    stage.run(2.0, stage.silence)
+
+
+def brake_unnoticed(stage: Stage) -> None:
+    """The parking brake reads applied, and the robot slips away."""
+    stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
+    stage.plant.brake_grip = 0.0
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
+    stage.run(1.2, lambda: stage.burst(GEAR_N, parking=1))
+
+
+def brake_slips(stage: Stage) -> None:
+    """It creeps, is latched, and goes on."""
+    stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
+    stage.state = {**stage.state, "latched": ["rolling"]}
+    stage.plant.brake_creep_mps = 0.02
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
+    stage.oracle.requests("stop", {}, stage.now_s)
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "remote_stop", "latched": ["remote_stop"]}
+    stage.run(17.0, lambda: stage.burst(GEAR_N, parking=1))
+
+
+def stands_untrue(stage: Stage) -> None:
+    """A stop says that the robot stands, and it does not."""
+    stage.accelerate()
+    reply = {"ok": True, "reason": "none", "detail": "the robot stands, and its parking brake is applied"}
+    stage.oracle.reply("stop", reply, stage.now_s)
+
+
+def usual_order(stage: Stage) -> None:
+    """The bus took a part of a burst, and the brake is the last word of the next one again."""
+    stage.run(0.1, lambda: stage.burst(GEAR_D, parking=1))
+    stage.run(0.01, lambda: stage.burst(GEAR_D, parking=1, taken=3))
+    stage.burst(GEAR_D, parking=1)
+
+
+def second_order(stage: Stage) -> None:
+    """The parking brake comes second for no reason."""
+    stage.run(0.1, lambda: stage.burst(GEAR_D, parking=1))
+    stage.order = (DRIVE_CMD, PARKING_CMD, GEAR_CMD, STEERING_CMD, BRAKING_CMD)
+    stage.burst(GEAR_D, parking=1)
+
+
+def not_latched(stage: Stage) -> None:
+    """Gateway and guard were gone, the robot moved, and that is no matter."""
+    stage.oracle.all_fail(stage.now_s, stage.now_s + 1.0)
+    stage.oracle.expect_latched(stage.now_s + 2.0, "found_moving_not_latched")
 
 
 def does_not_move(stage: Stage) -> None:
@@ -337,6 +504,23 @@ BREAKS: dict[Callable[[Stage], None], str] = {
     no_hazard: "no_hazard",
     idle_engaged: "idle_engaged",
     unwarned: "unwarned",
+    commands_remote: "commands_remote",
+    left_to_remote: "left_to_remote",
+    speed_from_standby: "speed_from_standby",
+    not_moving_unnoticed: "not_moving_unnoticed",
+    runs_ahead: "runs_ahead",
+    frozen_unnoticed: "frozen_unnoticed",
+    frozen_pulses_unnoticed: "frozen_pulses_unnoticed",
+    frozen_mileage_unnoticed: "frozen_mileage_unnoticed",
+    reason_untrue: "reason_untrue",
+    runaway_unbraked: "runaway_unbraked",
+    brake_unnoticed: "brake_unnoticed",
+    latched_unbraked: "latched_unbraked",
+    brake_slips: "roll_back_at_stop",
+    stands_untrue: "stands_untrue",
+    usual_order: "burst_order",
+    second_order: "burst_order",
+    not_latched: "found_moving_not_latched",
 }
 
 

@@ -31,6 +31,6 @@ def test_the_scenarios_are_worth_playing() -> None:
     plans = [scenario(seed) for seed in range(1, 301)]
     assert {plan.build.stop_mode for plan in plans} == {"brakes", "coasts", "parks"}
     assert min(plan.slope_deg for plan in plans) < -15 < 15 < max(plan.slope_deg for plan in plans)
-    assert len({name for plan in plans for name in plan.disturbances}) >= 14
+    assert len({name for plan in plans for name in plan.disturbances}) >= 18
     assert sum(plan.is_undisturbed for plan in plans) > 50
     assert sum(run(seed).driven_m for seed in range(1, 7)) > 20

@@ -1,0 +1,127 @@
+"""Faults that are aimed, one at a time, and the metres that each may cost: the default chassis, empty, 2.2 m/s."""
+
+from typing import Final
+
+import pytest
+
+from schemas.settings import CommandSettings
+from tests.system.scenarios.plant import BODY, DRIVE, PERIOD_STEPS, WHEELS, Build
+from tests.system.scenarios.rig import Leg
+from tests.system.scenarios.scenario import FOREVER_S, Act, Play, Result, Scenario
+
+ALL: Final = frozenset(PERIOD_STEPS)
+SPEED: Final = frozenset({DRIVE, WHEELS})
+FULL_MPS: Final = 2.222
+STANDS_S, UNDER_WAY_S, FAST_S, LETS_GO_S = 1.0, 3.3, 6.0, 7.9
+"""Before the first speed is asked, in the midst of the ramp, after it, and as the next one begins."""
+
+
+def aimed(
+    *acts: Act,
+    mps: float = FULL_MPS,
+    slope_deg: float = 0.0,
+    ends: tuple[Leg, ...] = (Leg(9.0, FULL_MPS),),
+    deceleration_mps2: float = 1.2,
+    build: Build | None = None,
+    rests_s: float = 5.0,
+) -> Scenario:
+    """Stand for a second, drive at a speed for 6 s, and then what ``ends`` say; meanwhile something goes wrong."""
+    return Scenario(
+        seed=1,
+        build=build or Build(),
+        slope_deg=slope_deg,
+        pedal_gain=0.0,
+        command=CommandSettings(speed_limit_mps=FULL_MPS, deceleration_mps2=deceleration_mps2),
+        link_s=0.02,
+        loss=0.0,
+        corruption=0.0,
+        legs=[Leg(1.0), Leg(6.0, mps), *ends],
+        gives_up_s=1.0,
+        recovers=False,
+        acts=sorted(acts, key=lambda act: act.at_s),
+        disturbances=["aimed"],
+        limit_s=30.0 + rests_s,
+        rests_s=rests_s,
+    )
+
+
+def frozen(frames: frozenset[int], at_s: float, when: str = "") -> Act:
+    """These frames say for ever what they say now."""
+    return Act(at_s, "frozen", frames, FOREVER_S, when)
+
+
+def dying(phase_s: float, mps: float, deceleration_mps2: float) -> Scenario:
+    """The motor dies down 20 deg, so long after the operator has let go."""
+    dies = Act(LETS_GO_S + phase_s, "motor_strength", 0.0, FOREVER_S)
+    return aimed(dies, mps=mps, slope_deg=-20.0, ends=(Leg(6.0),), deceleration_mps2=deceleration_mps2)
+
+
+WAYS: Final = {
+    "all frozen at standstill": (aimed(frozen(ALL, STANDS_S, "released")), 4.0),
+    "speed frozen at standstill": (aimed(frozen(SPEED, STANDS_S, "released")), 4.0),
+    "all frozen in mid-acceleration": (aimed(frozen(ALL, UNDER_WAY_S)), 5.0),
+    "speed frozen in mid-acceleration": (aimed(frozen(SPEED, UNDER_WAY_S)), 5.0),
+    "held from standstill": (aimed(Act(STANDS_S, "blocked", value=True, shows_s=FOREVER_S)), 0.01),
+    **{
+        f"the motor dies {phase_s} s after {mps} m/s, ramp {ramp_mps2}": (dying(phase_s, mps, ramp_mps2), bound_m)
+        for mps, bound_m in ((1.0, 1.0), (2.0, 1.8))
+        for ramp_mps2 in (0.3, 1.2, 2.0)
+        for phase_s in (-1.0, 0.1, 0.4)
+    },
+}
+
+
+def play(plan: Scenario) -> Result:
+    """Play it out."""
+    return Play(plan, keeps=False).run()
+
+
+@pytest.mark.parametrize(("plan", "bound_m"), WAYS.values(), ids=WAYS)
+def test_a_fault_costs_no_more_than_so_many_metres(plan: Scenario, bound_m: float) -> None:
+    """From the fault on, and no rule is broken."""
+    result = play(plan)
+    assert result.violations == []
+    assert result.way_m < bound_m
+
+
+@pytest.mark.parametrize("at_s", [STANDS_S, UNDER_WAY_S, FAST_S])
+def test_a_robot_that_is_held_gives_up_and_does_not_jump(at_s: float) -> None:
+    """Within 2 s from when it is told to move; nothing jumps when it comes free."""
+    told_s, gave_up_s = [], []
+
+    def watch(it: Play) -> None:
+        if it.plant.blocked and it.oracle.is_told_to_move:
+            told_s.append(it.rig.now_s)
+        if it.plant.blocked and told_s and not it.gateway.state["engaged"]:
+            gave_up_s.append(it.rig.now_s)
+
+    plan = aimed(Act(at_s, "blocked", 1, FOREVER_S, then=(Act(5.0, "blocked", 0),)))
+    result = Play(plan, keeps=False, watch=watch).run()
+    assert result.violations == []
+    assert gave_up_s[0] - told_s[0] < 2.0
+
+
+@pytest.mark.parametrize("phase", range(0, 10, 3))
+@pytest.mark.parametrize("away_s", [0.05, 0.3])
+@pytest.mark.parametrize("verbs", [(), ("stop",)])
+def test_the_remote_control_is_told_no_speed_when_the_bus_returns(
+    phase: int, away_s: float, verbs: tuple[str, ...]
+) -> None:
+    """Whenever it took over meanwhile, and whoever is owed a stop."""
+    plan = aimed(
+        Act(FAST_S, "away", value=True, shows_s=away_s + 3.0),
+        Act(FAST_S + away_s, "away", value=False),
+        Act(FAST_S + away_s * phase / 10, "sticks", (0.5, 0.0), 5.0, then=(Act(2.0, "sticks", None),)),
+        *(Act(FAST_S + 0.02, "ask", verb) for verb in verbs),
+    )
+    assert play(plan).violations == []
+
+
+@pytest.mark.parametrize("away_s", [0.4, 0.5, 0.6])
+def test_a_robot_that_is_given_back_does_not_drive_off(away_s: float) -> None:
+    """The body frames were away while the remote control took over."""
+    plan = aimed(
+        Act(FAST_S, "silent", frozenset({BODY}), FOREVER_S, then=(Act(away_s, "silent", frozenset()),)),
+        Act(FAST_S + 0.2, "sticks", (0.0, 0.0), FOREVER_S, then=(Act(3.0, "sticks", None),)),
+    )
+    assert play(plan).violations == []
