@@ -266,6 +266,12 @@ class Core:
             self._journal.add((Kind.GUARD_STOP, now_ns, words))
             self.command.arbiter.engagement.latch(Reason.GUARD, words, now_ns)
 
+    def note_crash(self, now_ns: int) -> None:
+        """The gateway before this one did not end in order: the first robot that is found moving is latched."""
+        if self.command is not None and self._journal is not None:
+            self._journal.add((Kind.CRASHED, now_ns))
+            self.command.arbiter.engagement.is_after_crash = True
+
     def warn(self, words: str, now_ns: int) -> None:
         """Report a finding of the start as an event, in these words."""
         if self.command is not None and self._journal is not None:

@@ -60,7 +60,8 @@ CHANGES: Final[dict[int, str]] = {
     "the speed limit of an idle robot is the one that an engage would bring; "
     "a robot whose parking brake slips is given back to its motor; a stop that lets it move twice stays in gear; "
     "at zero speed, after a part of a burst, the parking frame is sent second; "
-    "a loop that is late while the robot stands by is told as information",
+    "a loop that is late while the robot stands by is told as information; "
+    "the first robot that is found moving after a crash is latched",
 }
 """The changes that each version of the rules brought."""
 

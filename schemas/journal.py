@@ -38,3 +38,5 @@ class Kind(IntEnum):
     CHECKPOINT = 12
     """wall_ns, state: nothing is given to the core. All of its state, as MessagePack, once a minute whatever the
     robot does, so that from here on a run can be run again by the same version: see ``gateway.checkpoint``"""
+    CRASHED = 13
+    """the gateway before this one did not end in order"""

@@ -9,8 +9,8 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -30,7 +30,7 @@ from gateway.guard.stopper import Stopper
 from gateway.host.former_guard import FormerGuard
 from gateway.host.guard_process import GuardLink, start_guard
 from gateway.host.guard_run import stop_alone
-from gateway.host.latch_note import LatchNote
+from gateway.host.latch_note import LatchNote, RunNote
 from gateway.host.log_queue import logging_aside
 from gateway.host.mileage_note import MileageNote
 from gateway.host.realtime import has_realtime, request_realtime
@@ -69,6 +69,8 @@ AGAIN_S: Final = 5.0
 
 RUN_BITS = 53
 """Every language's numbers hold as many."""
+
+HELD_BY_MOTOR = "the robot is held by the motor alone, its parking brake does not hold it: chock its wheels"
 
 VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec")
 
@@ -128,6 +130,19 @@ def _run_again(settings: Settings, ends: Callable[[], bool], former: Carried) ->
                 raise
             log.warning("the gateway cannot start again yet: %s; trying on", error)
             wait(AGAIN_S, ends)
+
+
+@contextmanager
+def _run_noted(core: Core, settings: Settings) -> Iterator[None]:
+    """Have the next gateway know whether this one ended in order."""
+    note = RunNote.of(settings)
+    if note.begin():
+        core.note_crash(time.monotonic_ns())
+    yield
+    note.end()
+    if core.is_held_by_motor:
+        # The guard goes on, and the chassis executes its last command: zero speed, in gear.
+        raise CommandError(HELD_BY_MOTOR, ExitCode.PARTIAL)
 
 
 def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | None = None) -> Carried | None:
@@ -199,18 +214,13 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
             latch_note,
             mileage_note,
         )
-        try:
-            with logging_aside():
-                run_loop(ports, core, info, _ending(ends, renewal, core))
-        except Exception:
-            _stop_unguarded(core, bus, guard, settings)
-            raise
-        if core.is_held_by_motor:
-            # The guard goes on, and the chassis executes its last command: zero speed, in gear.
-            raise CommandError(
-                "the robot is held by the motor alone, its parking brake does not hold it: chock its wheels",
-                ExitCode.PARTIAL,
-            )
+        with _run_noted(core, settings):
+            try:
+                with logging_aside():
+                    run_loop(ports, core, info, _ending(ends, renewal, core))
+            except Exception:
+                _stop_unguarded(core, bus, guard, settings)
+                raise
     return core.carried if renewal.is_taken and not ends() else None
 
 

@@ -46,6 +46,8 @@ class Engagement:
         engage_until_ns: while engaging, when the chassis must read auto, monotonic.
         is_closing: the gateway is to end; nothing is engaged any more.
         needs_guard: nothing is commanded that no guard watches.
+        is_after_crash: the gateway before this one did not end in order: the first robot that is found moving is
+            latched.
         bars: why nobody may engage the robot, found outside the command flow, each with its words.
     """
 
@@ -65,6 +67,7 @@ class Engagement:
         self.engage_until_ns = 0
         self.is_closing = False
         self.needs_guard = needs_guard
+        self.is_after_crash = False
         self.bars: dict[Reason, str] = {}
         self._is_brake_missed = False
         self._stray_ns: int | None = None
@@ -95,7 +98,7 @@ class Engagement:
     def begin_engaging(self, limits: MotionLimits, now_ns: int) -> None:
         """Give the five enables with zero speed. Nothing speaks against it any more."""
         self._go(Trigger.ENGAGE)
-        self.owes_stop = False
+        self.owes_stop = self.is_after_crash = False
         self._returns = 0
         chassis, configured = self.monitor.chassis, self.setpoint.configured_limits
         self.setpoint.reset(limits)
@@ -166,7 +169,10 @@ class Engagement:
 
     def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
         """Keep the robot from being engaged until a reset, if the table says so."""
-        if not STOPS[reason].latched:
+        # Guard and gateway may have died together while the robot drove: nobody else has latched that.
+        is_left_moving = self.is_after_crash and reason is Reason.FOUND_MOVING
+        self.is_after_crash &= not is_left_moving
+        if not STOPS[reason].latched and not is_left_moving:
             return
         self.auxiliary.show_hazard()
         is_new_hit = reason is Reason.REMOTE_STOP or reason in self.monitor.struck

@@ -61,6 +61,7 @@ def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
         and not arbiter.engagement.is_closing
         and arbiter.handover.left is None
         and not arbiter.engagement.owes_stop
+        and not arbiter.engagement.is_after_crash
         and arbiter.auxiliary.is_off(now_ns)
         and arbiter.monitor.stands
         and not arbiter.monitor.pressed

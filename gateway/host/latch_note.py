@@ -50,9 +50,7 @@ class LatchNote:
     @classmethod
     def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
         """The note of the robot that the settings name."""
-        directory = state_directory(settings.gateway.state_dir, environment)
-        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
-        return cls(None if directory is None else directory / f"{robot}.latched.json")
+        return cls(_path(settings, environment, "latched.json"))
 
     def read(self) -> dict[Reason, str]:
         """Return what was latched, with the details, oldest first. A note that cannot be read latches a stop."""
@@ -107,3 +105,39 @@ class LatchNote:
                 sync_directory(self.path.parent)
             return
         write_whole(self.path, msgspec.json.encode(latched))
+
+
+class RunNote:
+    """A file that is there while the gateway runs, so that the next one knows how this one ended."""
+
+    def __init__(self, path: Path | None) -> None:
+        """Nothing is written yet."""
+        self.path = path
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The note of the robot that the settings name."""
+        return cls(_path(settings, environment, "running"))
+
+    def begin(self) -> bool:
+        """Write it. Return True if it is there already: the gateway before did not end in order."""
+        if self.path is None:
+            return False
+        is_there = self.path.exists()
+        try:
+            write_whole(self.path, b"")
+        except OSError as error:
+            log.warning("the next start will not know how this one ended: %s: %s", self.path, error.strerror)
+        return is_there
+
+    def end(self) -> None:
+        """Remove it: the gateway ends in order."""
+        if self.path is not None:
+            with suppress(OSError):
+                self.path.unlink()
+
+
+def _path(settings: Settings, environment: Mapping[str, str], ending: str) -> Path | None:
+    directory = state_directory(settings.gateway.state_dir, environment)
+    robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+    return None if directory is None else directory / f"{robot}.{ending}"

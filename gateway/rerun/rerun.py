@@ -249,6 +249,7 @@ _GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample] | None]]] = {
     Kind.REST: lambda *_: None,
     Kind.CHECKPOINT: lambda *_: None,
     Kind.GUARD_STOP: lambda core, now_ns, words: core.latch_guard_stop(words, now_ns),
+    Kind.CRASHED: lambda core, now_ns: core.note_crash(now_ns),
     Kind.WARNING: lambda core, now_ns, words: core.warn(words, now_ns),
     Kind.END_LEASE: lambda core, now_ns, reason, detail: core.end_lease(Reason(reason), detail, now_ns),
     Kind.BARS: lambda core, now_ns, bars: core.bar({Reason(key): words for key, words in bars.items()}, now_ns),

@@ -150,7 +150,7 @@ def test_a_lost_chassis_comes_back() -> None:
             state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 10)
             assert (state["mode"], state["speed_mps"]) == ("undefined", None)
             listener.wait_for(
-                "fleet/cruiser-1/gateway/health", lambda health: "no socketcand" in health["bus_detail"]
+                "fleet/cruiser-1/gateway/health", lambda health: "Connection refused" in health["bus_detail"]
             )
             with chassis(listen=address):
                 listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])

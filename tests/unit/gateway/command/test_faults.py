@@ -17,7 +17,7 @@ from gateway.guard.beat import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
-from schemas.messages import ParkingStatus, Variant
+from schemas.messages import GearPosition, ParkingStatus, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import YIELD_BURSTS, ChassisSettings, CommandSettings
 from tests.support.frames import STANDING, Feedback
@@ -774,6 +774,25 @@ def test_a_stop_brakes_also_where_the_bus_takes_only_a_part_of_each_burst(taken:
     assert rig.speed_mps == 0
     assert (rig.chassis.state.parking_status is ParkingStatus.APPLIED) is (taken > 1)
     assert rig.says.stop_phase is (StopPhase.HOLD if taken > 1 else StopPhase.PARK), "the enables stay"
+
+
+@pytest.mark.parametrize("crashed", [True, False])
+def test_the_first_robot_found_moving_after_a_crash_is_latched(*, crashed: bool) -> None:
+    """Row 'guard and gateway died together, only a gateway returns'; one that is pushed by hand later is not."""
+    rig, operator = ready()
+    if crashed:
+        rig.core.note_crash(rig.now_ns)
+    for latched in ([Reason.FOUND_MOVING] if crashed else [], []):
+        rig.fault("slope -20")
+        rig.chassis.adopt(speed_mps=0.5, angle_deg=0.0, gear=GearPosition.DRIVE, parked=False)
+        rig.run(0.5)
+        assert rig.event_reasons(EventKind.STOP)[-1] is Reason.FOUND_MOVING
+        assert rig.says.latched == latched
+        rig.run(15)
+        assert rig.speed_mps == 0
+        assert operator.take_lease() is Reason.NONE
+        assert operator.reason("reset") is Reason.NONE
+        operator.reason("release")
 
 
 AT_FULL_SPEED = CommandSettings(speed_limit_mps=2.222, travel_delay_m=3.0)

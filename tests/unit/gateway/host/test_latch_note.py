@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.latch_note import LatchNote
+from gateway.host.latch_note import LatchNote, RunNote
 from schemas.reasons import Reason
 from schemas.settings import GatewaySettings, Settings
 from tests.support.waiting import wait_until
@@ -128,3 +128,13 @@ def test_where_no_directory_is_given_nothing_is_kept() -> None:
     note.follow(STOPPED)
     note.close()
     assert note.path is None
+
+
+def test_a_run_that_did_not_end_in_order_is_known_at_the_next_start(tmp_path: Path) -> None:
+    """Row 'guard and gateway died together': nothing else tells the next gateway; an end in order does."""
+    settings = Settings(gateway=GatewaySettings(state_dir=str(tmp_path / "state")))
+    assert not RunNote.of(settings).begin()
+    assert RunNote.of(settings).begin()
+    RunNote.of(settings).end()
+    assert not RunNote.of(settings).begin()
+    assert not RunNote(None).begin()
