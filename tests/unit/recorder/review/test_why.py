@@ -12,7 +12,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection
 from recorder.review.reasoning.chain import Step
-from recorder.review.timeline.entries import STOPS, Entry, EntryKind
+from recorder.review.timeline.entries import ENDS, Entry, EntryKind
 from recorder.review.timeline.timeline import read_events
 from recorder.review.why import Explanation
 from schemas.decisions import ArbiterState, Severity
@@ -509,7 +509,7 @@ def test_what_was_said_at_another_time_is_none_of_the_moment_s(path: Path) -> No
 def test_of_a_day_in_which_everything_happens_every_stop_is_explained(path: Path) -> None:
     """Each by its own reason, although the robot's clock is set by hours in between."""
     path.write_bytes(_day())
-    entries = _entries(path, *STOPS, EntryKind.CLOCK)
+    entries = _entries(path, *ENDS, EntryKind.CLOCK)
     assert EntryKind.CLOCK in {one.kind for one in entries}
     stops = [one for one in entries if one.reason is not Reason.NONE]
     assert len({one.reason for one in stops}) > 3
