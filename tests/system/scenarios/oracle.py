@@ -535,6 +535,7 @@ class Oracle:
     def _judge_hazard(self, now_s: float, *, is_due: bool) -> None:
         """A stop that is latched shows both indicators, the guard's too."""
         lamps = self._bytes.get(LIGHT_CMD, bytes(8))
+        is_due = is_due and now_s >= self._blind_until_s
         if self._timer("hazard").lasts(now_s, holds=is_due) > SEEING_S and not lamps[1] & lamps[2] & 1:
             self._fail("no_hazard", now_s, f"the lamps were told {lamps[:3].hex()}; latched {self._latched}")
 
@@ -744,7 +745,9 @@ class Oracle:
                 speed_mps * sign > self._explained[sign] + MOVES_MPS + self._bit_mps
                 and order.signed_mps * sign <= 0
             )
-            lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking)
+            lasts_s = self._timer(f"roll{sign}").lasts(
+                now_s, holds=rolls and not order.parking and plant.brake_holds
+            )
             allowed_s = 0.1 + SEEING_S
             if now_s - self._frozen_wheels_s <= allowed_s:
                 allowed_s += PULSES_S

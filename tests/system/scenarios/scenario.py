@@ -289,6 +289,7 @@ DISTURBANCES: Final[dict[str, Callable[[Random], list[Act]]]] = {
     "motor dies": _motor_dies,
     "remote control unseen": _remote_unseen,
     "body away": _body_away,
+    "part of a burst": _part,
     "bumper": _touch,
     "losses": _losses,
 }

@@ -56,6 +56,13 @@ def dying(phase_s: float, mps: float, deceleration_mps2: float) -> Scenario:
     return aimed(dies, mps=mps, slope_deg=-20.0, ends=(Leg(6.0),), deceleration_mps2=deceleration_mps2)
 
 
+def slipping(grip: float, creep_mps: float, end: Leg) -> Scenario:
+    """The parking brake, once it has been applied up 20 deg, does not hold, and the motor is off behind it."""
+    fails = Act(LETS_GO_S, "brake_grip", grip, FOREVER_S, "braked", (Act(0, "brake_creep_mps", creep_mps),))
+    build = Build(parks_motor=True, stop_mode="coasts")
+    return aimed(fails, mps=0.5, slope_deg=20.0, ends=(Leg(0.5), end), build=build, rests_s=30.0)
+
+
 WAYS: Final = {
     "all frozen at standstill": (aimed(frozen(ALL, STANDS_S, "released")), 4.0),
     "speed frozen at standstill": (aimed(frozen(SPEED, STANDS_S, "released")), 4.0),
@@ -67,6 +74,11 @@ WAYS: Final = {
         for mps, bound_m in ((1.0, 1.0), (2.0, 1.8))
         for ramp_mps2 in (0.3, 1.2, 2.0)
         for phase_s in (-1.0, 0.1, 0.4)
+    },
+    **{
+        f"a brake with a grip of {grip}, creeping at {creep_mps}, in {name}": (slipping(grip, creep_mps, end), 0.3)
+        for name, end in (("auto-hold", Leg(9.0)),)
+        for grip, creep_mps in ((0.0, 0.0), (0.3, 0.0))
     },
 }
 
@@ -125,3 +137,13 @@ def test_a_robot_that_is_given_back_does_not_drive_off(away_s: float) -> None:
         Act(FAST_S + 0.2, "sticks", (0.0, 0.0), FOREVER_S, then=(Act(3.0, "sticks", None),)),
     )
     assert play(plan).violations == []
+
+
+@pytest.mark.parametrize("lasts_s", [0.05, 20.0])
+@pytest.mark.parametrize("most", range(2, 7))
+def test_the_brake_comes_through_where_bursts_go_out_in_part(most: int, lasts_s: float) -> None:
+    """Of each burst the bus takes the first frames, be they two; a stop ends with the parking brake applied."""
+    cut = Act(FAST_S, "most", most, lasts_s + 3.0, then=(Act(lasts_s, "most", None),))
+    it = Play(aimed(cut, Act(FAST_S + 0.02, "ask", "stop")), keeps=False)
+    assert it.run().violations == []
+    assert (it.plant.braked, it.plant.speed_mps) == (True, 0.0)
