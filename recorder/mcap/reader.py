@@ -60,6 +60,7 @@ from recorder.mcap.proof import Scanner
 __all__ = [
     "FIRST_RECORD",
     "DamagedError",
+    "DeclaredRoom",
     "End",
     "Fault",
     "Index",

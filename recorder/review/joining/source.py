@@ -14,6 +14,7 @@ from recorder.mcap.channel import LogChannel
 from recorder.mcap.reader import (
     FIRST_RECORD,
     DamagedError,
+    DeclaredRoom,
     Fault,
     LoggedMessage,
     MessageBlock,
@@ -65,6 +66,7 @@ class JoinSource:
         self.is_reconstructed = log.is_reconstructed
         self._choose = choose
         self._faults = faults
+        self._room = DeclaredRoom()
         self._schemas: dict[int, records.Schema] = {}
         self._ids: dict[int, int | None] = {}
         self._lost: set[int] = set()
@@ -92,7 +94,7 @@ class JoinSource:
                     stream.seek(offset)
                     messages = MessageBlock(offset, stream.read(length)).messages()
                 else:
-                    messages = messages_at(stream, offset, length)
+                    messages = messages_at(stream, offset, length, self._room)
                 found = list(self._sift(offset, messages, from_ns, to_ns))
         except OSError as error:
             self._fault(offset, f"a chunk cannot be read: {error}")
