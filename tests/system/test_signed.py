@@ -297,7 +297,7 @@ def test_an_impostor_is_not_believed(site: Site) -> None:
     other.endpoint = site.endpoint
     with (
         running(other),
-        pytest.raises(Refused, match="not met: the robot's own grant is of the authority") as unmet,
+        pytest.raises(Refused, match="not met: the robot's own grant is signed by the authority's key") as unmet,
     ):
         Robot.connect(ROBOT, settings=site.settings, timeout_s=3.0)
     assert unmet.value.reason is Reason.GRANT_UNKNOWN
@@ -399,7 +399,7 @@ def _of_another_authority(files: Path) -> None:
     [
         by_night(lambda files: (files / "authority.json").unlink(), "authority.json is not there"),
         by_night(lambda files: (files / "authority.json").write_text("{}"), "authority.json is damaged"),
-        (_of_another_authority, "the robot's own grant is of the authority"),
+        (_of_another_authority, "the robot's own grant is signed by the authority's key"),
     ],
 )
 def test_a_stop_whose_answer_cannot_be_verified_is_said_to_be_that(

@@ -101,6 +101,7 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.REAR_BUMPER: lambda window: frame_evidence.bumper(window, "RearBumper", "rear_bumper"),
     Reason.IMPLAUSIBLE_SPEED: frame_evidence.speeds,
     Reason.NOT_MOVING: frame_evidence.speeds,
+    Reason.BRAKE_SLIPS: lambda window: frame_evidence.speeds(window, frame_evidence.ROLLING),
     Reason.ROLLING: lambda window: frame_evidence.speeds(window, frame_evidence.ROLLING),
     Reason.OVERSPEED: lambda window: frame_evidence.speeds(window, frame_evidence.OVERSPEED),
     Reason.STEERING: frame_evidence.steering,
