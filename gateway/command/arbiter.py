@@ -169,6 +169,8 @@ class Arbiter:
             # The remote control may have released the parking brake that the latched stop applied.
             engagement.owes_stop = True
         is_taken = self.monitor.is_commanded_by_other(now_ns)
+        if is_taken or chassis.mode is Mode.REMOTE:
+            engagement.forget_rest()
         if self.handover.is_obeyed_again(chassis, now_ns, is_taken=is_taken):
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
             engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")

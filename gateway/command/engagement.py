@@ -22,10 +22,10 @@ from gateway.command.setpoint import Setpoint
 from gateway.command.standing import Standing
 from gateway.command.states import TRANSITIONS, Trigger
 from gateway.command.stop import StopSequence
-from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity
+from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import GearPosition, Mode, ParkingStatus
 from schemas.reasons import AS_ASKED, TEXTS, Reason
-from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, RETURN_NS, CommandSettings
+from schemas.settings import ENGAGE_TIMEOUT_NS, REPEATED_NS, RETURN_NS, SLIPS_NS, TICK_NS, CommandSettings
 
 
 class Engagement:
@@ -143,7 +143,17 @@ class Engagement:
             self.setpoint.limits = self.setpoint.configured_limits
             self._begin_output(last)
         returns = self._count_returns(now_ns) if is_stray else 0
-        output.sequence = StopSequence(last, deceleration_mps2, now_ns, returns)
+        output.sequence = StopSequence(
+            last,
+            deceleration_mps2,
+            now_ns,
+            returns,
+            may_release=not is_stray,
+            stood_by_motor=not is_stray and 0 < output.motion.held_ticks * TICK_NS <= SLIPS_NS,
+        )
+        if is_stray and Reason.BRAKE_SLIPS in self.latches.details and not last.parking:
+            # The motor held it before; the brake that does not is not tried again.
+            output.sequence.release(now_ns)
         is_repeated = is_stray and self._note_stray(now_ns)
         # The remote control may have a robot whose mode is not known: a ramp would leave it a speed.
         is_unsure = is_stray and chassis.mode is not Mode.AUTO
@@ -220,7 +230,8 @@ class Engagement:
             text = "the parking brake does not read applied; the motor holds the robot in gear meanwhile"
             self.outbox.add_event(Severity.ERROR, EventKind.FAULT, Reason.NOT_CONFIRMED, text)
         if sequence.stays and Reason.BRAKE_SLIPS not in self.latches.details:
-            detail = f"it moved {sequence.returns} times when the enables were gone; it stays in gear"
+            moved = f"it moved {sequence.returns} times when the enables were gone"
+            detail = f"{moved if sequence.returns else 'it rolled behind the brake'}; it stays in gear"
             self.begin_stop(Reason.BRAKE_SLIPS, now_ns, detail)
         if actuation is None:
             self._returns, self._rested_ns = sequence.returns, now_ns
@@ -250,7 +261,8 @@ class Engagement:
             self.latch(reason, detail, now_ns)
         self._go(Trigger.YIELD)
         told = output.actuation if output.actuation is not None else Actuation(parking=self.setpoint.parked)
-        self.handover.leave(told, reason, chassis, now_ns)
+        is_held_by_motor = output.stop_phase is StopPhase.MOTOR
+        self.handover.leave(told, reason, chassis, now_ns, is_held_by_motor=is_held_by_motor)
         self.auxiliary.leave()
         output.cease()
         self.stop_reason, self.stop_detail = reason, ""
@@ -290,6 +302,10 @@ class Engagement:
         if self.output.actuation is not None:
             return self.output.actuation
         return inferred_actuation(self.monitor.chassis, self.setpoint.configured_limits, self.handover.left)
+
+    def forget_rest(self) -> None:
+        """Others command the chassis: that it moves says nothing about its parking brake."""
+        self._returns, self._rested_ns = 0, None
 
     def _count_returns(self, now_ns: int) -> int:
         """Return how often the robot has moved since its last stop took the enables away."""

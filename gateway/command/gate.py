@@ -57,14 +57,19 @@ class Gate:
         counters: the last alive counter of each identifier that was ever sent.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, may_release: bool = False) -> None:
+        """Nothing was sent yet.
+
+        Args:
+            may_release: what is sent first is a stop of an engagement, which may release the parking brake once.
+        """
         self.counters: dict[int, int] = {}
         self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
         self._before: MotionBurst | None = None
         self._before_ns = 0
         self._is_stopping = self._is_torn = False
         # In a stop the parking brake is released once at most, by a robot that it does not hold.
-        self._may_release = False
+        self._may_release = may_release
 
     def admit(
         self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False

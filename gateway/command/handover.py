@@ -36,7 +36,7 @@ class Handover:
         self.left: Actuation | None = None
         self.is_cut_off = False
         self._partings = 0
-        self._is_remote = False
+        self._is_remote = self._is_held_by_motor = False
         self._left_ns = 0
         self._was_auto = False
         self._bus_losses = self._guard_stops = 0
@@ -63,9 +63,18 @@ class Handover:
             return Reason.MODE_NOT_AUTO
         return Reason.NONE
 
-    def leave(self, told: Actuation, reason: Reason, chassis: ChassisState, now_ns: int) -> None:
+    def leave(
+        self,
+        told: Actuation,
+        reason: Reason,
+        chassis: ChassisState,
+        now_ns: int,
+        *,
+        is_held_by_motor: bool = False,
+    ) -> None:
         """Note that our output ceases, for this reason; lamps and horn stay as they are in the chassis."""
         self.left = told
+        self._is_held_by_motor = is_held_by_motor
         self._partings = YIELD_BURSTS if reason is Reason.HAND_TRANSMITTER and told.enabled else 0
         self._left_ns = now_ns
         self.is_cut_off = reason is Reason.BUS_DOWN and not chassis.bus_up
@@ -75,11 +84,14 @@ class Handover:
 
         The chassis keeps its last command, and executes it when the remote control gives it back.
         """
-        if not self._partings or self.left is None or chassis.mode is not Mode.REMOTE or not chassis.bus_up:
+        is_theirs = chassis.mode is Mode.REMOTE and chassis.bus_up and not chassis.guard_sends
+        if not self._partings or self.left is None or not is_theirs:
             self._partings = 0
             return None
         self._partings -= 1
-        return msgspec.structs.replace(self.left, speed_mps=0.0, parking=True)
+        # Where the motor alone held it, the parking brake would let it roll once it is given back.
+        parking = not self._is_held_by_motor
+        return msgspec.structs.replace(self.left, speed_mps=0.0, parking=parking)
 
     def is_given_back(self, chassis: ChassisState) -> bool:
         """Return True in the tick in which the remote control gives the chassis back. For each tick in standby."""

@@ -138,12 +138,12 @@ class MotionProfile:
 
     def _drive_off(self, speed_mps: float, constraints: MotionConstraints) -> float:
         """The speed to go to now: zero until the gear of that direction is in and the brake is released."""
-        self.held_ticks = 0
         wanted = GearPosition.DRIVE if speed_mps > 0 else GearPosition.REVERSE
         if self.gear is not wanted:
             self._bound(Bound.GEAR if self.gear is GearPosition.NEUTRAL else Bound.REVERSAL)
             self._shift(wanted, constraints)
             return 0.0
+        self.held_ticks = 0
         if self.parking:
             self._bound(Bound.PARKING)
             self.parking = self._gear_ticks < SHIFT_TICKS
@@ -161,7 +161,8 @@ class MotionProfile:
         if not self.parking:
             self.parking = self.speed_mps == 0 and constraints.stands
             self._gear_ticks = 0
-        elif constraints.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
+        elif constraints.stands and constraints.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
+            self.held_ticks = 0
             self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL
             self._gear_ticks = 0
 

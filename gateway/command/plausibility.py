@@ -320,4 +320,6 @@ class Plausibility:
         if chassis.total_mileage_km != self._mileage_km or chassis.total_mileage_km is None:
             self._mileage_km = chassis.total_mileage_km
             self._driven_m = 0.0
-        self._driven_m += chassis.slowest_mps * elapsed_s
+        if not chassis.reads_zero:
+            # A noisy bit of a standing robot is no way.
+            self._driven_m += chassis.slowest_mps * elapsed_s

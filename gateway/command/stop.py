@@ -25,6 +25,7 @@ from schemas.settings import (
     HOLD_NS,
     MOTOR_HOLDS_NS,
     NOT_SLOWING_NS,
+    ROLLING_NS,
     SLOWING_MPS,
     STANDSTILL_MPS,
     TICK_NS,
@@ -62,7 +63,16 @@ class StopSequence:
         returns: number of times that the robot moved when the enables were gone, in this stop and just before it.
     """
 
-    def __init__(self, last: Actuation, deceleration_mps2: float, now_ns: int, returns: int = 0) -> None:
+    def __init__(
+        self,
+        last: Actuation,
+        deceleration_mps2: float,
+        now_ns: int,
+        returns: int = 0,
+        *,
+        may_release: bool = False,
+        stood_by_motor: bool = False,
+    ) -> None:
         """Begin to stop.
 
         Args:
@@ -70,7 +80,13 @@ class StopSequence:
             deceleration_mps2: how fast the commanded speed goes to zero.
             now_ns: monotonic.
             returns: so many times the robot moved when the enables were gone, in stops just before this one.
+            may_release: the gate admits that this stop gives the robot back to its motor, once.
+            stood_by_motor: the robot stood by its motor until its parking brake was applied, just before.
         """
+        self._may_release = may_release
+        self._stood_by_motor = stood_by_motor
+        self._rolls_ns = self._rolled_ns = -_STEP_MAX_NS - 1
+        self._rolled_mps = 0.0
         self.returns = returns
         self._is_released = False
         self._released_mps = inf
@@ -103,12 +119,12 @@ class StopSequence:
 
     def finish(self, now_ns: int) -> None:
         """Take the enables away from a robot that has stood braked."""
-        self.returns, self._is_released = 0, False
+        self.returns, self._is_released, self._may_release = 0, False, False
         self._enter(StopPhase.DISABLE, now_ns)
 
     def release(self, now_ns: int) -> None:
         """Give the robot back to its motor, which held it before: the parking brake does not."""
-        self._is_released = True
+        self._is_released, self._may_release = True, False
         self._speed_mps, self._released_mps = 0.0, inf
         self._enter(StopPhase.MOTOR, now_ns)
 
@@ -160,13 +176,14 @@ class StopSequence:
                 or self._runs_away(feedback, now_ns)
                 or now_ns - self._begun_ns >= BRAKE_MAX_NS
             ):
+                self._stood_by_motor = feedback.stands
                 self.park(now_ns)
             case StopPhase.PARK if feedback.is_braked or (
                 feedback.is_braked is None and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
             ):
                 self._enter(StopPhase.HOLD, now_ns)
             case StopPhase.HOLD if feedback.moves:
-                self._begun_ns = now_ns
+                self._roll(feedback, now_ns)
             case StopPhase.DISABLE | StopPhase.MOTOR if self._is_not_held(feedback, now_ns):
                 self.returns += self.phase is StopPhase.DISABLE
                 self._enter(StopPhase.PARK, now_ns)
@@ -175,6 +192,16 @@ class StopSequence:
             case StopPhase.DISABLE if now_ns - self._begun_ns >= DISABLE_NS:
                 self._enter(StopPhase.IDLE, now_ns)
         return self._actuation()
+
+    def _roll(self, feedback: StopFeedback, now_ns: int) -> None:
+        """Hold on to a robot that moves behind its applied brake, or give it back to the motor that stopped it."""
+        speed_mps = feedback.speed_mps or 0.0
+        if now_ns - self._rolls_ns > _STEP_MAX_NS:
+            self._rolled_ns, self._rolled_mps = now_ns, speed_mps
+        self._rolls_ns = self._begun_ns = now_ns
+        slips = now_ns - self._rolled_ns >= ROLLING_NS and speed_mps > self._rolled_mps - SLOWING_MPS
+        if slips and self._may_release and self._stood_by_motor and feedback.is_braked:
+            self.release(now_ns)
 
     def _is_not_held(self, feedback: StopFeedback, now_ns: int) -> bool:
         """Neither its brake holds a robot whose enables are gone, nor its motor one whose brake was released."""

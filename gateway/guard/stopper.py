@@ -82,7 +82,7 @@ class Stopper:
         self._went_on_ns = self._look_until_ns = self._paused_ns = self._due_ns = 0
         self._bursts_off = self._partings = 0
         self._offered: list[Frame] = []
-        self._is_released, self._returns = False, 0
+        self._is_released, self._returns, self._may_release = False, 0, False
         self.is_over = True
         self.is_paused = False
         self.frames = 0
@@ -111,11 +111,12 @@ class Stopper:
             returns: so many times it moved before when the enables were gone.
         """
         self._is_released, self._returns = is_released, returns
+        self._may_release = last is not None and not is_released
         self._variant = variant
         self._told = last
         self._told_ns = now_ns if told_ns is None else told_ns
         # What was sent by others is not this gate's to judge: it begins anew.
-        self._gate = Gate()
+        self._gate = Gate(may_release=last is not None and not is_released)
         self._maker.counters, self._maker.is_torn = self._counters(counters, now_ns), False
         self._due_ns = now_ns
         self.is_over = self.is_paused = False
@@ -167,7 +168,9 @@ class Stopper:
             return []
         self._partings -= 1
         self._before = self._sequence
-        self._actuation = replace(_possible(left, self._variant), speed_mps=0.0, parking=True)
+        # Where the motor alone held it, the parking brake would let it roll once it is given back.
+        is_released = self._sequence is not None and self._sequence.phase is StopPhase.MOTOR
+        self._actuation = replace(_possible(left, self._variant), speed_mps=0.0, parking=not is_released)
         frames = self._maker.make(self._actuation, [], self._variant)
         self._offered = [] if self._gate.admit(frames, self._variant, now_ns, stopping=True) else frames
         return self._offered
@@ -226,7 +229,11 @@ class Stopper:
         if slowest_mps is not None:
             first = replace(first, speed_mps=_lower(first.speed_mps, slowest_mps))
         self._sequence = StopSequence(
-            _possible(first, self._variant), self._deceleration_mps2, now_ns, self._returns
+            _possible(first, self._variant),
+            self._deceleration_mps2,
+            now_ns,
+            self._returns,
+            may_release=self._may_release,
         )
         if self._is_released and not first.parking:
             self._sequence.release(now_ns)

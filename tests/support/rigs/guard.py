@@ -45,7 +45,7 @@ class GuardRig:
         self.variant = variant
         self.chassis = VirtualChassis(load(variant), self.now_ns)
         self.guardian = Guardian(settings or CommandSettings())
-        self.gate = Gate()
+        self.gate = Gate(may_release=True)
         self.loop_lives = self.parent_lives = self.bus_up = True
         self.mute = False
         self.takes = BURST
@@ -119,7 +119,7 @@ class GuardRig:
             frames = self.maker.make(self.told, [], self.variant)
             self.maker.sent(frames)
             self.told_ns = self.now_ns
-            self.gate = Gate()
+            self.gate = Gate(may_release=True)
             for frame in frames:
                 self.by_loop.append(frame)
                 self.chassis.receive(frame, self.now_ns)

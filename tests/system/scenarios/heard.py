@@ -65,6 +65,10 @@ class Heard:
             self._lately.popleft()
         return max([self.speed_mps, *(speed_mps for _, speed_mps in self._lately)])
 
+    def is_unknown(self, now_s: float) -> bool:
+        """No body frame tells the mode."""
+        return now_s - self._body_s >= MODE_KNOWN_S
+
     def is_ours(self, now_s: float) -> bool:
         """The mode is known, and it is not that of the remote control."""
         return now_s - self._body_s < MODE_KNOWN_S and self.remote_s == NOT_YET_S

@@ -389,8 +389,8 @@ class Oracle:
             self._fail("speed_from_standby", now_s, f"{_brief(order)}, and the mode is remote or unknown")
         if self._heard.remote_s == NOT_YET_S:
             self._yields = 0
-        if now_s - self._heard.remote_s < 1.5 * TICK_S or self.is_damaged():
-            return
+        if now_s - self._heard.remote_s < 1.5 * TICK_S or self._heard.is_unknown(now_s) or self.is_damaged():
+            return  # A stop that is owed goes on while nobody knows who has the robot.
         self._yields += 1
         if self._yields > YIELDS:
             self._fail("talks_to_remote", now_s, f"burst {self._yields} since the remote control has the robot")

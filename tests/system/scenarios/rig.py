@@ -49,12 +49,21 @@ class Gateway:
     """
 
     def __init__(
-        self, settings: Settings, random: Random, *, keeps: bool, now_ns: int = 0, stopped_before: bool = False
+        self,
+        settings: Settings,
+        random: Random,
+        *,
+        keeps: bool,
+        now_ns: int = 0,
+        stopped_before: bool = False,
+        crashed: bool = False,
     ) -> None:
         self._settings = settings
         self._random = random
         self._run = random.getrandbits(48)
         self._core = Core(settings, "", now_ns, self._run)
+        if crashed:
+            self._core.note_crash(now_ns)
         if stopped_before:
             self._core.latch_guard_stop("the guard stopped the robot", now_ns)
         self._takes_challenge = "challenge" in signature(Core.tick).parameters

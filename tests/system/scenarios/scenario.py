@@ -289,6 +289,7 @@ DISTURBANCES: Final[dict[str, Callable[[Random], list[Act]]]] = {
     "motor dies": _motor_dies,
     "remote control unseen": _remote_unseen,
     "body away": _body_away,
+    "brake": _brake,
     "part of a burst": _part,
     "bumper": _touch,
     "losses": _losses,
@@ -398,7 +399,7 @@ def scenario(seed: int) -> Scenario:
             names.append(name)
             acts += [msgspec.structs.replace(act, at_s=at_s + act.at_s) for act in DISTURBANCES[name](random)]
     fails_s = random.uniform(2.5, SCRIPT_S) if kind == "guard" else 0.0
-    guard_dies = False
+    guard_dies = bool(fails_s) and random.random() < 0.25
     if kind in {"guard", "found"}:
         names.append(kind)
     return Scenario(
@@ -559,6 +560,7 @@ class Play:
             keeps=self._keeps,
             now_ns=rig.now_ns,
             stopped_before=any(guard.has_stopped for guard in rig.guards[-1:]),
+            crashed=True,
         )
         rig.succeed(self.gateway, Guard(self._settings.command))
         oracle.gateway_returns()

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+import msgspec
 import pytest
 
 from schemas.settings import CommandSettings
@@ -77,7 +78,7 @@ WAYS: Final = {
     },
     **{
         f"a brake with a grip of {grip}, creeping at {creep_mps}, in {name}": (slipping(grip, creep_mps, end), 0.3)
-        for name, end in (("auto-hold", Leg(9.0)),)
+        for name, end in (("a stop", Leg(9.0, verb="stop", streams=False)), ("auto-hold", Leg(9.0)))
         for grip, creep_mps in ((0.0, 0.0), (0.3, 0.0))
     },
 }
@@ -147,3 +148,12 @@ def test_the_brake_comes_through_where_bursts_go_out_in_part(most: int, lasts_s:
     it = Play(aimed(cut, Act(FAST_S + 0.02, "ask", "stop")), keeps=False)
     assert it.run().violations == []
     assert (it.plant.braked, it.plant.speed_mps) == (True, 0.0)
+
+
+@pytest.mark.parametrize("mps", [0.5, 1.5])
+def test_a_robot_that_nobody_commands_any_more_is_found_and_latched(mps: float) -> None:
+    """Gateway and guard died together, and only a gateway returns."""
+    plan = msgspec.structs.replace(
+        aimed(mps=mps), fails_s=FAST_S, hangs_s=FOREVER_S, guard_dies=True, returns_s=2.0
+    )
+    assert play(plan).violations == []

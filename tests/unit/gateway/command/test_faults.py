@@ -795,6 +795,21 @@ def test_the_first_robot_found_moving_after_a_crash_is_latched(*, crashed: bool)
         operator.reason("release")
 
 
+def test_a_robot_that_the_remote_control_drove_says_nothing_about_its_brake() -> None:
+    """Row 'a parking brake that does not hold': moved twice by the remote control, soon after a stop."""
+    rig, operator = driving(0.5)
+    operator.ask("disengage")
+    rig.run(4)
+    for _ in range(2):
+        rig.fault("transmitter remote")
+        rig.fault("sticks 0.8 0")
+        rig.run(2)
+        rig.fault("transmitter command")
+        rig.run(5)
+    assert rig.event_reasons(EventKind.STOP)[-1] is Reason.FOUND_MOVING
+    assert rig.says.latched == []
+
+
 AT_FULL_SPEED = CommandSettings(speed_limit_mps=2.222, travel_delay_m=3.0)
 ALL = ("all",)
 SPEEDS = ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback")

@@ -13,7 +13,7 @@ from gateway.chassis.frame import Frame
 from gateway.sim.model import VirtualChassis
 from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
-from schemas.messages import Mode, ParkingStatus, Variant
+from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import HOLD_NS, CommandSettings
 from tests.support.nights import by_night, every_pair
@@ -212,6 +212,68 @@ def test_a_brake_that_slips_gives_the_robot_back_to_its_motor(slope_deg: float, 
     assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
 
 
+@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
+@pytest.mark.parametrize("grip", [0.0, 0.3])
+def test_a_stop_behind_a_brake_that_slips_gives_the_robot_back_to_its_motor(slope_deg: float, grip: float) -> None:
+    """The same in a stop: it would roll away behind a brake that reads applied, and cuts the motor off."""
+    hill = Hill(slope_deg)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault(f"brake {grip}")
+    hill.operator.ask("stop")
+    hill.until(lambda: abs(hill.speed_mps) < 0.01)
+    stood_m = hill.chassis.state.x_m
+    hill.run(30)
+    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
+    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+    assert Reason.BRAKE_SLIPS in hill.says.latched
+
+
+@pytest.mark.parametrize("interruption", ["bus", "remote", "stop"])
+def test_a_robot_that_its_motor_holds_is_not_given_to_its_brake_again(interruption: str) -> None:
+    """Whatever interrupts that stop: the bus is lost, the remote control takes it, somebody asks for a stop."""
+    hill = Hill(-15.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault("brake 0.3")
+    hill.operator.drive(0.0, seconds=4.0)
+    assert hill.says.stop_phase is StopPhase.MOTOR
+    stood_m = hill.chassis.state.x_m
+    match interruption:
+        case "bus":
+            hill.links = msgspec.structs.replace(hill.links, bus_up=False, bus_losses=1)
+            hill.run(0.5)
+            hill.links = msgspec.structs.replace(hill.links, bus_up=True)
+        case "remote":
+            hill.fault("transmitter remote")
+            hill.run(1)
+            hill.fault("transmitter command")
+        case _:
+            hill.put("anyone", "stop", b"")
+    hill.run(6)
+    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
+    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+
+
+@pytest.mark.parametrize("what", ["stop", "disengage", "reverse"])
+@pytest.mark.parametrize("after_ms", [60, 100, 140, 180])
+def test_whatever_is_asked_while_the_brake_slips_the_motor_gets_the_robot_back(what: str, after_ms: int) -> None:
+    """Row 'a parking brake that does not hold': who sees it creep and presses STOP must not let it roll away."""
+    hill = Hill(-20.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault("brake 0.2")
+    hill.operator.drive(0.0)
+    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
+        hill.operator.drive(0.0)
+    stood_m = hill.chassis.state.x_m
+    hill.operator.drive(0.0, seconds=after_ms / 1e3)
+    if what == "reverse":
+        hill.operator.drive(-0.5, seconds=2.0)
+    else:
+        hill.operator.ask(what)
+    hill.run(6)
+    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
+    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+
+
 def test_a_robot_that_creeps_when_its_enables_are_gone_is_kept_in_gear() -> None:
     """Row 'a parking brake that does not hold': after the second return; by a reset it may try once more."""
     hill = Hill(-20.0)
@@ -226,7 +288,7 @@ def test_a_robot_that_creeps_when_its_enables_are_gone_is_kept_in_gear() -> None
     assert abs(hill.chassis.state.x_m - begun_m) < 0.5
     assert Reason.BRAKE_SLIPS in hill.says.latched
     assert (hill.says.state, hill.says.stop_phase) == (ArbiterState.STOPPING, StopPhase.HOLD)
-    hill.fault("brake 0.45")
+    hill.chassis.adopt(speed_mps=0.2, angle_deg=0.0, gear=GearPosition.DRIVE, parked=True)
     hill.run(0.5)
     hill.fault("brake 1")
     hill.operator.take_lease()

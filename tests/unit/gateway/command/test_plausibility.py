@@ -378,6 +378,13 @@ def test_what_may_be_another_fault_is_no_frozen_mileage(chassis: ChassisState) -
     assert Watched(1.0).found_after_ms(Reason.FEEDBACK_FROZEN, chassis, told(1.0)) is None
 
 
+def test_a_noisy_bit_of_a_standing_robot_is_no_way() -> None:
+    """A frozen mileage is one of a robot that drives: 0.04 m/s is what a coarse chassis at rest may read."""
+    watched = Watched()
+    for _ in range(8):
+        assert watched.found_after_ms(Reason.FEEDBACK_FROZEN, seen(0.04, total_mileage_km=1.5), told(0.0)) is None
+
+
 def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:
     """Metre by metre, and from zero again."""
     watched = Watched(1.0)

@@ -288,6 +288,27 @@ def test_a_robot_that_is_given_back_to_its_motor_is_braked_again_if_it_becomes_f
     assert stop.run(HELD, 60_000).enabled
 
 
+@pytest.mark.parametrize("may_release", [True, False])
+def test_a_stop_gives_a_robot_that_rolls_behind_its_brake_back_to_the_motor_that_stopped_it(
+    *, may_release: bool
+) -> None:
+    """Row 'a parking brake that reads applied and does not hold': once, if the motor brought it to rest."""
+    stop = Run()
+    stop.sequence = StopSequence(DRIVING, 2.0, 0, may_release=may_release)
+    stop.run(ms=1_000)
+    assert stop.sequence.phase is StopPhase.HOLD
+    assert stop.run(moving(0.3, is_braked=True), 50).parking
+    assert stop.run(moving(0.1, is_braked=True), 60).parking, "it slows down: the brake holds"
+    stop.run(HELD, 200)
+    assert stop.run(moving(0.1, is_braked=True), 100).parking
+    assert stop.run(moving(0.1, is_braked=True), 20).parking is not may_release
+    assert stop.sequence.stays is may_release
+    unseen = Run()
+    unseen.sequence = StopSequence(DRIVING, 2.0, 0, may_release=may_release)
+    unseen.run(BLIND, 1_000)
+    assert unseen.run(moving(0.1, is_braked=True), 1_000).parking
+
+
 def test_a_parking_brake_that_never_reads_applied_keeps_the_robot_in_gear() -> None:
     """Row 'neutral only behind an applied parking brake': the motor holds it, for ever; said after 3 s."""
     stop = Run()
