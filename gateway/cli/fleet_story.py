@@ -146,8 +146,10 @@ class FleetStory:
         for robot in (first, second):
             self._wait(f"{robot.name} waits for its operator", partial(_waits, robot))
         listed = self._machines.run("list", *self._as(VIEWER, "viewer"))
-        connected = [robot for robot in ROBOTS if f"{robot}  connected" in listed.text]
-        self.judge("the viewer lists robots", f"{', '.join(connected)} connected", connected == list(ROBOTS))
+        lines = listed.text.splitlines()
+        named = [robot for robot in ROBOTS if any(line.startswith(f"{robot} ") for line in lines)]
+        is_whole = named == list(ROBOTS) and listed.code == ExitCode.OK
+        self.judge("the viewer lists robots", f"{', '.join(named)}, none of them lost", is_whole)
 
     def _drive(self, stack: ExitStack, robot: Robot) -> Child:
         self._tell("\nthe operator drives, faster than was granted")

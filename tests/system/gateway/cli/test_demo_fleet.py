@@ -17,7 +17,7 @@ pytestmark = pytest.mark.timeout(TIMEOUT_S)
 
 SEEN = {
     "keys": "0 readable for others",
-    "the viewer lists robots": "cruiser-1, cruiser-2 connected",
+    "the viewer lists robots": "cruiser-1, cruiser-2, none of them lost",
     "the viewer asks why": "ann holds the lease",
     "an intruder without TLS": "refused",
     "an intruder without a certificate": "refused",
