@@ -203,6 +203,9 @@ FROZEN_STANDING_COMMAND_MPS: Final = 0.1
 FROZEN_STANDING_KM: Final = 0.002
 """The mileage has counted by this: 2 m."""
 
+FROZEN_STILL_NS: Final = 200_000_000
+"""Time for which one of these must hold, 200 ms: wheel speeds come every 50 ms."""
+
 FOLLOWING_MPS: Final = 0.5
 """The commanded speed rises while it is no more than this above the greatest one seen."""
 

@@ -23,6 +23,7 @@ from schemas.settings import (
     FROZEN_NS,
     FROZEN_STANDING_COMMAND_MPS,
     FROZEN_STANDING_KM,
+    FROZEN_STILL_NS,
     GATHERING_MPS,
     IMPLAUSIBLE_MPS,
     IMPLAUSIBLE_NS,
@@ -127,6 +128,7 @@ class Stillness:
         self._lowest_mps: tuple[float, ...]
         self._highest_mps: tuple[float, ...]
         self._lowest_mps = self._highest_mps = (lagging_mps, lagging_mps)
+        self._commanded_mps = 0.0
         self._mileage_km: float | None = None
 
     def look(self, chassis: ChassisState, told: Actuation, lagging_mps: float, now_ns: int) -> None:
@@ -139,16 +141,17 @@ class Stillness:
             self._lowest_mps = self._highest_mps = commanded_mps
         self._lowest_mps = tuple(map(min, self._lowest_mps, commanded_mps))
         self._highest_mps = tuple(map(max, self._highest_mps, commanded_mps))
+        self._commanded_mps = min(told.speed_mps, abs(lagging_mps))
         mileage_km = chassis.total_mileage_km
         is_cleared = mileage_km is None or self._mileage_km is None or mileage_km < self._mileage_km
-        if is_cleared or not chassis.reads_zero or told.speed_mps <= FROZEN_STANDING_COMMAND_MPS:
+        if is_cleared or not chassis.reads_zero or self._commanded_mps <= FROZEN_STANDING_COMMAND_MPS:
             self._mileage_km = mileage_km
 
-    def frozen(self, chassis: ChassisState, told: Actuation, now_ns: int) -> str:
+    def frozen(self, chassis: ChassisState, now_ns: int) -> str:
         """Return what contradicts the speeds, in words; empty if nothing does."""
         if chassis.reads_zero:
             # At rest every reading is the same: only what else moves shows that they are frozen.
-            if told.speed_mps <= FROZEN_STANDING_COMMAND_MPS:
+            if self._commanded_mps <= FROZEN_STANDING_COMMAND_MPS:
                 return ""
             counted_km = (chassis.total_mileage_km or 0.0) - (self._mileage_km or 0.0)
             if chassis.pulses:
@@ -205,8 +208,7 @@ class Plausibility:
         self._count_way(chassis, elapsed_s)
         self._stillness.look(chassis, told, self._envelope.lagging_mps, now_ns)
         frozen = f"the mileage, for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
-        if is_engaged:
-            frozen = frozen or self._stillness.frozen(chassis, told, now_ns)
+        still = self._stillness.frozen(chassis, now_ns) if is_engaged else ""
         runs = self._runaway(chassis, now_ns)
         too_fast = Reason.OVERSPEED if self._overspeed(chassis, limit_mps) else Reason.IMPLAUSIBLE_SPEED
         found = (
@@ -217,6 +219,7 @@ class Plausibility:
             ("overspeed", Reason.OVERSPEED, OVERSPEED_NS, self._overspeed(chassis, limit_mps)),
             ("steering", Reason.STEERING, STEERING_DEVIATION_NS, self._deviation(chassis)),
             ("frozen", Reason.FEEDBACK_FROZEN, 0, frozen),
+            ("still", Reason.FEEDBACK_FROZEN, FROZEN_STILL_NS, still),
             ("blocked", Reason.NOT_MOVING, NOT_MOVING_NS, self._not_moving(chassis, told) if is_engaged else ""),
         )
         lasting = {

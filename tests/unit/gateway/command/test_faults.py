@@ -893,6 +893,20 @@ def test_a_weak_motor_and_a_slope_are_no_fault(strength: float, slope_deg: float
     assert (rig.says.engaged, rig.says.latched) == (True, [])
 
 
+@pytest.mark.parametrize("acceleration_mps2", [0.4, 0.8, 1.5])
+@pytest.mark.parametrize("creep_mps", [0.04, 0.05, 0.07])
+@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
+def test_a_robot_that_creeps_and_is_then_driven_off_is_not_frozen(
+    creep_mps: float, acceleration_mps2: float, variant: Variant
+) -> None:
+    """Row 'frozen feedback': at one coarse bit the speeds read zero, and the pulses count rightly."""
+    rig, operator = ready(variant, CommandSettings(acceleration_mps2=acceleration_mps2))
+    operator.engage()
+    operator.drive(creep_mps, seconds=2)
+    operator.drive(0.8, seconds=3)
+    assert (rig.says.latched, rig.says.engaged) == ([], True)
+
+
 def test_a_robot_stands_only_if_its_feedback_has_answered() -> None:
     """Row '"the robot stands"': speeds that read zero since before a speed was told prove nothing."""
     rig, operator = ready(command=AT_FULL_SPEED)
