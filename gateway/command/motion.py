@@ -130,8 +130,9 @@ class MotionProfile:
         """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""
         if self.held_ticks or (not self.parking and self._stood_ticks > AUTO_HOLD_TICKS):
             self.held_ticks += 1
-        if constraints.parked or self._stood_ticks > AUTO_HOLD_TICKS:
-            self.parking = True
+        if not self.parking and (constraints.parked or self._stood_ticks > AUTO_HOLD_TICKS):
+            # What follows waits until this brake is seen to hold.
+            self.parking, self._gear_ticks = True, 0
         if self.parking:
             self.speed_mps = 0.0
         return 0.0

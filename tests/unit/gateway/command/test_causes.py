@@ -47,6 +47,7 @@ def test_what_latches_is_what_the_table_says() -> None:
         Reason.OVERSPEED,
         Reason.STEERING,
         Reason.NOT_MOVING,
+        Reason.BRAKE_SLIPS,
         Reason.FEEDBACK_FROZEN,
         Reason.GATE,
         Reason.GUARD,

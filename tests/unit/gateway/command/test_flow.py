@@ -8,7 +8,7 @@ from gateway.command.gate import GateFault
 from gateway.command.request import RawRequest
 from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Decision, Reply, SafetyState, StopPhase
-from schemas.messages import Mode, Variant
+from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import MUTE_FAILURES, YIELD_BURSTS, CommandSettings, Settings
 from tests.support.frames import CHALLENGE
@@ -184,10 +184,11 @@ def test_a_ramp_goes_on_where_the_bus_takes_the_speed_and_little_more() -> None:
     rig.tick(70)
     assert rig.heard[begun:] == sorted(rig.heard[begun:], reverse=True)
     assert rig.heard[-1] == 0
-    assert flow(rig).arbiter.output.stop_phase is StopPhase.RAMP, "the brake was not heard yet"
+    assert flow(rig).arbiter.output.stop_phase is StopPhase.PARK
+    assert rig.chassis.state.parking_status is not ParkingStatus.APPLIED, "the brake was not heard yet"
     rig.takes = None
-    rig.tick()
-    assert flow(rig).arbiter.output.stop_phase is StopPhase.BRAKE
+    rig.run(0.1)
+    assert flow(rig).arbiter.output.stop_phase is StopPhase.HOLD
 
 
 def test_after_a_silence_the_gate_begins_anew() -> None:
