@@ -714,8 +714,8 @@ class Oracle:
             self._stop_record = None
             # One that was given back and stands in mode stop is told nothing, and one whose mode frame is frozen.
             is_ours = self._mode(plant) is not None and (plant.mode == AUTO or self._order_s >= began_s)
-            # Where the brake does not hold, only the metres count.
-            if not plant.brake_holds:
+            # Where the brake does not hold, or did not a moment ago, the motor may hold it: only the metres count.
+            if not plant.brake_holds or "brake_slips" in self._latched:
                 return
             if abs(plant.speed_mps) > 0.02 or (is_ours and not plant.braked):
                 how = "braked" if plant.braked else "not braked"
