@@ -88,7 +88,7 @@ def test_make_installs_nothing_that_has_no_hash() -> None:
     assert variables["PINNED"].startswith("$(PIP) --require-hashes --only-binary :all: ")
     assert "--no-deps --no-build-isolation" in variables["PROJECT"]
     recipes = [line for line in makefile.splitlines() if "install" in line and line.startswith("\t")]
-    assert re.search("^NPM_INSTALL := npm install --ignore-scripts ", makefile, flags=re.MULTILINE)
+    assert re.search("^NPM_INSTALL := npm ci --ignore-scripts ", makefile, flags=re.MULTILINE)
     # Of a version of a Go module everybody gets the same: Go asks its public log of checksums.
     is_known = re.compile(r"apt-get|\$\(CARGO\) install --locked|go install [^ ]+@v[0-9.]+$")
     others = [line for line in recipes if not is_known.search(line)]

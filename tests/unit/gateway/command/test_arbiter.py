@@ -729,5 +729,5 @@ def test_a_speed_is_judged_as_its_frames_say_it(asked_mps: float, *, is_stopped:
     bench = engaged()
     bench.drive_for(60, asked_mps)
     bench.changes = {"speed_mps": 0.04, "wheel_speed_mps": 0.04, "fastest_wheel_mps": 0.04, "pulses": 1}
-    bench.drive_for(10, asked_mps)
+    bench.drive_for(60, asked_mps)
     assert (bench.arbiter.engagement.stop_reason is Reason.FEEDBACK_FROZEN) is is_stopped
