@@ -55,7 +55,7 @@ class MotionProfile:
         angle_deg: left is positive.
         gear: neutral until the first gear is wanted.
         parking: the parking brake is asked for.
-        held_ticks: ticks since a robot that stood by its motor got its parking brake by itself; 0 if it did not.
+        held_ticks: ticks since a robot that stood by its motor got its parking brake; 0 if it did not.
         bounds: the limits that changed what was asked in the last tick.
     """
 
@@ -128,11 +128,10 @@ class MotionProfile:
 
     def _stand(self, constraints: MotionConstraints) -> float:
         """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""
-        if self.held_ticks or (not self.parking and self._stood_ticks > AUTO_HOLD_TICKS):
-            self.held_ticks += 1
+        self.held_ticks += self.held_ticks > 0
         if not self.parking and (constraints.parked or self._stood_ticks > AUTO_HOLD_TICKS):
             # What follows waits until this brake is seen to hold.
-            self.parking, self._gear_ticks = True, 0
+            self.parking, self._gear_ticks, self.held_ticks = True, 0, int(constraints.stands)
         if self.parking:
             self.speed_mps = 0.0
         return 0.0
@@ -161,7 +160,7 @@ class MotionProfile:
         """One step on the way to another gear: standstill, parking brake, neutral, gear."""
         if not self.parking:
             self.parking = self.speed_mps == 0 and constraints.stands
-            self._gear_ticks = 0
+            self._gear_ticks, self.held_ticks = 0, int(self.parking)
         elif constraints.stands and constraints.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
             self.held_ticks = 0
             self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL

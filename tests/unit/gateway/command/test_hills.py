@@ -274,6 +274,20 @@ def test_whatever_is_asked_while_the_brake_slips_the_motor_gets_the_robot_back(w
     assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
 
 
+@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
+def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(slope_deg: float) -> None:
+    """The same where the brake is applied to change the gear, before the robot has stood for a second."""
+    hill = Hill(slope_deg)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault("brake 0.2")
+    hill.operator.drive(0.0, seconds=0.7)
+    stood_m = hill.chassis.state.x_m
+    hill.operator.drive(-0.5, seconds=2.0)
+    hill.run(4)
+    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
+    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+
+
 def test_a_robot_that_creeps_when_its_enables_are_gone_is_kept_in_gear() -> None:
     """Row 'a parking brake that does not hold': after the second return; by a reset it may try once more."""
     hill = Hill(-20.0)
