@@ -210,7 +210,7 @@ class Arbiter:
             self.engagement.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
 
     def _slips(self, now_ns: int) -> bool:
-        """The robot stood by its motor, and began to roll once its parking brake was applied by itself."""
+        """Return True if the robot stood by its motor, and began to roll once its parking brake was applied."""
         held_ns = self.output.motion.held_ticks * TICK_NS
         return held_ns > 0 and held_ns - self.monitor.plausibility.rolling_ns(now_ns) <= SLIPS_NS
 

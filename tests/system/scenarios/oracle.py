@@ -488,6 +488,8 @@ class Oracle:
     def gateway_returns(self) -> None:
         """Another gateway begins. It knows of no bumper that was acknowledged, and of no latch but the guard's."""
         self._latched, self._acknowledged = [], False
+        # Its lamps may be told only later: the counters that were sent before are none of its own.
+        self._counters.clear()
 
     def line(self, now_s: float) -> str:
         """What is asked, told and true now, for a person."""
