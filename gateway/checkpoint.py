@@ -1,14 +1,13 @@
 """The whole state of the core as plain values, and back into a new core. Pure.
 
-A checkpoint names classes and attributes, and holds their values: numbers, texts, bytes, enumerations, containers,
-and the product's own objects. What a core is made with and never changes, such as decoders, layouts and functions,
-is left out: a new core of the same settings has it. Nothing in a checkpoint is code, and no class that does
-anything outside can be named in it.
+A checkpoint names classes and attributes, by the names of ``gateway.checkpoint_classes``, and holds their values:
+numbers, texts, bytes, enumerations, containers, and the product's own objects. What a core is made with and never
+changes, such as decoders, layouts and functions, is left out: a new core of the same settings has it. Nothing in a
+checkpoint is code, and no class outside of that table can be made from it.
 """
 
 from __future__ import annotations
 
-import sys
 from collections import Counter, OrderedDict, deque
 from enum import Enum
 from random import Random
@@ -16,12 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.chassis.decode import MessageDecoder
-from gateway.chassis.encode import Encoder
-from gateway.chassis.layout import MessageLayout
-from gateway.journal import JournalWriter
-from schemas.settings import CommandSettings
-from schemas.subjects import Subject
+from gateway.checkpoint_classes import CLASSES, RENAMED
 
 Tree = Any
 """A plain value, or a list: the kind, and what belongs to it."""
@@ -31,12 +25,6 @@ _PLAIN: Final = (bool, int, float, str, bytes, type(None))
 _CONTAINERS: Final[dict[str, type]] = {
     one.__name__: one for one in (list, tuple, set, frozenset, dict, Counter, OrderedDict, deque)
 }
-
-_MADE_WITH: Final = (CommandSettings, Encoder, JournalWriter, MessageDecoder, MessageLayout, Subject)
-"""Classes whose objects a core is made with; caches, and the journal itself, are among them."""
-
-_HOMES: Final = ("gateway.chassis.", "gateway.command.", "gateway.core", "gateway.telemetry.", "schemas.")
-"""The modules whose classes a checkpoint names."""
 
 _OBJECT, _STRUCT, _ENUM, _RANDOM, _SEEN, _CONSTANT, _VALUE = (
     "object",
@@ -48,6 +36,12 @@ _OBJECT, _STRUCT, _ENUM, _RANDOM, _SEEN, _CONSTANT, _VALUE = (
     "value",
 )
 
+_ROOT: Final = "Core"
+"""The alias of the whole, which stands in no table: its class imports this module."""
+
+BEGINS: Final = msgspec.msgpack.encode([_OBJECT, None, None])[:-2]
+"""Every checkpoint begins so."""
+
 
 class CheckpointError(ValueError):
     """A checkpoint that is damaged, or of a version whose core holds other things."""
@@ -55,7 +49,7 @@ class CheckpointError(ValueError):
 
 def checkpoint(root: object) -> Tree:
     """Return the whole state of an object and of all behind it: plain values that share nothing with it."""
-    return _Taking().take(root)
+    return _Taking(root).take_object(root, _OBJECT, _ROOT)
 
 
 def resume(root: object, state: bytes) -> None:
@@ -69,20 +63,23 @@ def resume(root: object, state: bytes) -> None:
         CheckpointError: it does not fit. The object is of no use any more.
     """
     try:
-        resumed = _Restoring().restore(msgspec.msgpack.decode(state), root)
+        _Restoring().restore_root(msgspec.msgpack.decode(state), root)
     except CheckpointError:
         raise
     except (TypeError, ValueError, AttributeError, LookupError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"a checkpoint that does not fit: {error!r}"[:300]) from error
-    if resumed is not root:
-        raise CheckpointError(f"a checkpoint of no {type(root).__name__}")
 
 
 class _Taking:
     """One pass over everything. What can change is numbered; where it is met again, its number stands."""
 
-    def __init__(self) -> None:
-        self._numbers: dict[int, int] = {}
+    def __init__(self, root: object) -> None:
+        self._numbers = {id(root): 0}
+
+    def take_object(self, value: Any, tag: str, alias: str) -> Tree:  # noqa: ANN401 - of any kind
+        names = type(value).__struct_fields__ if tag == _STRUCT else _names(value)
+        renamed = RENAMED.get(alias, {})
+        return [tag, alias, {renamed.get(name, name): self.take(getattr(value, name)) for name in names}]
 
     def take(self, value: Any) -> Tree:  # noqa: ANN401 - of any kind
         kind = type(value)
@@ -90,7 +87,7 @@ class _Taking:
         if tag == _VALUE:
             return value
         if tag == _ENUM:
-            return [_ENUM, _name(kind), value.value]
+            return [_ENUM, _ALIASES[kind], value.value]
         if tag == _CONSTANT:
             return [_CONSTANT]
         if not _is_immutable(kind):
@@ -99,8 +96,7 @@ class _Taking:
                 return [_SEEN, number]
             self._numbers[id(value)] = len(self._numbers)
         if tag in {_OBJECT, _STRUCT}:
-            names = kind.__struct_fields__ if tag == _STRUCT else _names(value)
-            return [tag, _name(kind), {name: self.take(getattr(value, name)) for name in names}]
+            return self.take_object(value, tag, _ALIASES[kind])
         if tag == _RANDOM:
             version, words, gauss = value.getstate()
             return [_RANDOM, version, list(words), gauss]
@@ -122,6 +118,12 @@ class _Restoring:
         self._seen: list[Any] = []
         self._used: set[int] = set()
 
+    def restore_root(self, state: Tree, root: object) -> None:
+        tag, name, stored = state
+        if (tag, _alias(name)) != (_OBJECT, _ROOT):
+            raise CheckpointError(f"a checkpoint of no {_ROOT}")
+        self._object(type(root), _ROOT, stored, root)
+
     def restore(self, kept: Tree, new: Any) -> Any:  # noqa: ANN401 - of any kind
         """Return what the checkpoint holds: the new object itself, changed, where it is of that kind."""
         if not isinstance(kept, list):
@@ -138,9 +140,9 @@ class _Restoring:
             new = None
         self._used.add(id(new))
         if tag == _OBJECT:
-            return self._object(_class(contents[0], object), contents[1], new)
+            return self._object(_class(contents[0], object), contents[0], contents[1], new)
         if tag == _STRUCT:
-            return self._struct(_class(contents[0], msgspec.Struct), contents[1], new)
+            return self._struct(_class(contents[0], msgspec.Struct), contents[0], contents[1], new)
         if tag == _RANDOM:
             made = Random()  # noqa: S311 - tells runs apart; it keeps no secret
             version, words, gauss = contents
@@ -150,24 +152,28 @@ class _Restoring:
         kind = _CONTAINERS[tag]
         return self._dict(kind, contents[0], new) if issubclass(kind, dict) else self._items(kind, contents, new)
 
-    def _object(self, kind: type, kept: dict[str, Tree], new: object) -> object:
+    def _object(self, kind: type, name: str, stored: dict[str, Tree], new: object) -> object:
+        kept = _as_named_now(name, stored)
         if new is not None and (type(new) is not kind or kept.keys() != set(_names(new))):
             raise CheckpointError(f"{type(new).__name__} holds other things in this version")
         made = object.__new__(kind) if new is None else new
         self._seen.append(made)
-        for name, tree in kept.items():
-            if name.startswith("__") or callable(getattr(kind, name, None)):
-                raise CheckpointError(f"{kind.__name__} keeps nothing in {name!r}")
-            setattr(made, name, self.restore(tree, getattr(made, name, None)))
+        for own, tree in kept.items():
+            if own.startswith("__") or callable(getattr(kind, own, None)):
+                raise CheckpointError(f"{kind.__name__} keeps nothing in {own!r}")
+            setattr(made, own, self.restore(tree, getattr(made, own, None)))
         return made
 
-    def _struct(self, kind: type[msgspec.Struct], kept: dict[str, Tree], new: object) -> msgspec.Struct:
+    def _struct(
+        self, kind: type[msgspec.Struct], name: str, stored: dict[str, Tree], new: object
+    ) -> msgspec.Struct:
+        kept = _as_named_now(name, stored)
         place = len(self._seen)
         if not _is_immutable(kind):
             self._seen.append(None)
         if kept.keys() != set(kind.__struct_fields__):
             raise CheckpointError(f"{kind.__name__} holds other things in this version")
-        made = kind(**{name: self.restore(tree, getattr(new, name, None)) for name, tree in kept.items()})
+        made = kind(**{own: self.restore(tree, getattr(new, own, None)) for own, tree in kept.items()})
         if not _is_immutable(kind):
             self._seen[place] = made
         return made
@@ -197,6 +203,8 @@ class _Restoring:
         return made
 
 
+_ALIASES: Final = {kind: alias for alias, kind in CLASSES.items()}
+
 _TAGS: Final[dict[type, str]] = {}
 
 
@@ -211,14 +219,14 @@ def _tag(kind: type) -> str:
 def _tag_of(kind: type) -> str:
     if kind in _PLAIN:
         return _VALUE
-    if issubclass(kind, Enum):
-        return _ENUM
     if kind is Random:
         return _RANDOM
     if kind in _CONTAINERS.values():
         return kind.__name__
-    if issubclass(kind, _MADE_WITH) or not kind.__module__.startswith(_HOMES):
+    if kind not in _ALIASES:
         return _CONSTANT
+    if issubclass(kind, Enum):
+        return _ENUM
     return _STRUCT if issubclass(kind, msgspec.Struct) else _OBJECT
 
 
@@ -232,14 +240,20 @@ def _names(value: object) -> list[str]:
     return [*getattr(value, "__dict__", ()), *(name for name in slots if hasattr(value, name))]
 
 
-def _name(kind: type) -> str:
-    return f"{kind.__module__}:{kind.__qualname__}"
+def _alias(name: str) -> str:
+    """The alias in a name of a checkpoint: the whole, or in logs of before what follows ``module:``."""
+    return name.rpartition(":")[2]
 
 
 def _class(name: str, base: type) -> Any:  # noqa: ANN401 - a class
-    """The class of this name; its module must have been imported, as the core's are."""
-    module, _, own = name.partition(":")
-    found = getattr(sys.modules.get(module), own, None) if module.startswith(_HOMES) else None
-    if not isinstance(found, type) or not issubclass(found, base) or _name(found) != name:
+    """The class of this name in a checkpoint."""
+    found = CLASSES.get(_alias(name))
+    if found is None or not issubclass(found, base):
         raise CheckpointError(f"no class {name} is known")
     return found
+
+
+def _as_named_now(name: str, stored: dict[str, Tree]) -> dict[str, Tree]:
+    """Attributes of an object in a checkpoint, by their names in the code."""
+    own = {old: new for new, old in RENAMED.get(_alias(name), {}).items()}
+    return {own.get(one, one): tree for one, tree in stored.items()}

@@ -37,6 +37,6 @@ class Kind(IntEnum):
     horn]: the gateway has started again by itself, with renewed files: see ``gateway.command.carried``"""
     CHECKPOINT = 12
     """wall_ns, state: nothing is given to the core. All of its state, as MessagePack, once a minute whatever the
-    robot does, so that from here on a run can be run again by the same version: see ``gateway.checkpoint``"""
+    robot does, so that from here on a version of the same state can run it again: see ``gateway.checkpoint``"""
     CRASHED = 13
     """the gateway before this one did not end in order"""

@@ -10,7 +10,7 @@ from typing import Any, Final
 import msgspec
 
 from gateway.chassis.frame import Frame
-from gateway.checkpoint import CheckpointError
+from gateway.checkpoint import BEGINS, CheckpointError
 from gateway.command.carried import Carried
 from gateway.command.request import Credentials, RawRequest
 from gateway.command.snapshot import Snapshot
@@ -149,9 +149,6 @@ def _fits(state: bytes) -> bool:
 _REST_BEGINS: Final = msgspec.msgpack.encode([Kind.REST.value, *range(3 + len(LINKS))])[:2]
 """A place of rest is an array that begins so."""
 
-_STATE_NAMES: Final = f"{Core.__module__}:{Core.__qualname__}".encode()
-"""A checkpoint has this in it."""
-
 
 def places(journal: Journal) -> list[int]:
     """Return the times in a journal message from which a run can be run again: ns since 1970, by its clock.
@@ -161,7 +158,7 @@ def places(journal: Journal) -> list[int]:
     """
     # Most hold none, and looking through their inputs takes much longer.
     raw = journal.inputs
-    if journal.rules != COMMAND_RULES or (_REST_BEGINS not in raw and _STATE_NAMES not in raw):
+    if journal.rules != COMMAND_RULES or (_REST_BEGINS not in raw and BEGINS not in raw):
         return []
     inputs = inputs_of(journal)
     # The tick in which it was at rest is the next input, and tells the time of day.

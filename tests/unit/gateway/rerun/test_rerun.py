@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.chassis.frame import Frame
+from gateway.checkpoint import BEGINS
 from gateway.core import Core
 from gateway.journal import BrokenJournalError, JournalGapError, read
 from gateway.rerun import rerun as module
@@ -240,7 +241,7 @@ def test_not_every_checkpoint_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each attempt takes milliseconds, and a journal of a megabyte could hold a hundred thousand."""
     tried: list[bytes] = []
     monkeypatch.setattr(module, "_fits", tried.append)
-    journal = made_up(5, *[(Kind.CHECKPOINT, 0, 0, module._STATE_NAMES)] * 1000)
+    journal = made_up(5, *[(Kind.CHECKPOINT, 0, 0, BEGINS)] * 1000)
     assert run_of([journal]) is None
     assert len(tried) == module.CHECKPOINTS_TRIED
     tried.clear()

@@ -156,7 +156,7 @@ def test_checkpoints_of_another_version_are_counted_as_not_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the reason."""
-    monkeypatch.setattr(checkpoint_module, "_HOMES", ("gateway.elsewhere",))
+    monkeypatch.setattr(checkpoint_module, "CLASSES", {})
     summary = regress(tmp_path / NAME, _from(driven().wall_ns - 6 * SECOND)).summary
     assert summary.run == 0
     assert any(NO_PLACE in reason for reason in summary.not_run)
