@@ -1,0 +1,208 @@
+"""Golden logs, and the facts that ``cruiser review`` answers about them.
+
+``python -m tests.support.golden_logs`` writes all answers again; ``--compare`` prints what differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import difflib
+import hashlib
+import io
+import json
+import lzma
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gateway.cli.main import main
+from schemas.command_rules import COMMAND_RULES
+
+DIRECTORY: Final = Path(__file__).parents[1] / "data" / "golden"
+LOGS: Final = sorted(path.name for path in DIRECTORY.iterdir() if path.is_dir())
+
+MOST_BYTES: Final = 150_000
+"""Of a stored file of a log."""
+
+DIGITS: Final = 9
+"""So many digits of a figure count: the last ones hang on the order of a sum."""
+
+LINE: Final = 110
+
+AUTHORITY: Final = "authority.json"
+DAMAGED: Final = "damaged"
+"""So begin the names of the logs that are recovered too."""
+
+PROSE: Final = frozenset({"headline", "time", "detail", "cause", "changes"})
+"""Words for people, each beside a fact that is kept."""
+
+OWN: Final = frozenset({"version", "metadata"})
+"""Of the version that answers, or told once more elsewhere in the same answer."""
+
+
+def unpack(name: str, directory: Path) -> list[str]:
+    """Write the files of a log as they were; returns the names of the logs among them."""
+    for path in (DIRECTORY / name).glob("*.xz"):
+        (directory / path.stem).write_bytes(lzma.decompress(path.read_bytes()))
+    return sorted(path.name for path in directory.glob("*.mcap*"))
+
+
+def facts(value: Any) -> Any:  # noqa: ANN401 - JSON
+    """Keep of an answer what is no prose, and not empty."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, list):
+        return [facts(one) for one in value]
+    if not isinstance(value, dict):
+        return value
+    said = PROSE | OWN | ({"text"} if value.get("data") or value.get("reason", "none") != "none" else set())
+    kept = {key: facts(one) for key, one in value.items() if key not in said}
+    return {key: one for key, one in kept.items() if one is not None and one not in ("", [], {})}
+
+
+def ask(*words: str) -> tuple[int, list[Any]]:
+    """Ask in the present directory; exit code, and the objects of the answer."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        code = main(["review", words[0], "--json", *words[1:]])
+    return code, [json.loads(line) for line in said.getvalue().splitlines()]
+
+
+def answered(question: str, *words: str) -> dict[str, Any]:
+    """The facts of an answer."""
+    code, said = ask(question, *words)
+    return {"exit_code": code, "answer": facts(said)}
+
+
+def rerun(*logs: str) -> dict[str, Any]:
+    """What came of the runs; of one under other rules, whose decisions come out otherwise, what was run alone."""
+    code, runs = ask("rerun", *logs)
+    others = [run for run in runs if run["rules"] != COMMAND_RULES]
+    kept = ("robot", "run", "first", "inputs", "rules")
+    said = [facts({key: run[key] for key in kept} if run in others else run) for run in runs]
+    return {"exit_code": "other rules" if others else code, "answer": said}
+
+
+def verify(*logs: str) -> dict[str, Any]:
+    """By the authority that is stored beside the logs, if one is."""
+    authority = ["--authority", AUTHORITY] if Path(AUTHORITY).exists() else []
+    return answered("verify", *authority, *logs)
+
+
+def digest(values: list[Any]) -> str:
+    """A short hash of a column's values, which hangs on no library's version."""
+    text = json.dumps(values, default=bytes.hex, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def plain(table: pa.Table) -> pa.Table:
+    """The table with times as whole nanoseconds."""
+    for place, field in enumerate(table.schema):
+        if pa.types.is_timestamp(field.type):
+            table = table.set_column(place, field.name, table[place].cast("int64"))
+    return table
+
+
+def export(*logs: str) -> dict[str, Any]:
+    """Of each table the rows, and a hash of each column; the raw frames as candump log, likewise."""
+    code, said = ask("export", "-o", "tables", *logs)
+    if not said:
+        return {"exit_code": code}
+    found: dict[str, list[dict[str, Any]]] = {}
+    for file in sorted(said[0]["files"], key=lambda one: str(one["path"])):
+        rows = plain(pq.read_table(Path("tables", file["path"]), partitioning=None)).to_pylist()
+        found.setdefault(file["topic"], []).extend(rows)
+    tables = {}
+    for topic, rows in found.items():
+        rows.sort(key=lambda row: (row["log_time"], row["sequence"]))
+        values = {name: [row.get(name) for row in rows] for name in rows[0]}
+        columns = {
+            name: digest(column) for name, column in values.items() if any(one is not None for one in column)
+        }
+        tables[topic] = {"rows": len(rows), "columns": columns}
+    inputs = [{"path": one["path"], "rows": one["rows"], "repeats": one["repeats"]} for one in said[0]["inputs"]]
+    ask("export", "--format", "candump", "-o", "frames", *logs)
+    frames = {
+        path.name: [len(lines := path.read_bytes().splitlines()), hashlib.sha256(b"\n".join(lines)).hexdigest()]
+        for path in sorted(Path("frames").glob("*.log"))
+    }
+    return {"exit_code": code, "inputs": inputs, "tables": tables, "frames": frames}
+
+
+def recover(*logs: str) -> dict[str, Any]:
+    """What is made whole of logs that are not, and what that holds; it changes the files."""
+    said = answered("recover", *logs)
+    files = sorted(path.name for path in Path().iterdir())
+    return {**said, "files": files, "info": answered("info", *(name for name in files if name.endswith(".mcap")))}
+
+
+QUESTIONS: Final[dict[str, Callable[..., dict[str, Any]]]] = {
+    **{name: partial(answered, name) for name in ("info", "check", "events", "why", "report")},
+    "rerun": rerun,
+    "verify": verify,
+    "export": export,
+    "recover": recover,
+}
+
+
+def asked(name: str) -> list[str]:
+    """The questions that a log is asked: what is whole needs no recovery."""
+    return [question for question in QUESTIONS if question != "recover" or name.startswith(DAMAGED)]
+
+
+def pretty(value: Any, indent: str = "\n") -> str:  # noqa: ANN401 - JSON
+    """JSON with sorted keys, in which what fits on a line stands on one."""
+    line = json.dumps(value, sort_keys=True)
+    if len(indent + line) <= LINE or not isinstance(value, dict | list):
+        return line
+    deeper = f"{indent} "
+    if isinstance(value, list):
+        return f"[{deeper}{f',{deeper}'.join(pretty(one, deeper) for one in value)}{indent}]"
+    rows = [f"{json.dumps(key)}: {pretty(one, deeper)}" for key, one in sorted(value.items())]
+    return f"{{{deeper}{f',{deeper}'.join(rows)}{indent}}}"
+
+
+def answer(name: str, question: str) -> str:
+    """Ask a question about a log, in a directory of its own."""
+    with TemporaryDirectory() as directory, contextlib.chdir(directory):
+        return pretty(QUESTIONS[question](*unpack(name, Path()))) + "\n"
+
+
+def stored(name: str, question: str) -> Path:
+    """Where the answer is stored."""
+    return DIRECTORY / name / f"{question}.json"
+
+
+def difference(name: str, question: str) -> str:
+    """The lines in which the answer differs from the stored one, with some around them."""
+    before = stored(name, question).read_text(encoding="utf-8").splitlines()
+    now = answer(name, question).splitlines()
+    return "\n".join(difflib.unified_diff(before, now, f"{name}/{question}: stored", "now", n=4, lineterm=""))
+
+
+def command() -> int:
+    """Write the answers about these logs, or all; with ``--compare`` print what differs, and change nothing."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("logs", nargs="*", default=LOGS)
+    parser.add_argument("--compare", action="store_true")
+    arguments = parser.parse_args()
+    found = ""
+    for log in arguments.logs:
+        for question in asked(log):
+            if arguments.compare:
+                found += difference(log, question)
+            else:
+                stored(log, question).write_text(answer(log, question), encoding="utf-8")
+    sys.stdout.write(found)
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(command())
