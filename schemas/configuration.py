@@ -5,6 +5,7 @@ Whatever is wrong is one line that names the key, where it stands, and the neare
 
 from __future__ import annotations
 
+import logging
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,7 @@ import msgspec
 from msgspec import inspect
 
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.gone import gone_setting
 from schemas.printable import plain
 from schemas.setting_table import CONFIG_VARIABLE, GIVEN, SECTIONS, SETTINGS, VARIABLE_PREFIX, Setting
 from schemas.settings import NEEDED_FEEDBACK, Settings
@@ -26,10 +28,6 @@ _FLAG_WORDS: Final = {
 }
 _SHOWN_LENGTH: Final = 60
 """An error shows at most this many characters of a value."""
-
-
-REMOVED: Final = frozenset({"command.brake_pedal_percent"})
-"""Settings of earlier versions, which their logs hold."""
 
 
 NO_GATEWAYS: Final = frozenset({"desk", "upload"})
@@ -130,21 +128,32 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
 
     for section, table in document.items():
         if section not in SECTIONS:
-            raise _wrong(f"{where(section)}: there is no table {plain(section)!r}{_nearest(section, SECTIONS)}")
+            near = _nearest(section, SECTIONS)
+            _pass_gone(toml, where(section), section, f"there is no table {plain(section)!r}{near}")
+            continue
         if not isinstance(table, dict):
             raise _wrong(f"{where(section)}: {section} is a table of settings, as in [{section}]")
         for name, value in table.items():
             key = f"{section}.{name}"
-            if toml.is_recorded and key in REMOVED:
-                continue
             if key not in SETTINGS:
-                raise _wrong(f"{where(section, name)}: there is no setting {plain(key)!r}{_nearest_key(key)}")
+                unknown = f"there is no setting {plain(key)!r}{_nearest_key(key)}"
+                _pass_gone(toml, where(section, name), key, unknown)
+                continue
             # Only a wrong value asks for its line: finding lines costs more than reading the file.
             try:
                 _checked(Given(SETTINGS[key], value, ""))
             except CommandError:
                 _checked(Given(SETTINGS[key], value, where(section, name)))
             yield Given(SETTINGS[key], value, "")
+
+
+def _pass_gone(toml: TomlSource, where: str, key: str, unknown: str) -> None:
+    """Warn of a setting of earlier versions, but not in a log."""
+    gone = gone_setting(key)
+    if not gone:
+        raise _wrong(f"{where}: {unknown}")
+    if not toml.is_recorded:
+        logging.getLogger(__name__).warning("%s: %s", where, gone)
 
 
 RECORDED_MAX: Final = 64 * 1024
@@ -180,10 +189,18 @@ def _from_environment(environ: Mapping[str, str]) -> Iterator[Given]:
             continue
         where = f"environment {plain(variable)}"
         if variable not in by_variable:
+            if gone := next(filter(None, map(gone_setting, _keys_of(variable))), ""):
+                raise _wrong(f"{where}: {gone}")
             near = _nearest(variable.upper(), (*by_variable, CONFIG_VARIABLE))
             raise _wrong(f"{where}: there is no such setting{near}")
         setting = by_variable[variable]
         yield Given(setting, _typed(setting, environ[variable]), where)
+
+
+def _keys_of(variable: str) -> list[str]:
+    """Return the dotted keys that an environment variable may mean: tables' names have underscores too."""
+    words = variable.removeprefix(VARIABLE_PREFIX).lower().split("_")
+    return [f"{'_'.join(words[:at])}.{'_'.join(words[at:])}" for at in range(1, len(words))]
 
 
 def _from_flags(flags: Mapping[str, object]) -> Iterator[Given]:

@@ -1,3 +1,4 @@
+import re
 import string
 import tomllib
 
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 
 from schemas.configuration import TomlSource, merge, to_toml
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.gone import GONE_SETTINGS
 from schemas.recorder_settings import RecorderSettings
 from schemas.setting_table import SETTINGS
 from schemas.settings import NEEDED_FEEDBACK, CanSettings, RobotSettings, Settings, ZenohSettings
@@ -244,12 +246,21 @@ def test_written_settings_name_every_setting() -> None:
     assert keys == [key for key in SETTINGS if not key.startswith(("desk.", "upload."))]
 
 
-def test_a_configuration_out_of_an_old_log_may_hold_a_setting_that_was_removed() -> None:
-    """One that somebody writes today may not."""
-    text = "[command]\nbrake_pedal_percent = 30.0\nspeed_limit_mps = 0.5\n"
+@pytest.mark.parametrize("key", [*(key for key in GONE_SETTINGS if "." in key), "parade.horses"])
+def test_a_setting_that_is_gone_grounds_no_robot_and_hides_no_log(
+    key: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a file a warning with the line; in a log nothing; in the environment an error."""
+    monkeypatch.setattr("schemas.gone.GONE_SETTINGS", {**GONE_SETTINGS, "parade": "nothing"})
+    table, name = key.split(".")
+    text = f"[{table}]\n{name} = 30.0\n" + "[command]\n" * (table != "command") + "speed_limit_mps = 0.5\n"
     assert merge(TomlSource("log", text, is_recorded=True), {}, {}).command.speed_limit_mps == 0.5
-    with pytest.raises(CommandError, match="there is no setting"):
-        merge(TomlSource("robot.toml", text), {}, {})
+    assert not caplog.messages
+    assert merge(TomlSource("robot.toml", text), {}, {}).command.speed_limit_mps == 0.5
+    assert len(caplog.messages) == 1
+    assert re.match(rf"robot\.toml:[12]: ({key}|{table}) is gone and has no effect: ", caplog.messages[0])
+    with pytest.raises(CommandError, match=rf"{key} is gone and has no effect: "):
+        merge(None, {f"CRUISER_{table}_{name}".upper(): "30"}, {})
 
 
 @pytest.mark.parametrize("text", ["a" + ".b" * 30_000 + " = 1", "# " + "x" * 70_000])

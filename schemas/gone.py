@@ -1,0 +1,33 @@
+"""Names the commands, flags and settings of earlier versions that are gone, and what to use instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+GONE_WORDS: Final[Mapping[str, str]] = {}
+"""Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""
+
+GONE_SETTINGS: Final[Mapping[str, str]] = {
+    "command.brake_pedal_percent": "the brake pedal is never pressed",
+}
+"""Settings by their dotted keys, or whole tables by their names: what to use instead.
+
+A robot's settings file that holds one still starts its gateway, with a warning: an upgrade must ground no fleet.
+Logs hold the settings that were in force, so those of earlier versions hold them too.
+"""
+
+
+def gone_word(words: Sequence[str]) -> str:
+    """Return what to say about the first of a command line's words that is gone; empty if none is."""
+    flags = [word.partition("=")[0] for word in words if word.startswith("--")]
+    names = next((words[:at] for at, word in enumerate(words) if word.startswith("-")), words)
+    commands = [" ".join(names[:length]) for length in (1, 2) if len(names) >= length]
+    typed = [*commands, *(f"{command} {flag}" for flag in flags for command in commands)]
+    return next((f"'{word}' is gone: {GONE_WORDS[word]}" for word in typed if word in GONE_WORDS), "")
+
+
+def gone_setting(key: str) -> str:
+    """Return what to say about a setting, or a table of settings, that is gone; empty if it is not."""
+    named = next((name for name in (key, key.partition(".")[0]) if name in GONE_SETTINGS), "")
+    return f"{key} is gone and has no effect: {GONE_SETTINGS[named]}" if named else ""

@@ -1,0 +1,36 @@
+"""Tests ``schemas.gone``: who types what is gone hears what to use instead."""
+
+from __future__ import annotations
+
+import pytest
+
+from gateway.cli.main import COMMANDS, main
+from recorder.cli.review.command import QUESTIONS
+from schemas import gone
+from schemas.exit_codes import ExitCode
+
+
+@pytest.mark.parametrize(
+    "typed", [*gone.GONE_WORDS, "parade", "review parade", "record --horses", "review why --band"]
+)
+@pytest.mark.parametrize("more", ["", " logs", " --out there"])
+def test_what_is_gone_is_an_error_that_says_what_to_use(
+    typed: str, more: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands, questions, and flags with their values."""
+    here = dict.fromkeys(["parade", "review parade", "record --horses", "review why --band"], "a drum")
+    monkeypatch.setattr(gone, "GONE_WORDS", {**gone.GONE_WORDS, **here})
+    assert main([*typed.split(), *more.split()]) == ExitCode.USAGE
+    assert capsys.readouterr().err.startswith(f"cruiser: '{typed}' is gone: ")
+
+
+def test_what_is_gone_is_not_there() -> None:
+    """A word is not in two tables."""
+    questions = {f"review {question}" for question in QUESTIONS}
+    assert not gone.GONE_WORDS.keys() & (COMMANDS.keys() | questions)
+
+
+@pytest.mark.parametrize("words", ["review why a.mcap", "record", "", "review", "stop --all", "--help"])
+def test_other_words_are_not_gone(words: str) -> None:
+    """What stays is not held up."""
+    assert not gone.gone_word(words.split())
