@@ -97,6 +97,7 @@ class MotionProfile:
         speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, constraints)
         self._stood_ticks = self._stood_ticks + 1 if constraints.stands and not self.speed_mps else 0
         self._gear_ticks += 1
+        self.held_ticks += self.held_ticks > 0
         speed_mps = self._drive_off(speed_mps, constraints) if speed_mps else self._stand(constraints)
         self._step_speed(speed_mps, limits, constraints.speed_mps, dt_s, dt_s if elapsed_s is None else elapsed_s)
         # While the speed is still on its way down to what the angle allows, the steering waits for it.
@@ -128,7 +129,6 @@ class MotionProfile:
 
     def _stand(self, constraints: MotionConstraints) -> float:
         """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""
-        self.held_ticks += self.held_ticks > 0
         if not self.parking and (constraints.parked or self._stood_ticks > AUTO_HOLD_TICKS):
             # What follows waits until this brake is seen to hold.
             self.parking, self._gear_ticks, self.held_ticks = True, 0, int(constraints.stands)
@@ -143,11 +143,13 @@ class MotionProfile:
             self._bound(Bound.GEAR if self.gear is GearPosition.NEUTRAL else Bound.REVERSAL)
             self._shift(wanted, constraints)
             return 0.0
-        self.held_ticks = 0
         if self.parking:
             self._bound(Bound.PARKING)
             self.parking = self._gear_ticks < SHIFT_TICKS
             return 0.0
+        if constraints.stands:
+            # The brake held it until it was released.
+            self.held_ticks = 0
         if constraints.brake is not ParkingStatus.RELEASED:
             self._bound(Bound.PARKING)
             return 0.0

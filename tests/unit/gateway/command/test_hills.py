@@ -275,6 +275,28 @@ def test_whatever_is_asked_while_the_brake_slips_the_motor_gets_the_robot_back(w
 
 
 @pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
+@pytest.mark.parametrize("grip", [0.0, 0.2])
+@pytest.mark.parametrize("after_ms", [20, 100, 180])
+def test_who_drives_on_uphill_while_the_brake_slips_does_not_roll_away(
+    slope_deg: float, grip: float, after_ms: int
+) -> None:
+    """The same: the stick releases the brake, and the robot that rolls back is not given to it again."""
+    uphill = 1.0 if slope_deg > 0 else -1.0
+    hill = Hill(slope_deg)
+    hill.operator.drive(uphill * 0.5, seconds=2.0)
+    hill.fault(f"brake {grip}")
+    hill.operator.drive(0.0)
+    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
+        hill.operator.drive(0.0)
+    hill.watch(uphill)
+    hill.operator.drive(0.0, seconds=after_ms / 1e3)
+    hill.operator.drive(uphill * 0.5, seconds=2.0)
+    hill.run(6)
+    assert hill.rolled_back_m < STOP_MAX_M
+    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+
+
+@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
 def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(slope_deg: float) -> None:
     """The same where the brake is applied to change the gear, before the robot has stood for a second."""
     hill = Hill(slope_deg)
