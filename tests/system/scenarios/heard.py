@@ -9,8 +9,11 @@ from tests.system.scenarios.plant import BODY, DRIVE, REMOTE, WHEELS, CanFrame, 
 
 LATELY_S: Final = 0.15
 NEVER_S, NOT_YET_S = -9.0, 999.0
-MODE_KNOWN_S: Final = 0.35
-"""A mode that is older is unknown: 0.2 s by the rule, and ``LATELY_S``."""
+MODE_UNKNOWN_S: Final = 0.2
+"""A mode that is so old may be unknown: ten periods of its frame, by the rule on silence."""
+
+MODE_KNOWN_S: Final = MODE_UNKNOWN_S + LATELY_S
+"""A mode that is so old must be."""
 
 
 class Heard:
@@ -65,9 +68,9 @@ class Heard:
             self._lately.popleft()
         return max([self.speed_mps, *(speed_mps for _, speed_mps in self._lately)])
 
-    def is_unknown(self, now_s: float) -> bool:
-        """No body frame tells the mode."""
-        return now_s - self._body_s >= MODE_KNOWN_S
+    def may_be_unknown(self, now_s: float) -> bool:
+        """No body frame has told the mode for so long that it counts as silent."""
+        return round(now_s - self._body_s, 6) >= MODE_UNKNOWN_S
 
     def is_ours(self, now_s: float) -> bool:
         """The mode is known, and it is not that of the remote control."""

@@ -387,9 +387,11 @@ class Oracle:
             self._begins_unknown = False
         if self._begins_unknown and order.speed_mps:
             self._fail("speed_from_standby", now_s, f"{_brief(order)}, and the mode is remote or unknown")
-        if self._heard.remote_s == NOT_YET_S:
+        is_unknown = self._heard.may_be_unknown(now_s)
+        if self._heard.remote_s == NOT_YET_S or is_unknown:
+            # Where it is found to have the robot again, what was begun meanwhile yields to it.
             self._yields = 0
-        if now_s - self._heard.remote_s < 1.5 * TICK_S or self._heard.is_unknown(now_s) or self.is_damaged():
+        if now_s - self._heard.remote_s < 1.5 * TICK_S or is_unknown or self.is_damaged():
             return  # A stop that is owed goes on while nobody knows who has the robot.
         self._yields += 1
         if self._yields > YIELDS:
