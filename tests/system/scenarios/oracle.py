@@ -490,6 +490,8 @@ class Oracle:
     def gateway_returns(self) -> None:
         """Another gateway begins. It knows of no bumper that was acknowledged, and of no latch but the guard's."""
         self._latched, self._acknowledged = [], False
+        # Nor of a command that the one before left in the chassis: what is seen is all that bounds it.
+        self._left_mps = None
         # Its lamps may be told only later: the counters that were sent before are none of its own.
         self._counters.clear()
 

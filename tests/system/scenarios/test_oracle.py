@@ -129,6 +129,17 @@ def yields_twice(stage: Stage) -> None:
     stage.run(0.5, stage.silence)
 
 
+def found_after_a_crash(stage: Stage) -> None:
+    """Another gateway ramps from what it sees: it cannot know the zero on which an earlier stop had ended."""
+    stop_latched(stage)
+    stage.oracle.all_fail(stage.now_s, stage.now_s)
+    stage.plant.found_driving(GEAR_D, 0.3)
+    stage.run(0.5, lambda: None)
+    stage.oracle.gateway_returns()
+    stage.state = {**stage.state, "latched": []}
+    stage.burst(GEAR_D, 0.29)
+
+
 def neutral_unbraked(stage: Stage) -> None:
     """Enabled, neutral, and no parking request."""
     stage.run(0.1, lambda: stage.burst(GEAR_N))
@@ -548,6 +559,7 @@ BREAKS: dict[Callable[[Stage], None], str] = {
 KEEPS: list[Callable[[Stage], None]] = [
     as_it_should_be,
     yields_twice,
+    found_after_a_crash,
 ]
 
 
