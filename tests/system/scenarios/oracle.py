@@ -887,8 +887,8 @@ class Oracle:
             self._fail("cannot_engage", now_s, "6 s after it was asked")
         engaged = self._is_permitted and self._was_engaged and order is not None
         is_told_zero = order is not None and not order.speed_mps
-        # A speed feedback that is frozen may say that it moves.
-        shows_rest = not plant.frozen & {DRIVE, WHEELS}
+        # Speed feedback that is frozen may say that it moves, and so may a damaged frame that passes for whole.
+        shows_rest = not plant.frozen & {DRIVE, WHEELS} and self._heard.speed_mps <= MOVES_MPS
         holds_zero = (
             engaged and is_told_zero and not self._asked_mps and abs(plant.speed_mps) < 0.02 and shows_rest
         )

@@ -140,6 +140,16 @@ def found_after_a_crash(stage: Stage) -> None:
     stage.burst(GEAR_D, 0.29)
 
 
+def a_damaged_speed(stage: Stage) -> None:
+    """A frame that passes for whole says that the robot moves: it has to stand for a second from there on."""
+    stage.run(0.8, lambda: stage.burst(GEAR_D))
+    payload = b"\x01" + (280).to_bytes(2, "little") + bytes(4)
+    stage.oracle.hears([(DRIVE, payload + bytes([checksum(payload)]))], stage.now_s)
+    stage.oracle.motion(stage.plant, stage.now_s, gateway_lives=True)
+    stage.run(1.1, lambda: stage.burst(GEAR_D))
+    stage.run(0.3, lambda: stage.burst(GEAR_D, parking=1))
+
+
 def neutral_unbraked(stage: Stage) -> None:
     """Enabled, neutral, and no parking request."""
     stage.run(0.1, lambda: stage.burst(GEAR_N))
@@ -560,6 +570,7 @@ KEEPS: list[Callable[[Stage], None]] = [
     as_it_should_be,
     yields_twice,
     found_after_a_crash,
+    a_damaged_speed,
 ]
 
 
