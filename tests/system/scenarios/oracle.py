@@ -768,9 +768,11 @@ class Oracle:
         self._right_deg = min(order.angle_deg, self._right_deg + follow_deg)
         off = not self._right_deg - STUCK_DEG < shown_deg < self._left_deg + STUCK_DEG
         self._expect_latch("stuck", "steering_unnoticed", 0.3, now_s, f"{shown_deg:.1f} deg", holds=off)
-        fast = self._is_permitted and abs(speed_mps) > self._limits.speed_limit_mps + 0.3 + 2 * self._bit_mps
+        # Where both are frozen no speed is measured, and the rules on frozen feedback judge.
+        measured_mps = 0.0 if plant.frozen >= {DRIVE, WHEELS} else abs(speed_mps)
+        fast = self._is_permitted and measured_mps > self._limits.speed_limit_mps + 0.3 + 2 * self._bit_mps
         self._expect_latch("fast", "overspeed_unnoticed", 0.3, now_s, f"{speed_mps:.2f} m/s", holds=fast)
-        lateral = max(order.speed_mps, abs(speed_mps)) ** 2
+        lateral = max(order.speed_mps, measured_mps) ** 2
         lateral *= tan(radians(max(abs(order.angle_deg), abs(plant.angle_deg)))) / WHEELBASE_M
         # So long it takes from full speed to what full lock allows; the drive lags.
         leans = lateral > self._limits.lateral_acceleration_mps2 + 0.4

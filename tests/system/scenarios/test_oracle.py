@@ -150,6 +150,14 @@ def a_damaged_speed(stage: Stage) -> None:
     stage.run(0.3, lambda: stage.burst(GEAR_D, parking=1))
 
 
+def too_fast_unseen(stage: Stage) -> None:
+    """Drive and wheels are frozen: no speed is measured that could be over the limit."""
+    stage.accelerate()
+    stage.plant.frozen = frozenset({DRIVE, WHEELS})
+    stage.plant.speed_gain = 3.0
+    stage.run(1.6, lambda: stage.burst(GEAR_D, 0.5))
+
+
 def neutral_unbraked(stage: Stage) -> None:
     """Enabled, neutral, and no parking request."""
     stage.run(0.1, lambda: stage.burst(GEAR_N))
@@ -263,6 +271,14 @@ def overspeed_unnoticed(stage: Stage) -> None:
     stage.plant.speed_gain = 1.6
     stage.accelerate(1.0)
     stage.run(0.5, lambda: stage.burst(GEAR_D, 1.0))
+
+
+def overspeed_half_seen(stage: Stage) -> None:
+    """The same while drive feedback is frozen: the wheels show it."""
+    stage.accelerate()
+    stage.plant.frozen = frozenset({DRIVE})
+    stage.plant.speed_gain = 3.0
+    stage.run(1.6, lambda: stage.burst(GEAR_D, 0.5))
 
 
 def frozen_body_unnoticed(stage: Stage) -> None:
@@ -531,6 +547,7 @@ BREAKS: dict[Callable[[Stage], None], str] = {
     pushed: "rolling_unnoticed",
     steering_unnoticed: "steering_unnoticed",
     overspeed_unnoticed: "overspeed_unnoticed",
+    overspeed_half_seen: "overspeed_unnoticed",
     frozen_body_unnoticed: "frozen_body_unnoticed",
     bumper_unnoticed: "bumper_unnoticed",
     talks_to_remote: "talks_to_remote",
@@ -571,6 +588,7 @@ KEEPS: list[Callable[[Stage], None]] = [
     yields_twice,
     found_after_a_crash,
     a_damaged_speed,
+    too_fast_unseen,
 ]
 
 
