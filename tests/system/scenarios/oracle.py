@@ -47,8 +47,12 @@ SEEING_S: Final = 0.15
 BELIEVED_MPS: Final = 3.0
 """Speed feedback above this is not believed, so nothing can be concluded from it."""
 
+STANDSTILL_MPS: Final = 0.05
 MOVES_MPS: Final = 0.1
-"""Seen to move for certain: the standstill bound, 0.05 m/s, and a coarse bit."""
+"""Seen to move for certain: the standstill bound and a coarse bit."""
+
+MOTOR_HOLDS_S: Final = 0.3
+"""A robot that was given back to its motor and is faster after this time is braked for good."""
 
 ANGLE_BIT_DEG: Final = 0.044
 GUARD_BRAKE_S: Final = 1.0
@@ -128,6 +132,41 @@ class Since:
         return now_s - self._from_s
 
 
+class Trust:
+    """Notices that the rules leave a robot to its parking brake, be it one that does not hold.
+
+    They do in three cases: it was parked for as long as it is commanded, its stop began in standby, or it was
+    given back to its motor and was faster 300 ms later. In any other its motor gets it.
+
+    Attributes:
+        is_left: the last burst has the parking request, and one of these is the case.
+    """
+
+    def __init__(self) -> None:
+        self.is_left = self._is_stray = self._is_unreleased = self._is_for_good = False
+        self._before: Told | None = None
+        self._given_back_s: float | None = None
+
+    def begin(self, *, is_kept: bool) -> None:
+        """Out of silence; a robot that its motor held by a stop for a brake that slips is kept by it."""
+        self._is_stray = self._is_unreleased = not is_kept
+        self._before = None
+
+    def tell(self, order: Told, now_s: float, *, is_permitted: bool, is_moving: bool) -> None:
+        """This is told now."""
+        self._is_stray &= not is_permitted
+        self._is_unreleased &= order.parking
+        if is_permitted:
+            self._given_back_s, self._is_for_good = None, False
+        elif self._before is not None and self._before.parking and not order.parking:
+            self._given_back_s = now_s
+        elif order.parking and self._given_back_s is not None:
+            self._is_for_good |= is_moving and now_s - self._given_back_s > MOTOR_HOLDS_S - TICK_S
+            self._given_back_s = None
+        self.is_left = order.parking and (self._is_stray or self._is_unreleased or self._is_for_good)
+        self._before = order
+
+
 class Oracle:
     """Watches a scenario.
 
@@ -160,6 +199,7 @@ class Oracle:
         self._order: Told | None = None
         self._order_s = -9.0
         self._is_guards = self._was_auto = False
+        self._trust = Trust()
         self._bytes: dict[int, bytes] = {}
         self._counters: dict[int, int] = {}
         self._ceiling_mps = 0.0
@@ -178,10 +218,9 @@ class Oracle:
         self._disturbed_until_s = self._frozen_wheels_s = -9.0
         self._left_mps: float | None = None
         self._remote = Since()
-        self._seen_mps = 0.0
         self._rest_m: float | None = None
         self._rest_sign, self._rest_is_stop = 0.0, False
-        self._rest_bound_m = self._start_bound_m = 0.0
+        self._rest_bound_m = self._start_bound_m = self._seen_mps = 0.0
         self._best_m: float | None = None
         self._asked_sign = 0.0
         self._stop_record: tuple[float, float, float, float] | None = None
@@ -377,7 +416,17 @@ class Oracle:
         if self._timer("stop").lasts(now_s, holds=in_stop and order.speed_mps > 0) > SEEING_S:
             self._fail("speed_in_mode_stop", now_s, f"{order.speed_mps:.2f} m/s")
         self._judge_yield(order, last, now_s, begins=before is None)
+        if before is None:
+            is_kept = "brake_slips" in self._latched and self._order is not None and not self._order.parking
+            self._trust.begin(is_kept=is_kept)
+        is_moving = self._heard.greatest_mps(now_s) > STANDSTILL_MPS
+        self._trust.tell(order, now_s, is_permitted=self._is_permitted, is_moving=is_moving)
         self._order, self._order_s, self._was_auto = order, now_s, is_auto
+
+    def _is_lost(self, plant: Plant) -> bool:
+        """Its parking brake does not hold it, the motor is off behind that, and the rules leave it so."""
+        is_off = plant.build.parks_motor or plant.gear not in SIGN
+        return self._trust.is_left and is_off and not plant.brake_holds
 
     def _judge_yield(self, order: Told, last: Told, now_s: float, *, begins: bool) -> None:
         """To the remote control nothing is told but a few times zero speed with the parking brake."""
@@ -660,6 +709,7 @@ class Oracle:
         else:
             self.worst_release_m = max(self.worst_release_m, rolled_m)
         is_stop = self._rest_is_stop or not plant.brake_holds
+        self._rest_bound_m = max(self._rest_bound_m, rolled_m * self._is_lost(plant))
         self._expect_notice(plant, rolled_m, now_s)
         if rolled_m > (STOP_M if is_stop else RELEASE_M) + self._rest_bound_m:
             kind = "roll_back_at_stop" if self._rest_is_stop else "roll_back_at_release"
@@ -696,8 +746,8 @@ class Oracle:
         if not self._is_reachable(now_s):
             self._stop_record = None
             return
-        if self._hides_mode(plant):
-            # The stop begins when it can be known.
+        if self._hides_mode(plant) or self._is_lost(plant):
+            # The stop begins when it can be known, or something holds the robot again.
             self._stop_record = (now_s, plant.x_m, plant.speed_mps, plant.slope_deg)
             return
         began_s, x_m, speed_mps, _ = self._stop_record

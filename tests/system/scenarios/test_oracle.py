@@ -20,6 +20,7 @@ from tests.system.scenarios.plant import (
     GEAR_D,
     GEAR_N,
     GEAR_R,
+    LIGHT_CMD,
     PARKING_CMD,
     PERIOD_STEPS,
     PULSES,
@@ -156,6 +157,47 @@ def too_fast_unseen(stage: Stage) -> None:
     stage.plant.frozen = frozenset({DRIVE, WHEELS})
     stage.plant.speed_gain = 3.0
     stage.run(1.6, lambda: stage.burst(GEAR_D, 0.5))
+
+
+def fails_parked(stage: Stage, slope_deg: float = 5.0) -> None:
+    """The parking brake fails before it was released: the rule on rolling applies it, and that is all."""
+    stage.plant.brake_grip = 0.0
+    stage.plant.slope_deg = stage.plant.slope_target_deg = slope_deg
+    stage.run(0.3, lambda: stage.burst(GEAR_N, parking=1))
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "rolling", "latched": ["rolling"]}
+    stage.oracle.disturb(stage.now_s, 9.0)
+    stage.run(3.0, lambda: stage.burst(GEAR_N, parking=1))
+
+
+def given_back(stage: Stage, after_s: float, hand: tuple[float, float] | None) -> None:
+    """A brake that slips gives the robot back to its motor; after this time it is braked again."""
+    stage.plant.build = replace(stage.plant.build, parks_motor=True)
+    stage.run(0.5, lambda: stage.burst(GEAR_D))
+    stage.plant.brake_grip = 0.0
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 5.0
+    stage.oracle.disturb(stage.now_s, 9.0)
+    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "brake_slips", "latched": ["brake_slips"]}
+    stage.run(after_s, lambda: stage.burst(GEAR_D))
+    stage.plant.hand = hand
+    stage.run(0.05, lambda: stage.burst(GEAR_D))
+    stage.plant.hand = None
+    stage.run(3.0, lambda: stage.burst(GEAR_D, parking=1))
+
+
+def pushed_for_good(stage: Stage) -> None:
+    """Somebody pushes it once its motor has held it: it is braked for good."""
+    given_back(stage, 1.0, (-0.5, 2000.0))
+
+
+def given_back_in_vain(stage: Stage) -> None:
+    """It stands by its motor, and is given to its brake again all the same."""
+    given_back(stage, 1.0, None)
+
+
+def given_back_too_briefly(stage: Stage) -> None:
+    """It is given to its brake again before the motor could hold it."""
+    given_back(stage, 0.1, None)
 
 
 def neutral_unbraked(stage: Stage) -> None:
@@ -465,7 +507,9 @@ def brake_unnoticed(stage: Stage) -> None:
 
 
 def brake_slips(stage: Stage) -> None:
-    """It creeps, is latched, and goes on."""
+    """It stood by its motor, creeps, is latched, and goes on."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
     stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
     stage.state = {**stage.state, "latched": ["rolling"]}
     stage.plant.brake_creep_mps = 0.02
@@ -576,6 +620,8 @@ BREAKS: dict[Callable[[Stage], None], str] = {
     brake_unnoticed: "brake_unnoticed",
     latched_unbraked: "latched_unbraked",
     brake_slips: "roll_back_at_stop",
+    given_back_in_vain: "roll_back_at_stop",
+    given_back_too_briefly: "roll_back_at_stop",
     stands_untrue: "stands_untrue",
     usual_order: "burst_order",
     second_order: "burst_order",
@@ -589,6 +635,8 @@ KEEPS: list[Callable[[Stage], None]] = [
     found_after_a_crash,
     a_damaged_speed,
     too_fast_unseen,
+    fails_parked,
+    pushed_for_good,
 ]
 
 
@@ -596,6 +644,7 @@ KEEPS: list[Callable[[Stage], None]] = [
 def test_a_drive_by_the_rules_breaks_none(keeps: Callable[[Stage], None]) -> None:
     """Nothing is found where nothing is wrong."""
     stage = Stage()
+    stage.oracle._bytes[LIGHT_CMD] = bytes([0, 1, 1, 0, 0, 0, 0, 0])
     keeps(stage)
     assert stage.oracle.violations == {}
 
