@@ -70,6 +70,7 @@ night-system:
 night-pages:
 	$(BIN)/python -m pytest $(PAGES)
 night-scenarios:
+	$(BIN)/python -m tests.system.scenarios --frozen --jobs $$(nproc)
 	$(BIN)/python -m tests.system.scenarios --count 10000 --jobs $$(nproc) --seed 1
 night-fuzz:
 	$(TOOLS)/python -m tests.fuzz --seconds 1200 --jobs $$(nproc)

@@ -1,6 +1,8 @@
 """Many scenarios, and a table of what came of them.
 
 Usage: python -m tests.system.scenarios [--count N] [--seed FIRST] [--jobs N] [--run-again-every N]
+       python -m tests.system.scenarios --frozen | --freeze [--jobs N]
+       python -m tests.system.scenarios --lines NAME
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from multiprocessing import Pool
 
 import msgspec
 
+from tests.system.scenarios import frozen
 from tests.system.scenarios.oracle import Violation
 from tests.system.scenarios.scenario import Play, Result, run, scenario
 
@@ -44,6 +47,18 @@ def play(job: tuple[int, bool]) -> Result:
         return Result(seed, [crash], 0, 0.0, 0.0, scenario(seed).slope_deg, 0.0, 0.0, 0.0, [])
 
 
+def play_frozen(jobs: int, *, writes: bool) -> int:
+    """Play all that is frozen, and write the file; or compare, and print what differs. 1 if anything does."""
+    with Pool(jobs) as pool:
+        rows = list(pool.imap(frozen.row_of, frozen.NAMES, chunksize=8))
+    if writes:
+        frozen.freeze(rows)
+    before = frozen.frozen()
+    differences = list(filter(None, (frozen.difference(row, before[row.partition(" ")[0]]) for row in rows)))
+    print(*differences, f"{len(differences)} of {len(rows)} differ from {frozen.FILE.name}", sep="\n")
+    return 1 if differences else 0
+
+
 def main() -> int:
     """Play them all and print the summary; 1 if a rule was broken."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -52,7 +67,15 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1, help="processes (default 1)")
     parser.add_argument("--run-again-every", type=int, default=20, help="journals run again (default every 20th)")
     parser.add_argument("--trace", action="store_true", help="print the first one as it goes, and nothing more")
+    parser.add_argument("--frozen", action="store_true", help="play what is frozen, and compare")
+    parser.add_argument("--freeze", action="store_true", help="play it, and write its hashes again")
+    parser.add_argument("--lines", metavar="NAME", help="of what is frozen: print all that is hashed of one row")
     arguments = parser.parse_args()
+    if arguments.lines:
+        frozen.play(arguments.lines, sys.stdout.write)
+        return 0
+    if arguments.frozen or arguments.freeze:
+        return play_frozen(arguments.jobs, writes=arguments.freeze)
     if arguments.trace:
         return 1 if run(arguments.seed, runs_again=True, watch=trace).violations else 0
     first, every = arguments.seed, arguments.run_again_every

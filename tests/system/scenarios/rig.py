@@ -21,7 +21,7 @@ from gateway.guard.guardian import Guardian
 from gateway.rerun.rerun import rerun
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
-from schemas.decisions import Journal
+from schemas.decisions import Journal, StopPhase
 from schemas.settings import CommandSettings, Settings
 from tests.system.scenarios.plant import BODY, STEP_NS, CanFrame, Plant, checksum
 
@@ -137,6 +137,7 @@ class Gateway:
         command = self._core.command
         assert command is not None
         arbiter = command.arbiter
+        sequence = arbiter.output.sequence
         actuation, left = arbiter.output.actuation, arbiter.handover.left
         is_told = actuation is not None or command.is_mute
         is_active = is_told or (self._was_told and left is None)
@@ -150,6 +151,8 @@ class Gateway:
             variant=arbiter.output.variant,
             last=actuation or left or (before.last if is_active else AT_REST),
             counters=bytes(command.maker.counters.values()),
+            is_released=sequence is not None and sequence.phase is StopPhase.MOTOR,
+            returns=0 if sequence is None else sequence.returns,
         )
 
     def differs_when_run_again(self) -> str:

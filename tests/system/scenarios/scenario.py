@@ -444,7 +444,14 @@ class Play:
         began_m: the way that the robot had travelled at the first act.
     """
 
-    def __init__(self, plan: Scenario, *, keeps: bool, watch: Callable[[Play], None] | None = None) -> None:
+    def __init__(
+        self,
+        plan: Scenario,
+        *,
+        keeps: bool,
+        watch: Callable[[Play], None] | None = None,
+        judge: type[Oracle] = Oracle,
+    ) -> None:
         self._watch = watch
         random = Random(plan.seed + 1)  # noqa: S311 - scenarios keep no secrets
         self.plan = plan
@@ -457,7 +464,7 @@ class Play:
             command=plan.command,
             chassis=ChassisSettings(variant=_variant(plan)),
         )
-        self.oracle = Oracle(
+        self.oracle = judge(
             plan.command,
             fine=plan.build.fine,
             is_undisturbed=plan.is_undisturbed,

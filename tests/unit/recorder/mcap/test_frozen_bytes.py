@@ -1,0 +1,93 @@
+"""Our MCAP files have the bytes that were frozen: a file by the writer alone, and a recorder's log."""
+
+from collections.abc import Callable
+from hashlib import sha256
+from io import BytesIO
+
+import pytest
+import zstandard
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+
+from recorder.mcap.channel import LogChannel
+from tests.support import logs
+from tests.support.logs import Log, mcap_log
+from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback, gear, sample_of
+
+CHANNELS = [
+    LogChannel(1, "first", "thing", b"schema of a thing"),
+    LogChannel(7, "second", "thing", b"schema of a thing", metadata={"who": "else", "a": "b"}),
+    LogChannel(3, "third", "", b"", schema_encoding="", message_encoding="json"),
+]
+
+
+def by_the_writer() -> bytes:
+    """Channels, chunks whose messages go back in time, metadata, attachments."""
+    packed = [
+        [(1 + 2 * (n % 2), n, WALL_NS + n * MS, WALL_NS - n, b"%d" % n * (n % 5)) for n in range(first, first + 9)]
+        for first in (40, 0, 20)
+    ]
+    return mcap_log(CHANNELS, packed, [("note", {"b": "1", "a": "2"})], [("picture", b"\0\1\2"), ("none", b"")])
+
+
+def by_a_recorder() -> bytes:
+    """Samples of several keys, an unknown one, and a broken payload."""
+    log = Log()
+    log.receive(*(sample_of(gear(number)) for number in range(50)))
+    log.receive(sample_of(batch(0, [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(20)])))
+    log.tick(SECOND)
+    log.receive(FakeSample("fleet/elsewhere", "text/plain", b"hello"), now_ns=2 * SECOND, wall_ns=WALL_NS + SECOND)
+    log.receive(sample_of(gear(60)), now_ns=2 * SECOND, wall_ns=WALL_NS + SECOND)
+    return log.close(3 * SECOND)
+
+
+class Stored:
+    """In the place of the compressor, whose bytes are its version's: leaves all as it is."""
+
+    def __init__(self, level: int) -> None:
+        """Of any level."""
+
+    def compress(self, data: bytes) -> bytes:
+        """The same."""
+        return bytes(data)
+
+
+FROZEN = {
+    by_the_writer: "4879b5cf266c23fda7e5d724e29f0139aa86ae70e61acf519ff3fb3f819dfa7b",
+    by_a_recorder: "8739f1298622a693dfc8f60d07d85f1812038c94ac8a024b47f72d20992a2495",
+}
+"""SHA-256."""
+
+
+@pytest.fixture(autouse=True)
+def without_a_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is repeated at the end of a log."""
+    monkeypatch.setattr(logs, "EventDigest", lambda: None)
+
+
+def stored(maker: Callable[[], bytes]) -> bytes:
+    """The file with chunks that are not compressed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(zstandard, "ZstdCompressor", Stored)
+        return maker()
+
+
+@pytest.mark.parametrize("maker", FROZEN)
+def test_a_file_has_the_frozen_bytes(maker: Callable[[], bytes]) -> None:
+    """All but the compression of its chunks, which is the library's."""
+    assert sha256(stored(maker)).hexdigest() == FROZEN[maker]
+
+
+def chunks(data: bytes, unpack: Callable[[bytes], bytes]) -> list[tuple[str, int, int, int, bytes]]:
+    """What each chunk says of itself, and its messages."""
+    return [
+        (one.compression, one.message_start_time, one.message_end_time, one.uncompressed_crc, unpack(one.data))
+        for one in StreamReader(BytesIO(data), emit_chunks=True).records
+        if isinstance(one, Chunk)
+    ]
+
+
+@pytest.mark.parametrize("maker", FROZEN)
+def test_its_chunks_hold_the_frozen_messages_compressed(maker: Callable[[], bytes]) -> None:
+    """By zstd, the one compression that is written."""
+    assert chunks(maker(), zstandard.decompress) == chunks(stored(maker), bytes)
