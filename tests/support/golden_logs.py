@@ -34,6 +34,9 @@ MOST_BYTES: Final = 150_000
 DIGITS: Final = 9
 """So many digits of a figure count: the last ones hang on the order of a sum."""
 
+STOPS: Final = 3
+"""So many stops of a robot are asked about, besides its last one."""
+
 LINE: Final = 110
 
 AUTHORITY: Final = "authority.json"
@@ -79,6 +82,18 @@ def answered(question: str, *words: str) -> dict[str, Any]:
     """The facts of an answer."""
     code, said = ask(question, *words)
     return {"exit_code": code, "answer": facts(said)}
+
+
+def why(*logs: str) -> dict[str, Any]:
+    """Of each robot the last stop, and each stop that is an event, by its time."""
+    _, events = ask("events", *logs)
+    found = {}
+    for robot in sorted({one["robot"] for one in events}):
+        stops = {one["since_s"] for one in events if one["robot"] == robot and one["kind"] in {"stop", "takeover"}}
+        for at_s in sorted(stops)[:STOPS]:
+            found[f"{robot} at {at_s}"] = answered("why", "--robot", robot, "--at", str(at_s), *logs)
+        found[f"{robot}, last"] = answered("why", "--robot", robot, *logs)
+    return found
 
 
 def rerun(*logs: str) -> dict[str, Any]:
@@ -137,14 +152,17 @@ def export(*logs: str) -> dict[str, Any]:
 
 
 def recover(*logs: str) -> dict[str, Any]:
-    """What is made whole of logs that are not, and what that holds; it changes the files."""
+    """What is made whole of logs that are not, and the messages in that; it changes the files."""
     said = answered("recover", *logs)
     files = sorted(path.name for path in Path().iterdir())
-    return {**said, "files": files, "info": answered("info", *(name for name in files if name.endswith(".mcap")))}
+    _, made = ask("info", *(name for name in files if name.endswith(".mcap")))
+    messages = {one["path"]: {row["topic"]: row["messages"] for row in one["channels"]} for one in made}
+    return {**said, "files": files, "messages": messages}
 
 
 QUESTIONS: Final[dict[str, Callable[..., dict[str, Any]]]] = {
-    **{name: partial(answered, name) for name in ("info", "check", "events", "why", "report")},
+    **{name: partial(answered, name) for name in ("info", "check", "events", "report")},
+    "why": why,
     "rerun": rerun,
     "verify": verify,
     "export": export,
