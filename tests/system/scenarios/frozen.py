@@ -26,7 +26,7 @@ from tests.system.scenarios.scenario import Play, Result, Scenario, scenario
 
 FILE: Final = Path(__file__).parents[2] / "data" / "goldens" / "scenarios.txt"
 
-SEEDS: Final = 95
+SEEDS: Final = 500
 
 NAMES: Final = (*map(str, range(SEEDS)), *DEATHS)
 """Each is a row of the file: a seed, or the time and the circumstances in which a gateway dies."""
