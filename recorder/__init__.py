@@ -10,9 +10,8 @@ Its rooms, from the file upwards. Pure ones do no I/O: the time is an argument, 
 - ``encoding``  a sample to the protobuf bytes of a log; pure
 - ``layouts``   layouts with which viewers open a log; pure
 - ``record``    what a recorder writes: begin with ``record.recorder``; pure
-- ``backfill``  what another recorder's logs hold and these lack; pure
 - ``disk``      the directory of logs: the thread that writes them, retention, what a crash left behind
-- ``zenoh``     samples in, what operators ask of a recorder, backfill
+- ``zenoh``     samples in, and what operators ask of a recorder
 - ``loop``      joins ``record`` to ``zenoh`` and ``disk``, and never waits for the disk
 - ``reading``   a log as topics and messages
 - ``upload``    finished logs to an object store

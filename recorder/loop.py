@@ -189,10 +189,10 @@ class RecorderLoop:
         self._leftovers = leftovers
         self._reporters = [one for one in (writer, keeper, leftovers) if one is not None]
 
-    def obey(self, control: Control, backfill: Callable[[OperatorRequest], None]) -> None:
+    def obey(self, control: Control) -> None:
         """Execute operators' requests, and publish events, gaps and health."""
         self._control = control
-        self._orders = Orders(self._recorder, self._health_now, backfill)
+        self._orders = Orders(self._recorder, self._health_now)
 
     def run(self, stopped: Callable[[], bool], rolls: Callable[[], bool] = lambda: False) -> Recorded:
         """Record until stopped, whatever the disk does. A new file begins each time ``rolls()`` is true."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-GONE_WORDS: Final[Mapping[str, str]] = {}
+GONE_WORDS: Final[Mapping[str, str]] = {
+    "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
+}
 """Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {

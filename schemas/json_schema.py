@@ -19,7 +19,7 @@ import msgspec
 from schemas.decisions import Reply, StatementReply
 from schemas.docstrings import attribute_texts, plain_text, summary
 from schemas.messages import UNIT_KEYWORD, Message
-from schemas.recording import BackfillPiece, RecorderReply
+from schemas.recording import RecorderReply
 from schemas.requests import Request
 from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, COMMANDS, STATEMENT_REPLY, SUBJECTS
 
@@ -28,7 +28,7 @@ DIRECTORY: Final = Path(__file__).parent / "json"
 FILE_SUFFIX: Final = ".schema.json"
 
 Schema = dict[str, Any]
-Kind = type[Message] | type[Request] | type[Reply] | type[RecorderReply] | type[BackfillPiece]
+Kind = type[Message] | type[Request] | type[Reply] | type[RecorderReply]
 
 _DEFS: Final = "#/$defs/"
 _BYTES: Final[Schema] = {

@@ -245,7 +245,7 @@ BY_TYPE: Final = {subject.type: subject for subject in reversed(ALL_SUBJECTS)}
 """A type's first subject: frames are received before they are sent."""
 
 
-ReplyType = TypeVar("ReplyType", bound=decisions.Reply | recording.RecorderReply | recording.BackfillPiece)
+ReplyType = TypeVar("ReplyType", bound=decisions.Reply | recording.RecorderReply)
 
 
 class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
@@ -291,7 +291,7 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
 Command = Verb[decisions.Reply]
 """A verb of a robot."""
 
-RecorderCommand = Verb[recording.RecorderReply | recording.BackfillPiece]
+RecorderCommand = Verb[recording.RecorderReply]
 """A verb of a recorder, always a query."""
 
 COMMAND_CHUNK: Final = "@cmd"
@@ -355,9 +355,6 @@ RECORDER_COMMANDS: Final[tuple[RecorderCommand, ...]] = (
     ),
     RecorderCommand("split", recording.Split, _RecorderReply, "end the logs, and go on in new ones"),
     RecorderCommand("mark", recording.Mark, _RecorderReply, "keep what was received around now as an incident"),
-    RecorderCommand(
-        "backfill", recording.Backfill, recording.BackfillPiece, "what the logs hold of a key, in several replies"
-    ),
 )
 
 ALL_VERBS: Final[tuple[Verb[Any], ...]] = (*COMMANDS, *RECORDER_COMMANDS)

@@ -107,7 +107,6 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
     shards = keys.shard(root, keys.ALL, keys.ALL)
     says = tuple(f"{recorders}/{subject.name}" for subject in RECORDER_SUBJECTS)
     orders = (f"{recorders}/{COMMAND_CHUNK}/*/*", f"{recorders}/{AUTHORITY_CHUNK}")
-    backfill = f"{recorders}/{COMMAND_CHUNK}/*/backfill"
     put, all_puts = (_verbs(robots, Asking.QUERY) for robots in (one, every))
     asked, all_asked = (_verbs(robots, Asking.PUT) for robots in (one, every))
 
@@ -155,11 +154,11 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
         AccessRow("operator-is-answered", commanding, "egress", ("reply",), (all_commands,)),
         AccessRow("operator-orders", commanding, "ingress", ("query",), orders),
         AccessRow("operator-is-obeyed", commanding, "egress", ("reply", queryable), orders),
-        # A recorder receives everything but commands, and fetches what it lacks from robots and other recorders.
+        # A recorder receives everything but commands, and fetches what it lacks from robots.
         AccessRow("recorder-subscribes", recording, "ingress", (subscribe,), (everything, *says)),
         AccessRow("recorder-receives", recording, "egress", ("put",), (everything, *says)),
-        AccessRow("recorder-fetches", recording, "ingress", ("query",), (*seen, backfill)),
-        AccessRow("recorder-gets", recording, "egress", ("reply", queryable), (*seen, backfill)),
+        AccessRow("recorder-fetches", recording, "ingress", ("query",), seen),
+        AccessRow("recorder-gets", recording, "egress", ("reply", queryable), seen),
         AccessRow(
             "recorder-looks",
             recording,

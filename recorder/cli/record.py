@@ -20,7 +20,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.cli import backfill, remote
+from recorder.cli import remote
 from recorder.cli.own_name import own_name
 from recorder.cli.role import check_recording
 from recorder.disk.keeper import DiskKeeper
@@ -33,14 +33,11 @@ from recorder.loop import Recorded, RecorderLoop
 from recorder.record.admission import ALL_ROBOTS, OrderAdmission
 from recorder.record.health import HealthReport
 from recorder.record.inbox import SampleInbox
-from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import Recorder, RecorderPlan
 from recorder.record.retention import DiskLimits
 from recorder.record.robot_log import LogPlan
 from recorder.record.shards import shard_of
-from recorder.zenoh.backfill_server import BackfillServer
 from recorder.zenoh.remote_control import RemoteControl
-from recorder.zenoh.session import key_matches
 from recorder.zenoh.sharded_source import ShardedSource
 from recorder.zenoh.source import RING_SAMPLE_BYTES, ZenohSource
 from schemas import keys
@@ -48,7 +45,6 @@ from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.decisions import EventKind
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import ROBOT_LIMIT
-from schemas.recording import Backfill
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
@@ -117,7 +113,7 @@ def _add_actions(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(
         dest="action", metavar="ACTION", title="of a recorder that is running, here or elsewhere"
     )
-    for action, about in {**remote.ABOUT, "backfill": backfill.ABOUT}.items():
+    for action, about in remote.ABOUT.items():
         one = actions.add_parser(
             action,
             help=about,
@@ -125,22 +121,17 @@ def _add_actions(parser: argparse.ArgumentParser) -> None:
             # What stands before the action is not to be forgotten.
             argument_default=argparse.SUPPRESS,
         )
-        if action == "backfill":
-            backfill.add_arguments(one)
-        else:
-            remote.add_arguments(one, action)
+        remote.add_arguments(one, action)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Record until stopped, and print the log's path; or ask a recorder that is running."""
-    if arguments.action is not None and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+    if arguments.action is None:
+        return _record(arguments, settings, stopped)
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         # It says nothing to these, and whoever hangs up wants them ended, but for nohup.
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    if arguments.action == "backfill":
-        return backfill.run(arguments, settings, stopped)
-    if arguments.action is not None:
-        return remote.run(arguments, settings, stopped)
-    return _record(arguments, settings, stopped)
+    return remote.run(arguments, settings, stopped)
 
 
 def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -183,8 +174,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
             keeper,
             leftovers,
         )
-        server = stack.enter_context(closing(BackfillServer(path, key_matches)))
-        loop.obey(control, partial(_answer_backfill, server))
+        loop.obey(control)
         recorded = loop.run(ending_after(stopped, arguments.seconds, time.monotonic), rolls)
     leftovers.wait(LEFTOVERS_S)
     if not recorded.is_hung:
@@ -228,11 +218,6 @@ def _door(settings: Settings, logs: Path, expressions: Sequence[str]) -> Callabl
     trust, note = read_trust(settings.authority, "recorder"), read_note(logs)
     robots = {robot or ALL_ROBOTS for robot in _robots_in(settings.robot.root, expressions)}
     return lambda name: OrderAdmission(trust, settings.robot.root, name, note, os.urandom, robots)
-
-
-def _answer_backfill(server: BackfillServer, asked: OperatorRequest) -> None:
-    if isinstance(asked.request, Backfill):
-        server.submit(asked.request, asked.reply, asked.done)
 
 
 def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecorderPlan:

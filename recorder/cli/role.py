@@ -14,9 +14,8 @@ from schemas.settings import ZenohSettings
 
 RECORDING: Final = frozenset({"recorder", "router"})
 ORDERING: Final = frozenset({"operator", "desk", "router"})
-FETCHING: Final = RECORDING | ORDERING
 
-_PROVISIONED: Final = frozenset({"robot", "viewer"}) | FETCHING
+_PROVISIONED: Final = frozenset({"robot", "viewer"}) | RECORDING | ORDERING
 """Roles of 'cruiser provision'; of another one it is not known what it may do."""
 
 

@@ -14,8 +14,7 @@ proves itself by a checksum (``proof``). Nothing of a chunk is read from the dis
 wants few of them pays for few.
 
 Besides: ``walk`` gives the messages themselves; ``messages_at`` those of a chunk whose place is known;
-``record_at`` a single record; ``summary_reader`` the end of a file; ``log_map`` the chunks of a log that still
-grows; ``recovery`` what is proven of a damaged one.
+``record_at`` a single record; ``summary_reader`` the end of a file; ``recovery`` what is proven of a damaged one.
 """
 
 from __future__ import annotations

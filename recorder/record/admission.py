@@ -27,7 +27,7 @@ from schemas.authority.statement import (
 )
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.reasons import TEXTS, Reason, Text
-from schemas.recording import Backfill, Mark
+from schemas.recording import Mark
 from schemas.requests import Request
 from schemas.subjects import RECORDER_BY_VERB
 
@@ -47,7 +47,7 @@ OPEN_TO_ALL: Final = frozenset({"status"})
 """Verbs that need no proof."""
 
 ROLES: Final = frozenset({GrantRole.PROGRAM, GrantRole.OPERATOR, GrantRole.SUPERVISOR, GrantRole.RECORDER})
-"""Roles that may give a recorder orders; another recorder requests the messages that it lacks."""
+"""Roles that may give a recorder orders."""
 
 
 class OrderNote(msgspec.Struct, frozen=True):
@@ -214,7 +214,7 @@ class OrderAdmission:
             return Objection(Reason.NOT_GRANTED, f"it is of {grant.name}, {grant.role.value}")
         if order.verb not in grant.verbs:
             return Objection(Reason.NOT_GRANTED, f"{order.verb} is not among its verbs")
-        robot = _robot_of(order.request, self._root)
+        robot = _robot_of(order.request)
         if robot and not grant.covers(robot):
             return Objection(Reason.NOT_GRANTED, f"it is not for {robot}")
         others = [] if robot else [one for one in sorted(self._robots) if not grant.covers(one)]
@@ -233,15 +233,9 @@ def _is_superseded(text: str, newer: Revocations | Rotation) -> bool:
     return isinstance(older, Revocations) and older.epoch <= newer.epoch
 
 
-def _robot_of(request: Request, root: str) -> str:
+def _robot_of(request: Request) -> str:
     """The robot, or the pattern of robots, that an order names; empty if it names none."""
-    if isinstance(request, Mark):
-        return request.robot
-    if isinstance(request, Backfill):
-        # A pattern is held against the grant's letter for letter: '*' needs a grant for all.
-        rest = request.key.removeprefix(f"{root}/")
-        return rest.partition("/")[0].replace("**", "*") if rest != request.key else "*"
-    return ""
+    return request.robot if isinstance(request, Mark) else ""
 
 
 def text_of(reason: Reason) -> Text:

@@ -12,8 +12,6 @@ from recorder.record.notices import Ended, Notice, Opened
 from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
 from schemas.recording import (
-    Backfill,
-    BackfillPiece,
     Mark,
     RecorderHealth,
     RecorderReply,
@@ -34,16 +32,14 @@ class OperatorRequest(msgspec.Struct, frozen=True):
     Attributes:
         operator: the sender.
         request: the request, or the fault of the payload.
-        reply: sends a reply; several may follow each other.
-        done: reports that no more replies will come; whoever answers must call it.
-        is_backfill: the verb was ``backfill``, whatever is wrong with the request: its replies are pieces.
+        reply: sends the reply.
+        done: reports that it was sent; whoever answers must call it.
     """
 
     operator: str
     request: Request | PayloadFault
-    reply: Callable[[RecorderReply | BackfillPiece], None]
+    reply: Callable[[RecorderReply], None]
     done: Callable[[], None]
-    is_backfill: bool = False
 
 
 class _Pending(msgspec.Struct):
@@ -63,15 +59,11 @@ class Orders:
     Args:
         recorder: executes them.
         health: returns the recorder's present health.
-        backfill: answers a request for a backfill, on a thread of its own.
     """
 
-    def __init__(
-        self, recorder: Recorder, health: Callable[[], RecorderHealth], backfill: Callable[[OperatorRequest], None]
-    ) -> None:
+    def __init__(self, recorder: Recorder, health: Callable[[], RecorderHealth]) -> None:
         self._recorder = recorder
         self._health = health
-        self._backfill = backfill
         self._pending: list[_Pending] = []
 
     def obey(self, asked: OperatorRequest, now_ns: int, wall_ns: int) -> Sequence[Action]:
@@ -82,8 +74,6 @@ class Orders:
         match request:
             case PayloadFault():
                 self._refuse(asked, request.detail)
-            case Backfill():
-                self._backfill(asked)
             case Start():
                 actions = recorder.start(asked.operator, now_ns, wall_ns)
                 self._answer(asked, _STATES[recorder.state], [])
@@ -148,16 +138,8 @@ class Orders:
         asked.done()
 
     def _refuse(self, asked: OperatorRequest, detail: str) -> None:
-        if asked.is_backfill or isinstance(asked.request, Backfill):
-            asked.reply(refusal(detail))
-        else:
-            asked.reply(RecorderReply(ok=False, detail=detail, files=[], health=self._health()))
+        asked.reply(RecorderReply(ok=False, detail=detail, files=[], health=self._health()))
         asked.done()
-
-
-def refusal(detail: str) -> BackfillPiece:
-    """A backfill that is refused."""
-    return BackfillPiece(ok=False, detail=detail, mcap=b"", messages=0, next_ns=0, is_last=True)
 
 
 _STATES: Final = {

@@ -63,7 +63,7 @@ def topics_of(logs: Sequence[LogFile]) -> list[Topic]:
 
 
 def once(rows: Iterable[Row], remembered: int = REMEMBERED) -> Iterator[Row]:
-    """The rows without those that another file repeats: an incident, a backfill, another recorder's log."""
+    """The rows without those that another file repeats: an incident, another recorder's log."""
     before: dict[tuple[str, int, int], Topic] = {}
     seen: dict[tuple[str, int, int], Topic] = {}
     for row in rows:

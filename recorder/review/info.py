@@ -14,7 +14,6 @@ from typing import BinaryIO, Final
 
 import msgspec
 
-from recorder.backfill.backfilling import BACKFILLED_FROM
 from recorder.objects.address import shown_url
 from recorder.reading.contents import Contents, read_contents, walk_contents
 from recorder.reading.log_file import StoredLog
@@ -43,7 +42,6 @@ class ChannelInfo(msgspec.Struct, frozen=True):
     Attributes:
         first_ns, last_ns: log times; None for a channel without messages, or where its index cannot be read.
         rate_hz: mean over the channel's own span; None for fewer than two messages.
-        backfilled_from: the recorder that sent its messages to a backfill, by its own name; empty if none did.
     """
 
     topic: str
@@ -53,7 +51,6 @@ class ChannelInfo(msgspec.Struct, frozen=True):
     first_ns: int | None
     last_ns: int | None
     rate_hz: float | None
-    backfilled_from: str = ""
 
 
 class AttachmentInfo(msgspec.Struct, frozen=True):
@@ -264,7 +261,6 @@ def _channels(contents: Contents) -> Iterable[ChannelInfo]:
             first_ns=first_ns,
             last_ns=last_ns,
             rate_hz=(messages - 1) / span_s if messages > 1 and span_s > 0 else None,
-            backfilled_from=channel.metadata.get(BACKFILLED_FROM, ""),
         )
 
 

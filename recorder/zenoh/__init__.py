@@ -1,1 +1,1 @@
-"""The recorder's Zenoh sessions: samples in, requests and replies, backfill."""
+"""The recorder's Zenoh sessions: samples in, requests and replies."""

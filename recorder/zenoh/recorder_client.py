@@ -1,4 +1,4 @@
-"""Asks recorders over Zenoh for what operators order, and for what their logs hold.
+"""Asks recorders over Zenoh for what operators order.
 
 No Python of ours runs on Zenoh's threads.
 """
@@ -9,7 +9,7 @@ import logging
 import re
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import zenoh
 
@@ -19,7 +19,7 @@ from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.recording import Backfill, BackfillPiece, RecorderReply, Status
+from schemas.recording import RecorderReply, Status
 from schemas.requests import Request
 from schemas.settings import ZenohSettings
 from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_CHUNK
@@ -29,19 +29,10 @@ from schemas.zenoh_link import reason
 log = logging.getLogger(__name__)
 
 REPLIES_WAITING: Final = 256
-"""More than a request for a backfill brings: a piece that found no room would hold up Zenoh's own thread."""
+"""More than there are recorders: a reply that found no room would hold up Zenoh's own thread."""
 
 LONGEST_S: Final = 86_400.0
 """Zenoh waits no longer than a day."""
-
-BACKFILL_TIMEOUT_S: Final = 180.0
-"""A request for a backfill may wait for five others of 30 s each."""
-
-LOOK_S: Final = 0.3
-"""Duration of one query for recorders; then it is repeated."""
-
-PAUSE_S: Final = 0.5
-"""Before a backfill is asked for again that was refused, or that nobody answered: the link may come back."""
 
 PROOF_S: Final = 2.0
 """The longest wait for a recorder's challenge, and for its reply to a grant."""
@@ -49,16 +40,14 @@ PROOF_S: Final = 2.0
 POLL_S: Final = 0.002
 """Period at which replies are looked for."""
 
-Answer = TypeVar("Answer", RecorderReply, BackfillPiece)
 
-
-def _read(kind: type[Answer], verb: str, sample: zenoh.Sample) -> Answer | PayloadFault:
+def _read(verb: str, sample: zenoh.Sample) -> RecorderReply | PayloadFault:
     named, known = str(sample.encoding), RECORDER_BY_VERB[verb].reply_encoding
     if named != known:
         return PayloadFault(
             f"the reply to {verb} is {encoding_fault(named, known, 'this program', 'the recorder')}"
         )
-    read = codec.understand(kind, sample.payload.to_bytes())
+    read = codec.understand(RecorderReply, sample.payload.to_bytes())
     return read if isinstance(read, PayloadFault) else read.message
 
 
@@ -99,7 +88,7 @@ class RecorderClient:
 
         Args:
             recorder: its name; ``keys.ALL`` for all.
-            verb: a row of the table of verbs, but not ``backfill``.
+            verb: a row of the table of verbs.
             request: what is asked.
             timeout_s: how long to wait for replies.
         """
@@ -115,29 +104,11 @@ class RecorderClient:
             name = self._name.fullmatch(str(sample.key_expr))
             if name is None:
                 continue  # Whoever answered so is no recorder of ours.
-            reply = _read(RecorderReply, verb, sample)
+            reply = _read(verb, sample)
             if isinstance(reply, RecorderReply):
                 yield name[1], reply
             elif names_schema(str(sample.encoding)):
                 log.warning("recorder %s: %s", name[1], plain(reply.detail))
-
-    def recorders(self, name: str, timeout_s: float) -> list[str]:
-        """The recorders that are there, as soon as there are any; of that name alone unless it is ALL.
-
-        Raises:
-            CommandError: there is none.
-        """
-        key = keys.of_recorder(self._root, name)
-        end_s = time.monotonic() + timeout_s
-        while not self._stopped():
-            handler: Any = zenoh.handlers.FifoChannel(REPLIES_WAITING)
-            replies = self._session.liveliness().get(key, handler, timeout=LOOK_S)
-            found = {str(sample.key_expr).rpartition("/")[2] for sample in self._samples(replies)}
-            if found:
-                return sorted(found)
-            if time.monotonic() >= end_s:
-                break
-        raise self.nobody(name)
 
     def nobody(self, name: str) -> CommandError:
         """Return the error that no recorder of this name answers, or none at all if it is ALL."""
@@ -147,33 +118,6 @@ class RecorderClient:
         else:
             who = "no recorder answers" if name == keys.ALL else f"recorder {name} does not answer"
         return CommandError(who, ExitCode.UNREACHABLE)
-
-    def backfill(self, recorder: str, request: Backfill) -> Iterator[BackfillPiece]:
-        """The pieces of an answer, as they come; fewer if the link fails.
-
-        Raises:
-            CommandError: the session is closed.
-        """
-        is_answered = False
-        for sample in self._query(
-            recorder,
-            "backfill",
-            request,
-            target=zenoh.QueryTarget.BEST_MATCHING,
-            # The present goes first on a thin link.
-            priority=zenoh.Priority.BACKGROUND,
-            timeout=BACKFILL_TIMEOUT_S,
-        ):
-            if str(sample.key_expr) != self._key(recorder, "backfill"):
-                continue
-            piece = _read(BackfillPiece, "backfill", sample)
-            if isinstance(piece, PayloadFault):
-                log.warning("recorder %s: a piece cannot be read: %s", recorder, plain(piece.detail))
-                return
-            is_answered = piece.ok
-            yield piece
-        if not is_answered and not self._stopped():
-            time.sleep(PAUSE_S)
 
     def close(self) -> None:
         """Leave Zenoh."""
@@ -196,7 +140,7 @@ class RecorderClient:
             break
         return self._proof.attachment(recorder, verb, payload, challenge)
 
-    def _query(self, recorder: str, verb: str, request: Request | Backfill, **how: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - the options of Zenoh's get
+    def _query(self, recorder: str, verb: str, request: Request, **how: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - the options of Zenoh's get
         payload = codec.encode(request)
         attachment = self._attachment(recorder, verb, payload)
         try:
@@ -206,7 +150,7 @@ class RecorderClient:
                 payload=payload,
                 attachment=attachment,
                 encoding=RECORDER_BY_VERB[verb].encoding,
-                # Several replies may have one key, and all of them count.
+                # Two recorders on different hosts may have one name, and so one key.
                 consolidation=zenoh.ConsolidationMode.NONE,
                 **how,
             )

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import re
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +31,7 @@ from schemas.decisions import StatementReply
 from schemas.messages import Message
 from schemas.printable import plain
 from schemas.reasons import Reason
-from schemas.recording import BackfillPiece, RecorderReply
+from schemas.recording import RecorderReply
 from schemas.requests import Request
 from schemas.settings import Settings
 from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_SUBJECTS, STATEMENT_REPLY_ENCODING
@@ -102,7 +101,6 @@ class RemoteControl:
         self._statements = self._session.declare_queryable(
             self._statements_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
         )
-        self._loop_thread = 0
         self._replier = ThreadPoolExecutor(1, "replies")
         self._replies_waiting = Semaphore(REPLIES_WAITING)
         self._publishers = {
@@ -129,7 +127,6 @@ class RemoteControl:
 
     def drain(self) -> Iterator[OperatorRequest]:
         """The requests that have come in. Statements of the authority are taken over first."""
-        self._loop_thread = threading.get_ident()
         self._take_statements()
         for _ in range(REQUESTS_PER_PASS):
             query = self._queries.try_recv()
@@ -165,18 +162,18 @@ class RemoteControl:
             content = b"" if payload is None else payload.to_bytes()
             request = self._admitted(name, operator, content, attachment)
 
-        def send(answer: RecorderReply | BackfillPiece) -> None:
+        def send(answer: RecorderReply) -> None:
             try:
                 # Whether it waits for room on the link is what the query says.
                 query.reply(key, msgspec.msgpack.encode(answer), encoding=verb.reply_encoding)
             except zenoh.ZError as error:
                 log.debug("nobody waits for the reply any more: %s", error)
 
-        def reply(answer: RecorderReply | BackfillPiece) -> None:
+        def reply(answer: RecorderReply) -> None:
             self._off_the_loop(partial(send, answer))
 
         done = partial(self._off_the_loop, query.drop)
-        return OperatorRequest(operator, request, reply, done, is_backfill=verb.reply is BackfillPiece)
+        return OperatorRequest(operator, request, reply, done)
 
     def _admitted(self, verb: str, operator: str, payload: bytes, attachment: bytes) -> Request | PayloadFault:
         """The request, or why it is not carried out."""
@@ -215,10 +212,8 @@ class RemoteControl:
         query.drop()
 
     def _off_the_loop(self, work: Callable[[], None]) -> None:
-        """Do what may wait for somebody's link: where the loop asks for it, on a thread that may."""
-        if threading.get_ident() != self._loop_thread:
-            work()
-        elif self._replies_waiting.acquire(blocking=False):
+        """Do what may wait for somebody's link on a thread that may."""
+        if self._replies_waiting.acquire(blocking=False):
             self._replier.submit(self._reply, work)
         else:
             log.warning("nobody takes the replies; the newest ones are dropped")

@@ -27,7 +27,6 @@ from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.telemetry.received import Received
 from recorder.mcap import recovery
-from recorder.mcap.log_map import LogMap
 from recorder.mcap.reader import is_mcap, read_pieces, walk
 from recorder.mcap.summary_reader import read_summary
 from recorder.record.orders import Orders
@@ -40,7 +39,7 @@ from schemas.codec import PayloadFault
 from schemas.decisions import EventKind, LeaseReply, StatementReply
 from schemas.messages import Message
 from schemas.reasons import Reason
-from schemas.recording import Backfill, Mark
+from schemas.recording import Mark
 from schemas.requests import Acquire, Drive, Request
 from schemas.settings import Settings
 from schemas.subjects import (
@@ -319,7 +318,7 @@ def candump_lines(data: bytes) -> None:
 
 
 def logs(data: bytes) -> None:
-    """Logs in any state: read whole, by the summary, by a map, and copied, which loses no message that is good."""
+    """Logs in any state: read whole, by the summary, and copied, which loses no message that is good."""
     stream, size = BytesIO(data), len(data)
     survey = recovery.survey(stream, size)
     assert 0 <= survey.end <= size
@@ -330,10 +329,6 @@ def logs(data: bytes) -> None:
         for _ in read_pieces(stream, size, is_verifying=is_verifying):
             pass
     for _ in walk(stream, size):
-        pass
-    chart = LogMap()
-    chart.read_on(stream, size)
-    for _ in chart.messages(stream):
         pass
     copy = BytesIO()
     recovery.copy_good(stream, size, copy, "fuzz")
@@ -346,13 +341,12 @@ def orders(data: bytes) -> None:
         return
     recorder, writer = Recorder(RECORDER_PLAN), MemoryWriter()
     writer.apply(recorder.receive([sample_of(gear(0))], 0))
-    backfills: list[object] = []
-    desk = Orders(recorder, lambda: recorder_health(recorder.state), backfills.append)
+    desk = Orders(recorder, lambda: recorder_health(recorder.state))
     verb = RECORDER_COMMANDS[data[0] % len(RECORDER_COMMANDS)]
     asked = FakeAsked(codec.decode_request(verb, data[1:]))
     writer.apply(desk.obey(asked.asked, 0, WALL_NS))
     desk.tick(10 * NS)
-    assert len(asked.replies) + len(backfills) == 1
+    assert len(asked.replies) == 1
 
 
 SAMPLED: Final = SUBJECTS
@@ -396,7 +390,7 @@ MESSAGES: Final = (
     batch(0, [(WALL_NS, feedback(0))]),
 )
 KINDS: Final[tuple[Subject | Verb[Any], ...]] = (*ALL_SUBJECTS, *ALL_VERBS)
-ORDERS: Final = (b"\x80", codec.encode(Backfill("fleet/**", 0, 1)), codec.encode(Mark("", "it swerved")))
+ORDERS: Final = (b"\x80", codec.encode(Mark("", "it swerved")))
 
 
 def _place(message: object, of: Sequence[Subject]) -> bytes:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from msgspec import inspect
 
 from schemas.messages import Message
-from schemas.recording import BackfillPiece, RecorderReply
+from schemas.recording import RecorderReply
 from schemas.subjects import ALL_SUBJECTS, COMMANDS, Subject
 from tests.support.strategies import any_of, message_of
 
@@ -20,7 +20,6 @@ READ: tuple[type[msgspec.Struct], ...] = (
     *dict.fromkeys(subject.type for subject in ALL_SUBJECTS),
     *dict.fromkeys(command.reply for command in COMMANDS),
     RecorderReply,
-    BackfillPiece,
 )
 """Every class that a reader gets from somebody else."""
 

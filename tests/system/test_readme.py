@@ -107,7 +107,6 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser record status": Run("messages written", first=("cruiser record -o logs",)),
     "cruiser record mark -m 'it swerved'": Run("an incident keeps"),
     "cruiser record split": Run("new files"),
-    "cruiser record backfill depot-logs": Run("messages filled", codes=(0, 3), first=("cp -r logs depot-logs",)),
     "cruiser review recover FILE...": Run("whole"),
     # A log.
     "cruiser review events demo-log": Run("the front bumper was hit"),

@@ -144,9 +144,6 @@ def _of_one(info: LogInfo) -> Iterator[str]:
     yield from table(
         ("attachment", "type", "bytes"), [(one.name, one.media_type, str(one.bytes)) for one in info.attachments]
     )
-    sources = sorted({channel.backfilled_from for channel in info.channels if channel.backfilled_from})
-    if sources:
-        yield f"  backfilled from recorder {', '.join(sources)}"
     yield from (f"  incident {one.get('file', '')}: {one.get('because', '')}" for one in info.incidents)
     yield from _completeness(info)
 

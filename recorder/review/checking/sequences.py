@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from operator import attrgetter
 from typing import Final, Protocol
 
-from recorder.backfill.runs import SequenceLine
-from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
+from recorder.encoding.key_counters import RESTART_STEP, SEQUENCE_SPAN, KeyCounters
 from recorder.encoding.protobuf_schema import schema_name
 from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.recording import RecorderEvent, RecordGap
@@ -18,6 +19,15 @@ _WITHOUT_SEQUENCE: Final = {schema_name(kind) for kind in (RawSample, GatewayInf
 
 KEPT: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.qos.kept_bytes)
 """Schemas of samples that a recorder may ask for after they went by."""
+
+OPEN_RUNS: Final = 4
+"""Runs that may go on by turns: what comes by itself, and what was asked for."""
+
+BATCH_NS: Final = 1_000_000_000
+"""The frames of one batch are no further apart than this; the same sequence later is another gateway's."""
+
+RUNS_MAX: Final = 4096
+"""Beyond this many they are put in order meanwhile."""
 
 
 class SequenceCount(Protocol):
@@ -71,6 +81,84 @@ class _InFileCount:
 
     def missed(self) -> tuple[int, int | None]:
         return self._tally.missed, self._first_ns
+
+
+class SequenceRun:
+    """Messages whose sequences follow each other; the frames of a batch share theirs."""
+
+    __slots__ = ("first", "first_ns", "last", "last_ns")
+
+    def __init__(self, sequence: int, publish_ns: int) -> None:
+        self.first = self.last = sequence
+        self.first_ns = self.last_ns = publish_ns
+
+    def add(self, sequence: int, publish_ns: int) -> bool:
+        """Add a message that follows the last one. Return False if it does not follow."""
+        if sequence != self.last + 1 and (sequence != self.last or publish_ns > self.last_ns + BATCH_NS):
+            return False
+        self.last = sequence
+        if publish_ns > self.last_ns:
+            self.last_ns = publish_ns
+        elif publish_ns < self.first_ns:
+            self.first_ns = publish_ns
+        return True
+
+    def join(self, other: SequenceRun) -> bool:
+        """Add a run that begins no earlier. Return False if it neither follows this one nor is a part of it."""
+        length, begins, ends = (
+            (sequence - self.first) % SEQUENCE_SPAN for sequence in (self.last, other.first, other.last)
+        )
+        if begins == length:
+            is_next = other.first_ns - self.last_ns <= BATCH_NS
+        else:
+            is_next = begins == length + 1 or (begins < length and other.first_ns <= self.last_ns)
+        if is_next:
+            if ends > length:
+                self.last = other.last
+            self.last_ns = max(self.last_ns, other.last_ns)
+        return is_next
+
+
+def _is_free(runs: list[SequenceRun], run: SequenceRun, publish_ns: int) -> bool:
+    """Report whether no other run begins between the end of this one and that time: then it cannot go on there."""
+    return not any(run.last_ns < other.first_ns < publish_ns for other in runs)
+
+
+class SequenceLine:
+    """The messages of one topic."""
+
+    def __init__(self) -> None:
+        self._runs: list[SequenceRun] = []
+        self._limit = RUNS_MAX
+
+    def add(self, sequence: int, publish_ns: int) -> None:
+        """Add a message that is there."""
+        if self._runs and self._runs[-1].add(sequence, publish_ns):
+            return
+        recent = self._runs[-OPEN_RUNS:]
+        for run in reversed(recent[:-1]):
+            if _is_free(recent, run, publish_ns) and run.add(sequence, publish_ns):
+                return
+        if len(self._runs) >= self._limit:
+            self._runs = self.runs()
+            self._limit = RUNS_MAX + 2 * len(self._runs)
+        self._runs.append(SequenceRun(sequence, publish_ns))
+
+    def runs(self) -> list[SequenceRun]:
+        """Return the runs, in the order of time."""
+        joined: list[SequenceRun] = []
+        for run in sorted(self._runs, key=attrgetter("first_ns", "first")):
+            if not joined or not joined[-1].join(run):
+                joined.append(run)
+        self._runs = joined
+        return joined
+
+    def gaps(self) -> Iterator[tuple[SequenceRun, SequenceRun, int | None]]:
+        """The runs around each gap, and how many sequences are missing; None where the source began anew."""
+        runs = self.runs()
+        for before, after in pairwise(runs):
+            step = (after.first - before.last - 1) % SEQUENCE_SPAN
+            yield before, after, step if step < RESTART_STEP else None
 
 
 class _InTimeCount:

@@ -73,7 +73,7 @@ def _hole(before: _Piece, behind: _Piece) -> SequenceHole:
 
 
 class Repeats:
-    """Finds samples that were there before: an incident beside its log, a backfill, two recorders' logs.
+    """Finds samples that were there before: an incident beside its log, two recorders' logs.
 
     Args:
         kept: so many samples are remembered.

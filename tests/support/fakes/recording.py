@@ -28,7 +28,7 @@ from recorder.record.notices import Ended, Lost, Notice, Opened
 from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import RecorderPlan
 from schemas.codec import PayloadFault
-from schemas.recording import BackfillPiece, RecorderEvent, RecorderReply, RecordGap
+from schemas.recording import RecorderEvent, RecorderReply, RecordGap
 from schemas.requests import Request
 from tests.support.logs import PLAN, Disk
 from tests.support.messages import ROOT
@@ -188,10 +188,10 @@ class FakeAsked:
 
     def __init__(self, request: Request | PayloadFault) -> None:
         self.asked = OperatorRequest("operator-1", request, self.reply, self.done)
-        self.replies: list[RecorderReply | BackfillPiece] = []
+        self.replies: list[RecorderReply] = []
         self.is_done = False
 
-    def reply(self, answer: RecorderReply | BackfillPiece) -> None:
+    def reply(self, answer: RecorderReply) -> None:
         assert not self.is_done
         self.replies.append(answer)
 

@@ -37,7 +37,6 @@ from recorder.review.info import read_info
 from schemas.decisions import EventKind
 from schemas.messages import GatewayInfo, Gear, Message, Variant
 from schemas.recording import (
-    Backfill,
     Mark,
     RecorderEvent,
     RecorderHealth,
@@ -370,20 +369,13 @@ def test_operators_are_obeyed_and_told(tmp_path: Path, monkeypatch: pytest.Monke
     """What is asked for happens to the files on the disk, whose names the replies give."""
     # However slow the disk is here: a reply that waits for it no longer names no file.
     monkeypatch.setattr(orders, "REPLY_NS", 10**12)
-    control = FakeControl(Status(), Mark("it shook"), Split(), StopRecording(), Start(), Backfill("x", 0, 1))
-    backfills = []
+    control = FakeControl(Status(), Mark("it shook"), Split(), StopRecording(), Start())
     # Each pass brings some, so that there is a file to end.
     source = FakeSource(sample_of(gear(number)) for number in range(10**9))
-
-    def backfill(asked: object) -> None:
-        backfills.append(asked)
-        control.asked[-1].done()
-
     one = recorder(source, tmp_path, queue_bytes=1_000_000)
-    one.obey(control, backfill)
+    one.obey(control)
     recorded = one.run(lambda: control.is_served)
-    status, mark, split, stop, start = (asked.answer for asked in control.asked[:-1])
-    assert backfills == [control.asked[-1].asked]
+    status, mark, split, stop, start = (asked.answer for asked in control.asked)
     assert [answer.health.state for answer in (status, stop, start)] == [
         RecorderState.RECORDING,
         RecorderState.STOPPED,
@@ -403,7 +395,7 @@ def test_health_is_published_each_second(tmp_path: Path) -> None:
     control = FakeControl()
     source = FakeSource(sample_of(gear(number)) for number in range(10**9))
     one = recorder(source, tmp_path, queue_bytes=1_000_000)
-    one.obey(control, lambda _: None)
+    one.obey(control)
     # The first may come before the disk has opened a file.
     one.run(lambda: len(control.health()) >= 2 and control.health()[-1].files > 0)
     first, second = control.health()[-2:]
@@ -425,7 +417,7 @@ def test_notices_of_others_are_taken(tmp_path: Path) -> None:
     keeper = SimpleNamespace(notices=lambda: [notices.pop(0)] if notices else [], use=DiskUse())
     plan = msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.STOP}))
     one = recorder(source, tmp_path, plan, keeper=keeper)
-    one.obey(control, lambda _: None)
+    one.obey(control)
     one._step()
     late = [sample_of(safety_event(EventKind.STOP)), *(sample_of(gear(number)) for number in range(100, 200))]
     source._samples = iter(late)

@@ -12,7 +12,6 @@ import pytest
 from schemas.exit_codes import ExitCode
 from tests.support.authority import Fleet, Party
 from tests.support.fakes.peer import Peer, free_endpoint
-from tests.support.logs import Log, saved
 from tests.support.messages import gear, sample_of
 from tests.support.processes.recorder import Process, Told, ask, link, recording
 from tests.support.provisioned import provision, write_authority
@@ -106,23 +105,6 @@ def test_a_stranger_is_refused(depot: SignedDepot, monkeypatch: pytest.MonkeyPat
     code, detail = order(depot, "stop")
     assert code == ExitCode.USAGE
     assert "operator.key is not there; 'cruiser provision operator NAME' makes it" in detail
-
-
-def test_a_backfill_is_given_by_grant(depot: SignedDepot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Whose grant does not have the verb is told so."""
-    holes = Log()
-    holes.receive(sample_of(gear(0)), sample_of(gear(5)))
-    log = saved(tmp_path / "holes" / "cruiser-1.mcap", holes.close())
-    said = {}
-    for name, verbs in (("bob", ["mark"]), ("ann", ["backfill"])):
-        act_as(monkeypatch, depot.person(name, verbs))
-        code, out, err = ask("backfill", str(log), "--connect", depot.endpoint, "--recorder", "depot")
-        assert code == ExitCode.PARTIAL, err
-        said[name] = out + err
-    assert "backfill is not among its verbs (not_granted)" in said["bob"]
-    assert "not_granted" not in said["ann"]
-    assert "holes not wholly answered" in said["bob"]
-    assert "holes not wholly answered" not in said["ann"]
 
 
 def test_a_recorder_without_its_authority_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from functools import partial
 from typing import Any
 
 import msgspec
@@ -19,7 +18,6 @@ from schemas.codec import PayloadFault
 from schemas.decisions import Severity
 from schemas.recorder_settings import RecorderSettings
 from schemas.recording import (
-    Backfill,
     Mark,
     RecorderEvent,
     RecorderEventKind,
@@ -160,11 +158,6 @@ def pair(endpoint: str) -> Iterator[Pair]:
         ("status", None, Status()),
         ("split", msgspec.msgpack.encode({}), Split()),
         ("mark", msgspec.msgpack.encode({"text": "bump", "robot": "cruiser-1"}), Mark("bump", "cruiser-1")),
-        (
-            "backfill",
-            msgspec.msgpack.encode({"key": "fleet/**", "from_ns": 1, "to_ns": 2}),
-            Backfill("fleet/**", 1, 2),
-        ),
     ],
 )
 def test_a_request_comes_in_with_who_asks(pair: Pair, verb: str, payload: bytes | None, request_: Request) -> None:
@@ -184,8 +177,6 @@ def test_a_request_comes_in_with_who_asks(pair: Pair, verb: str, payload: bytes 
         ("mark", msgspec.msgpack.encode({"txt": ""})),
         ("mark", msgspec.msgpack.encode({"text": "x" * 1001})),
         ("mark", b"\x00" * 5000),
-        ("backfill", b""),
-        ("backfill", msgspec.msgpack.encode({"key": "k", "from_ns": -1, "to_ns": 2})),
     ],
 )
 def test_what_is_no_request_is_a_fault_that_can_be_answered(pair: Pair, verb: str, payload: bytes) -> None:
@@ -200,7 +191,7 @@ def test_what_is_no_request_is_a_fault_that_can_be_answered(pair: Pair, verb: st
 @pytest.mark.parametrize("command", RECORDER_COMMANDS, ids=lambda command: command.verb)
 def test_a_request_of_another_version_says_which_side_to_upgrade(pair: Pair, command: RecorderCommand) -> None:
     """Its payload is not read, though it may be one of this version's."""
-    payload = msgspec.msgpack.encode({"key": "k", "from_ns": 1, "to_ns": 2} if command.verb == "backfill" else {})
+    payload = msgspec.msgpack.encode({})
     pair.client.ask(pair.key(command.verb), payload, newer(command.encoding))
     asked = pair.next()
     assert isinstance(asked.request, PayloadFault)
@@ -250,9 +241,8 @@ def test_a_reply_says_whose_it_is_although_all_were_asked(pair: Pair) -> None:
 @pytest.mark.parametrize("verb", [verb for verb in RECORDER_BY_VERB if verb != "status"])
 def test_one_query_does_not_stop_every_recorder(pair: Pair, verb: str, recorder: str) -> None:
     """Only ``status`` may be asked of all. What changes a recorder, or keeps it busy, names it."""
-    request = {"key": "fleet/**", "from_ns": 1, "to_ns": 2} if verb == "backfill" else {}
     pattern = recorder.replace("be*", "be$*")
-    pair.client.ask(pair.key(verb, recorder=pattern), msgspec.msgpack.encode(request))
+    pair.client.ask(pair.key(verb, recorder=pattern), msgspec.msgpack.encode({}))
     asked = pair.next()
     assert isinstance(asked.request, PayloadFault)
     assert asked.request.detail == f"{verb} must name one recorder, without a wildcard"
@@ -299,19 +289,6 @@ def test_who_does_not_read_holds_up_no_loop(pair: Pair) -> None:
     assert query.said == []
     query.goes_on.set()
     wait_until(lambda: query.said == ["reply", "done"])
-
-
-def test_who_answers_on_a_thread_of_its_own_waits_for_the_link(pair: Pair) -> None:
-    """As a backfill does: it would only make more that waits."""
-    query: Any = HungQuery(pair.key("backfill"))
-    asked = pair.control._asked(query)
-    assert asked is not None
-    query.goes_on.set()
-    for work in (partial(asked.reply, A_REPLY), asked.done):
-        thread = threading.Thread(target=work)
-        thread.start()
-        thread.join()
-    assert query.said == ["reply", "done"]
 
 
 def is_over(replies: Any) -> bool:  # noqa: ANN401 - Zenoh's own handler

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gateway.authority.transport import TransportRole
-from recorder.cli.role import FETCHING, ORDERING, RECORDING, check_recording, check_role
+from recorder.cli.role import ORDERING, RECORDING, check_recording, check_role
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from tests.support.secured import Network
@@ -47,16 +47,15 @@ def test_each_role_does_what_routers_let_it(network: Network) -> None:
     """As the table of access says: a recorder records, an operator or a desk orders, a viewer does neither."""
     roles = {role: settings(network, role) for role in TransportRole if role is not TransportRole.NOTHING}
     lets = {
-        role.value: [not refused(one, allowed) for allowed in (RECORDING, ORDERING, FETCHING)]
-        for role, one in roles.items()
+        role.value: [not refused(one, allowed) for allowed in (RECORDING, ORDERING)] for role, one in roles.items()
     }
     assert lets == {
-        "robot": [False, False, False],
-        "operator": [False, True, True],
-        "viewer": [False, False, False],
-        "recorder": [True, False, True],
-        "desk": [False, True, True],
-        "router": [True, True, True],
+        "robot": [False, False],
+        "operator": [False, True],
+        "viewer": [False, False],
+        "recorder": [True, False],
+        "desk": [False, True],
+        "router": [True, True],
     }
 
 

@@ -26,13 +26,12 @@ from schemas.authority.identity import Identity
 from schemas.authority.statement import GrantRole, Revocations, TimeStatement, chain_text
 from schemas.codec import PayloadFault
 from schemas.reasons import Reason
-from schemas.recording import Backfill, Mark, StopRecording
+from schemas.recording import Mark, StopRecording
 from schemas.requests import Request
 from schemas.subjects import RECORDER_BY_VERB
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party
 
 ALL_ORDERS = [verb for verb in RECORDER_BY_VERB if verb != "status"]
-BACKFILL = Backfill("fleet/cruiser-1/**", 1, 2)
 
 
 class Door:
@@ -104,7 +103,7 @@ def test_no_order_is_obeyed_without_a_proof(verb: str, attachment: bytes) -> Non
     """Nor with something else in its place."""
     door = Door()
     ann = door.let_in()
-    request = {"backfill": BACKFILL, "mark": Mark("why", "")}.get(verb)
+    request = {"mark": Mark("why", "")}.get(verb)
     assert door.judge(door.order(ann, verb, request, attachment=attachment)) is Reason.PROOF_MISSING
 
 
@@ -209,12 +208,6 @@ def test_a_grant_of_another_name_or_authority_is_none() -> None:
         ("stop", StopRecording(), Reason.NOT_GRANTED),
         ("split", StopRecording(), Reason.NOT_GRANTED),
         ("start", StopRecording(), Reason.NOT_GRANTED),
-        ("backfill", Backfill("fleet/cruiser-1/state", 1, 2), Reason.NONE),
-        ("backfill", Backfill("fleet/cruiser-2/state", 1, 2), Reason.NOT_GRANTED),
-        ("backfill", Backfill("fleet/*/state", 1, 2), Reason.NOT_GRANTED),
-        ("backfill", Backfill("fleet/**", 1, 2), Reason.NOT_GRANTED),
-        ("backfill", Backfill("**", 1, 2), Reason.NOT_GRANTED),
-        ("backfill", Backfill("*/cruiser-1/state", 1, 2), Reason.NOT_GRANTED),
     ],
 )
 def test_an_order_about_robots_needs_a_grant_for_them(verb: str, request_: Request, reason: Reason) -> None:

@@ -8,15 +8,13 @@ from hypothesis import strategies as st
 
 from recorder.record.actions import CloseLog
 from recorder.record.notices import Deleted, DiskRoom, Ended, Opened
-from recorder.record.orders import REPLY_NS, OperatorRequest, Orders
+from recorder.record.orders import REPLY_NS, Orders
 from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
-from schemas.recording import Backfill, Mark, RecorderState, Split, Start, Status, StopRecording
+from schemas.recording import Mark, RecorderState, Split, Start, Status, StopRecording
 from schemas.requests import Request
 from tests.support.fakes.recording import RECORDER_PLAN, FakeAsked, MemoryWriter
 from tests.support.messages import SECOND, WALL_NS, gear, recorder_health, sample_of
-
-BACKFILL = Backfill("fleet/**", 0, 1)
 
 
 class Desk:
@@ -25,8 +23,7 @@ class Desk:
     def __init__(self) -> None:
         self.recorder = Recorder(RECORDER_PLAN)
         self.writer = MemoryWriter()
-        self.backfills: list[OperatorRequest] = []
-        self.orders = Orders(self.recorder, lambda: recorder_health(self.recorder.state), self.backfills.append)
+        self.orders = Orders(self.recorder, lambda: recorder_health(self.recorder.state))
         self.now_ns = 0
 
     def receive(self, *robots: str) -> None:
@@ -162,15 +159,6 @@ def test_what_cannot_be_read_is_refused() -> None:
     """With what is wrong."""
     answer = Desk().ask(PayloadFault("no such field")).answer
     assert (answer.ok, answer.detail) == (False, "no such field")
-
-
-def test_a_backfill_is_handed_on() -> None:
-    """It is answered where it takes its time."""
-    desk = Desk()
-    asked = desk.ask(BACKFILL)
-    assert desk.backfills == [asked.asked]
-    assert not asked.replies
-    assert not asked.is_done
 
 
 REQUESTS = st.sampled_from(

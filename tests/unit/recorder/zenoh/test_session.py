@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.zenoh.session import _configuration, listens_only
+from recorder.zenoh.session import _configuration, key_matches, listens_only
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 
@@ -42,3 +42,22 @@ def test_only_who_is_told_to_listen_and_nowhere_to_connect_is_apart(tmp_path: Pa
     config = _configuration(ZenohSettings(listen=[here]), [here], is_apart=True)
     assert config.get_json("connect/endpoints") == "[]"
     assert config.get_json("scouting/gossip/enabled") == "false"
+
+
+@pytest.mark.parametrize(
+    ("expression", "topic", "expected"),
+    [
+        ("fleet/**", "fleet/cruiser-1/chassis/gear", True),
+        ("fleet/*/chassis/*", "fleet/cruiser-1/chassis/gear", True),
+        ("fleet/cruiser-1/chassis/gear", "fleet/cruiser-1/chassis/gear", True),
+        ("fleet/cruiser-2/**", "fleet/cruiser-1/chassis/gear", False),
+        ("fleet/**", "fleet/@recorder/depot/health", False),
+        ("no//key", "fleet/cruiser-1/chassis/gear", False),
+        ("@more", "@more", True),
+        ("", "fleet/cruiser-1/chassis/gear", False),
+        ("fleet/**", "no//key", False),
+    ],
+)
+def test_keys_match_as_they_do_in_zenoh(expression: str, topic: str, expected: bool) -> None:  # noqa: FBT001 - pytest gives it
+    """What is no key expression matches nothing but itself."""
+    assert key_matches(expression, topic) == expected

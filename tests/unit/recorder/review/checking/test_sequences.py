@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.backfill import runs
-from recorder.backfill.runs import Cover, SequenceLine
 from recorder.encoding.key_counters import SEQUENCE_SPAN
+from recorder.review.checking import sequences
+from recorder.review.checking.sequences import SequenceLine
 
 SECOND = 1_000_000_000
 
@@ -88,24 +88,11 @@ def test_what_was_asked_for_later_is_in_its_place() -> None:
 
 def test_runs_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """What has come together meanwhile is one run."""
-    monkeypatch.setattr(runs, "RUNS_MAX", 64)
-    line, cover = SequenceLine(), Cover(1)
+    monkeypatch.setattr(sequences, "RUNS_MAX", 64)
+    line = SequenceLine()
     most = 0
     for number in (*range(0, 6400, 2), *range(1, 6400, 2)):
         line.add(number, number)
-        cover.add(4 * number)
         most = max(most, len(line._runs))
     assert most < 6000
     assert [(run.first, run.last) for run in line.runs()] == [(0, 6399)]
-    assert len(list(cover.silences())) == 6399
-
-
-@given(st.lists(st.integers(0, 200), min_size=1))
-def test_a_silence_is_longer_than_it_has_to_be(times: list[int]) -> None:
-    """Whatever the order in which the messages come."""
-    cover = Cover(10)
-    for time in times:
-        cover.add(time)
-    ordered = sorted(times)
-    expected = [(one, other) for one, other in itertools.pairwise(ordered) if other - one > 10]
-    assert list(cover.silences()) == expected
