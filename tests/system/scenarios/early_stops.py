@@ -29,7 +29,7 @@ from tests.system.scenarios.plant import (
     orders,
 )
 
-FILE: Final = Path(__file__).parents[2] / "data" / "goldens" / "early_stops.txt"
+FILE: Final = Path(__file__).parents[2] / "data" / "frozen" / "early_stops.txt"
 
 LAST_STEP: Final = 1400
 """Seven seconds."""

@@ -24,7 +24,7 @@ from tests.system.scenarios.plant import CanFrame
 from tests.system.scenarios.rig import Fields
 from tests.system.scenarios.scenario import Play, Result, Scenario, scenario
 
-FILE: Final = Path(__file__).parents[2] / "data" / "goldens" / "scenarios.txt"
+FILE: Final = Path(__file__).parents[2] / "data" / "frozen" / "scenarios.txt"
 
 SEEDS: Final = 500
 
