@@ -190,7 +190,7 @@ def _as_called_before(before: Manifest, logs: Sequence[LogFile], shown: str) -> 
     of_parts = [(keys.parse(key_of(part.topic)[0]), part.robot) for part in before.files if part.robot]
     there = {(parts.root, parts.robot): called for parts, called in of_parts if parts is not None}
     with_root = frozenset(name for (_, name), called in there.items() if called != name)
-    for root, name in {robot for log in logs for robot in log.robots} - there.keys():
+    for root, name in sorted({robot for log in logs for robot in log.robots} - there.keys()):
         for (other_root, other), called in there.items():
             if other == name == called:
                 raise CommandError(

@@ -149,7 +149,7 @@ def _suspects(logs: Sequence[LogFile]) -> Iterator[_Suspect]:
             # opened.
             its = [one for one in logs if one.robots & log.robots or not (one.robots and log.robots)]
             yield _Suspect(its, [(max(0, log.start_ns - JOINT_NS), log.end_ns + 1)], losers)
-        for root, name in log.robots:
+        for root, name in sorted(log.robots):
             of_robots[f"{root}/{name}" if name in log.namesakes else name].append(log)
     for robot, its in of_robots.items():
         end_ns = 0

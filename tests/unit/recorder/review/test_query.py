@@ -274,6 +274,19 @@ def test_a_robot_that_is_added_is_called_as_before_or_refused(tmp_path: Path) ->
         export_dataset(find_logs(paths[1:2], Faults()), tmp_path / "one", ExportRange(), Faults(), is_adding=True)
 
 
+def test_of_several_robots_that_are_refused_the_first_by_name_is_named(tmp_path: Path) -> None:
+    """A set has another order in each process."""
+    names = [f"cruiser-{number}" for number in range(1, 9)]
+    ours = [saved(tmp_path / f"{name}.mcap", drive_log(name, count=2)) for name in names]
+    theirs = [
+        saved(tmp_path / "depot" / f"{name}.mcap", path.read_bytes().replace(b"fleet/c", b"depot/c"))
+        for name, path in zip(names, ours, strict=True)
+    ]
+    export_dataset(find_logs(ours, Faults()), tmp_path / "out", ExportRange(), Faults())
+    with pytest.raises(CommandError, match="holds fleet/cruiser-1 by its name alone"):
+        export_dataset(find_logs(theirs, Faults()), tmp_path / "out", ExportRange(), Faults(), is_adding=True)
+
+
 def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:
     """DuckDB is interrupted in the midst of it."""
     looks = iter([False, False])
