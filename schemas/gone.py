@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 GONE_WORDS: Final[Mapping[str, str]] = {
+    "shadow": "record the drive, and ask 'cruiser review rerun LOG --set SETTING=VALUE'",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
 }
 """Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""

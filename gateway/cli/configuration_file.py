@@ -24,7 +24,7 @@ SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")
 OF_THE_ROBOT: Final = frozenset({"doctor", "gateway", "record"})
 """Commands that read these where no file is named: by hand, too, they are about the robot that it is."""
 
-_LOOKING: Final = ("list", "watch", "view", "shadow", "why")
+_LOOKING: Final = ("list", "watch", "view", "why")
 _DRIVING: Final = ("drive", "stop", "reset", "lease", "park", "unpark", "light", "horn", "odometer")
 OWN_FILES: Final[Mapping[str, tuple[str, ...]]] = {
     "gateway": ("robot.toml",),

@@ -45,7 +45,6 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "upload": ("recorder.cli.upload", "finished logs to an object store, incidents first"),
     "watch": ("gateway.cli.watch", "a live view of a robot; without a name the list, live"),
     "view": ("recorder.cli.view", "robots live in Foxglove and Lichtblick"),
-    "shadow": ("recorder.cli.shadow", "what a robot would decide with other settings, while it drives"),
     "list": ("gateway.cli.list_robots", "all robots, lost ones too: state, speed, driver, health"),
     "setup": ("gateway.cli.setup", "make a robot of a computer: settings, keys, services"),
     "doctor": ("gateway.cli.doctor", "what is wrong with a robot, and what cures it"),

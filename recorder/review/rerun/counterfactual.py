@@ -263,16 +263,12 @@ class _Side:
 class RunsCompared:
     """Both runs, as they were and as they would have been.
 
-    Args:
-        on_change: called with each two decisions that differ, the recorded one first.
-
     Attributes:
         changes: the decisions that differ, alike ones together.
         start_ns, end_ns: of the states that were taken; 0 before the first.
     """
 
-    def __init__(self, on_change: Callable[[Decision, Decision], None] = lambda *_: None) -> None:
-        self._on_change = on_change
+    def __init__(self) -> None:
         self.changes: dict[tuple[object, ...], DecisionChange] = {}
         self.start_ns = self.end_ns = 0
         self._sides = {False: _Side(), True: _Side()}
@@ -345,7 +341,6 @@ class RunsCompared:
         was, would_be = verdict_of(recorded), verdict_of(other)
         if was == would_be:
             return
-        self._on_change(recorded, other)
         key = (recorded.operator, recorded.request, was, would_be)
         change = self.changes.get(key)
         if change is None:
