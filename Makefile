@@ -6,7 +6,7 @@ PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv
 BIN := $(VENV)/bin
-# What is installed: what the product needs (242 MB), and with it what its development needs (1,043 MB).
+# What is installed: what the product needs (242 MB), and with it what its development needs (889 MB).
 DEMO := $(VENV)/demo
 STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
@@ -116,7 +116,7 @@ readers: $(STAMP)  ## logs as rerun reads them, and the packages of Foxglove and
 	cd tests/readers/viewer && $(NPM_INSTALL) && npm run --silent build
 	READERS_PYTHON=.venv-readers/bin/python $(BIN)/python -m pytest tests/readers
 
-test-cluster: $(STAMP)  ## export, rerun and regress on a Ray cluster of two nodes on this machine; an environment of 700 MB; ten minutes
+test-cluster: $(STAMP)  ## export and rerun on a Ray cluster of two nodes on this machine; an environment of 700 MB; ten minutes
 	@test -x .venv-ray/bin/ray || { $(PYTHON) -m venv .venv-ray && .venv-ray/bin/python $(PINNED) constraints-ray.txt; }
 	.venv-ray/bin/python $(PROJECT)
 	RAY_BIN=.venv-ray/bin $(BIN)/python -m pytest tests/cluster

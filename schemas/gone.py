@@ -7,6 +7,9 @@ from typing import Final
 
 GONE_WORDS: Final[Mapping[str, str]] = {
     "shadow": "record the drive, and ask 'cruiser review rerun LOG --set SETTING=VALUE'",
+    "review regress": "'cruiser review rerun LOG...' says of how many logs the decisions differ",
+    "review rerun --jobs": "give --processes N",
+    "review export --runner": "give --processes N, or --ray ADDRESS",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
 }
 """Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""

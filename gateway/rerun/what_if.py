@@ -81,13 +81,11 @@ class RunPair:
 
     Attributes:
         core, other: the same.
-        differs: in the last tick the chassis was told different things.
     """
 
     def __init__(self, core: Core, other: Core) -> None:
         self.core = core
         self.other = other
-        self.differs = False
         self._echo = _Echo(core, other)
         self._stand_in: StandIn | None = None
         self._offered: list[Frame] = []
@@ -138,11 +136,10 @@ class RunPair:
     def _compare(self, frames: list[Frame], others: list[Frame], now_ns: int) -> None:
         """Compare the commands of both runs, and begin or end the stand-in for the chassis accordingly."""
         self._offered, self._offered_other = frames, others
-        self.differs = _told(frames) != _told(others)
         stand_in = self._stand_in
         if stand_in is None:
             return
-        if self.differs:
+        if _told(frames) != _told(others):
             stand_in.begin(now_ns)
         if frames or others or not stand_in.stands:
             self._resting_since_ns = None

@@ -1,20 +1,22 @@
-"""Tasks that others do: processes of this machine, or a Ray cluster.
+"""Tasks, one a log, done in this process, in several of this machine, or by a Ray cluster.
 
-A task is a function of a module, and what it is given and returns can be pickled. On a cluster every machine needs
-this package, and the files that tasks name under the same paths.
+What a task does is a function of a module, and what it is given and returns can be pickled. On a cluster every
+machine needs this package, and the files that tasks name under the same paths.
 """
 
 from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
+
+import msgspec
 
 from recorder.reading.rows import Progress
 from schemas.exit_codes import CommandError, ExitCode
@@ -27,10 +29,66 @@ LOOK_S: Final = 0.1
 TRIES_AGAIN: Final = 3
 """A cluster begins a task anew so often: where its process or machine dies, or a file cannot be read."""
 
-
 SCHEME: Final = "ray://"
 
+
+class LogTask(Protocol):
+    """A task of a log."""
+
+    @property
+    def bytes(self) -> int:
+        """The length of the log."""
+
+
+Task = TypeVar("Task", bound=LogTask)
 Outcome = TypeVar("Outcome")
+
+Act = Callable[[Task, Progress], Outcome]
+"""Does a task; the progress receives the numbers of bytes that were read."""
+
+
+class TaskRunner(msgspec.Struct, frozen=True):
+    """The place where tasks are done.
+
+    Attributes:
+        processes: so many tasks at once, each in a process of its own; one is this process. They are begun anew: a
+            script that calls this has to be importable without doing so again.
+        ray: the address of a Ray cluster that does them; empty for none.
+    """
+
+    processes: int = 1
+    ray: str = ""
+
+    def __call__(self, act: Act[Task, Outcome], tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
+        """Do all tasks; yields their outcomes in the same order.
+
+        Raises:
+            CommandError: a process was killed, or the cluster is not there.
+        """
+        if self.ray:
+            with ray_cluster(self.ray) as cluster:
+                yield from _spread(cluster, act, tasks, progress)
+        elif self.processes > 1 and len(tasks) > 1:
+            with processes(min(self.processes, len(tasks))) as pool:
+                yield from _spread(pool, act, tasks, progress)
+        else:
+            for task in tasks:
+                yield act(task, progress)
+
+
+HERE: Final = TaskRunner()
+"""This process."""
+
+
+def _spread(
+    pool: Executor, act: Act[Task, Outcome], tasks: Sequence[Task], progress: Progress
+) -> Iterator[Outcome]:
+    # All are begun before the first is waited for.
+    futures = [pool.submit(act, task, look) for task in tasks]
+    for task, future in zip(tasks, futures, strict=True):
+        outcome = outcome_of(future, progress)
+        progress(task.bytes)
+        yield outcome
 
 
 def outcome_of(future: Future[Outcome], progress: Progress) -> Outcome:
@@ -45,33 +103,23 @@ def outcome_of(future: Future[Outcome], progress: Progress) -> Outcome:
         return future.result()
     except BrokenProcessPool as error:
         raise CommandError(
-            "a process that ran the log again was killed; with --jobs 1 there is one alone"
+            "a process was killed in the middle of a log; with --processes 1 there is one alone"
         ) from error
 
 
 @contextmanager
-def processes(jobs: int) -> Generator[ProcessPoolExecutor, None, None]:
+def processes(count: int) -> Generator[ProcessPoolExecutor, None, None]:
     """Processes that end on request, and not by a signal that is meant for this one."""
     context = get_context("spawn")
     # They begin with `python -c`, which would take modules from the working directory.
     os.environ[SAFE_PATH_VARIABLE] = "1"
     stop = context.Event()
-    pool = ProcessPoolExecutor(jobs, context, _enter, (stop,))
+    pool = ProcessPoolExecutor(count, context, _enter, (stop,))
     try:
         yield pool
     finally:
         stop.set()
         pool.shutdown(cancel_futures=True)
-
-
-class InThisProcess(Executor):
-    """Runs each task at once, where there is to be no other process."""
-
-    def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
-        """Run the task."""
-        future = Future[Any]()
-        future.set_result(act(*words, **named))
-        return future
 
 
 _stop: Event | None = None
@@ -99,9 +147,6 @@ class RayCluster(Executor):
 
     Args:
         ray: the module, connected.
-
-    Attributes:
-        processors: of all machines.
     """
 
     def __init__(self, ray: Any) -> None:  # noqa: ANN401 - a module that is not everywhere
@@ -109,7 +154,6 @@ class RayCluster(Executor):
         self._remote = ray.remote(max_retries=TRIES_AGAIN, retry_exceptions=[OSError])
         self._acts: dict[Callable[..., Any], Any] = {}
         """As the cluster knows them: each is sent there once."""
-        self.processors = int(ray.cluster_resources().get("CPU", 1))
 
     def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
         """Have a task done."""

@@ -1,4 +1,4 @@
-"""The speed at which a log is run again, reading and comparing included: in one process, and in one a processor.
+"""The speed at which a log is run again, reading and comparing included, in one process.
 
 Wall time says what somebody waits, and depends on what else the machine does; processor time much less so.
 
@@ -10,7 +10,6 @@ Not a test: machines differ.
 from __future__ import annotations
 
 import argparse
-import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,18 +39,12 @@ def rows(minutes: float, robots: Sequence[str]) -> list[Row]:
 
 
 def rerun_rows(robot: str, minutes: float) -> list[Row]:
-    """The same log in one process, and in one for each processor."""
+    """One log."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
         path.write_bytes(DRIVES[robot](minutes))
-        alone = ask(["rerun", "--jobs", "1", str(path)])
-        spread = ask(["rerun", str(path)])
-    processors = len(os.sched_getaffinity(0))
-    return [
-        (f"review rerun, a robot {robot}, {minutes:g} minutes, one process", _figures(alone, minutes), ""),
-        (f"  {processors} processes", _figures(spread, minutes), "60 x"),
-        ("  times as fast", f"{alone.seconds / spread.seconds:.2f}", f"{processors}"),
-    ]
+        asked = ask(["rerun", str(path)])
+    return [(f"review rerun, a robot {robot}, {minutes:g} minutes", _figures(asked, minutes), "60 x")]
 
 
 def _figures(asked: Asked, minutes: float) -> str:

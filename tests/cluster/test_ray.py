@@ -1,4 +1,4 @@
-"""Export, rerun and regress over a Ray cluster of two nodes, both on this machine's loopback.
+"""Export and rerun over a Ray cluster of two nodes, both on this machine's loopback.
 
 ``make test-cluster`` runs it: Ray has an environment of its own.
 """
@@ -177,10 +177,10 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("words", [["regress"], ["regress", "--set", "command.speed_limit_mps=0.8"], ["rerun"]])
+@pytest.mark.parametrize("words", [["rerun"], ["rerun", "--set", "command.speed_limit_mps=0.8"]])
 def test_the_answer_is_the_one_that_one_process_gives(cluster: str, drive: Path, words: list[str]) -> None:
     """Also where the logs are named as this process sees them."""
-    here = review(*words, "--json", "--jobs", "1", NAME, cwd=drive.parent)
+    here = review(*words, "--json", "--processes", "1", NAME, cwd=drive.parent)
     there = review(*words, "--json", "--ray", cluster, NAME, cwd=drive.parent)
     assert json.loads(here.stdout.splitlines()[-1])
     assert (here.returncode, here.stdout, here.stderr) == (there.returncode, there.stdout, there.stderr)
@@ -191,15 +191,14 @@ import os, sys, time
 from pathlib import Path
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.review.export import spread
-from recorder.review.export.dataset import export_dataset
+from recorder.review.export import dataset
 from recorder.review.export.one_log import ExportRange, export_log
-from recorder.review.tasks import ray_cluster
+from recorder.review.tasks import TaskRunner
 from schemas.exit_codes import CommandError
 
 address, logs, out, notes, way = *sys.argv[1:2], *map(Path, sys.argv[2:5]), sys.argv[5]
 
-def task(one):
+def task(one, progress):
     import ray
     if way == ray.util.get_node_ip_address():
         (notes / "pid").write_text(str(os.getppid()))  # the node's
@@ -217,15 +216,15 @@ def task(one):
             time.sleep(100)
         if way == "bug":
             raise KeyError("a bug")
-    return export_log(one)
+    return export_log(one, progress)
 
-spread.export_log = task
+dataset.export_log = task
 faults = Faults()
-with ray_cluster(address) as pool:
-    try:
-        export_dataset(find_logs([logs], faults), out, ExportRange(), faults, run=spread.pool_runner(pool))
-    except CommandError as error:
-        print(error)
+try:
+    found = find_logs([logs], faults)
+    dataset.export_dataset(found, out, ExportRange(), faults, run=TaskRunner(ray=address))
+except CommandError as error:
+    print(error)
 print(*((notes / f"{number:05}.mcap").read_text() for number in range(10)))
 """
 
@@ -306,7 +305,7 @@ def test_a_bug_is_not_tried_again(cluster: str, ten: Path) -> None:
 def test_a_cluster_that_is_not_there_is_one_clear_error(tmp_path: Path) -> None:
     """Without an answer that could be taken for one."""
     write_logs(tmp_path / "logs", 1)
-    done = review("regress", "--ray", f"ray://{HEAD}:{free_port()}", tmp_path / "logs")
+    done = review("rerun", "--ray", f"ray://{HEAD}:{free_port()}", tmp_path / "logs")
     assert done.returncode == ExitCode.UNREACHABLE, done.stderr
     assert "no Ray cluster answers" in done.stderr
     assert done.stdout == ""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
@@ -20,6 +21,7 @@ from recorder.reading.logs import find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
+from recorder.review.tasks import TaskRunner
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import in_order
 from schemas.missing_extra import missing_extra
@@ -28,7 +30,7 @@ from schemas.settings import Settings
 
 JSON_HELP: Final = "print JSON"
 
-_EXTRA: Final = {"daft", "duckdb", "numpy", "ptars", "pyarrow", "ray"}
+_EXTRA: Final = {"duckdb", "numpy", "ptars", "pyarrow", "ray"}
 """Libraries that the extra 'review' brings."""
 
 NAMES_SHOWN: Final = 12
@@ -39,6 +41,10 @@ BUDGET_S: Final = 30.0
 
 BUDGET_S_PER_BYTE: Final = 1e-6
 """Time added to ``BUDGET_S`` for each byte of the logs: a second a megabyte."""
+
+
+LITTLE_BYTES: Final = 4_000_000
+"""Logs that have less in all are done before another process has begun."""
 
 
 class Asked(msgspec.Struct):
@@ -139,9 +145,29 @@ def add_period(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
 
 
-def add_ray(parser: argparse.ArgumentParser) -> None:
-    """--ray."""
-    parser.add_argument("--ray", metavar="ADDRESS", help="have a Ray cluster do it: ray://HOST:PORT")
+def add_task_runner(parser: argparse.ArgumentParser) -> None:
+    """--processes and --ray: one task a log."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--processes",
+        type=_whole_number,
+        metavar="N",
+        help="logs at a time, each in a process of its own (default: one a processor, or one for little)",
+    )
+    group.add_argument("--ray", metavar="ADDRESS", help="have a Ray cluster do it: ray://HOST:PORT")
+
+
+def task_runner(arguments: argparse.Namespace, asked: Asked) -> TaskRunner:
+    """Return the place where --processes and --ray want the tasks done."""
+    most = len(os.sched_getaffinity(0)) if asked.bytes > LITTLE_BYTES else 1
+    return TaskRunner(arguments.processes or most, arguments.ray or "")
+
+
+def _whole_number(text: str) -> int:
+    with suppress(ValueError):
+        if (number := int(text)) > 0:
+            return number
+    raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
 
 
 def find(

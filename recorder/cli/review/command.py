@@ -23,11 +23,7 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "why": ("recorder.cli.review.why", "why the robot stopped, or did not move, at a time"),
     "verify": ("recorder.cli.review.verify", "who commanded, with which grant; is anything missing or changed"),
     "evidence": ("recorder.cli.review.evidence", "what logs hold around an incident, in one signed archive"),
-    "rerun": ("recorder.cli.review.rerun", "the recorded run through today's arbiter, or with other settings"),
-    "regress": (
-        "recorder.cli.review.regress",
-        "every minute of logs through today's arbiter, or other settings",
-    ),
+    "rerun": ("recorder.cli.review.rerun", "recorded runs through today's arbiter, or with other settings"),
     "report": ("recorder.cli.review.report", "a drive as one HTML page, for people"),
     "layouts": ("recorder.cli.review.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
     "replay": ("recorder.cli.review.replay", "publish a log again on Zenoh, or put its frames on a CAN bus"),

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,15 +15,15 @@ from recorder.cli.review.asking import (
     Asked,
     add_logs,
     add_period,
-    add_ray,
+    add_task_runner,
     end_with,
     find,
     needing_extra,
     progress_bar,
+    task_runner,
 )
 from recorder.cli.show import show
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
-from recorder.review.tasks import ray_cluster
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
@@ -45,8 +44,6 @@ FORMATS: Final = (PARQUET, CSV, *_FRAME_FORMATS)
 _SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")
 """Of a place on a network, as a path has it: ``s3:/bucket``. For a directory of that name there is ``./s3:``."""
 
-RUNNERS: Final = ("here", "daft")
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
@@ -61,17 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATTERN",
         help="only these topics, by their names or by what follows the robot in them; may be given again",
     )
-    parser.add_argument(
-        "--runner", choices=RUNNERS, default=RUNNERS[0], help="who does it: this process (default), or Daft"
-    )
-    add_ray(parser)
+    add_task_runner(parser)
     add_period(parser)
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Export."""
-    if arguments.format != PARQUET and (arguments.add or arguments.ray or arguments.runner != RUNNERS[0]):
-        raise CommandError("--add, --runner and --ray are of --format parquet", ExitCode.USAGE)
+    if arguments.format != PARQUET and (arguments.add or arguments.ray or arguments.processes):
+        raise CommandError("--add, --processes and --ray are of --format parquet", ExitCode.USAGE)
     if _SCHEME.match(str(arguments.out)):
         raise CommandError(
             f"{plain(str(arguments.out))} is no directory: export to one, and copy it with the store's own tool "
@@ -112,31 +106,17 @@ def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported la
 def _dataset(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
     from recorder.review.export import dataset  # noqa: PLC0415 - its libraries are an extra
 
-    with _runner(arguments) as run:
-        return [
-            dataset.export_dataset(
-                asked.logs,
-                arguments.out,
-                _wanted(arguments, asked),
-                asked.faults,
-                is_adding=arguments.add,
-                run=run,
-                progress=progress,
-            )
-        ]
-
-
-@contextmanager
-def _runner(arguments: argparse.Namespace) -> Generator[Any, None, None]:
-    from recorder.review.export import dataset, spread  # noqa: PLC0415 - as above
-
-    if arguments.ray:
-        with ray_cluster(arguments.ray) as pool:
-            yield spread.pool_runner(pool)
-    elif arguments.runner == "daft":
-        yield spread.daft_runner()
-    else:
-        yield dataset.one_after_the_other
+    return [
+        dataset.export_dataset(
+            asked.logs,
+            arguments.out,
+            _wanted(arguments, asked),
+            asked.faults,
+            is_adding=arguments.add,
+            run=task_runner(arguments, asked),
+            progress=progress,
+        )
+    ]
 
 
 def _csv(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:

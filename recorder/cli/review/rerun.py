@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import os
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from recorder.cli.review.asking import Asked, add_logs, add_ray, end_with, find, progress_bar, table
-from recorder.cli.show import show
-from recorder.reading.rows import Progress
-from recorder.reading.times import in_words
-from recorder.review.rerun.counterfactual import (
-    Journey,
-    StopMade,
-    StopMoved,
-    WhatIfResult,
-    what_if_logs,
+from recorder.cli.review.asking import (
+    add_logs,
+    add_task_runner,
+    end_with,
+    find,
+    progress_bar,
+    table,
+    task_runner,
 )
-from recorder.review.rerun.minutes import verdict_in_words
-from recorder.review.rerun.parallel import SEGMENT_NS, rerun_in, rerun_in_parallel
+from recorder.cli.show import show
+from recorder.reading.times import in_words
+from recorder.review.rerun.counterfactual import Journey, StopMade, StopMoved, WhatIfResult
+from recorder.review.rerun.parallel import RerunTask, rerun_tasks, run_task
 from recorder.review.rerun.player import RerunResult
 from recorder.review.rerun.tried_settings import TriedSettings
-from recorder.review.tasks import ray_cluster
 from schemas.command_rules import COMMAND_RULES, rules_notice
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -40,7 +38,8 @@ DESCRIPTION: Final = (
     "A run whose beginning is not in the log is run again from where the gateway was at rest; exit code 3 if a "
     "run is not all there. With --set or --with the run is shown as it would have been with other settings: "
     "decisions, distance and time, stops avoided, added or moved. A model of the chassis then answers what the "
-    "recorded one was not asked; what people would have done otherwise nobody knows."
+    "recorded one was not asked; what people would have done otherwise nobody knows. Of several logs the last "
+    "line says how many decide otherwise."
 )
 
 TOLD: Final = 20
@@ -50,34 +49,16 @@ TOLD: Final = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print a JSON object a line, one for each run of a gateway")
-    add_tried_settings(parser)
-    add_jobs(parser, "without --set and --with: run in N processes at once")
-    add_ray(parser)
-
-
-def add_tried_settings(parser: argparse.ArgumentParser) -> None:
-    """--set and --with."""
     parser.add_argument(
         "--set", action="append", default=[], dest="changes", metavar="SETTING=VALUE", help="try another value"
     )
     parser.add_argument(
         "--with", type=Path, dest="file", metavar="FILE", help="try this whole configuration, a TOML file"
     )
+    add_task_runner(parser)
 
 
-def add_jobs(parser: argparse.ArgumentParser, words: str) -> None:
-    """--jobs."""
-    processors = len(os.sched_getaffinity(0))
-    help_text = f"{words} (default: {processors}, the processors)"
-    parser.add_argument("--jobs", type=whole_number, default=processors, metavar="N", help=help_text)
-
-
-def tried_settings(arguments: argparse.Namespace) -> TriedSettings:
-    """Return the settings that --set and --with ask for.
-
-    Raises:
-        CommandError: a file cannot be read, or a value is wrong.
-    """
+def _tried_settings(arguments: argparse.Namespace) -> TriedSettings:
     changes = dict(map(_change, arguments.changes))
     text = None if arguments.file is None else _read(arguments.file)
     tried = TriedSettings(text, str(arguments.file), changes)
@@ -89,35 +70,34 @@ def tried_settings(arguments: argparse.Namespace) -> TriedSettings:
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run again."""
-    tried = tried_settings(arguments)
-    if arguments.ray and not tried.is_own:
-        raise CommandError("--ray is without --set and --with; regress has all of them", ExitCode.USAGE)
+    tried = _tried_settings(arguments)
     asked = find(arguments)
+    worst = ExitCode.OK
+    logs, otherwise = 0, list[str]()
     with progress_bar("running again", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
-        worst = ExitCode.OK
-        runs = 0
-        for result in _results(arguments, tried, asked, progress):
-            runs += 1
-            worst = max(worst, _outcome(result), key=_GRAVITY.index)
-            show(result, describe(result), as_json=arguments.json)
-            if stopped():
-                break
+        tasks = rerun_tasks(asked.logs, tried, asked.faults)
+        outcomes = task_runner(arguments, asked)(run_task, tasks, progress)
+        for task, outcome in zip(tasks, outcomes, strict=True):
+            asked.faults.add_all(outcome.faults)
+            for result in outcome.results:
+                worst = max(worst, _outcome(result), key=_GRAVITY.index)
+                show(result, _describe(result), as_json=arguments.json)
+            logs += bool(outcome.results)
+            found = [result.differs_ns for result in outcome.results if result.differs_ns is not None]
+            otherwise += [_place(task, min(found))] if found else []
+    if logs > 1 and not arguments.json:
+        first = f", the first: {otherwise[0]}" if otherwise else ""
+        sys.stdout.write(f"{len(otherwise)} of {logs} logs decide otherwise{first}\n")
     ending = ExitCode(end_with(asked.faults))
-    if not runs:
+    if not logs:
         raise CommandError("there is no journal in it, so nothing can be run again", ExitCode.PARTIAL)
     return int(max(worst, ending, key=_GRAVITY.index))
 
 
-def _results(
-    arguments: argparse.Namespace, tried: TriedSettings, asked: Asked, progress: Progress
-) -> Iterator[RerunResult | WhatIfResult]:
-    if not tried.is_own:
-        yield from what_if_logs(asked.logs, tried, asked.faults, progress=progress)
-    elif arguments.ray:
-        with ray_cluster(arguments.ray) as cluster:
-            yield from rerun_in(cluster, asked.logs, asked.faults, SEGMENT_NS, progress)
-    else:
-        yield from rerun_in_parallel(asked.logs, asked.faults, arguments.jobs, progress=progress)
+def _place(task: RerunTask, time_ns: int) -> str:
+    """The file of a log that holds a moment, and the moment."""
+    files = [log for log in task.logs if log.start_ns <= time_ns <= log.end_ns]
+    return f"{plain(str((files or task.logs)[0].path))}, {in_words(time_ns)}"
 
 
 _GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
@@ -127,14 +107,6 @@ def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
     if result.rules != COMMAND_RULES or (isinstance(result, RerunResult) and result.difference_count):
         return ExitCode.FAILURE
     return ExitCode.PARTIAL if result.detail else ExitCode.OK
-
-
-def whole_number(text: str) -> int:
-    """A number of at least 1, for argparse."""
-    with suppress(ValueError):
-        if (number := int(text)) > 0:
-            return number
-    raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
 
 
 def _change(text: str) -> tuple[str, object]:
@@ -154,7 +126,7 @@ def _read(path: Path) -> str:
     raise CommandError(f"cannot read {plain(str(path))}: {why}", ExitCode.USAGE)
 
 
-def describe(result: RerunResult | WhatIfResult) -> Iterator[str]:
+def _describe(result: RerunResult | WhatIfResult) -> Iterator[str]:
     """Yield lines for people about a run; above them what to expect, if it was made under other rules."""
     if notice := rules_notice(result.rules):
         yield f"{result.robot}, run {result.run}: {notice}"
@@ -196,8 +168,8 @@ def _of_what_if(result: WhatIfResult) -> Iterator[str]:
     changed = sum(change.count for change in result.changes)
     yield f"  {changed} of {result.decisions} decisions would have been others"
     yield from (
-        f"    {change.count} x {change.request} of {change.operator}: {verdict_in_words(change.recorded)}, then "
-        f"{verdict_in_words(change.other)}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
+        f"    {change.count} x {change.request} of {change.operator}: {change.recorded}, then "
+        f"{change.other}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
         for change in sorted(result.changes, key=lambda one: one.first_ns)
     )
 

@@ -6,7 +6,6 @@
 - ``known_rows``   what earlier logs hold already
 - ``one_log``      one log into a dataset: a function of its own, which may run anywhere
 - ``dataset``      many logs into a dataset
-- ``spread``       the same over processes, with Daft, or over machines
 - ``cells``        Arrow columns as text and as JSON
 - ``csv_files``    one CSV file a topic
 - ``raw_frames``   raw frames in the order of time, for the tools of CAN

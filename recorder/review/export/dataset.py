@@ -10,7 +10,7 @@ import fcntl
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -35,14 +35,15 @@ from recorder.review.export.manifest import (
     write_manifest,
 )
 from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask, export_log
+from recorder.review.tasks import HERE, Act
 from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 
 _STAGING_PREFIX: Final = ".export-"
 
-Runner = Callable[[Sequence[ExportTask], Progress], Iterable[ExportOutcome]]
-"""Does all tasks, and gives their outcomes in the same order."""
+Runner = Callable[[Act[ExportTask, ExportOutcome], Sequence[ExportTask], Progress], Iterable[ExportOutcome]]
+"""As ``tasks.TaskRunner``."""
 
 
 class Exported(msgspec.Struct, frozen=True):
@@ -65,12 +66,6 @@ class Exported(msgspec.Struct, frozen=True):
         return sum(part.rows for part in self.files)
 
 
-def one_after_the_other(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
-    """A runner: in this process."""
-    for task in tasks:
-        yield export_log(task, progress)
-
-
 def export_dataset(
     logs: Sequence[LogFile],
     directory: Path,
@@ -78,7 +73,7 @@ def export_dataset(
     faults: Faults,
     *,
     is_adding: bool = False,
-    run: Runner = one_after_the_other,
+    run: Runner = HERE,
     progress: Progress = lambda _: None,
 ) -> Exported:
     """Write logs into a dataset.
@@ -129,7 +124,7 @@ def _export(
             ExportTask(log, sha256, overlapping(log, new_logs[:place], names), staging, wanted)
             for place, (sha256, log) in enumerate(new.items())
         ]
-        outcomes = list(run(tasks, progress))
+        outcomes = list(run(export_log, tasks, progress))
         files = [_move(staging, directory, part) for outcome in outcomes for part in outcome.parts]
         schemas = dict(before.schemas)
         for outcome in outcomes:

@@ -1,4 +1,4 @@
-"""One log into a dataset: a function of its own, whose task and outcome are JSON, so that it may run anywhere."""
+"""One log into a dataset: a function of its own, so that it may run anywhere."""
 
 from __future__ import annotations
 
@@ -53,6 +53,11 @@ class ExportTask(msgspec.Struct, frozen=True):
     directory: Path
     wanted: ExportRange
 
+    @property
+    def bytes(self) -> int:
+        """The length of the log."""
+        return self.log.bytes
+
 
 class ExportOutcome(msgspec.Struct, frozen=True):
     """The result of the export of one log."""
@@ -62,7 +67,7 @@ class ExportOutcome(msgspec.Struct, frozen=True):
     schemas: dict[str, list[Column]]
 
 
-def export_log(task: ExportTask, progress: Progress = lambda _: None) -> ExportOutcome:
+def export_log(task: ExportTask, progress: Progress) -> ExportOutcome:
     """Write the parts of a log.
 
     Raises:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from recorder.reading.faults import Faults
-from recorder.reading.rows import Row
+from recorder.reading.rows import END_OF_TIME_NS, Row
 from recorder.reading.topics import UNREADABLE
-from recorder.review.rerun.segments import BEFORE_NS, JournalLateness, Places
-from recorder.review.rerun.tapes import Tape
+from recorder.review.rerun.tapes import JOURNAL, Tape
+from schemas.decisions import Journal
 
 MARGIN_NS: Final = 1_000_000_000
 """A batch is published up to this long after the oldest sample in it."""
+
+BEFORE_NS: Final = 4_500_000_000
+"""The inputs that are needed before a place: a gateway looks back three seconds from where it was at rest."""
+
+Places = Callable[[Journal], list[int]]
+"""A journal message to the times in it from which a run can be run again, in nanoseconds since 1970."""
 
 
 def beginning(
@@ -27,7 +33,7 @@ def beginning(
         incident_ns: the log time by which it has to begin.
         faults: takes what cannot be read.
     """
-    lateness = JournalLateness()
+    lateness = _JournalLateness()
     tape = Tape(lateness.watch(rows), lambda _: None, faults)
     places: list[int] = []
     while tape.next_part():
@@ -50,3 +56,17 @@ def beginning(
     early = [begin_ns for begin_ns in begins if begin_ns <= until_ns]
     late = [begin_ns for begin_ns in begins if until_ns < begin_ns <= incident_ns]
     return max(early) if early else min(late, default=None)
+
+
+class _JournalLateness:
+    """The least time between publication and receipt of the journals that were watched so far."""
+
+    def __init__(self) -> None:
+        self.least_ns = END_OF_TIME_NS
+
+    def watch(self, rows: Iterator[Row]) -> Iterator[Row]:
+        """The same rows, looked at."""
+        for row in rows:
+            if row.topic.subject == JOURNAL:
+                self.least_ns = min(self.least_ns, row.log_ns - row.publish_ns)
+            yield row

@@ -61,7 +61,6 @@ class Comparison:
 
     Args:
         decode: the bytes of a subject's record to its message, to say what differs.
-        holds: whether what was published at a time, in nanoseconds since 1970, is compared; by default all is.
 
     Attributes:
         same: number of equal messages, by subject.
@@ -74,9 +73,8 @@ class Comparison:
             again, since 1970; ``begins_ns`` is None before.
     """
 
-    def __init__(self, decode: Callable[[str, bytes], Any], holds: Callable[[int], bool] = lambda _: True) -> None:
+    def __init__(self, decode: Callable[[str, bytes], Any]) -> None:
         self._decode = decode
-        self._holds = holds
         self.same: Counter[str] = Counter()
         self.differences: list[Difference] = []
         self.difference_count = 0
@@ -92,8 +90,6 @@ class Comparison:
 
     def record(self, key: Key, said: RecordedOutput) -> None:
         """A message of the log."""
-        if not self._holds(said.time_ns):
-            return
         again = _counterpart(self._again, key, said)
         if again is not None:
             self._compare(key, said, again)
@@ -106,8 +102,6 @@ class Comparison:
             # Not with a frame that was received: behind a place of rest the next state comes at another time.
             self.begins_ns = said.time_ns
         self.ends_ns = max(self.ends_ns, said.time_ns)
-        if not self._holds(said.time_ns):
-            return
         if self._others and (key, said) in self._others:
             # What was recorded before it under the same key does not come again.
             del self._others[key, said]

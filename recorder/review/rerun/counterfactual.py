@@ -80,15 +80,10 @@ class CounterfactualVerdict(msgspec.Struct, frozen=True):
     reason: str
     bound_by: tuple[str, ...]
 
-
-class EventDifference(msgspec.Struct, frozen=True):
-    """An event that the two runs do not have equally often; the first of them is at ``time_ns``, since 1970."""
-
-    time_ns: int
-    kind: str
-    reason: str
-    recorded: int
-    other: int
+    def __str__(self) -> str:
+        """Name it with its reason and the limits, for people."""
+        text = self.verdict if self.reason == "none" else f"{self.verdict} ({self.reason})"
+        return f"{text}, bound by {' and '.join(self.bound_by)}" if self.bound_by else text
 
 
 class DecisionChange(msgspec.Struct):
@@ -151,6 +146,13 @@ class WhatIfResult(msgspec.Struct, frozen=True):
     stops_moved: list[StopMoved]
     rules: int = COMMAND_RULES
 
+    @property
+    def differs_ns(self) -> int | None:
+        """The time of the first decision or stop that would have been another; None if there is none."""
+        decided = [change.first_ns for change in self.changes]
+        stops = [*self.stops_avoided, *self.stops_added, *(moved.stop for moved in self.stops_moved)]
+        return min([*decided, *(stop.time_ns for stop in stops)], default=None)
+
 
 def what_if_logs(
     logs: Sequence[LogFile],
@@ -169,23 +171,30 @@ def what_if_logs(
         what_if: runs both; by default what is installed.
         progress: receives the number of bytes that were read, for each robot anew.
     """
-    run_both = what_if or installed("what_if")
     found = survey(logs, faults)
     for robot in found.robots:
         player = RerunPlayer(robot, logs, configurations_of(robot, logs, found, faults), faults, progress)
-        while player.next_part():
-            yield _what_if(player, run_both, settings_of)
+        yield from what_if_parts(player, settings_of, what_if)
+
+
+def what_if_parts(
+    player: RerunPlayer, settings_of: Callable[[str], Settings], what_if: WhatIf | None = None
+) -> Iterator[WhatIfResult]:
+    """Every run that a player plays; arguments as of ``what_if_logs``."""
+    run_both = what_if or installed("what_if")
+    while player.next_part():
+        yield _what_if(player, run_both, settings_of)
 
 
 def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str], Settings]) -> WhatIfResult:
     text = player.configuration()
-    pair = RunsCompared()
+    pair = _RunsCompared()
     changed: dict[str, tuple[object, object]] = {}
     if text is None:
         run = player.skip(NO_CONFIGURATION)
     else:
         settings, other = settings_from(text), settings_of(text)
-        changed = changed_settings(settings, other)
+        changed = _changed_settings(settings, other)
         try:
             for said in run_both(settings, other, player.journals()):
                 pair.take(said.sample, is_other=said.is_other)
@@ -195,7 +204,7 @@ def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str],
     return pair.result(run, changed)
 
 
-def changed_settings(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
+def _changed_settings(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
     """Return the settings of the arbiter that differ; bus and network make no difference here."""
     return {
         f"{section}.{name}": (was, tried)
@@ -234,7 +243,6 @@ class _Side:
 
     def __init__(self) -> None:
         self.journey = Journey()
-        self.events: dict[tuple[str, str], list[int]] = {}
         self.waiting: dict[int, Decision] = {}
         self._last: RobotState | None = None
 
@@ -255,12 +263,11 @@ class _Side:
             self.journey.moving_s += passed_s
 
     def take_event(self, event: SafetyEvent) -> None:
-        self.events.setdefault((event.kind.value, event.reason.value), []).append(event.time_ns)
         if event.kind is EventKind.STOP:
             self.journey.stops.append(StopMade(event.time_ns, event.reason.value, event.operator, event.text))
 
 
-class RunsCompared:
+class _RunsCompared:
     """Both runs, as they were and as they would have been.
 
     Attributes:
@@ -320,16 +327,6 @@ class RunsCompared:
             rules=run.rules,
         )
 
-    def first_event(self) -> EventDifference | None:
-        """Return the first event that one of them has more often than the other."""
-        recorded, other = (self._sides[is_other].events for is_other in (False, True))
-        found = [
-            EventDifference(min(was + now), *key, len(was), len(now))
-            for key in recorded.keys() | other.keys()
-            if len(was := recorded.get(key, [])) != len(now := other.get(key, []))
-        ]
-        return min(found, key=lambda one: one.time_ns, default=None)
-
     def _take_decision(self, decision: Decision, *, is_other: bool) -> None:
         """Pair the decisions of both runs by sequence: both judge the same requests in the same order."""
         counterpart = self._sides[not is_other].waiting.pop(decision.sequence, None)
@@ -338,7 +335,7 @@ class RunsCompared:
             return
         self._decisions += 1
         recorded, other = (counterpart, decision) if is_other else (decision, counterpart)
-        was, would_be = verdict_of(recorded), verdict_of(other)
+        was, would_be = _verdict_of(recorded), _verdict_of(other)
         if was == would_be:
             return
         key = (recorded.operator, recorded.request, was, would_be)
@@ -355,8 +352,7 @@ class RunsCompared:
 _TAKEN: Final = frozenset({"state", "safety/decision", "safety/event"})
 
 
-def verdict_of(decision: Decision) -> CounterfactualVerdict:
-    """The part of a decision that is compared."""
+def _verdict_of(decision: Decision) -> CounterfactualVerdict:
     return CounterfactualVerdict(
         decision.verdict.value, decision.reason.value, tuple(bound.value for bound in decision.bound_by)
     )

@@ -20,7 +20,6 @@ from recorder.reading.rows import Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.rerun.comparison import Comparison, Difference, Key, RecordedOutput
-from recorder.review.rerun.segments import WHOLE, RunSegment
 from recorder.review.rerun.tapes import JOURNAL, Tape
 from schemas import codec
 from schemas.command_rules import COMMAND_RULES
@@ -97,6 +96,11 @@ class RerunResult(msgspec.Struct, frozen=True):
     given_up: int
     rules: int = COMMAND_RULES
 
+    @property
+    def differs_ns(self) -> int | None:
+        """The time of the first difference; None if there is none."""
+        return min((one.time_ns for one in self.differences), default=None)
+
 
 def installed(name: str) -> Any:  # noqa: ANN401 - whatever is installed
     """Load the entry point of this name in the group.
@@ -167,12 +171,9 @@ class RerunPlayer:
         configurations: those of its runs.
         faults: takes what cannot be read.
         progress: receives the number of bytes that were read.
-        segment: the part of its time that is played.
-        compared: the subjects that are compared with what comes out again.
 
     Attributes:
         comparison: of the run that has come.
-        recorded_ns: the first and the last time of the journals that were played of it; 0 before.
     """
 
     def __init__(
@@ -182,20 +183,13 @@ class RerunPlayer:
         configurations: Configurations,
         faults: Faults,
         progress: Progress,
-        segment: RunSegment = WHOLE,
-        compared: Sequence[str] = COMPARED,
     ) -> None:
-        self.comparison = Comparison(_decode, segment.holds)
-        self.recorded_ns = (0, 0)
+        self.comparison = Comparison(_decode)
         self._robot = robot
         self._configurations = configurations
-        self._segment = segment
-        wanted = {JOURNAL, *compared}
-        selection = Selection(
-            lambda topic: topic.robot == robot and topic.subject in wanted, segment.log_from_ns, segment.log_to_ns
-        )
-        rows = filter(segment.needs, read_rows(logs, selection, faults, progress))
-        self._tape = Tape(rows, self._record, faults)
+        wanted = {JOURNAL, *COMPARED}
+        selection = Selection(lambda topic: topic.robot == robot and topic.subject in wanted)
+        self._tape = Tape(read_rows(logs, selection, faults, progress), self._record, faults)
         self._rules = COMMAND_RULES
         self._faults = faults
 
@@ -205,10 +199,8 @@ class RerunPlayer:
 
     def journals(self) -> Iterator[Journal]:
         """The journals of the part, in their order."""
-        self.recorded_ns = (0, 0)
         for journal in self._tape.journals():
             self._rules = journal.rules
-            self.recorded_ns = (self.recorded_ns[0] or journal.time_ns, journal.time_ns)
             yield journal
 
     def configuration(self) -> str | None:
@@ -219,10 +211,6 @@ class RerunPlayer:
         """The journal cannot be used from here on: this part ends."""
         self._tape.break_off(f"{BROKEN_OFF}: {error!r}"[:DETAIL_MAX])
         self._faults.add(f"{self._robot}: run {self._tape.end.run}: {self._tape.end.detail}")
-
-    def leave(self) -> None:
-        """No more of this part is wanted."""
-        self._tape.break_off("")
 
     def skip(self, detail: str) -> RerunResult:
         """The run is not run again."""
@@ -239,7 +227,7 @@ class RerunPlayer:
         return msgspec.structs.replace(result, detail="; ".join(filter(None, (result.detail, why))))
 
     def _result(self, start_ns: int) -> RerunResult:
-        comparison, self.comparison = self.comparison, Comparison(_decode, self._segment.holds)
+        comparison, self.comparison = self.comparison, Comparison(_decode)
         end = self._tape.end
         for key, said in comparison.end():
             self.comparison.record(key, said)

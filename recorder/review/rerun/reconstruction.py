@@ -39,7 +39,6 @@ from recorder.review.rerun.player import (
     installed,
     message_of,
 )
-from recorder.review.rerun.segments import BEHIND_NS
 from recorder.review.rerun.tapes import JOURNAL, Tape
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
@@ -58,6 +57,9 @@ MADE_AGAIN: Final = frozenset(
 
 BACK_NS: Final = (15_000_000_000, 75_000_000_000, 600_000_000_000)
 """The journal is taken from so long before a hole, for a place to begin; if there is none, from longer before."""
+
+BEHIND_NS: Final = 1_500_000_000
+"""The inputs that are needed behind a hole, so that all that belongs in it has come out."""
 
 LATER_NS: Final = 120_000_000_000
 """Samples that a recorder asks for later are received within this time behind a hole."""

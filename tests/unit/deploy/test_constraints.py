@@ -53,7 +53,7 @@ def test_every_package_is_of_one_version_and_has_hashes(file: str) -> None:
     ("file", "names"),
     [
         (RUN, ("product", "desk", "metrics", "upload", "build", "backend")),
-        (ALL, ("product", "build", "backend", "review", "daft", "desk", "live", "metrics", "upload", "dev")),
+        (ALL, ("product", "build", "backend", "review", "desk", "live", "metrics", "upload", "dev")),
         (TOOLS, ("tools",)),
         (READERS, ("readers",)),
     ],

@@ -159,7 +159,7 @@ def test_the_command_that_it_names_runs_the_incident_again(
     command = next(one for one in found.manifest.commands if "rerun" in one)
     *_, question, name = command.split()
     capsys.readouterr()
-    assert review(question, "--json", "--jobs", "1", str(path.with_suffix(".d") / name)) == 0
+    assert review(question, "--json", "--processes", "1", str(path.with_suffix(".d") / name)) == 0
     again = json.loads(capsys.readouterr().out)
     assert again["same"]["safety/decision"] > 20
     assert not again["difference_count"]
@@ -177,7 +177,7 @@ def test_a_run_that_begins_in_the_part_is_run_again_from_its_beginning(
     assert not [one for one in read(path).manifest.missing if "run again" in one]
     capsys.readouterr()
     rerun = str(path.with_suffix(".d") / "rerun.mcap")
-    assert review("rerun", "--json", "--jobs", "1", rerun) == 0
+    assert review("rerun", "--json", "--processes", "1", rerun) == 0
     assert json.loads(capsys.readouterr().out)["first"] == 0
 
 

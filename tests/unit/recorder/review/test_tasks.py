@@ -29,9 +29,6 @@ class FakeRay:
         self.loses = False
         self.options: dict[str, object] = {}
 
-    def cluster_resources(self) -> dict[str, float]:
-        return {"CPU": 3.0, "memory": 1e9}
-
     def remote(self, **options: object) -> Callable[[Callable[..., Any]], Any]:
         self.options = options
         return lambda act: SimpleNamespace(
@@ -54,7 +51,6 @@ def test_a_task_is_done_and_begun_anew_where_that_may_help() -> None:
     """Where its process dies, or a file cannot be read; a bug stays one."""
     ray = FakeRay()
     cluster = RayCluster(ray)
-    assert cluster.processors == 3
     assert cluster.submit(divmod, 7, 2).result() == (3, 1)
     assert ray.options == {"max_retries": TRIES_AGAIN, "retry_exceptions": [OSError]}
 

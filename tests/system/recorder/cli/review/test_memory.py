@@ -69,7 +69,7 @@ def bomb(content: Callable[[int], bytes], chunks: int) -> bytes:
 
 BOMBS: Final = ((zeros, 16), (tiny, 3), (channels, 3), (schemas, 16))
 BY_DAY: Final = {("check", zeros), ("check", tiny), ("info", schemas)}
-MORE: Final = {"rerun": ("--jobs", "1"), "regress": ("--jobs", "1"), "recover": ("-o", "out.mcap")}
+MORE: Final = {"rerun": ("--processes", "1"), "recover": ("-o", "out.mcap")}
 
 
 @pytest.mark.timeout(600)

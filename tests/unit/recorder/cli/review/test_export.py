@@ -110,7 +110,7 @@ def test_csv_is_one_file_a_topic(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out == f"{tmp_path / 'out' / 'fleet.cruiser-1.chassis.gear.csv'}: 20 rows\n"
 
 
-@pytest.mark.parametrize("words", [["--add"], ["--runner", "daft"], ["--ray", "auto"]])
+@pytest.mark.parametrize("words", [["--add"], ["--processes", "2"], ["--ray", "auto"]])
 def test_what_only_a_dataset_has_is_refused_elsewhere(tmp_path: Path, words: list[str]) -> None:
     """Exit code 2."""
     with pytest.raises(CommandError, match="--format parquet") as caught:

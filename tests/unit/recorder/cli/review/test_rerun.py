@@ -69,6 +69,20 @@ def test_other_settings_are_shown_beside_the_recorded_ones(log: Path, capsys: py
     assert "decisions would have been others" in out
 
 
+def test_of_several_logs_it_says_how_many_decide_otherwise(
+    day: Day, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And which is the first, and when; with other settings too."""
+    other = tmp_path / "cruiser-2-20260102T030405Z.mcap"
+    other.write_bytes(day.rig.log(robot="cruiser-2", journal=under_rules_1))
+    assert run(log, other) == ExitCode.FAILURE
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said.startswith(f"1 of 2 logs decide otherwise, the first: {other}, ")
+    assert run(log, other, "--set", "command.speed_limit_mps=0.4", "--processes", "2") == ExitCode.FAILURE
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said.startswith(f"1 of 2 logs decide otherwise, the first: {log}, ")
+
+
 def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What it does not say has its start value; --set is above it."""
     file = tmp_path / "other.toml"
@@ -88,7 +102,6 @@ def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: p
         (["--set", "command.speed_limit_mps=fast"], "speed_limit_mps"),
         (["--with", "/does/not/exist.toml"], r"cannot read /does/not/exist\.toml: No such file or directory$"),
         (["--with", "/bin/sh"], "cannot read /bin/sh: it is no UTF-8 text$"),
-        (["--set", "command.lease_s=1.0", "--ray", "ray://here:1"], "--ray is without --set"),
     ],
 )
 def test_a_wrong_setting_is_one_clear_error(log: Path, words: list[str], message: str) -> None:
@@ -160,10 +173,10 @@ def _from(first: int, journal: Journal) -> Journal:
     return journal if kept else msgspec.structs.replace(journal, count=0, inputs=b"\x90")
 
 
-@pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])
-def test_so_many_processes_there_cannot_be(log: Path, jobs: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("count", ["0", "-1", "two", "1.5"])
+def test_so_many_processes_there_cannot_be(log: Path, count: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Whole numbers from one on."""
     with pytest.raises(SystemExit) as caught:
-        run(log, f"--jobs={jobs}")
+        run(log, f"--processes={count}")
     assert caught.value.code == ExitCode.USAGE
-    assert f"{jobs!r} is no number of at least 1" in capsys.readouterr().err
+    assert f"{count!r} is no number of at least 1" in capsys.readouterr().err

@@ -18,9 +18,10 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Progress
 from recorder.review.export import known_rows, partitions, parts
-from recorder.review.export.dataset import Exported, Runner, export_dataset, one_after_the_other
+from recorder.review.export.dataset import Exported, Runner, export_dataset
 from recorder.review.export.manifest import MANIFEST_NAME, Manifest, read_manifest, sha256_of
 from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask
+from recorder.review.tasks import HERE, Act
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
 from tests.support.drives import FRAMES, drive_log
@@ -33,7 +34,7 @@ def export(
     out: Path,
     faults: Faults | None = None,
     wanted: ExportRange | None = None,
-    run: Runner = one_after_the_other,
+    run: Runner = HERE,
     *,
     is_adding: bool = False,
 ) -> Exported:
@@ -168,8 +169,10 @@ def test_two_robots_never_say_the_same(tmp_path: Path) -> None:
 class FailingRunner:
     """Does the first task, and then the disk is full."""
 
-    def __call__(self, tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
-        yield from one_after_the_other(tasks[:1], progress)
+    def __call__(
+        self, act: Act[ExportTask, ExportOutcome], tasks: Sequence[ExportTask], progress: Progress
+    ) -> Iterator[ExportOutcome]:
+        yield from HERE(act, tasks[:1], progress)
         raise OSError(28, "No space left on device")
 
 
@@ -208,10 +211,12 @@ def test_two_exports_do_not_write_at_once(tmp_path: Path) -> None:
     """The second one is told so."""
     log = saved(tmp_path / "log.mcap", drive_log())
 
-    def run(tasks: Sequence[ExportTask], progress: Progress) -> Iterator[ExportOutcome]:
+    def run(
+        act: Act[ExportTask, ExportOutcome], tasks: Sequence[ExportTask], progress: Progress
+    ) -> Iterator[ExportOutcome]:
         with pytest.raises(CommandError, match="another export writes"):
             export([log], tmp_path / "out", is_adding=True)
-        yield from one_after_the_other(tasks, progress)
+        yield from HERE(act, tasks, progress)
 
     assert export([log], tmp_path / "out", run=run).rows
 
