@@ -113,10 +113,6 @@ class Control(Protocol):
         """Publish a message under the recorder's own keys."""
         ...
 
-    def challenge(self) -> bytes:
-        """The challenge that an order has to echo; empty in open mode."""
-        ...
-
 
 class Recorded(msgspec.Struct, frozen=True):
     """The result of a recording.
@@ -301,7 +297,6 @@ class RecorderLoop:
             disk_free_bytes=use.free,
             disk_used_bytes=use.used,
             incident_bytes=use.incidents,
-            challenge=b"" if self._control is None else self._control.challenge(),
         )
 
     def _watch_link(self) -> None:

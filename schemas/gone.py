@@ -10,6 +10,9 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "review regress": "'cruiser review rerun LOG...' says of how many logs the decisions differ",
     "review rerun --jobs": "give --processes N",
     "review export --runner": "give --processes N, or --ray ADDRESS",
+    "record start": "a recorder records while it runs: 'systemctl start cruiser-recorder'",
+    "record stop": "a recorder records while it runs: 'systemctl stop cruiser-recorder'",
+    "record split": "'systemctl reload cruiser-recorder', or SIGHUP, begins new files",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
 }
 """Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""

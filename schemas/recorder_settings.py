@@ -51,7 +51,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         per_robot: a log for each robot; else one for all
         shard: NUMBER/COUNT, such as 2/4: this recorder is the second of four that share a fleet's robots; if
             empty, it records all of them
-        standby: write nothing but incidents until `cruiser record start`
+        standby: write nothing but incidents
         flush_s: s; at most this much of the log is not yet on the disk
         chunk_bytes: bytes of a chunk before compression
         rotate_bytes: bytes; a log that has reached this size is ended, and another begun; 0 is never

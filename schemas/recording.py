@@ -20,7 +20,7 @@ Bytes = Annotated[int, Meta(ge=0, le=2**63 - 1, extra_json_schema=unit_keyword("
 
 
 class RecorderState(Enum):
-    """The state of a recorder. ``stopped``: by a request. ``full``: it may use no more of the disk."""
+    """The state of a recorder. ``stopped``: it stands by. ``full``: it may use no more of the disk."""
 
     RECORDING = "recording"
     STOPPED = "stopped"
@@ -71,7 +71,7 @@ class RecorderHealth(Message, frozen=True):
         disk_used_bytes: by this directory's logs, incidents among them.
         incident_bytes: by those that are incidents.
         cpu_percent: processor time of this process over the last second; 100 is one core.
-        challenge: in signed mode an order echoes it within 5 s; empty in open mode.
+        challenge: empty; of recorders of before in signed mode what an order echoed.
     """
 
     recorder: str
@@ -106,7 +106,7 @@ class RecorderEvent(Message, frozen=True):
     Attributes:
         robot: the robot that it is about, or whose log; empty if it is about all.
         file: the log that it is about, without its directory; empty if there is none.
-        operator: the operator who requested it; empty if nobody did.
+        operator: of recorders of before the operator who started or stopped it; else empty.
         text: the event in a sentence.
     """
 
@@ -155,18 +155,6 @@ class RecorderReply(msgspec.Struct, frozen=True):
 
 class Status(Request, frozen=True, forbid_unknown_fields=True):
     """Ask for the recorder's health."""
-
-
-class Start(Request, frozen=True, forbid_unknown_fields=True):
-    """Record again after a stop."""
-
-
-class StopRecording(Request, frozen=True, forbid_unknown_fields=True):
-    """End the logs and write no more, but for incidents."""
-
-
-class Split(Request, frozen=True, forbid_unknown_fields=True):
-    """End the logs that are being written, and continue in new ones."""
 
 
 class Mark(Request, frozen=True, forbid_unknown_fields=True):

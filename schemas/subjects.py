@@ -349,11 +349,6 @@ _RecorderReply = recording.RecorderReply
 
 RECORDER_COMMANDS: Final[tuple[RecorderCommand, ...]] = (
     RecorderCommand("status", recording.Status, _RecorderReply, "how the recorder is"),
-    RecorderCommand("start", recording.Start, _RecorderReply, "record, after a stop"),
-    RecorderCommand(
-        "stop", recording.StopRecording, _RecorderReply, "end the logs and write no more, but for incidents"
-    ),
-    RecorderCommand("split", recording.Split, _RecorderReply, "end the logs, and go on in new ones"),
     RecorderCommand("mark", recording.Mark, _RecorderReply, "keep what was received around now as an incident"),
 )
 

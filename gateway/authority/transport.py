@@ -106,7 +106,7 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
     recorders = f"{root}/{RECORDER_CHUNK}/*"
     shards = keys.shard(root, keys.ALL, keys.ALL)
     says = tuple(f"{recorders}/{subject.name}" for subject in RECORDER_SUBJECTS)
-    orders = (f"{recorders}/{COMMAND_CHUNK}/*/*", f"{recorders}/{AUTHORITY_CHUNK}")
+    orders = (f"{recorders}/{COMMAND_CHUNK}/*/*",)
     put, all_puts = (_verbs(robots, Asking.QUERY) for robots in (one, every))
     asked, all_asked = (_verbs(robots, Asking.PUT) for robots in (one, every))
 
@@ -302,7 +302,7 @@ def _size_limits(root: str) -> list[Json]:
     verbs = [f"{every}/{COMMAND_CHUNK}/*/{command.verb}" for command in COMMANDS if command.verb != STOP_VERB]
     limits = (
         ("requests", COMMAND_MAX_BYTES, [*verbs, f"{recorders}/{COMMAND_CHUNK}/*/*"]),
-        ("statements", STATEMENT_MAX_BYTES, [f"{one}/{AUTHORITY_CHUNK}" for one in (every, recorders)]),
+        ("statements", STATEMENT_MAX_BYTES, [f"{every}/{AUTHORITY_CHUNK}"]),
     )
     return [
         {

@@ -12,7 +12,7 @@ from gateway.provisioning.issuer import Wanted
 from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole
 from schemas.authority.trust import in_utc
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.subjects import BY_VERB, RECORDER_BY_VERB, STOP_VERB
+from schemas.subjects import BY_VERB, STOP_VERB
 
 HOUR_S, DAY_S = 3600, 86_400
 
@@ -21,11 +21,6 @@ PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S
 
 ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
 """Verbs that want a grant: a stop wants none."""
-
-ALL_VERBS: Final = [*ROBOT_VERBS, *RECORDER_BY_VERB]
-
-USUAL_VERBS: Final = [*ROBOT_VERBS, "mark"]
-"""A person's verbs without ``--verbs``: all of a robot's, and marking an incident at a recorder."""
 
 PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
 
@@ -48,9 +43,7 @@ def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATTERN",
         help="such as 'depot-*'; may be repeated (all)",
     )
-    grant.add_argument(
-        "--verbs", type=_verbs, metavar="LIST", help="with commas; 'all' (all of a robot's, and a recorder's mark)"
-    )
+    grant.add_argument("--verbs", type=_verbs, metavar="LIST", help="with commas (all)")
     grant.add_argument(
         "--role",
         choices=[role.value for role in PERSONS],
@@ -88,7 +81,7 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
         raise CommandError(f"{flags}: nothing of that is for a {request.role.value}", ExitCode.USAGE)
     is_site = request.role is EnrolmentRole.SITE
     usual_s = PERSON_S if request.role in BY_SITES else OTHERS_S
-    usual = ALL_VERBS if is_site else [] if request.role is EnrolmentRole.RECORDER else USUAL_VERBS
+    usual = [] if request.role is EnrolmentRole.RECORDER else ROBOT_VERBS
     last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
     return Wanted(
         verbs=arguments.verbs or (last.verbs if last else usual),
@@ -119,7 +112,7 @@ def grant_line(grant: Grant) -> str:
     """A grant, for people."""
     limit = "" if grant.speed_limit_mps is None else f", at most {grant.speed_limit_mps:g} m/s"
     override = ", may override" if grant.override else ""
-    verbs = "all" if set(grant.verbs) == set(ALL_VERBS) else ", ".join(grant.verbs)
+    verbs = "all" if set(grant.verbs) >= set(ROBOT_VERBS) else ", ".join(grant.verbs)
     may = f"{grant.role.value} on {', '.join(grant.robots)}" + (f", verbs {verbs}" if verbs else "")
     return f"{may}{limit}{override}, until {in_utc(grant.not_after)}"
 
@@ -136,10 +129,10 @@ def matching(pattern: str, what: str) -> Callable[[str], str]:
 
 
 def _verbs(text: str) -> list[str]:
-    names = ALL_VERBS if text == "all" else list(dict.fromkeys(text.split(",")))
-    unknown = [name for name in names if name not in ALL_VERBS]
+    names = ROBOT_VERBS if text == "all" else list(dict.fromkeys(text.split(",")))
+    unknown = [name for name in names if name not in ROBOT_VERBS]
     if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!a} is no verb; there are {', '.join(ALL_VERBS)}")
+        raise argparse.ArgumentTypeError(f"{unknown[0]!a} is no verb; there are {', '.join(ROBOT_VERBS)}")
     return names
 
 

@@ -813,7 +813,7 @@ CHECKS: Final = (
         "recorder_stopped",
         "recorders' health",
         "a recorder runs, and does not record",
-        "'cruiser record start'",
+        "let recorder.standby be false",
         _recorder_stopped,
     ),
     Check(

@@ -1,4 +1,4 @@
-"""The name by which a recorder goes: it is in its keys, so orders are signed for it."""
+"""The name by which a recorder goes, in its keys."""
 
 from __future__ import annotations
 

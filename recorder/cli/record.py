@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -28,9 +27,7 @@ from recorder.disk.key_files import read_trust
 from recorder.disk.leftovers import LeftoverThread
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
-from recorder.disk.order_note import read_note, save_note
 from recorder.loop import Recorded, RecorderLoop
-from recorder.record.admission import ALL_ROBOTS, OrderAdmission
 from recorder.record.health import HealthReport
 from recorder.record.inbox import SampleInbox
 from recorder.record.recorder import Recorder, RecorderPlan
@@ -150,9 +147,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     directory = LogDirectory(path)
     with ExitStack() as stack:
         source = stack.enter_context(closing(_source(settings, expressions)))
-        control = stack.enter_context(
-            closing(RemoteControl(settings, _door(settings, path, expressions), partial(save_note, path)))
-        )
+        control = stack.enter_context(closing(RemoteControl(settings)))
         writer = LogWriter(directory, library, QUEUE_BYTES + recorder.incident_ring_bytes)
         known = known_robots(settings, expressions)
         limits = DiskLimits(
@@ -205,19 +200,6 @@ def _source(settings: Settings, expressions: Sequence[str]) -> ZenohSource:
     if not recorder.per_robot:
         raise CommandError("a shard of a fleet has a log for each robot: set recorder.per_robot", ExitCode.USAGE)
     return ShardedSource(settings.zenoh, expressions, settings.robot.root, own)
-
-
-def _door(settings: Settings, logs: Path, expressions: Sequence[str]) -> Callable[[str], OrderAdmission] | None:
-    """Return the maker of the judge of orders in signed mode; None in open mode.
-
-    Raises:
-        CommandError: the authority's file, or what was learnt of it, cannot be read.
-    """
-    if settings.authority.mode != "signed":
-        return None
-    trust, note = read_trust(settings.authority, "recorder"), read_note(logs)
-    robots = {robot or ALL_ROBOTS for robot in _robots_in(settings.robot.root, expressions)}
-    return lambda name: OrderAdmission(trust, settings.robot.root, name, note, os.urandom, robots)
 
 
 def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecorderPlan:

@@ -1,10 +1,9 @@
-"""``cruiser record status``, ``start``, ``stop``, ``split`` and ``mark``: a recorder that is running elsewhere."""
+"""``cruiser record status`` and ``mark``: a recorder that is running elsewhere."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -14,16 +13,13 @@ from typing import Final
 import msgspec
 
 from recorder.cli.role import ORDERING, check_role
-from recorder.disk.key_files import read_identity
-from recorder.record.admission import OrderProof
 from recorder.zenoh.recorder_client import RecorderClient
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.operator_name import login_operator
 from schemas.printable import plain
-from schemas.recording import Mark, RecorderHealth, RecorderReply, Split, Start, Status, StopRecording
-from schemas.requests import Request
+from schemas.recording import Mark, RecorderHealth, RecorderReply, Status
 from schemas.settings import Settings
 
 Replies = list[tuple[str, RecorderReply]]
@@ -31,9 +27,6 @@ Replies = list[tuple[str, RecorderReply]]
 
 ABOUT: Final = {
     "status": "what recorders do, what they got and what they lost",
-    "start": "record, after a stop",
-    "stop": "end the logs and write no more, but for incidents",
-    "split": "end the logs, and go on in new ones",
     "mark": "keep what was received shortly before and after now as an incident",
 }
 
@@ -42,13 +35,6 @@ TIMEOUT_S: Final = 3.0
 
 LOOK_S: Final = 0.3
 """One query waits so long for recorders to be found; then it is asked again."""
-
-_REQUESTS: Final[dict[str, Request]] = {
-    "status": Status(),
-    "start": Start(),
-    "stop": StopRecording(),
-    "split": Split(),
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
@@ -70,38 +56,23 @@ def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Ask, and print the replies. ``status`` asks all recorders, the others one."""
+    """Ask, and print the replies. ``status`` asks all recorders, ``mark`` one."""
     action: str = arguments.action
     check_role(settings.zenoh, ORDERING, "routers let operators and desks alone ask recorders")
-    proof = None if action == "status" else order_proof(arguments, settings)
     operator = arguments.operator or login_operator()
-    with closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped, proof)) as client:
+    with closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped)) as client:
         found = _find(client, arguments, stopped)
         if action == "status":
             replies = found
         else:
             name = _only(found)
-            request = _REQUESTS.get(action) or Mark(arguments.text, arguments.robot or "")
-            replies = list(client.ask(name, action, request, arguments.timeout))
+            mark = Mark(arguments.text, arguments.robot or "")
+            replies = list(client.ask(name, action, mark, arguments.timeout))
             if not replies:
                 raise CommandError(f"recorder {name} does not answer", ExitCode.UNREACHABLE)
     for name, reply in sorted(replies, key=lambda one: one[0]):
         sys.stdout.write(_as_json(name, reply) if arguments.json else describe(name, action, reply) + "\n")
     return int(ExitCode.OK if all(reply.ok for _, reply in replies) else ExitCode.REFUSED)
-
-
-def order_proof(arguments: argparse.Namespace, settings: Settings) -> OrderProof | None:
-    """The operator's key and grant, in signed mode.
-
-    Raises:
-        CommandError: a file is missing or wrong, or the grant is somebody else's.
-    """
-    if settings.authority.mode != "signed":
-        return None
-    proof = OrderProof(read_identity(settings.authority, "operator"), settings.robot.root, os.urandom)
-    if arguments.operator not in {None, proof.name}:
-        raise CommandError(f"the grant is of {proof.name}: leave --operator out", ExitCode.USAGE)
-    return proof
 
 
 def _find(client: RecorderClient, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> Replies:

@@ -97,35 +97,17 @@ def total(reports: Iterable[KeyReport]) -> KeyReport:
     return KeyReport(**sums)
 
 
-NEVER_UNWANTED: Final = {"written": 0, "lost_disk": 0}
-"""Counts that stand still while nothing is wanted: what the disk then fails to take was written before."""
-
-
 class FileAccount:
-    """Counts for each file what came since the end of the file before it, but for what nobody wanted."""
+    """Counts for each file what came since the end of the file before it."""
 
     def __init__(self) -> None:
         self._counted: dict[str, KeyReport] = {}
-        self._unwanted_since: dict[str, KeyReport] | None = None
 
     def end_file(self, counts: Mapping[str, KeyReport]) -> dict[str, KeyReport]:
         """Report each topic for the file that ends. The next file counts from here."""
         reports = {topic: since(count, self._counted.get(topic, NO_REPORT)) for topic, count in counts.items()}
         self._counted = dict(counts)
         return reports
-
-    def want(self, counts: Mapping[str, KeyReport], *, is_wanted: bool) -> None:
-        """Count what comes from here on, or do not. What came while it was wanted still counts."""
-        if not is_wanted:
-            if self._unwanted_since is None:
-                self._unwanted_since = dict(counts)
-            return
-        before, self._unwanted_since = self._unwanted_since, None
-        if before is None:
-            return
-        for topic, count in counts.items():
-            unwanted = msgspec.structs.replace(since(count, before.get(topic, NO_REPORT)), **NEVER_UNWANTED)
-            self._counted[topic] = total([self._counted.get(topic, NO_REPORT), unwanted])
 
 
 class LossReport:

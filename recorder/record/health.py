@@ -25,7 +25,6 @@ class Vitals(msgspec.Struct, frozen=True):
     disk_free_bytes: int = 0
     disk_used_bytes: int = 0
     incident_bytes: int = 0
-    challenge: bytes = b""
 
 
 class HealthReport:

@@ -98,8 +98,6 @@ class Announcement(msgspec.Struct, frozen=True):
     robot: str = ""
 
 
-STARTED: Final = Announcement(RecorderEventKind.STARTED, Severity.INFO, "recording was started")
-STOPPED: Final = Announcement(RecorderEventKind.STOPPED, Severity.WARNING, "recording was stopped")
 FULL: Final = Announcement(
     RecorderEventKind.FULL,
     Severity.ERROR,

@@ -1,4 +1,7 @@
-"""Requests of operators to a recorder, and the replies: some wait until a file is opened or ended. Pure."""
+"""The questions that a recorder answers from afar, ``status`` and ``mark``, and the replies. Pure.
+
+Nobody signs them: whoever reaches the recorder may ask. So marks are bounded: see ``MARKS_AT_ONCE``.
+"""
 
 from __future__ import annotations
 
@@ -8,32 +11,30 @@ from typing import Final
 import msgspec
 
 from recorder.record.actions import Action
-from recorder.record.notices import Ended, Notice, Opened
+from recorder.record.notices import Notice, Opened
 from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
-from schemas.recording import (
-    Mark,
-    RecorderHealth,
-    RecorderReply,
-    RecorderState,
-    Split,
-    Start,
-    StopRecording,
-)
+from schemas.recording import Mark, RecorderHealth, RecorderReply, RecorderState
 from schemas.requests import Request
 
 REPLY_NS: Final = 2_000_000_000
 """The longest wait of a reply for the disk; one that ends so says so."""
+
+MARKS_AT_ONCE: Final = 6
+"""Marks that may follow each other closely. Their incidents take room that those of a fault may need."""
+
+MARK_EVERY_NS: Final = 300_000_000_000
+"""After them one more is taken in so long: a flood of marks keeps a fifth of what is recorded at most."""
 
 
 class OperatorRequest(msgspec.Struct, frozen=True):
     """A request, and how to answer it.
 
     Attributes:
-        operator: the sender.
+        operator: the sender, by its own word.
         request: the request, or the fault of the payload.
         reply: sends the reply.
-        done: reports that it was sent; whoever answers must call it.
+        done: reports that it was sent; the one that answers must call it.
     """
 
     operator: str
@@ -43,12 +44,10 @@ class OperatorRequest(msgspec.Struct, frozen=True):
 
 
 class _Pending(msgspec.Struct):
-    """A reply that waits until files of these logs are opened, or ended."""
+    """A reply to a mark that waits until files of these logs are opened."""
 
     asked: OperatorRequest
-    detail: str
     awaits: set[str]
-    notice: type[Opened | Ended]
     until_ns: int
     files: list[str]
 
@@ -65,37 +64,26 @@ class Orders:
         self._recorder = recorder
         self._health = health
         self._pending: list[_Pending] = []
+        self._spent_to_ns = 0
+        """The time until which the marks that were taken have used up what is allowed."""
 
     def obey(self, asked: OperatorRequest, now_ns: int, wall_ns: int) -> Sequence[Action]:
         """Do what a request asks. Nothing in a request raises."""
-        recorder, request = self._recorder, asked.request
-        writing = recorder.writing
-        actions: Sequence[Action] = ()
-        match request:
+        match asked.request:
             case PayloadFault():
-                self._refuse(asked, request.detail)
-            case Start():
-                actions = recorder.start(asked.operator, now_ns, wall_ns)
-                self._answer(asked, _STATES[recorder.state], [])
-            case StopRecording():
-                actions = recorder.stop(asked.operator, now_ns, wall_ns)
-                self._wait(asked, _STATES[recorder.state], writing, Ended, now_ns)
-            case Split():
-                actions = recorder.roll("split", now_ns)
-                detail = "the next samples begin new files" if writing else "no file is being written"
-                self._wait(asked, detail, writing, Ended, now_ns)
+                self._answer(asked, asked.request.detail, [], ok=False)
             case Mark():
-                actions = self._mark(asked, request, now_ns, wall_ns)
+                return self._mark(asked, asked.request, now_ns, wall_ns)
             case _:
-                self._answer(asked, _STATES[recorder.state], sorted(recorder.files.values()))
-        return actions
+                self._answer(asked, _STATES[self._recorder.state], sorted(self._recorder.files.values()))
+        return ()
 
     def receive_notice(self, notice: Notice) -> None:
-        """Note a file that was opened or ended: a reply may wait for that."""
-        if not self._pending or not isinstance(notice, Opened | Ended):
+        """Note a file that was opened: a reply may wait for that."""
+        if not isinstance(notice, Opened):
             return
         for one in self._pending:
-            if isinstance(notice, one.notice) and notice.log in one.awaits:
+            if notice.log in one.awaits:
                 one.awaits.discard(notice.log)
                 one.files.append(notice.file)
 
@@ -105,45 +93,36 @@ class Orders:
         for one in due:
             self._pending.remove(one)
             late = "; the disk has not done it yet" if one.awaits else ""
-            self._answer(one.asked, one.detail + late, sorted(one.files))
+            self._answer(one.asked, f"an incident keeps what came before and after{late}", sorted(one.files))
 
     def _mark(self, asked: OperatorRequest, mark: Mark, now_ns: int, wall_ns: int) -> Sequence[Action]:
+        spent_to_ns = max(now_ns, self._spent_to_ns)
+        wait_ns = spent_to_ns - now_ns - (MARKS_AT_ONCE - 1) * MARK_EVERY_NS
+        if wait_ns > 0:
+            self._answer(asked, f"too many marks; the next one is taken in {wait_ns / 1e9:.0f} s", [], ok=False)
+            return ()
         because = f"mark by {asked.operator}: {mark.text}" if mark.text else f"mark by {asked.operator}"
         marked, actions = self._recorder.mark(mark.robot, because, now_ns, wall_ns)
         if marked:
+            self._spent_to_ns = spent_to_ns + MARK_EVERY_NS
             opened = [file for file in marked.values() if file]
             awaits = {name for name, file in marked.items() if not file}
-            self._wait(asked, "an incident keeps what came before and after", awaits, Opened, now_ns, opened)
+            self._pending.append(_Pending(asked, awaits, now_ns + REPLY_NS, opened))
+            self.tick(now_ns)
         elif not self._recorder.has_incident_room:
-            self._refuse(asked, "the disk may hold no more incidents")
+            self._answer(asked, "the disk may hold no more incidents", [], ok=False)
         else:
             whose = f"of {mark.robot} " if mark.robot else ""
-            self._refuse(asked, f"nothing {whose}has been heard")
+            self._answer(asked, f"nothing {whose}has been heard", [], ok=False)
         return actions
 
-    def _wait(
-        self,
-        asked: OperatorRequest,
-        detail: str,
-        awaits: set[str],
-        notice: type[Opened | Ended],
-        now_ns: int,
-        files: Sequence[str] = (),
-    ) -> None:
-        self._pending.append(_Pending(asked, detail, set(awaits), notice, now_ns + REPLY_NS, list(files)))
-        self.tick(now_ns)
-
-    def _answer(self, asked: OperatorRequest, detail: str, files: list[str]) -> None:
-        asked.reply(RecorderReply(ok=True, detail=detail, files=files, health=self._health()))
-        asked.done()
-
-    def _refuse(self, asked: OperatorRequest, detail: str) -> None:
-        asked.reply(RecorderReply(ok=False, detail=detail, files=[], health=self._health()))
+    def _answer(self, asked: OperatorRequest, detail: str, files: list[str], *, ok: bool = True) -> None:
+        asked.reply(RecorderReply(ok=ok, detail=detail, files=files, health=self._health()))
         asked.done()
 
 
 _STATES: Final = {
     RecorderState.RECORDING: "recording",
-    RecorderState.STOPPED: "stopped: nothing is written but incidents",
+    RecorderState.STOPPED: "standing by: nothing is written but incidents",
     RecorderState.FULL: "the disk may hold no more: nothing is written but incidents",
 }

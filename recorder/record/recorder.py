@@ -1,4 +1,4 @@
-"""All that one recorder writes, without I/O: samples, ticks, orders and notices in, actions out.
+"""All that one recorder writes, without I/O: samples, ticks, marks and notices in, actions out.
 
 One ``RobotLog`` for each robot, or one for all. ``receive`` finds the log by the key. The page to begin with; then
 ``robot_log``.
@@ -24,8 +24,6 @@ from recorder.record.lost_gateways import LostGateway, LostGateways
 from recorder.record.notices import (
     FULL,
     ROOM,
-    STARTED,
-    STOPPED,
     Announcement,
     DiskRoom,
     Ended,
@@ -72,7 +70,7 @@ class RecorderPlan(msgspec.Struct, frozen=True):
         log: of each log. Its name is that of the log for all, and of the log for what is no robot's.
         ring_bytes: memory of all rings together.
         sample_max_bytes: larger samples are counted, and not recorded.
-        standby: incidents are written, and no logs until ``start``.
+        standby: incidents are written, and no logs.
         log_limit: robots beyond it share one log, but for those that are known.
         known: robots that are known by name.
     """
@@ -103,7 +101,6 @@ class Recorder:
         """The logs, the one first whose turn it is to ask."""
         self._is_ending = False
         self._event_sequence = self._gap_sequence = 0
-        self._is_stopped = plan.standby
         self._has_room = True
         self._of_robot = re.compile(rf"{re.escape(plan.root)}/({keys.ROBOT_PATTERN})/.*", re.DOTALL)
         self._own_topics = {
@@ -117,7 +114,7 @@ class Recorder:
     @property
     def state(self) -> RecorderState:
         """Its state."""
-        if self._is_stopped:
+        if self._plan.standby:
             return RecorderState.STOPPED
         return RecorderState.RECORDING if self._has_room else RecorderState.FULL
 
@@ -264,22 +261,6 @@ class Recorder:
             log.let_go(now_ns)
         return self._take_actions()
 
-    def stop(self, operator: str, now_ns: int, wall_ns: int) -> Sequence[Action]:
-        """End the logs, and write incidents alone."""
-        if not self._is_stopped:
-            self._announce(msgspec.structs.replace(STOPPED, operator=operator), now_ns, wall_ns)
-            self._is_stopped = True
-            self._pause_or_resume("stopped", now_ns)
-        return self._take_actions()
-
-    def start(self, operator: str, now_ns: int, wall_ns: int) -> Sequence[Action]:
-        """Record, after a stop."""
-        if self._is_stopped:
-            self._is_stopped = False
-            self._pause_or_resume("", now_ns)
-            self._announce(msgspec.structs.replace(STARTED, operator=operator), now_ns, wall_ns)
-        return self._take_actions()
-
     def mark(self, robot: str, because: str, now_ns: int, wall_ns: int) -> tuple[dict[str, str], Sequence[Action]]:
         """Make an incident, of one log or of all.
 
@@ -354,7 +335,6 @@ class Recorder:
             log = self._logs[name] = RobotLog(plan, self._context)
             self._askers.append(log)
             log.is_paused = self.state is not RecorderState.RECORDING
-            log.count_as_wanted(is_wanted=not self._is_stopped)
         if len(key) > keys.KEY_MAX_LENGTH:
             return log
         if len(self._by_key) >= OWNED_KEY_LIMIT:
@@ -400,8 +380,6 @@ class Recorder:
                 log.pause(reason, now_ns)
             elif log.is_paused and not is_paused:
                 log.resume(now_ns)
-            # What comes while somebody has stopped us is no loss.
-            log.count_as_wanted(is_wanted=not self._is_stopped)
         # Only now: what was in hand came before.
         self._context.left_out = GapReason.FULL if self.state is RecorderState.FULL else None
 

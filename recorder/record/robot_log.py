@@ -455,10 +455,6 @@ class RobotLog:
             del self._context.fast_paths[key]
         self._fast_keys.clear()
 
-    def count_as_wanted(self, *, is_wanted: bool) -> None:
-        """Count what comes from here on for the files, or not: what nobody wants is no file's business."""
-        self._account.want(self.channels.counts, is_wanted=is_wanted)
-
     def _why_roll(self, now_ns: int, file_bytes: int) -> str:
         """Return the reason to end the file now; empty if there is none."""
         age_ns = now_ns - self._opened_ns

@@ -1,4 +1,4 @@
-"""Asks recorders over Zenoh for what operators order.
+"""Asks recorders over Zenoh.
 
 No Python of ours runs on Zenoh's threads.
 """
@@ -13,16 +13,15 @@ from typing import Any, Final
 
 import zenoh
 
-from recorder.record.admission import OPEN_TO_ALL, OrderProof
 from recorder.zenoh.session import open_session, said_of
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.recording import RecorderReply, Status
+from schemas.recording import RecorderReply
 from schemas.requests import Request
 from schemas.settings import ZenohSettings
-from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_CHUNK
+from schemas.subjects import RECORDER_BY_VERB, RECORDER_CHUNK
 from schemas.versions import encoding_fault, names_schema
 from schemas.zenoh_link import reason
 
@@ -33,9 +32,6 @@ REPLIES_WAITING: Final = 256
 
 LONGEST_S: Final = 86_400.0
 """Zenoh waits no longer than a day."""
-
-PROOF_S: Final = 2.0
-"""The longest wait for a recorder's challenge, and for its reply to a grant."""
 
 POLL_S: Final = 0.002
 """Period at which replies are looked for."""
@@ -59,7 +55,6 @@ class RecorderClient:
         root: the first chunks of the recorders' keys.
         operator: who asks.
         stopped: give up waiting.
-        proof: signs what is asked, for recorders in signed mode, in the name of its grant; None signs nothing.
 
     Raises:
         CommandError: the session cannot be opened.
@@ -71,11 +66,9 @@ class RecorderClient:
         root: str,
         operator: str,
         stopped: Callable[[], bool] = lambda: False,
-        proof: OrderProof | None = None,
     ) -> None:
         self._root = root
-        self._operator = operator if proof is None else proof.name
-        self._proof = proof
+        self._operator = operator
         self._stopped = stopped
         self._name = re.compile(rf"{re.escape(root)}/{RECORDER_CHUNK}/({keys.ROBOT_PATTERN})/.+")
         self._place = ", ".join(map(plain, said_of(settings).connect))
@@ -126,29 +119,12 @@ class RecorderClient:
     def _key(self, recorder: str, verb: str) -> str:
         return keys.recorder_command(self._root, recorder, self._operator, verb)
 
-    def _attachment(self, recorder: str, verb: str, payload: bytes) -> bytes | None:
-        """The proof of an order: the recorder is shown the grant, and gives the challenge to echo."""
-        if self._proof is None or verb in OPEN_TO_ALL or recorder == keys.ALL:
-            return None
-        replies = self.ask(recorder, "status", Status(), PROOF_S)
-        challenge = next((reply.health.challenge for _, reply in replies if reply.health.challenge), b"")
-        if not challenge:
-            return None  # It is in open mode, or does not answer: then nor will it what is asked.
-        key = keys.of_recorder(self._root, recorder, AUTHORITY_CHUNK)
-        handler: Any = zenoh.handlers.FifoChannel(REPLIES_WAITING)
-        for _ in self._samples(self._session.get(key, handler, payload=self._proof.statement, timeout=PROOF_S)):
-            break
-        return self._proof.attachment(recorder, verb, payload, challenge)
-
     def _query(self, recorder: str, verb: str, request: Request, **how: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - the options of Zenoh's get
-        payload = codec.encode(request)
-        attachment = self._attachment(recorder, verb, payload)
         try:
             replies: Any = self._session.get(
                 self._key(recorder, verb),
                 zenoh.handlers.FifoChannel(REPLIES_WAITING),
-                payload=payload,
-                attachment=attachment,
+                payload=codec.encode(request),
                 encoding=RECORDER_BY_VERB[verb].encoding,
                 # Two recorders on different hosts may have one name, and so one key.
                 consolidation=zenoh.ConsolidationMode.NONE,

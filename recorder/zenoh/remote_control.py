@@ -19,22 +19,17 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
-from recorder.record.admission import OrderAdmission, OrderNote, SignedOrder, refusal_text, text_of
 from recorder.record.orders import OperatorRequest
 from recorder.record.shards import shard_of
 from recorder.zenoh.session import listen_beside, open_session
 from schemas import codec, keys
-from schemas.authority.statement import TEXT_MAX_BYTES
-from schemas.authority.trust import Objection
 from schemas.codec import PayloadFault
-from schemas.decisions import StatementReply
 from schemas.messages import Message
 from schemas.printable import plain
-from schemas.reasons import Reason
 from schemas.recording import RecorderReply
 from schemas.requests import Request
 from schemas.settings import Settings
-from schemas.subjects import AUTHORITY_CHUNK, RECORDER_BY_VERB, RECORDER_SUBJECTS, STATEMENT_REPLY_ENCODING
+from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS
 from schemas.versions import encoding_fault, names_schema
 
 log = logging.getLogger(__name__)
@@ -45,7 +40,7 @@ QUERIES_WAITING: Final = 64
 REQUESTS_PER_PASS: Final = 8
 
 FOR_ALL: Final = frozenset({"status"})
-"""Verbs that a query may send to every recorder at once. One query must not stop them all."""
+"""Verbs that a query may send to every recorder at once. One query must not mark them all."""
 
 REPLIES_WAITING: Final = 128
 """Replies that may wait for somebody's link; the zenoh package may wait 5 s for one that does not read."""
@@ -66,19 +61,12 @@ class RemoteControl:
 
     Args:
         settings: of the session, the root, and the recorder's name.
-        door: makes what judges orders in signed mode, for a recorder of this name; None lets everybody give them.
-        save: keeps what the door has learnt across a restart; it may wait for the disk.
 
     Raises:
         CommandError: the session cannot be opened.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        door: Callable[[str], OrderAdmission] | None = None,
-        save: Callable[[OrderNote], None] = lambda _: None,
-    ) -> None:
+    def __init__(self, settings: Settings) -> None:
         self._root = settings.robot.root
         self.listen = listen_beside(settings.zenoh)
         """Where it listens."""
@@ -94,12 +82,6 @@ class RemoteControl:
             keys.recorder_command(self._root, self.name, keys.ALL, keys.ALL),
             zenoh.handlers.RingChannel(QUERIES_WAITING),
             complete=True,
-        )
-        self._door = None if door is None else door(self.name)
-        self._save = save
-        self._statements_key = keys.of_recorder(self._root, self.name, AUTHORITY_CHUNK)
-        self._statements = self._session.declare_queryable(
-            self._statements_key, zenoh.handlers.RingChannel(QUERIES_WAITING), complete=True
         )
         self._replier = ThreadPoolExecutor(1, "replies")
         self._replies_waiting = Semaphore(REPLIES_WAITING)
@@ -121,13 +103,8 @@ class RemoteControl:
         except zenoh.ZError as error:
             log.debug("Zenoh does not take it: %s", error)
 
-    def challenge(self) -> bytes:
-        """The challenge that an order has to echo; empty in open mode."""
-        return b"" if self._door is None else self._door.challenge(time.monotonic_ns())
-
     def drain(self) -> Iterator[OperatorRequest]:
-        """The requests that have come in. Statements of the authority are taken over first."""
-        self._take_statements()
+        """The requests that have come in."""
         for _ in range(REQUESTS_PER_PASS):
             query = self._queries.try_recv()
             if query is None:
@@ -151,7 +128,6 @@ class RemoteControl:
         payload = query.payload
         key = keys.recorder_command(self._root, self.name, operator, name)
         request: Request | PayloadFault
-        attachment = b"" if query.attachment is None else query.attachment.to_bytes()
         if name not in FOR_ALL and str(query.key_expr) != key:
             request = PayloadFault(f"{name} must name one recorder, without a wildcard")
         elif payload is not None and len(payload) > REQUEST_MAX_BYTES:
@@ -159,8 +135,7 @@ class RemoteControl:
         elif names_schema(named := str(query.encoding or "")) and named != verb.encoding:
             request = PayloadFault(encoding_fault(named, verb.encoding, "the recorder", "the client"))
         else:
-            content = b"" if payload is None else payload.to_bytes()
-            request = self._admitted(name, operator, content, attachment)
+            request = codec.decode_request(verb, b"" if payload is None else payload.to_bytes())
 
         def send(answer: RecorderReply) -> None:
             try:
@@ -174,42 +149,6 @@ class RemoteControl:
 
         done = partial(self._off_the_loop, query.drop)
         return OperatorRequest(operator, request, reply, done)
-
-    def _admitted(self, verb: str, operator: str, payload: bytes, attachment: bytes) -> Request | PayloadFault:
-        """The request, or why it is not carried out."""
-        request = codec.decode_request(RECORDER_BY_VERB[verb], payload)
-        if self._door is None or isinstance(request, PayloadFault):
-            return request
-        order = SignedOrder(verb, operator, payload, attachment, request)
-        refusal = self._door.judge(order, time.monotonic_ns(), int(time.time()))
-        return request if refusal is None else PayloadFault(refusal_text(refusal))
-
-    def _take_statements(self) -> None:
-        for _ in range(REQUESTS_PER_PASS):
-            query = self._statements.try_recv()
-            if query is None:
-                return
-            self._off_the_loop(partial(self._reply_to_statement, query, self._show(query)))
-
-    def _show(self, query: zenoh.Query) -> StatementReply:
-        door = self._door
-        if door is None:
-            return _reply_of(None)
-        before = door.note
-        payload = query.payload
-        # A longer one is refused for its length, wherever that is cut.
-        text = b"" if payload is None else payload.to_bytes()[: TEXT_MAX_BYTES + 1]
-        refusal = door.show(text, int(time.time()))
-        if door.note is not before:
-            self._replier.submit(self._save, door.note)
-        return _reply_of(refusal)
-
-    def _reply_to_statement(self, query: zenoh.Query, said: StatementReply) -> None:
-        try:
-            query.reply(self._statements_key, msgspec.msgpack.encode(said), encoding=STATEMENT_REPLY_ENCODING)
-        except zenoh.ZError as error:
-            log.debug("nobody waits for the reply any more: %s", error)
-        query.drop()
 
     def _off_the_loop(self, work: Callable[[], None]) -> None:
         """Do what may wait for somebody's link on a thread that may."""
@@ -243,14 +182,6 @@ class RemoteControl:
         for reply in replies:
             if reply.ok is not None:
                 yield str(reply.ok.key_expr).rpartition("/")[2]
-
-
-def _reply_of(refusal: Objection | None) -> StatementReply:
-    """The reply to a statement. In open mode there is nothing to refuse."""
-    if refusal is None:
-        return StatementReply(ok=True, reason=Reason.NONE, detail="", cure="")
-    detail, cure = refusal_text(refusal), text_of(refusal.reason).cure
-    return StatementReply(ok=False, reason=refusal.reason, detail=detail, cure=cure)
 
 
 def host_name() -> str:

@@ -62,7 +62,7 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
         name: the holder: an operator's chunk of the command keys, a robot's, a site's.
         key: the holder's.
         robots: patterns of robots' names, ``*`` for any letters.
-        verbs: those that the holder may ask, of robots and of recorders.
+        verbs: those that the holder may ask of robots.
         override: it may take the lease of a robot that moves.
         speed_limit_mps: the robot drives no faster for this holder; none if absent.
         not_before, not_after: it holds from the first to the second, both included.

@@ -39,7 +39,7 @@ STOP: Final = f"{R}/@cmd/ann/stop"
 STOP_ALL: Final = "fleet/*/@cmd/ann/stop"
 STOP_MANY: Final = "fleet/c$*/@cmd/ann/stop"
 """Of all robots whose name begins so: Zenoh's rules cannot tell a pattern from the names in it."""
-ORDER: Final = "fleet/@recorder/depot/@cmd/ann/split"
+ORDER: Final = "fleet/@recorder/depot/@cmd/ann/mark"
 
 # A robot's certificate says that it is a robot, not which: forged telemetry of another shows in the signed chains.
 PUTS: Final = {f"{R}/{name}": ROBOTS for name in TELEMETRY} | {

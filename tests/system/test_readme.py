@@ -106,7 +106,6 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     # A recorder.
     "cruiser record status": Run("messages written", first=("cruiser record -o logs",)),
     "cruiser record mark -m 'it swerved'": Run("an incident keeps"),
-    "cruiser record split": Run("new files"),
     "cruiser review recover FILE...": Run("whole"),
     # A log.
     "cruiser review events demo-log": Run("the front bumper was hit"),

@@ -77,12 +77,6 @@ class RecorderRig:
             notice = self.writer.notices.pop(0)
             self.writer.apply(self.recorder.receive_notice(notice, self.now_ns, self.wall_ns))
 
-    def stop(self) -> None:
-        self.writer.apply(self.recorder.stop("operator-1", self.now_ns, self.wall_ns))
-
-    def start(self) -> None:
-        self.writer.apply(self.recorder.start("operator-1", self.now_ns, self.wall_ns))
-
     def mark(self, robot: str = "", because: str = "it shook") -> dict[str, str]:
         marked, actions = self.recorder.mark(robot, because, self.now_ns, self.wall_ns)
         self.writer.apply(actions)

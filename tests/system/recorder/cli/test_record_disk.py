@@ -331,8 +331,8 @@ def test_a_disk_that_is_read_only_for_a_while_costs_nothing(small_disk: Path, pe
 
     with recording(*words(small_disk, endpoint)) as process:
         drive_until(lambda: bool(told.healths()) and has_gear(small_disk))
-        code, _, _ = ask("split", "--connect", endpoint)
-        assert code == ExitCode.OK
+        process.signal(signal.SIGHUP)
+        drive_until(lambda: whole(small_disk))
         first = whole(small_disk)
         remount(small_disk, "ro")
         try:

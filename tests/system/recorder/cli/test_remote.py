@@ -1,26 +1,23 @@
-"""``cruiser record status``, ``start``, ``stop``, ``split`` and ``mark``, against real recorders."""
+"""``cruiser record status`` and ``mark``, against real recorders."""
 
 import argparse
 import json
 import re
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from recorder.cli import record
 from recorder.record.incidents import INCIDENT_NAME
-from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.exit_codes import ExitCode
-from schemas.recording import RecorderEventKind, RecorderState
+from schemas.recording import RecorderEventKind
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.fakes.recorders import a_reply, answering
 from tests.support.logs import logs_in
 from tests.support.messages import gear, sample_of
-from tests.support.nights import by_night
-from tests.support.processes.recorder import Told, ask, heard, link, recording, whole
+from tests.support.processes.recorder import Told, ask, link, recording
 from tests.support.waiting import wait_until
 
 HOSTILE = "\x1b[2J\x9b31m\x07\nhost: recording\r\u202e"
@@ -93,43 +90,6 @@ def test_status_says_how_a_recorder_is(depot: Depot) -> None:
     assert (one["recorder"], one["state"], one["robots"]) == ("depot", "recording", 1)
 
 
-def test_a_recorder_can_be_stopped_and_started(depot: Depot) -> None:
-    """The reply comes when the logs are whole, and names them; everybody is told, and of whom."""
-    (name,) = [name.removesuffix(".part") for name in logs_in(depot.directory)]
-    reply = depot.reply("stop")
-    assert reply["files"] == [name]
-    assert logs_in(depot.directory) == [name]
-    assert check_log(depot.directory / name).whole
-    assert not heard(depot.peer, depot.directory, "unheard")
-    code, out, _ = depot.ask("status")
-    assert code == ExitCode.OK
-    assert out.startswith("depot: stopped: nothing is written but incidents\n")
-    assert depot.reply("stop")["files"] == []
-    assert depot.reply("start")["detail"] == "recording"
-    wait_until(partial(heard, depot.peer, depot.directory, "again"))
-    for kind in (RecorderEventKind.STOPPED, RecorderEventKind.STARTED):
-        wait_until(lambda kind=kind: bool(depot.told.events(kind)))  # type: ignore[misc]  # bound at once
-        (event,) = depot.told.events(kind)
-        assert event.operator == "operator-1"
-    found = [read_info(path) for path in sorted(depot.directory.iterdir())]
-    assert not any(
-        channel.topic.endswith("/unheard") and channel.messages for one in found for channel in one.channels
-    )
-
-
-def test_the_logs_can_be_split(depot: Depot) -> None:
-    """What was written until now is whole; what comes later is in other files."""
-    (name,) = [name.removesuffix(".part") for name in logs_in(depot.directory)]
-    code, out, err = depot.ask("split", "depot")
-    assert (code, err) == (ExitCode.OK, "")
-    assert out == f"depot: the next samples begin new files\n  {name}\n"
-    assert check_log(depot.directory / name).whole
-    wait_until(partial(heard, depot.peer, depot.directory, "later"))
-    assert len(logs_in(depot.directory)) == 2
-    depot.ask("split")
-    assert depot.reply("split")["detail"] == "no file is being written"
-
-
 def test_a_mark_keeps_an_incident(depot: Depot) -> None:
     """With who marked it and why; of one robot, or of all."""
     reply = depot.reply("mark", "--robot", "cruiser-1", "-m", "a bump\nand a \x1b[1mrattle")
@@ -176,19 +136,17 @@ def test_recorders_of_one_name_are_asked_one_by_one(
 
         wait_until(are_both_found)
         several = "cruiser record: there are several recorders: depot, depot-2; name one\n"
-        # Harmless, should it hear of but one.
-        wait_until(lambda: depot.ask("start") == (ExitCode.USAGE, "", several))
-        code, out, _ = depot.ask("stop", "depot-2")
+        wait_until(lambda: depot.ask("mark") == (ExitCode.USAGE, "", several))
+        code, out, _ = depot.ask("mark", "depot-2")
         assert code == ExitCode.OK
-        assert out.startswith("depot-2: stopped")
-        assert len(whole(tmp_path / "second")) == 1
-        assert depot.told.wait_for_health("depot").state is RecorderState.RECORDING
+        assert out.startswith("depot-2: an incident keeps")
+        assert depot.told.wait_for_health("depot").incidents == 0
         code, _, err = process.end()
     assert code == ExitCode.OK
     assert "a recorder depot is there already; this one is depot-2" in process.ready + err
 
 
-@pytest.mark.parametrize("action", ["status", *map(by_night, ("start", "stop", "split", "mark"))])
+@pytest.mark.parametrize("action", ["status", "mark"])
 def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str, action: str) -> None:
     """Exit code 4, one clear line; whom it looked for."""
     assert peer
@@ -208,8 +166,8 @@ def test_without_a_zenoh_node_it_says_so(endpoint: str) -> None:
 
 def test_a_recorder_that_says_no_more_is_told(peer: Peer, endpoint: str) -> None:
     """It was there a moment ago."""
-    with answering(peer, "depot", a_reply(), silent="stop"):
-        answer = ask("stop", "--connect", endpoint, "--timeout", "1")
+    with answering(peer, "depot", a_reply(), silent="mark"):
+        answer = ask("mark", "--connect", endpoint, "--timeout", "1")
     assert answer == (ExitCode.UNREACHABLE, "", "cruiser record: recorder depot does not answer\n")
 
 
@@ -241,7 +199,7 @@ def test_what_a_recorder_says_rules_no_terminal(peer: Peer, endpoint: str, words
         assert "\nhost: recording" not in out
 
 
-@pytest.mark.parametrize("action", ["status", "stop"])
+@pytest.mark.parametrize("action", ["status", "mark"])
 def test_who_has_a_hostile_name_is_no_recorder(peer: Peer, endpoint: str, action: str) -> None:
     """It is not even named."""
     with answering(peer, "\x1b[2J", a_reply()) as asked, answering(peer, "also\x07", a_reply()):
@@ -253,5 +211,5 @@ def test_who_has_a_hostile_name_is_no_recorder(peer: Peer, endpoint: str, action
 def test_two_that_share_a_name_are_both_shown(peer: Peer, endpoint: str) -> None:
     """They may have begun before they could know of each other."""
     with answering(peer, "depot", a_reply("here"), a_reply("and here")):
-        code, out, err = ask("stop", "--connect", endpoint, "--timeout", "2")
+        code, out, err = ask("mark", "--connect", endpoint, "--timeout", "2")
     assert (code, out, err) == (ExitCode.OK, "depot: here\ndepot: and here\n", "")

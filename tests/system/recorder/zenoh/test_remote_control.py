@@ -22,7 +22,6 @@ from schemas.recording import (
     RecorderEvent,
     RecorderEventKind,
     RecorderReply,
-    Split,
     Status,
 )
 from schemas.requests import Request
@@ -122,7 +121,7 @@ class Pair:
 
     def settle(self) -> None:
         """Forget the requests by which the two have found each other."""
-        self.client.ask(self.key("split", "last"))
+        self.client.ask(self.key("mark", "last"))
         while self.next().operator != "last":
             pass
         self.asked.clear()
@@ -156,7 +155,7 @@ def pair(endpoint: str) -> Iterator[Pair]:
     [
         ("status", b"", Status()),
         ("status", None, Status()),
-        ("split", msgspec.msgpack.encode({}), Split()),
+        ("mark", msgspec.msgpack.encode({}), Mark()),
         ("mark", msgspec.msgpack.encode({"text": "bump", "robot": "cruiser-1"}), Mark("bump", "cruiser-1")),
     ],
 )
@@ -218,7 +217,7 @@ def test_a_request_of_another_version_says_which_side_to_upgrade(pair: Pair, com
 def test_what_has_no_verb_or_no_operator_is_not_answered(pair: Pair, key: str) -> None:
     """Its query ends at once, without a reply."""
     replies = pair.client.ask(key)
-    pair.client.ask(pair.key("split", "after"))
+    pair.client.ask(pair.key("mark", "after"))
     assert pair.next().operator == "after"
     assert [reply for reply in replies if reply.ok is not None] == []
 
@@ -239,8 +238,8 @@ def test_a_reply_says_whose_it_is_although_all_were_asked(pair: Pair) -> None:
 
 @pytest.mark.parametrize("recorder", ["*", "be*", "**"])
 @pytest.mark.parametrize("verb", [verb for verb in RECORDER_BY_VERB if verb != "status"])
-def test_one_query_does_not_stop_every_recorder(pair: Pair, verb: str, recorder: str) -> None:
-    """Only ``status`` may be asked of all. What changes a recorder, or keeps it busy, names it."""
+def test_one_query_does_not_mark_every_recorder(pair: Pair, verb: str, recorder: str) -> None:
+    """Only ``status`` may be asked of all."""
     pattern = recorder.replace("be*", "be$*")
     pair.client.ask(pair.key(verb, recorder=pattern), msgspec.msgpack.encode({}))
     asked = pair.next()
@@ -304,7 +303,7 @@ def test_of_too_many_requests_the_oldest_go(pair: Pair) -> None:
     """What waits is bounded, and so is what one pass of the loop takes."""
     count = 2 * remote_control.QUERIES_WAITING
     replies = [pair.client.ask(pair.key("status", f"op-{number}")) for number in range(count)]
-    pair.client.ask(pair.key("split", "last"))
+    pair.client.ask(pair.key("mark", "last"))
     wait_until(lambda: is_over(replies[0]))
     taken: list[str] = []
 

@@ -9,7 +9,6 @@ import pytest
 
 from gateway.provisioning.key_files import read_identity, read_trust
 from recorder.disk import key_files as of_recorder
-from recorder.disk.order_note import NAME, read_note
 from schemas.authority.identity import Identity
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import AuthoritySettings
@@ -101,10 +100,3 @@ def test_an_authority_of_another_fleet_is_named(place: Path) -> None:
     text = fault(place)
     assert text.startswith(f"{place}/authority.json is not of the authority that signed {place}/operator.grant")
     assert ANOTHER in text
-
-
-def test_a_recorders_note_is_no_fifo(tmp_path: Path) -> None:
-    """The recorder would never begin."""
-    os.mkfifo(tmp_path / NAME)
-    with pytest.raises(CommandError, match="is a FIFO"):
-        read_note(tmp_path)

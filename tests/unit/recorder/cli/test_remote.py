@@ -20,10 +20,10 @@ from tests.support.messages import recorder_health
         ["status", "\x1b[2J"],
         ["status", "depot", "other"],
         ["mark", "--robot", "*"],
-        ["stop", "--operator", "a b"],
-        ["stop", "--timeout", "0"],
-        ["stop", "--timeout", "nan"],
-        ["split", "--text", "x"],
+        ["mark", "--operator", "a b"],
+        ["mark", "--timeout", "0"],
+        ["mark", "--timeout", "nan"],
+        ["status", "--text", "x"],
     ],
 )
 def test_wrong_words_are_a_usage_error(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -39,7 +39,7 @@ def test_wrong_words_are_a_usage_error(words: list[str], capsys: pytest.CaptureF
 def test_a_reply_reads_like_a_sentence() -> None:
     """A refusal is one; the figures of a status have their units."""
     reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=recorder_health(RecorderState.FULL))
-    assert describe("depot", "split", reply) == "depot: refused: why\n  a.mcap"
+    assert describe("depot", "mark", reply) == "depot: refused: why\n  a.mcap"
     text = describe("depot", "status", reply)
     assert "0.0 MB of logs, 0.0 MB of them incidents, 0.0 MB free" in text
     assert "for 1 s, up 2 s, version 1" in text

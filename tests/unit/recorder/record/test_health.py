@@ -127,5 +127,5 @@ def test_it_says_since_when_it_does_what_it_does() -> None:
     recorder.receive_notice(DiskRoom(has_room=False, has_incident_room=True), START_NS, WALL_NS)
     assert told(3) == (RecorderState.FULL, 0.0)
     assert told(5) == (RecorderState.FULL, 2.0)
-    recorder.stop("operator-1", START_NS, WALL_NS)
-    assert told(6) == (RecorderState.STOPPED, 0.0)
+    recorder.receive_notice(DiskRoom(has_room=True, has_incident_room=True), START_NS, WALL_NS)
+    assert told(6) == (RecorderState.RECORDING, 0.0)

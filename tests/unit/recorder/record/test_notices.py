@@ -5,8 +5,6 @@ import pytest
 from recorder.record.notices import (
     FULL,
     ROOM,
-    STARTED,
-    STOPPED,
     Deleted,
     DiskBack,
     DiskFault,
@@ -53,11 +51,6 @@ def test_what_happens_all_the_time_is_not(notice: Notice) -> None:
 
 
 def test_what_ends_a_recording_is_no_mere_information() -> None:
-    """What begins it again is; and room on the disk does not claim that a recording that was stopped goes on."""
-    assert [word.severity for word in (STARTED, STOPPED, FULL, ROOM)] == [
-        Severity.INFO,
-        Severity.WARNING,
-        Severity.ERROR,
-        Severity.INFO,
-    ]
+    """What begins it again is; and room on the disk does not claim that a recorder that stands by records."""
+    assert [word.severity for word in (FULL, ROOM)] == [Severity.ERROR, Severity.INFO]
     assert "recording" not in ROOM.text

@@ -6,12 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.record.actions import CloseLog
 from recorder.record.notices import Deleted, DiskRoom, Ended, Opened
-from recorder.record.orders import REPLY_NS, Orders
+from recorder.record.orders import MARK_EVERY_NS, MARKS_AT_ONCE, REPLY_NS, Orders
 from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
-from schemas.recording import Mark, RecorderState, Split, Start, Status, StopRecording
+from schemas.recording import Mark, Status
 from schemas.requests import Request
 from tests.support.fakes.recording import RECORDER_PLAN, FakeAsked, MemoryWriter
 from tests.support.messages import SECOND, WALL_NS, gear, recorder_health, sample_of
@@ -50,54 +49,6 @@ class Desk:
         self.writer.apply(
             self.recorder.receive_notice(DiskRoom(has_room, has_incident_room), self.now_ns, WALL_NS)
         )
-
-
-def test_a_split_names_the_files_that_it_ended() -> None:
-    """Once the disk has them, all of them."""
-    desk = Desk()
-    desk.receive("b", "a")
-    desk.notice()
-    asked = desk.ask(Split())
-    assert not asked.replies
-    desk.notice(lambda log: log == "a")
-    assert not asked.replies
-    desk.orders.receive_notice(Ended("b", "b-0.mcap", 1))
-    desk.orders.tick(desk.now_ns)
-    assert (asked.answer.ok, asked.answer.files) == (True, ["a-0.mcap", "b-0.mcap"])
-    assert asked.answer.detail == "the next samples begin new files"
-
-
-def test_a_file_that_the_disk_has_not_begun_yet_is_waited_for() -> None:
-    """It is being written all the same."""
-    desk = Desk()
-    desk.receive("a")
-    asked = desk.ask(Split())
-    desk.notice()
-    assert not asked.replies
-    desk.writer.apply(desk.recorder.tick(desk.now_ns, WALL_NS, {}))
-    desk.notice()
-    assert (asked.answer.files, asked.answer.detail) == (["a-0.mcap"], "the next samples begin new files")
-
-
-def test_a_split_of_nothing_is_answered_at_once() -> None:
-    """There is nothing to wait for, and it says so."""
-    assert Desk().ask(Split()).answer.detail == "no file is being written"
-
-
-def test_a_stop_ends_the_logs_and_a_start_goes_on() -> None:
-    """Each reply says what the recorder does now; who asks twice is told the same."""
-    desk = Desk()
-    desk.receive("a")
-    stop = desk.ask(StopRecording())
-    again = desk.ask(StopRecording())
-    assert again.answer.health.state is RecorderState.STOPPED
-    desk.notice()
-    assert (stop.answer.files, stop.answer.health.state) == (["a-0.mcap"], RecorderState.STOPPED)
-    assert "stopped" in stop.answer.detail
-    start = desk.ask(Start())
-    assert (start.answer.detail, start.answer.health.state) == ("recording", RecorderState.RECORDING)
-    desk.room(has_room=False)
-    assert "disk" in desk.ask(Start()).answer.detail
 
 
 def test_status_names_the_files_that_are_written() -> None:
@@ -139,18 +90,35 @@ def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
     assert (answer.ok, answer.detail, answer.files) == (False, detail, [])
 
 
+def test_a_flood_of_marks_is_refused() -> None:
+    """Nobody signs them, and their incidents take room that those of faults need. Later some more are taken."""
+    desk = Desk()
+    desk.receive("a")
+    desk.now_ns = 5 * SECOND
+    assert [desk.ask(Mark("", "nobody")).answer.ok for _ in range(3)] == [False] * 3, "what keeps nothing is free"
+    asked = [desk.ask(Mark(f"mark {number}")) for number in range(MARKS_AT_ONCE + 2)]
+    desk.notice()
+    assert [one.answer.ok for one in asked] == [True] * MARKS_AT_ONCE + [False] * 2
+    assert asked[-1].answer.detail == "too many marks; the next one is taken in 300 s"
+    for more in (1, 1, MARKS_AT_ONCE):
+        desk.now_ns += more * MARK_EVERY_NS
+        asked = [desk.ask(Mark()) for _ in range(more + 1)]
+        desk.notice()
+        assert [one.answer.ok for one in asked] == [True] * more + [False]
+
+
 def test_a_disk_that_does_not_answer_keeps_nobody_waiting() -> None:
     """After a while the reply says how far it has come."""
     desk = Desk()
     desk.receive("a", "b")
     desk.notice()
-    asked = desk.ask(Split())
-    desk.notice(lambda log: log == "a")
+    asked = desk.ask(Mark())
+    desk.notice(lambda log: log == "a!")
     desk.orders.tick(REPLY_NS - 1)
     assert not asked.replies
     desk.orders.tick(REPLY_NS)
     assert asked.answer.ok
-    assert asked.answer.files == ["a-0.mcap"]
+    assert asked.answer.files == ["a-0.incident.mcap"]
     assert asked.answer.detail.endswith("; the disk has not done it yet")
     desk.orders.tick(2 * REPLY_NS)
 
@@ -161,9 +129,7 @@ def test_what_cannot_be_read_is_refused() -> None:
     assert (answer.ok, answer.detail) == (False, "no such field")
 
 
-REQUESTS = st.sampled_from(
-    [Status(), Start(), StopRecording(), Split(), Mark(), Mark("x", "a"), PayloadFault("x")]
-)
+REQUESTS = st.sampled_from([Status(), Mark(), Mark("x", "a"), PayloadFault("x")])
 
 
 @given(st.lists(st.one_of(REQUESTS, st.sampled_from(["receive", "notice", "wait", "close", "full", "room"]))))
@@ -195,13 +161,3 @@ def test_whoever_asks_is_answered_once_and_in_time(steps: list[Request | Payload
     desk.orders.tick(desk.now_ns + REPLY_NS)
     for _, one in asked:
         assert set(one.answer.files) <= files
-
-
-def test_the_files_are_ended_by_what_is_returned() -> None:
-    """The caller carries it out; nothing is done behind its back."""
-    desk = Desk()
-    desk.receive("a")
-    desk.notice()
-    actions = desk.orders.obey(FakeAsked(Split()).asked, 0, WALL_NS)
-    assert actions[-1] == CloseLog("a")
-    desk.writer.apply(actions)

@@ -1,7 +1,6 @@
 """A recorder without I/O: the logs that it writes, how it is stopped and started, and what it says."""
 
 from collections import Counter
-from collections.abc import Callable
 from io import BytesIO
 from typing import Any
 
@@ -81,22 +80,21 @@ def test_one_log_for_all_if_that_is_wanted() -> None:
 
 
 def test_in_standby_nothing_is_written_but_incidents() -> None:
-    """Until somebody starts it: then the next sample begins a file. What was before is in none, and no loss."""
+    """What is in no file is no loss."""
     bench = RecorderRig(msgspec.structs.replace(PLAN, standby=True))
     assert bench.recorder.state is RecorderState.STOPPED
     bench.receive(sample_of(gear(0)))
     bench.run(SECOND)
     assert bench.writer.files == {}
     bench.mark("cruiser-1")
+    bench.room(has_room=False)
+    bench.room()
     bench.run(SECOND)
-    bench.start()
     bench.receive(sample_of(gear(1)))
     bench.close()
-    assert (times(bench.logs()["cruiser-1"][0]), times(bench.writer.files["cruiser-1!"][0])) == (
-        [2 * SECOND],
-        [0, 2 * SECOND],
-    )
-    assert bench.recorder.counts[GEAR_KEY] == KeyReport(sent=2, received=2, written=1)
+    assert list(bench.writer.files) == ["cruiser-1!"]
+    assert times(bench.writer.files["cruiser-1!"][0]) == [0, 2 * SECOND]
+    assert bench.recorder.counts[GEAR_KEY] == KeyReport(sent=2, received=2, written=0)
     assert bench.gaps() == []
 
 
@@ -139,24 +137,15 @@ def test_a_log_of_several_robots_is_filed_under_none_of_them() -> None:
 
 
 def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: RecorderRig) -> None:
-    """A stop by the one who asked for it, what was deleted, and a disk that is full and is not any more."""
+    """What was deleted, and a disk that is full and is not any more."""
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"))
     bench.writer.apply(bench.recorder.receive_notice(Deleted("old.mcap", 5), 0, WALL_NS))
     bench.room(has_room=False)
     bench.room(has_room=False)
     bench.room()
-    bench.stop()
-    bench.stop()
-    bench.room(has_room=False)
-    bench.room()
-    bench.start()
-    bench.start()
     events = bench.events()
-    assert [event.kind.value for event in events] == [
-        *("deleted", "full", "full", "stopped", "full", "full", "started")
-    ]
-    assert [event.sequence for event in events] == list(range(7))
-    assert [event.operator for event in events if event.operator] == ["operator-1", "operator-1"]
+    assert [event.kind.value for event in events] == ["deleted", "full", "full"]
+    assert [event.sequence for event in events] == list(range(3))
     bench.close()
     for files in bench.logs().values():
         # No file is being written when there is room again, nor at the start: nothing has come since.
@@ -172,32 +161,22 @@ def test_a_file_says_why_the_one_before_it_ended(bench: RecorderRig) -> None:
     bench.room(roll=True)
     bench.writer.apply(bench.recorder.roll("signal", 0))
     bench.receive(sample_of(gear(1)))
-    bench.stop()
-    bench.start()
+    bench.room(has_room=False)
+    bench.room()
     bench.receive(sample_of(gear(2)))
     bench.close()
     _, second, third = bench.logs()["cruiser-1"]
     assert metadata(second, CONTINUED_NAME) == [{"file": "2", "because": "room"}]
-    assert metadata(third, CONTINUED_NAME) == [{"file": "3", "because": "stopped"}]
+    assert metadata(third, CONTINUED_NAME) == [{"file": "3", "because": "full"}]
 
 
-@pytest.mark.parametrize(
-    ("bring_about", "state"),
-    [
-        (lambda bench: bench.stop(), RecorderState.STOPPED),
-        (lambda bench: bench.room(has_room=False), RecorderState.FULL),
-    ],
-)
-def test_a_robot_that_turns_up_meanwhile_has_no_file(
-    bench: RecorderRig, bring_about: Callable[[RecorderRig], None], state: RecorderState
-) -> None:
-    """Neither while it was stopped nor while the disk is full; what it declares is in the file that follows."""
-    bring_about(bench)
-    assert bench.recorder.state is state
+def test_a_robot_that_turns_up_while_the_disk_is_full_has_no_file(bench: RecorderRig) -> None:
+    """What it declares is in the file that follows."""
+    bench.room(has_room=False)
+    assert bench.recorder.state is RecorderState.FULL
     bench.receive(sample_of(gear(0)))
     assert (bench.writer.files, bench.recorder.writing, bench.recorder.files) == ({}, set(), {})
     bench.room()
-    bench.start()
     bench.receive(sample_of(gear(1)))
     assert bench.recorder.writing == {"cruiser-1"}
     assert bench.recorder.files == {}

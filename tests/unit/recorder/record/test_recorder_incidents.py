@@ -77,7 +77,7 @@ def test_an_incident_does_not_name_a_log_that_was_ended(bench: RecorderRig) -> N
     """Even if the disk has not done it yet."""
     bench.receive(sample_of(gear(0)))
     bench.notice()
-    bench.stop()
+    bench.room(has_room=False)
     bench.mark()
     bench.close()
     (incident,) = bench.writer.files["cruiser-1!"]
