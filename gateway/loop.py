@@ -383,7 +383,7 @@ def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | 
     authority = signed.authority
     if inbox is not None:
         for statement in inbox.statements():
-            inbox.reply(authority.receive(statement, now_ns, boot_ns))
+            inbox.reply(authority.receive(statement, boot_ns))
     effects = authority.tick(now_ns, boot_ns, time.time_ns())
     if effects.bars is not None:
         core.bar(effects.bars, now_ns)

@@ -14,11 +14,14 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "record stop": "a recorder records while it runs: 'systemctl stop cruiser-recorder'",
     "record split": "'systemctl reload cruiser-recorder', or SIGHUP, begins new files",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
+    "provision time": "a robot goes by its clock, and by no earlier time than its authority signed last",
 }
 """Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {
     "command.brake_pedal_percent": "the brake pedal is never pressed",
+    "authority.max_offline_h": "a robot is engaged however long its authority was silent; give grants of hours",
+    "authority.require_fresh": "a robot waits for no word of its authority; give grants of hours",
 }
 """Settings by their dotted keys, or whole tables by their names: what to use instead.
 

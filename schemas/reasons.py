@@ -281,7 +281,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     ),
     Reason.AUTHORITY_STALE: Text(
         "nothing was heard from the authority for too long, so what was revoked meanwhile is not known",
-        "connect the robot to its site; 'cruiser provision time --robot ROBOT' answers it",
+        "bring the robot to this version, which waits for no word of the authority",
     ),
     Reason.PROOF_MISSING: Text(
         "the request is not signed", "command it with an operator's key: see docs/authority.md"

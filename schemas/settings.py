@@ -522,14 +522,10 @@ class AuthoritySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
             it; signed: people and robots are proven by their keys
         directory: directory of keys and grants, as 'cruiser provision' made it; auto: $XDG_CONFIG_HOME/cruiser,
             else ~/.config/cruiser
-        max_offline_h: h; so long after the last word of its authority, or its first start, a robot is engaged
-        require_fresh: engage only after an answer to the robot's challenge since the start: against thieves
     """
 
     mode: Literal["open", "signed"] = "open"
     directory: str = "auto"
-    max_offline_h: Annotated[float, Meta(ge=0.1, le=720)] = 24.0
-    require_fresh: bool = False
 
 
 class DeskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,7 +1,7 @@
 """All that a robot in signed mode knows of its authority, and what follows from it in each tick. Pure.
 
 Statements come from anyone, by the query ``@auth``: what counts are their signatures. Grants are kept in memory;
-revocations, rotations, the floor of time and the authority's silence outlive a restart.
+revocations, rotations and the floor of time outlive a restart.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from typing import Final
 import msgspec
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.floor import TimeFloor, Witness, Word
+from gateway.authority.floor import TimeFloor, Word
 from gateway.authority.name_proof import NameProof
 from gateway.authority.signer import RobotSigner
-from gateway.authority.silence import AuthoritySilence
 from gateway.authority.unmet import life_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest, Ruling
@@ -28,7 +27,6 @@ from schemas.authority.statement import (
     Rotation,
     Signed,
     StatementFault,
-    TimeStatement,
     chain_text,
     read_chain,
 )
@@ -45,11 +43,6 @@ REPEAT_NS: Final = 60_000_000_000
 SAVE_NS: Final = 60_000_000_000
 """Period at which the floor of time is saved."""
 
-ANSWER_MAX_NS: Final = 2_000_000_000
-"""A statement of the time answers a challenge no older than this."""
-
-_NS_PER_H: Final = 3_600_000_000_000
-
 
 class Kept(msgspec.Struct, frozen=True):
     """The state of the authority that is kept across a restart.
@@ -61,8 +54,6 @@ class Kept(msgspec.Struct, frozen=True):
         epoch: no grant of a lower one counts, whatever the newest list says.
         floor_s: the floor of time as the authority attested it, seconds since 1970.
         words: the times that sites attested, if later.
-        silent_on_s: s; so long the robot was on since the last word of the authority, or since its first start.
-        silent_since_s: when that was, seconds since 1970; None before the first start.
         since: the authority that was provisioned when the first of it was learnt.
         last_heads: the heads of the chains that the robot signed last, as far as it was saved since, hexadecimal:
             those of the next run name them. They are no secret, and nobody is let in by them.
@@ -74,8 +65,6 @@ class Kept(msgspec.Struct, frozen=True):
     epoch: int = 0
     floor_s: int = 0
     words: list[Word] = []
-    silent_on_s: int = 0
-    silent_since_s: int | None = None
     since: AuthorityKeys | None = None
     last_heads: str = ""
 
@@ -195,18 +184,16 @@ class RobotAuthority:
         admission: SignedAdmission,
         signer: RobotSigner,
         floor: TimeFloor,
-        silence: AuthoritySilence,
         own: list[Signed],
         kept: Kept,
     ) -> None:
         """As it was kept.
 
         Args:
-            settings: the robot's name, and how long it does without a word of the authority.
+            settings: the robot's name.
             admission: judges requests; its trust is replaced as statements come.
             signer: the robot's.
             floor: the time.
-            silence: of the authority.
             own: the chain of the robot's own grant.
             kept: the state that was saved last.
         """
@@ -214,10 +201,8 @@ class RobotAuthority:
         self.signer = signer
         self.self_test = self.unsaved = ""
         self.name_proof = NameProof(settings, signer, admission, lambda: self._own)
-        self._offline_max_ns = round(settings.authority.max_offline_h * _NS_PER_H)
-        self._requires_fresh = settings.authority.require_fresh
         self._key = keys.authority(settings.robot.root, settings.robot.name)
-        self._floor, self._silence = floor, silence
+        self._floor = floor
         floor.forget(admission.trust)
         self._own = own
         self._own_held: HeldGrant | None = None
@@ -225,18 +210,17 @@ class RobotAuthority:
         self._is_changed = False
         self._bars: dict[Reason, str] = {}
         self._new: list[str] = []
-        self._sequence = self._wall_s = 0
+        self._sequence = 0
         self._heads_due_ns = self._repeat_due_ns = self._save_due_ns = 0
 
-    def receive(self, raw: RawRequest, now_ns: int, boot_ns: int) -> PendingReply:
+    def receive(self, raw: RawRequest, boot_ns: int) -> PendingReply:
         """Somebody shows a statement. Returns the reply, which says why it is not taken over, or that it is.
 
         Args:
             raw: its payload is the statement, signed, with its chain. Its attachment is covered by the reply.
-            now_ns: monotonic.
             boot_ns: since the machine's start.
         """
-        refusal = self._take_over(raw.payload, now_ns, boot_ns)
+        refusal = self._take_over(raw.payload, boot_ns)
         ruling = Ruling() if refusal is None else Ruling(refusal.reason, refusal.detail)
         accepted, cure = ruling.reason is Reason.NONE, TEXTS[ruling.reason].cure
         said = StatementReply(accepted, ruling.reason, ruling.text, cure, own=chain_text(self._own))
@@ -244,15 +228,13 @@ class RobotAuthority:
         attachment = self.signer.reply(self._key, STATEMENT_REPLY_ENCODING, payload, raw.attachment)
         return PendingReply(raw.handle, raw.verb, payload, attachment)
 
-    def _take_over(self, text: bytes, now_ns: int, boot_ns: int) -> Objection | None:
+    def _take_over(self, text: bytes, boot_ns: int) -> Objection | None:
         chain = read_chain(text)
         if isinstance(chain, StatementFault):
             return Objection(Reason.MALFORMED, chain.detail)
         match chain[0].statement:
             case Grant():
                 return self._introduce(chain, boot_ns)
-            case TimeStatement():
-                return self._state_time(chain, now_ns, boot_ns)
             case Revocations() | Rotation() as statement:
                 return self._replace_trust(chain[0], statement, boot_ns)
 
@@ -270,8 +252,7 @@ class RobotAuthority:
             boot_ns: since the machine's start.
             wall_ns: since 1970.
         """
-        self._wall_s = wall_ns // 1_000_000_000
-        self.admission.now_s = self._floor.now_s(boot_ns, self._wall_s)
+        self.admission.now_s = self._floor.now_s(boot_ns, wall_ns // 1_000_000_000)
 
     def tick(self, now_ns: int, boot_ns: int, wall_ns: int) -> AuthorityEffects:
         """Every 10 ms: what follows from the authority now.
@@ -303,10 +284,6 @@ class RobotAuthority:
         self._kept = msgspec.structs.replace(
             self._kept, floor_s=floor_s, words=words, last_heads=self.signer.last_heads.hex()
         )
-        # Before somebody says it the time is not known.
-        if now_s := self.admission.now_s:
-            on_s, since_s = self._silence.kept(boot_ns, self._floor.now_s(boot_ns, now_s))
-            self._kept = msgspec.structs.replace(self._kept, silent_on_s=on_s, silent_since_s=since_s)
         return self._kept
 
     def heads(self, wall_ns: int) -> Sample:
@@ -319,7 +296,6 @@ class RobotAuthority:
         if isinstance(held, Objection):
             return held
         if held is not known:
-            # So also where nobody ever states the time.
             self._floor.lift_by_grants(held.chain, boot_ns)
             self._new.append(chain_text(held.chain))
         if held.key == self.signer.public_key and held.grant.role is GrantRole.ROBOT:
@@ -338,22 +314,6 @@ class RobotAuthority:
                 return judged
             self._own_held = judged
         return trust.objection(self._own_held, now_s) or self._own_held
-
-    def _state_time(self, chain: list[Signed], now_ns: int, boot_ns: int) -> Objection | None:
-        statement = chain[0].statement
-        challenge = bytes.fromhex(statement.challenge) if isinstance(statement, TimeStatement) else b""
-        age_ns = self.admission.challenge_age_ns(challenge, now_ns)
-        if isinstance(age_ns, Reason):
-            return Objection(age_ns)
-        if age_ns > ANSWER_MAX_NS:
-            return Objection(Reason.TOO_OLD)
-        at_s = self.admission.trust.time_of(chain, challenge, self.admission.now_s)
-        if isinstance(at_s, Objection):
-            return at_s
-        self._silence.hear_answer(boot_ns)
-        self._floor.lift(at_s, boot_ns, Witness.of(chain[1:]) if chain[1:] else None)
-        self._is_changed = True
-        return None
 
     def _replace_trust(self, signed: Signed, statement: Revocations | Rotation, boot_ns: int) -> Objection | None:
         trust = self.admission.trust
@@ -376,7 +336,6 @@ class RobotAuthority:
         self._new.append(text)
         self._floor.forget(newer)
         self._floor.lift(statement.at, boot_ns)
-        self._silence.hear_statement(statement.at, boot_ns, self._floor.now_s(boot_ns, self._wall_s))
         self._is_changed = True
         return None
 
@@ -399,11 +358,6 @@ class RobotAuthority:
             bars[own.reason] = f"the robot's own {self._own_words(own)}"
         else:
             self._floor.lift_by_grants(own.chain, boot_ns)
-        silent_ns = self._silence.length_ns(boot_ns, self.admission.now_s)
-        if self._requires_fresh and not self._silence.is_heard:
-            bars[Reason.AUTHORITY_STALE] = "no answer to a challenge since the start (authority.require_fresh)"
-        elif silent_ns > self._offline_max_ns:
-            bars[Reason.AUTHORITY_STALE] = f"none for {silent_ns / _NS_PER_H:.1f} h (authority.max_offline_h)"
         return bars
 
     def _own_words(self, objection: Objection) -> str:

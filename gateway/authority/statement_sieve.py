@@ -31,7 +31,6 @@ class StatementKind(Enum):
     """The kind of a statement, by its text alone: what it says may be forged."""
 
     WORD = "a newer list of revocations, or rotation, in the name of the authority or the standby"
-    TIME = "the time"
     KNOWN = "a grant that was verified"
     NEW = "a grant in the name of the authority"
     QUESTION = "nothing: somebody asks the robot who it is"
@@ -89,8 +88,6 @@ class StatementSieve(Generic[_Item]):
         body, _, proofs = text.partition(b"\n")
         if (word := _WORD.match(body)) is not None:
             return StatementKind.WORD if self._is_news(word, proofs) else StatementKind.REST
-        if body.startswith(_TIME):
-            return StatementKind.TIME
         if body.startswith(_GRANT):
             if self._admission.known(statement_id(body)) is not None:
                 return StatementKind.KNOWN
@@ -121,5 +118,4 @@ def _by(key: bytes) -> bytes:
 
 
 _WORD: Final = re.compile(rb'\{"kind":"(revocations|rotation)","serial":(\d{1,16}),')
-_TIME: Final = b'{"kind":"time",'
 _GRANT: Final = b'{"kind":"grant",'

@@ -21,7 +21,7 @@ from gateway.authority.enrolment import (
     request_fingerprint,
 )
 from gateway.cli.grant_arguments import add_grant_arguments, grant_line, matching, unlimited_warning, wanted_grant
-from gateway.cli.statements import run_show, run_time
+from gateway.cli.statements import run_show
 from gateway.provisioning.certificates import CertificateError
 from gateway.provisioning.issuer import (
     ISSUED_FILE,
@@ -168,17 +168,14 @@ def _add_statements(add: Add) -> None:
 
     show = add("show", "show robots a statement: revocations, a rotation, a grant")
     show.add_argument("statement", metavar="FILE", help="a statement, or a bundle for the grant that is in it")
-    tell = add("time", "tell robots the time, at the authority or at a site: it answers their challenges")
-    _add_passphrase(tell)
-    for action in (show, tell):
-        whom = action.add_mutually_exclusive_group(required=True)
-        whom.add_argument("--robot", action="append", type=robot_name, metavar="NAME", help="may be repeated")
-        whom.add_argument("--all", action="store_true", help="every robot that is connected")
-        action.add_argument("--every", type=seconds, metavar="S", help="again and again, until Ctrl-C")
-        action.add_argument(
-            "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"for an answer ({TIMEOUT_S:g})"
-        )
-        add_zenoh_arguments(action)
+    whom = show.add_mutually_exclusive_group(required=True)
+    whom.add_argument("--robot", action="append", type=robot_name, metavar="NAME", help="may be repeated")
+    whom.add_argument("--all", action="store_true", help="every robot that is connected")
+    show.add_argument("--every", type=seconds, metavar="S", help="again and again, until Ctrl-C")
+    show.add_argument(
+        "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"for an answer ({TIMEOUT_S:g})"
+    )
+    add_zenoh_arguments(show)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> int:
@@ -206,8 +203,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> 
             _rotate(arguments, store)
         case "show":
             return int(run_show(arguments, settings, store, stopped))
-        case "time":
-            return int(run_time(arguments, settings, store, stopped))
         case _:
             _request(arguments, store)
     return int(ExitCode.OK)

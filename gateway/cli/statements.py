@@ -1,4 +1,4 @@
-"""``cruiser provision show`` and ``time``: what the authority states, shown to robots, and what they answer."""
+"""``cruiser provision show``: statements of the authority, shown to robots, and their answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import EnrolmentError, chain_of
 from gateway.authority.operator_proof import OperatorProof, new_question
-from gateway.provisioning.issuer import Issuer
 from gateway.provisioning.key_store import KeyStore, read_input
 from gateway.provisioning.machine_keys import ZENOH_FILE
 from gateway.provisioning.tls_files import check_kinds
@@ -59,39 +58,11 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
     def show(port: StatementPort, robot: str) -> _Answer:
         return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
 
-    return _round(arguments, settings, store, stopped, show)
-
-
-def run_time(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
-    """Send robots the time, once or periodically.
-
-    Raises:
-        CommandError: neither an authority nor a site is here, or Zenoh cannot be opened.
-    """
-    issuer = Issuer.open(store)
-
-    def tell(port: StatementPort, robot: str) -> _Answer:
-        challenge = port.challenge(robot, arguments.timeout, stopped)
-        if challenge is None:
-            return _Answer("publishes no state", ExitCode.UNREACHABLE)
-        chain = issuer.state_time(challenge, int(time.time()))
-        return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
-
-    return _round(arguments, settings, store, stopped, tell)
-
-
-def _round(
-    arguments: argparse.Namespace,
-    settings: Settings,
-    store: KeyStore,
-    stopped: Stopped,
-    act: Callable[[StatementPort, str], _Answer],
-) -> ExitCode:
     settings = _reaching(settings, store)
     with StatementPort.open(settings) as port:
         while True:
             robots = arguments.robot or port.robots(arguments.timeout)
-            answers = {robot: act(port, robot) for robot in robots if not stopped()}
+            answers = {robot: show(port, robot) for robot in robots if not stopped()}
             for robot, answer in answers.items():
                 sys.stdout.write(f"{robot}: {plain(answer.text)}\n")
             if not robots:

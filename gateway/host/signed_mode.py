@@ -11,7 +11,6 @@ from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
 from gateway.authority.robot_authority import Kept, RobotAuthority, resume
 from gateway.authority.signer import RobotSigner
-from gateway.authority.silence import AuthoritySilence
 from gateway.core import Core
 from gateway.host.authority_note import CURE, AuthorityNote
 from gateway.provisioning.key_files import directory_of, read_identity
@@ -74,7 +73,6 @@ class SignedMode:
             SignedAdmission(settings, trust, signer, core.challenge_age_ns),
             signer,
             TimeFloor(kept.floor_s, boot_ns, kept.words),
-            AuthoritySilence(boot_ns, kept.silent_on_s, kept.silent_since_s),
             _own(identity.chain, kept, trust, settings),
             kept,
         )

@@ -1,4 +1,4 @@
-"""Issuers: the authority of a fleet, or a site. They sign bundles, revocations, rotations and the time."""
+"""Issuers: the authority of a fleet, or a site. They sign bundles, revocations and rotations."""
 
 from __future__ import annotations
 
@@ -40,7 +40,6 @@ from schemas.authority.statement import (
     Signed,
     Statement,
     StatementFault,
-    TimeStatement,
     body_of,
     chain_text,
     read_chain,
@@ -323,10 +322,6 @@ class Issuer:
         save_serials(self.store, msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
         self.store.write({REVOCATIONS_FILE: signed.text()}, replace=True)
         return signed
-
-    def state_time(self, challenge: bytes, now_s: int) -> list[Signed]:
-        """A statement of the time, in answer to a challenge."""
-        return [state(self._private, TimeStatement(challenge=challenge.hex(), at=now_s)), *self.chain]
 
     def _grant(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> list[Signed]:
         serials, name = serials_of(self.store), request.names[0]

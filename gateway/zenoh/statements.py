@@ -1,35 +1,21 @@
-"""Shows robots statements of their authority, and answers their challenges. Its session is its own."""
+"""Shows robots statements of their authority. Its session is its own."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Any, Final, Self
+from typing import Final, Self
 
-import msgspec
 import zenoh
 
 from gateway.telemetry.received import Received
-from gateway.zenoh.client import POLL_S, PendingQuery, SessionOwner, call_roll, open_towards_robots
+from gateway.zenoh.client import PendingQuery, SessionOwner, call_roll, open_towards_robots
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
-from schemas.subjects import BY_NAME
 from schemas.zenoh_link import reason
-
-STATES_WAITING: Final = 64
 
 AGAIN_S: Final = 0.02
 """A robot that many ask leaves some queries unanswered, and these end at once. They are sent again after this."""
-
-
-class _Asked(msgspec.Struct, frozen=True):
-    """The challenge in a state, which a statement of the time answers."""
-
-    challenge: bytes
-
-
-_ASKED: Final = msgspec.msgpack.Decoder(_Asked)
 
 
 class StatementPort(SessionOwner):
@@ -95,29 +81,3 @@ class StatementPort(SessionOwner):
         except zenoh.ZError as error:
             raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
         return pending
-
-    def challenge(self, robot: str, timeout_s: float, stopped: Callable[[], bool]) -> bytes | None:
-        """The newest challenge of a robot; None if it publishes no state."""
-        ring: Any = zenoh.handlers.RingChannel(STATES_WAITING)
-        states: Any = self._session.declare_subscriber(
-            keys.build(self._root, robot, BY_NAME["safety/state"]), ring
-        )
-        deadline_s = time.monotonic() + timeout_s
-        try:
-            while time.monotonic() < deadline_s and not stopped():
-                newest = None
-                while (sample := states.try_recv()) is not None:
-                    newest = sample
-                if newest is not None and (challenge := _challenge(newest.payload.to_bytes())) is not None:
-                    return challenge
-                time.sleep(POLL_S)
-        finally:
-            states.undeclare()
-        return None
-
-
-def _challenge(payload: bytes) -> bytes | None:
-    try:
-        return _ASKED.decode(payload).challenge
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return None

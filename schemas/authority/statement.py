@@ -1,4 +1,4 @@
-"""Statements of an authority: grants, revocations, new authorities, the time. JSON under a detached signature.
+"""Statements of an authority: grants, revocations, new authorities. JSON under a detached signature.
 
 A signed statement is two lines of text: the JSON, and the signature over exactly these bytes. A grant that is not
 signed by the fleet's authority itself is followed by the grant of who signed it, and so on: its chain.
@@ -123,19 +123,7 @@ class Rotation(_Statement, frozen=True, forbid_unknown_fields=True, tag="rotatio
     epoch: Serial = 0
 
 
-class TimeStatement(_Statement, frozen=True, forbid_unknown_fields=True, tag="time", kw_only=True):
-    """The time, for a robot that asked for it.
-
-    Attributes:
-        challenge: the one that the robot drew for its question.
-        at: the time.
-    """
-
-    challenge: IdHex
-    at: Time
-
-
-Statement = Grant | Revocations | Rotation | TimeStatement
+Statement = Grant | Revocations | Rotation
 
 
 class Signed(msgspec.Struct, frozen=True):

@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from schemas.authority.fingerprint import fingerprint
 from schemas.authority.proof import ProofKind, signed_bytes
-from schemas.authority.statement import Grant, GrantRole, KeyHex, Revocations, Rotation, Signed, TimeStatement
+from schemas.authority.statement import Grant, GrantRole, KeyHex, Revocations, Rotation, Signed
 from schemas.reasons import TEXTS, Reason
 
 KEYS_KEPT: Final = 512
@@ -168,31 +168,6 @@ class Trust(msgspec.Struct, frozen=True):
             rotation=new.serial,
             epoch=new.epoch if is_former else max(self.epoch, new.epoch),
         )
-
-    def time_of(self, chain: list[Signed], challenge: bytes, now_s: int) -> int | Objection:
-        """The time that a site, or the authority, states in answer to a challenge.
-
-        Args:
-            chain: the statement, then the grant of the site that signed it.
-            challenge: the one drawn for the question.
-            now_s: seconds since 1970, as far as it is known.
-        """
-        said, above = chain[0], chain[1:]
-        if not isinstance(said.statement, TimeStatement):
-            return Objection(Reason.MALFORMED, "it is no statement of the time")
-        if said.statement.challenge != challenge.hex():
-            return Objection(Reason.REPLAYED, "it answers another question")
-        if not is_signed(said):
-            return Objection(Reason.PROOF_WRONG, "the signature of the time does not fit")
-        if not above and said.signer == self.active:
-            return said.statement.at
-        site = self.judge(above, now_s)
-        if isinstance(site, Objection):
-            return site
-        if site.key != said.signer or site.grant.role is not GrantRole.SITE:
-            return Objection(Reason.NOT_GRANTED, "only a site states the time")
-        # A site that lies can end no more than it was granted.
-        return min(said.statement.at, site.not_after)
 
     def _structure(self, chain: list[Signed]) -> Objection | None:
         """Return the first fault in a chain that does not depend on the time; None if it has none.

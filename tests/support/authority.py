@@ -12,7 +12,6 @@ from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
 from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority
 from gateway.authority.signer import RobotSigner
-from gateway.authority.silence import AuthoritySilence
 from gateway.command.request import RawRequest
 from schemas.authority.proof import ProofKind, RequestProof, RobotProof, signed_bytes
 from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation, Signed, Statement, body_of
@@ -124,9 +123,8 @@ class AuthorityBench:
         admission = SignedAdmission(given, self.fleet.trust, self.signer, self._age)
         kept = kept or Kept()
         floor = TimeFloor(kept.floor_s, boot_ns, kept.words)
-        silence = AuthoritySilence(boot_ns, kept.silent_on_s, kept.silent_since_s)
         own = self.robot.chain
-        self.authority = RobotAuthority(given, admission, self.signer, floor, silence, own, kept)
+        self.authority = RobotAuthority(given, admission, self.signer, floor, own, kept)
         self.now_ns = boot_ns
         self.wall_s = wall_s
         self._bars: dict[Reason, str] = {}
@@ -145,7 +143,7 @@ class AuthorityBench:
     def show(self, text: str) -> StatementReply:
         """Shows a statement; its reply has to be the robot's."""
         raw = RawRequest(1, "", "", text.encode(), len(text))
-        pending = self.authority.receive(raw, self.now_ns, self.now_ns)
+        pending = self.authority.receive(raw, self.now_ns)
         proof = RobotProof.read(pending.attachment)
         assert proof is not None
         signed = proof.signed_reply("fleet/cruiser-1/@auth", STATEMENT_REPLY_ENCODING, pending.payload, b"")

@@ -36,7 +36,6 @@ STAYS: Final = {
 
 REPEATS: Final = {
     "cruiser provision show revocations.statement --all --every 60": "cruiser-1: has it",
-    "cruiser provision time --all --every 600": "cruiser-1: taken over",
 }
 """What goes on until Ctrl-C, and what shows that it works."""
 

@@ -1,4 +1,4 @@
-"""``cruiser provision show`` and ``time`` against robots on loopback, which judge as the gateway does."""
+"""``cruiser provision show`` against robots on loopback, which judge as the gateway does."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from gateway.authority.admission import SignedAdmission
 from gateway.authority.floor import TimeFloor
 from gateway.authority.robot_authority import Kept, RobotAuthority
 from gateway.authority.signer import RobotSigner
-from gateway.authority.silence import AuthoritySilence
 from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
 from gateway.command.flow import PendingReply
@@ -47,8 +46,8 @@ class FakeRobot:
         settings = Settings(robot=RobotSettings(name=name), authority=AuthoritySettings(mode="signed"))
         signer = RobotSigner(identity.private, b"boot no1")
         admission = SignedAdmission(settings, identity.trust, signer, self._age)
-        floor, silence = TimeFloor(0, time.monotonic_ns()), AuthoritySilence(time.monotonic_ns())
-        self.authority = RobotAuthority(settings, admission, signer, floor, silence, identity.chain, Kept())
+        floor = TimeFloor(0, time.monotonic_ns())
+        self.authority = RobotAuthority(settings, admission, signer, floor, identity.chain, Kept())
         self.name = name
         self.kept: PendingReply | None = None
         self.drops = 0
@@ -65,12 +64,7 @@ class FakeRobot:
     def answer(self, text: bytes, question: bytes) -> PendingReply:
         """What it says to a statement."""
         raw = RawRequest(1, "", "", text, min(len(text), TEXT_MAX_BYTES), attachment=question)
-        now_ns = time.monotonic_ns()
-        return self.authority.receive(raw, now_ns, now_ns)
-
-    def word_s(self) -> int:
-        """The earliest that it can be, as far as the robot knows."""
-        return self.authority._floor.least_s(time.monotonic_ns())
+        return self.authority.receive(raw, time.monotonic_ns())
 
     def close(self) -> None:
         self._ends.set()
@@ -189,25 +183,6 @@ def test_a_rotation_is_believed_from_the_standby_alone(fleet: Fleet, capsys: pyt
     assert tell(fleet, "show", "rotation.statement", "--all") == ExitCode.OK
     has_it = "has it, or a newer one"
     assert [has_it in line for line in capsys.readouterr().out.splitlines()] == [True, True]
-
-
-@pytest.mark.parametrize("where", ["authority", "depot"])
-def test_a_robot_is_told_the_time_in_answer_to_its_challenge(fleet: Fleet, where: str) -> None:
-    """By the authority or a site: from then on it is at least so late."""
-    if where == "depot":
-        fleet.let_in("site", "depot")
-    before_s = int(time.time())
-    assert fleet.robots["cruiser-1"].word_s() < before_s
-    assert tell(fleet, "time", "--all", where=where) == ExitCode.OK
-    assert all(robot.word_s() >= before_s for robot in fleet.robots.values())
-
-
-def test_a_robot_without_a_state_is_told_no_time(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
-    """It asked for none."""
-    words = ("time", "--robot", "cruiser-9", "--timeout", "0.2")
-    options = ("--connect", fleet.endpoint, "--directory", fleet.place / "authority")
-    assert run(*words, *options) == ExitCode.UNREACHABLE
-    assert "cruiser-9: publishes no state" in capsys.readouterr().out
 
 
 def test_an_answer_that_is_not_the_robots_is_not_believed(

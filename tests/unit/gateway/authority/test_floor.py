@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from gateway.authority.floor import WITNESSES_KEPT, TimeFloor, Witness
 from gateway.authority.robot_authority import Kept
-from schemas.authority.statement import GrantRole, TimeStatement, chain_text
-from schemas.reasons import Reason
-from tests.support.authority import CHALLENGE, DAY_S, NOW_S, AuthorityBench, Party, S
+from schemas.authority.statement import chain_text
+from tests.support.authority import DAY_S, NOW_S, AuthorityBench, Party, S
 
 
 def test_time_counts_on_from_the_floor() -> None:
@@ -52,8 +51,7 @@ def test_it_never_falls_while_the_machine_runs(steps: list[tuple[int, int, int]]
 
 # What is attested, by whom. The rules, in words:
 #
-# - the authority attests a time by each list, rotation, statement of the time and grant that it signs;
-# - a site attests one by each statement of the time (no later than its own end), and by each grant that it signs;
+# - the authority attests a time by each list, rotation and grant that it signs; a site by each of its grants;
 # - from each of them the time goes on while the machine is on; what is unplugged counts no seconds;
 # - the floor is the newest of all, but those of sites that the authority has revoked; a restart changes nothing.
 
@@ -63,8 +61,6 @@ Step = tuple[str, int, int]
 
 steps = st.lists(
     st.one_of(
-        st.tuples(st.just("authority states"), st.just(0), st.integers(-DAY_S // 2, DAY_S)),
-        st.tuples(st.just("site states"), st.integers(0, SITES - 1), st.integers(-DAY_S // 2, 200 * DAY_S)),
         st.tuples(st.just("site grants"), st.integers(0, SITES - 1), st.integers(-DAY_S // 2, DAY_S)),
         st.tuples(st.just("revoke"), st.integers(0, SITES - 1), st.integers(-DAY_S // 2, DAY_S)),
         st.tuples(st.just("revoke all below an epoch"), st.just(0), st.integers(-DAY_S // 2, DAY_S)),
@@ -103,21 +99,6 @@ class Attested:
         at_s = NOW_S + offset_s
         getattr(self, name.replace(" ", "_"))(who, at_s)
         self.bench.tick(0)
-
-    def authority_states(self, _who: int, at_s: int) -> None:
-        said = TimeStatement(challenge=CHALLENGE.hex(), at=at_s)
-        assert self.bench.show(self.bench.fleet.authority.sign(said).text()).ok
-        self.attests(-1, at_s)
-
-    def site_states(self, who: int, at_s: int) -> None:
-        site = self.sites[who]
-        said = site.sign(TimeStatement(challenge=CHALLENGE.hex(), at=at_s))
-        now_s = self.floor_s
-        accepted = self.bench.show(said.text() + chain_text(site.chain)).ok
-        assert accepted == (who not in self.revoked and now_s <= self.ends_s)
-        if accepted:
-            self.attests(who, min(at_s, self.ends_s))
-            self.attests(-1, NOW_S - DAY_S)  # the site's own grant
 
     def site_grants(self, who: int, at_s: int) -> None:
         site, person = self.sites[who], Party("ann")
@@ -176,32 +157,6 @@ def test_the_floor_is_the_newest_time_that_nobody_attested_who_is_revoked(taken:
         assert robot.bench.authority._floor.least_s(robot.bench.now_ns) == robot.floor_s
 
 
-def test_a_site_that_lied_about_the_time_bars_a_robot_until_it_is_revoked() -> None:
-    """Its list says what time it is; from then on grants of that time hold again."""
-    bench = AuthorityBench()
-    site = bench.fleet.site(not_after=NOW_S + 90 * DAY_S)
-    late = site.sign(TimeStatement(challenge=CHALLENGE.hex(), at=2**50))
-    assert bench.show(late.text() + chain_text(site.chain)).ok
-    assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
-    assert bench.show(bench.fleet.authority.revoke(1, keys=(site.key,), at=NOW_S + 60).text()).ok
-    assert bench.bars() == {}
-    assert bench.show(chain_text(bench.fleet.operator().chain)).ok
-    assert bench.authority._floor.least_s(bench.now_ns) == NOW_S + 61
-
-
-def test_the_word_of_a_site_ends_with_that_of_the_site_above() -> None:
-    """A thief of a site's key may have granted others, each of which states the time."""
-    bench = AuthorityBench()
-    site, below = bench.fleet.site(may_delegate=2, not_after=NOW_S + 90 * DAY_S), Party("below")
-    site.grant(below, role=GrantRole.SITE, may_delegate=1, not_after=NOW_S + 90 * DAY_S)
-    late = below.sign(TimeStatement(challenge=CHALLENGE.hex(), at=2**50))
-    assert bench.show(late.text() + chain_text(below.chain)).ok
-    bench.tick()
-    assert bench.authority._floor.least_s(bench.now_ns) > NOW_S + 89 * DAY_S
-    assert bench.show(bench.fleet.authority.revoke(1, keys=(site.key,)).text()).ok
-    assert bench.authority._floor.least_s(bench.now_ns) == NOW_S
-
-
 def test_of_too_many_sites_those_that_stated_the_latest_times_count() -> None:
     """The floor is the same as if all were kept, until one of them is revoked."""
     floor = TimeFloor(1000, 0)
@@ -223,6 +178,6 @@ def test_a_site_says_nothing_by_an_earlier_time() -> None:
 
 def test_a_note_of_before_holds_the_authoritys_word() -> None:
     """It did not say who attested its floor."""
-    kept: Any = msgspec.json.decode(b'{"floor_s": 4000}', type=Kept)
+    kept: Any = msgspec.json.decode(b'{"floor_s": 4000, "silent_on_s": 5}', type=Kept)
     assert TimeFloor(kept.floor_s, 0, kept.words).kept(0) == (4000, [])
     assert kept.newest_s == 4000

@@ -46,7 +46,7 @@ class Pair:
     def shown(self, question: bytes = QUESTION) -> Received:
         """The robot's reply to the operator's statement."""
         raw = RawRequest(1, "", "", self.proof.statement, len(self.proof.statement), attachment=question)
-        reply = self.robot.receive(raw, self.bench.now_ns, self.bench.now_ns)
+        reply = self.robot.receive(raw, self.bench.now_ns)
         return Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
 
     def state(self, sequence: int, subject: str = "safety/state", boot: bytes = b"boot no1") -> Received:
@@ -95,7 +95,7 @@ def test_a_viewer_knows_the_robot_and_commands_nothing_but_a_stop() -> None:
     pair = Pair()
     viewer = ViewerProof(pair.bench.fleet.trust, "fleet", lambda: NOW_S)
     raw = RawRequest(1, "", "", viewer.statement, 0, attachment=QUESTION)
-    reply = pair.robot.receive(raw, pair.bench.now_ns, pair.bench.now_ns)
+    reply = pair.robot.receive(raw, pair.bench.now_ns)
     shown = Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
     assert viewer.meet("cruiser-2", shown, QUESTION) is not None
     assert viewer.meet("cruiser-1", shown, QUESTION) is None

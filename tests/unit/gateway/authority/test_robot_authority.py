@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from gateway.authority.admission import GRANTS_KEPT
 from gateway.authority.operator_proof import new_lease_key
-from gateway.authority.robot_authority import ANSWER_MAX_NS, AuthorityEffects, Kept, resume, trust_of
+from gateway.authority.robot_authority import AuthorityEffects, Kept, resume, trust_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from schemas.authority.chain import FormerHeads
-from schemas.authority.statement import GrantRole, TimeStatement, chain_text
+from schemas.authority.statement import GrantRole, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode
 from schemas.decisions import ChainHeads, LeaseReply, SignedStatement
@@ -275,8 +275,7 @@ def test_a_time_that_was_attested_is_saved_at_once() -> None:
     bench = AuthorityBench()
     bench.tick()
     assert bench.tick().kept is None
-    said = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S + HOUR // S)
-    assert bench.show(bench.fleet.authority.sign(said).text()).ok
+    assert bench.show(bench.fleet.authority.revoke(1, at=NOW_S + HOUR // S).text()).ok
     kept = bench.tick().kept
     assert kept is not None
     assert kept.newest_s >= NOW_S + HOUR // S
@@ -301,52 +300,6 @@ def test_a_robot_without_a_grant_of_its_own_does_not_arm() -> None:
     bench = AuthorityBench()
     bench.wall_s = NOW_S + DAY_S + 1
     assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
-
-
-def test_without_a_word_of_the_authority_a_robot_arms_for_so_long() -> None:
-    """A signed time in answer to its challenge is a word, and a newer list one of when it was signed."""
-    bench = AuthorityBench(max_offline_h=2)
-    bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 99 * DAY_S)
-    bench.show(chain_text(bench.robot.chain))
-    bench.wall_s += 2 * HOUR // S
-    bench.tick(2 * HOUR)
-    assert bench.bars().keys() == {Reason.AUTHORITY_STALE}
-    assert bench.show(bench.fleet.authority.revoke(1).text()).ok
-    assert bench.bars().keys() == {Reason.AUTHORITY_STALE}  # It was signed two hours ago.
-    revoked = bench.fleet.authority.revoke(2, at=NOW_S + 2 * HOUR // S).text()
-    assert bench.show(revoked).ok
-    assert bench.bars() == {}
-    bench.tick(2 * HOUR)
-    assert bench.show(revoked).reason is Reason.REPLAYED
-    assert bench.bars().keys() == {Reason.AUTHORITY_STALE}
-    said = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S)
-    assert bench.show(bench.fleet.authority.sign(said).text()).ok
-    assert bench.bars() == {}
-
-
-def test_a_fresh_word_can_be_asked_for_after_each_start() -> None:
-    """Against thieves, who keep a robot until an old grant holds again."""
-    bench = AuthorityBench(require_fresh=True)
-    bench.authority.self_test = "x"
-    assert bench.bars().keys() == {Reason.AUTHORITY_STALE, Reason.SELF_TEST}
-    bench.authority.self_test = ""
-    assert bench.show(bench.fleet.authority.revoke(1).text()).ok
-    assert bench.bars().keys() == {Reason.AUTHORITY_STALE}  # It may have been kept back.
-    said = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S)
-    assert bench.show(bench.fleet.authority.sign(said).text()).ok
-    assert bench.bars() == {}
-
-
-def test_the_time_is_stated_to_who_asked() -> None:
-    """A statement that was kept, or made for another challenge, lifts nothing."""
-    bench = AuthorityBench()
-    late = bench.fleet.authority.sign(TimeStatement(challenge=b"tomorrow".hex(), at=NOW_S + DAY_S)).text()
-    assert bench.show(late).reason is Reason.CHALLENGE_UNKNOWN
-    fits_now = bench.fleet.authority.sign(TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S + 2 * DAY_S)).text()
-    assert bench.show(fits_now).ok
-    assert bench.show(chain_text(bench.fleet.operator().chain)).ok  # by the time of the last tick
-    bench.tick()
-    assert bench.show(chain_text(bench.fleet.operator("bob").chain)).reason is Reason.GRANT_EXPIRED
 
 
 def test_the_floor_of_time_outlives_a_restart() -> None:
@@ -375,7 +328,7 @@ def test_a_refusal_says_what_is_wrong_and_the_reply_goes_to_who_asked() -> None:
     bench = AuthorityBench()
     assert "it is not pairs of lines" in bench.show("x").detail
     assert "it is not for cruiser-1" in bench.show(chain_text(bench.fleet.operator(robots=["a"]).chain)).detail
-    pending = bench.authority.receive(RawRequest(41, "", "", b"", 0), 0, 0)
+    pending = bench.authority.receive(RawRequest(41, "", "", b"", 0), 0)
     assert (pending.handle, pending.verb) == (41, "")
 
 
@@ -383,27 +336,6 @@ def test_a_damaged_note_is_named() -> None:
     """By what is wrong with its text."""
     refusal = trust_of(Fleet().trust, Kept(revocations="x"))
     assert refusal == Objection(Reason.MALFORMED, "it is not pairs of lines, a statement and its signature")
-
-
-def test_why_a_robot_does_not_arm_is_said_in_words() -> None:
-    """Its own grant, the authority's silence, the setting that asks for a word."""
-    bench = AuthorityBench(max_offline_h=2)
-    bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 2 * DAY_S)
-    bench.show(chain_text(bench.robot.chain))
-    bench.wall_s = NOW_S + 2 * DAY_S + 10
-    bench.tick(3 * HOUR)
-    assert bench.bars() == {
-        Reason.GRANT_EXPIRED: "the robot's own ended on 2026-11-20 11:06 UTC",
-        Reason.AUTHORITY_STALE: "none for 3.0 h (authority.max_offline_h)",
-    }
-    assert bench.show(bench.fleet.authority.revoke(1, at=bench.wall_s + 3 * HOUR // S).text()).ok
-    bench.tick(HOUR)
-    bench.tick(HOUR)
-    assert bench.bars()[Reason.AUTHORITY_STALE] == "none for 2.0 h (authority.max_offline_h)"
-    fresh = AuthorityBench(require_fresh=True)
-    assert fresh.bars() == {
-        Reason.AUTHORITY_STALE: "no answer to a challenge since the start (authority.require_fresh)"
-    }
 
 
 def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
@@ -598,23 +530,6 @@ def test_the_grants_of_so_many_people_are_remembered_as_text() -> None:
     assert first in statements(bench.tick())
 
 
-@pytest.mark.parametrize(("age_ns", "reason"), [(ANSWER_MAX_NS, Reason.NONE), (ANSWER_MAX_NS + 1, Reason.TOO_OLD)])
-def test_the_time_is_stated_soon_after_the_question(age_ns: int, reason: Reason) -> None:
-    """The question's age is that at which the answer came."""
-    bench = AuthorityBench()
-    asked: list[int] = []
-
-    def age(_challenge: bytes, now_ns: int) -> int | Reason:
-        asked.append(now_ns)
-        return age_ns
-
-    bench.authority.admission.challenge_age_ns = age
-    said = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S)
-    site = bench.fleet.site()
-    assert bench.show(chain_text([site.sign(said), *site.chain])).reason is reason
-    assert asked == [bench.now_ns]
-
-
 def test_an_epoch_outlives_a_restart_although_a_newer_list_says_a_lower_one() -> None:
     """Only the newest list is kept, and a robot that was switched off would believe old grants again."""
     bench = AuthorityBench()
@@ -628,10 +543,9 @@ def test_an_epoch_outlives_a_restart_although_a_newer_list_says_a_lower_one() ->
 
 
 def test_a_new_authority_says_what_time_it_is() -> None:
-    """Whoever stole the former one's key may have stated the year 3000, by which every grant is over."""
+    """Whoever stole the former one's key may have dated a list in the year 3000, by which every grant is over."""
     bench, active, standby = AuthorityBench(), Party(), Party()
-    late = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S + 10**10)
-    assert bench.show(bench.fleet.authority.sign(late).text()).ok
+    assert bench.show(bench.fleet.authority.revoke(1, at=NOW_S + 10**10).text()).ok
     assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
     assert bench.show(bench.fleet.standby.rotate(1, active, standby).text()).ok
     active.grant(bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])

@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 from gateway.authority.statement_sieve import KEPT_WAITING, WORDS_PER_TICK, StatementKind, StatementSieve
-from schemas.authority.statement import Signed, TimeStatement, chain_text
-from tests.support.authority import CHALLENGE, DAY_S, NOW_S, AuthorityBench, Fleet, Party
+from schemas.authority.statement import Signed, chain_text
+from tests.support.authority import DAY_S, NOW_S, AuthorityBench, Fleet, Party
 
 FLOOD = 250
 """Statements that arrive in one tick: 25,000 a second."""
@@ -41,14 +41,12 @@ def forged(signed: Signed) -> bytes:
 def floods(fleet: Fleet) -> dict[str, list[bytes]]:
     """Everything that anybody with a certificate can send, each so often that it fills a tick."""
     ann, stranger = fleet.operator(), Fleet()
-    time = TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S)
     return {
         "junk": [os.urandom(3) for _ in range(FLOOD)],
         "nothing": [b""] * FLOOD,
         "large": [bytes(16_384)] * FLOOD,
         "a grant that holds": [chain_text(ann.chain).encode()] * FLOOD,
         "forged grants": [forged(ann.chain[0]) for _ in range(FLOOD)],
-        "forged times": [forged(fleet.authority.sign(time)) for _ in range(FLOOD)],
         "lists of another authority": [stranger.authority.revoke(9).text().encode()] * FLOOD,
         "rotations of the active key": [forged(fleet.authority.rotate(9, Party(), Party())) for _ in range(FLOOD)],
         "lists of before": [fleet.authority.revoke(1).text().encode()] * FLOOD,
@@ -101,11 +99,10 @@ def test_each_kind_has_its_turn() -> None:
     known = chain_text(sieve.fleet.operator().chain).encode()
     assert sieve.bench.show(known.decode()).ok
     new = chain_text(sieve.fleet.operator("bob").chain).encode()
-    time = sieve.fleet.authority.sign(TimeStatement(challenge=CHALLENGE.hex(), at=NOW_S)).text().encode()
-    chosen = sieve.tick(*[b"x"] * FLOOD, known, new, time, b"")
-    for _ in range(4):
+    chosen = sieve.tick(*[b"x"] * FLOOD, known, new, b"")
+    for _ in range(3):
         chosen += sieve.tick(*[b"x"] * FLOOD)
-    assert sorted(chosen) == sorted([b"x", known, new, time, b""])
+    assert sorted(chosen) == sorted([b"x", known, new, b""])
 
 
 def test_what_is_not_chosen_waits_for_the_next_tick() -> None:

@@ -171,7 +171,7 @@ def test_without_a_holder_there_is_no_lease_to_end() -> None:
     assert rig.told(EventKind.LEASE) == []
 
 
-@pytest.mark.parametrize("reason", [Reason.UNAUTHENTICATED, Reason.SELF_TEST, Reason.AUTHORITY_STALE])
+@pytest.mark.parametrize("reason", [Reason.UNAUTHENTICATED, Reason.SELF_TEST])
 def test_what_bars_the_robot_keeps_everybody_from_engaging_it(reason: Reason) -> None:
     """The refusal carries the words that were found; it ends when they do."""
     rig = granted()

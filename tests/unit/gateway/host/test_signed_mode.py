@@ -80,7 +80,7 @@ def test_a_grant_that_is_shown_before_the_first_tick_is_judged_by_the_present(fl
     settings = settings_of(fleet)
     text = (fleet.place / "cruiser-1" / "robot.grant").read_bytes().strip()
     signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
-    reply = signed.authority.receive(RawRequest(1, "", "", text, len(text)), 0, 0)
+    reply = signed.authority.receive(RawRequest(1, "", "", text, len(text)), 0)
     signed.close()
     said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
     assert (said.ok, said.reason) == (True, Reason.NONE)
@@ -171,25 +171,6 @@ def test_a_run_names_the_last_heads_of_the_one_before(fleet: ProvisionedFleet) -
         kept = msgspec.json.decode(note.read_bytes(), type=Kept)
         note.write_bytes(msgspec.json.encode(msgspec.structs.replace(kept, last_heads=damage)))
         assert run_once()[0] == b""
-
-
-def test_a_run_goes_on_with_the_silence_of_the_one_before(fleet: ProvisionedFleet) -> None:
-    """However long the machine is on, and whatever its clock says: both the time on and the time off are kept."""
-    settings, now_s = settings_of(fleet), int(time.time())
-    note = note_path(settings, os.environ)
-    assert note is not None
-    note.parent.mkdir(parents=True)
-
-    def is_stale(on_h: int, since_h: int) -> bool:
-        kept = Kept(silent_on_s=on_h * 3600, silent_since_s=now_s - since_h * 3600)
-        note.write_bytes(msgspec.json.encode(kept))
-        signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
-        boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
-        effects = signed.authority.tick(time.monotonic_ns(), boot_ns, time.time_ns())
-        signed.close()
-        return Reason.AUTHORITY_STALE in (effects.bars or {})
-
-    assert [is_stale(*hours) for hours in ((20, 20), (25, 0), (1, 25))] == [False, True, True]
 
 
 def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:

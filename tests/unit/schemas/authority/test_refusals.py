@@ -16,7 +16,6 @@ from schemas.authority.statement import (
     Signed,
     Statement,
     StatementFault,
-    TimeStatement,
     body_of,
     chain_text,
     read_chain,
@@ -187,38 +186,6 @@ def test_lists_and_rotations_that_are_refused() -> None:
     assert trust.rotate(again) == Objection(replayed, "rotation 2 after 2")
 
 
-def test_statements_of_the_time_that_are_refused() -> None:
-    """Another statement, another question, a wrong signature, somebody who is no site."""
-    fleet = Fleet()
-    ann = fleet.operator()
-    said = TimeStatement(challenge=QUESTION.hex(), at=NOW_S)
-    right = fleet.authority.sign(said)
-    assert fleet.trust.time_of([right], QUESTION, NOW_S) == NOW_S
-    forged = msgspec.structs.replace(right, signature=bytes(64))
-    for chain, reason, detail in (
-        (ann.chain, Reason.MALFORMED, "it is no statement of the time"),
-        (
-            [fleet.authority.sign(TimeStatement(challenge="0" * 16, at=1))],
-            Reason.REPLAYED,
-            "it answers another question",
-        ),
-        ([forged], Reason.PROOF_WRONG, "the signature of the time does not fit"),
-        ([ann.sign(said), *ann.chain], Reason.NOT_GRANTED, "only a site states the time"),
-    ):
-        assert fleet.trust.time_of(chain, QUESTION, NOW_S) == Objection(reason, detail)
-
-
-def test_a_site_states_the_time_while_its_grant_holds() -> None:
-    """Judged by the time that is known so far, and no later than its end."""
-    fleet = Fleet()
-    site = fleet.site()
-    chain = [site.sign(TimeStatement(challenge=QUESTION.hex(), at=NOW_S + 9 * DAY_S)), *site.chain]
-    assert fleet.trust.time_of(chain, QUESTION, NOW_S) == NOW_S + DAY_S
-    assert fleet.trust.time_of(chain, QUESTION, NOW_S + DAY_S + 2) == Objection(
-        Reason.GRANT_EXPIRED, "it ended 2026-11-19 11:06 UTC, and here it is 2026-11-19 11:06 UTC"
-    )
-
-
 def test_texts_that_are_no_chain() -> None:
     """What is wrong with them, in words; the longest text and the longest chain that are read are read."""
     line = Fleet().operator().chain[0].text()
@@ -259,7 +226,6 @@ STATEMENTS = [
     ),
     Revocations(serial=1, at=0, grants=["00" * 8], keys=["00" * 32]),
     Rotation(serial=1, at=0, active="00" * 32, standby="01" * 32),
-    TimeStatement(challenge="00" * 8, at=0),
 ]
 
 

@@ -11,9 +11,7 @@ from schemas.authority.statement import (
     STATEMENTS_MAX,
     Grant,
     GrantRole,
-    Signed,
     StatementFault,
-    TimeStatement,
     chain_text,
     read_chain,
 )
@@ -241,32 +239,6 @@ def test_statements_of_another_kind_do_nothing() -> None:
     assert reason_of(trust.revoke(ann.chain[0])) is Reason.MALFORMED
     assert reason_of(trust.rotate(ann.chain[0])) is Reason.MALFORMED
     assert reason_of(trust.judge([fleet.authority.revoke(1)], NOW_S)) is Reason.MALFORMED
-    assert reason_of(trust.time_of(ann.chain, bytes(8), NOW_S)) is Reason.MALFORMED
-
-
-def time_chain(signer: Party, challenge: bytes, at: int) -> list[Signed]:
-    """The time as somebody states it."""
-    return [signer.sign(TimeStatement(challenge=challenge.hex(), at=at)), *signer.chain]
-
-
-def test_a_site_states_the_time_to_who_asked_and_no_later_than_it_is_granted() -> None:
-    """Anybody else, and an answer to another question, is refused."""
-    fleet, asked = Fleet(), b"question"
-    site = fleet.site(not_after=NOW_S + 50)
-    trust = fleet.trust
-    assert trust.time_of(time_chain(site, asked, NOW_S + 7), asked, NOW_S) == NOW_S + 7
-    assert trust.time_of(time_chain(site, asked, NOW_S + DAY_S), asked, NOW_S) == NOW_S + 50
-    assert trust.time_of(time_chain(fleet.authority, asked, NOW_S + 7), asked, NOW_S) == NOW_S + 7
-    assert reason_of(trust.time_of(time_chain(site, b"another!", NOW_S), asked, NOW_S)) is Reason.REPLAYED
-    forged = time_chain(site, asked, NOW_S)
-    forged[0] = msgspec.structs.replace(forged[0], signature=bytes(64))
-    assert reason_of(trust.time_of(forged, asked, NOW_S)) is Reason.PROOF_WRONG
-    assert reason_of(trust.time_of(time_chain(fleet.operator(), asked, NOW_S), asked, NOW_S)) is Reason.NOT_GRANTED
-    mixed = [time_chain(fleet.site(), asked, NOW_S)[0], *site.chain]
-    assert reason_of(trust.time_of(mixed, asked, NOW_S)) is Reason.NOT_GRANTED
-    assert reason_of(trust.time_of(time_chain(Party(), asked, NOW_S), asked, NOW_S)) is Reason.GRANT_UNKNOWN
-    expired = fleet.site(not_after=NOW_S - 1)
-    assert reason_of(trust.time_of(time_chain(expired, asked, NOW_S), asked, NOW_S)) is Reason.GRANT_EXPIRED
 
 
 def test_a_chain_is_read_as_it_was_written() -> None:
