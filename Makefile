@@ -20,8 +20,9 @@ help:  ## this list
 demo: $(DEMO)  ## chassis, gateway, recorder and two operators, for half a minute
 	$(BIN)/cruiser demo --seconds 30 --out demo-log
 
-demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, attacked, its operator locked out; what was seen
-	$(BIN)/cruiser demo-fleet --out demo-fleet
+demo-fleet: $(DEMO)  ## a fleet with keys: let in, driven, its operator locked out; each command as it runs
+	rm -rf demo-fleet
+	PATH="$(abspath $(BIN)):$$PATH" docs/examples/fleet.sh
 
 demo-desk: $(DEMO)  ## a virtual fleet and the desk, in your browser, until Ctrl-C
 	$(BIN)/cruiser demo --desk --out demo-desk
@@ -41,7 +42,7 @@ test-unit: $(STAMP)  ## what needs no process and no socket
 # deadman, as it should; floods, crowds and demos would make others late. The others wait more than they reckon, so that two
 # run for each processor (tests/support/spreading.py hands them out).
 ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_crowd.py test_floods.py test_large_fleets.py \
-	test_readme.py gateway/cli/test_demo.py gateway/cli/test_demo_fleet.py)
+	test_readme.py test_fleet_example.py gateway/cli/test_demo.py)
 # Chromium without the parts that nobody sees takes two thirds of the processor time; `make nightly` has all of it.
 test-system: export TEST_BROWSER ?= $(shell command -v chromium-headless-shell)
 test-system: $(STAMP)  ## what starts processes: gateways, recorders, browsers
@@ -226,4 +227,4 @@ $(STAMP): $(DEMO) constraints.txt
 	@touch $@
 
 clean:  ## remove the environment and what the demos left
-	rm -rf $(VENV) build demo-log demo-log-* demo-fleet demo-fleet-*
+	rm -rf $(VENV) build demo-log demo-log-* demo-desk demo-desk-* demo-fleet

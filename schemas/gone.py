@@ -15,6 +15,14 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "record split": "'systemctl reload cruiser-recorder', or SIGHUP, begins new files",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
     "provision time": "a robot goes by its clock, and by no earlier time than its authority signed last",
+    "demo-fleet": "'make demo-fleet' in a checkout; docs/examples/fleet.sh has its commands",
+    "demo --browser": "it is opened, unless --no-browser",
+    "demo --json": "'cruiser review info --json' asks the log",
+    "demo --link": "the demo's link is that of this machine",
+    "demo --patrol": "'cruiser drive' drives one of its robots",
+    "sim --fleet": "'cruiser demo --desk --robots N'",
+    "sim --patrol": "'cruiser demo --desk', and 'cruiser drive' to drive one of its robots",
+    "sim --endpoint": "'cruiser demo --desk --endpoint ENDPOINT'",
 }
 """Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""
 

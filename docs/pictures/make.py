@@ -32,8 +32,9 @@ COLUMNS: Final = 138
 WIDTH, HEIGHT = 1200, 1420
 DESK_WIDTH, DESK_HEIGHT = 1200, 760
 ROBOTS: Final = 4
+DRIVE: Final = ("drive", "cruiser-1", "--speed", "0.6", "--angle", "18", "--seconds", "600")
 DRIVEN_MS: Final = 10_000
-"""So long a robot has driven in the picture: more than half of an eight."""
+"""So long a robot has driven in the picture."""
 
 DEADLINE_MS: Final = 300_000
 CSS: Final = "<style>ul + .card { display: none }</style></head>"
@@ -77,7 +78,7 @@ def report(page: Path, picture: Path) -> None:
 
 def desk(where: Path, picture: Path) -> None:
     """The desk of a virtual fleet: the overview, and below it a robot that drives, as a browser shows them."""
-    words = ("demo", "--desk", "--no-browser", "--robots", str(ROBOTS), "--patrol", "1")
+    words = ("demo", "--desk", "--no-browser", "--robots", str(ROBOTS))
     command = [sys.executable, "-m", "gateway", *words]
     environment = os.environ | {"PYTHONPATH": str(PICTURES.parents[1])}
     with subprocess.Popen(command, cwd=where, env=environment, stdout=subprocess.PIPE, text=True) as demo:
@@ -92,8 +93,10 @@ def desk(where: Path, picture: Path) -> None:
                 )
                 page.set_default_timeout(DEADLINE_MS)
                 _stopped(page, address[0])
-                driven = _driven(page)
-                stack(_fleet(page), driven, picture)
+                with subprocess.Popen([sys.executable, "-m", "gateway", *DRIVE], env=environment) as drive:
+                    driven = _driven(page)
+                    stack(_fleet(page), driven, picture)
+                    drive.send_signal(signal.SIGINT)
                 browser.close()
         finally:
             demo.send_signal(signal.SIGINT)

@@ -36,7 +36,6 @@ class Child:
     Args:
         name: of the command.
         words: its arguments.
-        cwd: its working directory; None for ours.
         environment: all of its environment. Where it names no settings file, none is meant.
     """
 
@@ -44,7 +43,6 @@ class Child:
         self,
         name: str,
         words: Sequence[str],
-        cwd: Path | None = None,
         environment: Mapping[str, str] = os.environ,
     ) -> None:
         self._name = name
@@ -54,7 +52,6 @@ class Child:
                 # Ctrl-C is for the demo, which ends its children in their order.
                 [*CRUISER, name, *words],
                 start_new_session=True,
-                cwd=cwd,
                 env={CONFIG_VARIABLE: "", **environment, parent.VARIABLE: str(watched)},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -116,19 +113,6 @@ class Child:
         last = self._said[-1] if self._said else f"{self._name} ended with {code}"
         known = {exit_code.value for exit_code in ExitCode} - {ExitCode.OK.value}
         raise CommandError(last, ExitCode(code) if code in known else ExitCode.FAILURE)
-
-    def wait(self) -> tuple[int, str]:
-        """Wait for its end. Returns its exit code, and its last line on stderr.
-
-        Raises:
-            CommandError: it does not end.
-        """
-        try:
-            self._process.wait(END_TIMEOUT_S)
-        except subprocess.TimeoutExpired as error:
-            raise CommandError(f"{self._name} does not end") from error
-        self._thread.join()
-        return self._process.returncode, self._said[-1] if self._said else ""
 
     def type(self, line: str) -> None:
         """Type a line into it."""

@@ -9,9 +9,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,34 +19,64 @@ import msgspec
 
 from gateway.cli import demo_desk
 from gateway.cli.child import CRUISER, Child, address_of, free_port, fresh, load
-from gateway.cli.demo_drive import HELD_UP, DemoDrive, TimelineEntry
-from gateway.client.refusal import RobotError, Unreachable
-from gateway.sim.links import LINKS
+from gateway.client.reasons_text import is_idle
+from gateway.client.refusal import RobotError, Stopped, Unreachable
+from gateway.client.robot import Lease, Robot
 from schemas.arguments import seconds
+from schemas.decisions import ArbiterState, SafetyState
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.zenoh_link import ANY_LOCAL_PORT
 
-EXAMPLE = """\
+EXAMPLE: Final = """\
   cruiser demo --seconds 40 --out demo-log
   cruiser demo --desk
-  cruiser demo --desk --robots 10 --patrol 3"""
+  cruiser demo --desk --robots 10"""
 
 OUT: Final = Path("demo-log")
 
 SHORTEST_S: Final = 20.0
-"""Stops, a reset, a stalled link and a second operator take their time."""
+"""Stops, a reset and a second operator take their time."""
 
 LONGEST_S: Final = 86_400
 
-ATTEMPTS: Final = 10
+FIXED_S: Final = 19.0
+"""The time of all but the figure of eight."""
 
-VIEWERS: Final = """\
-open it with
-  Foxglove or Lichtblick   "Open local file"; plot e.g. "{robot}/state".speed_mps
-  PlotJuggler              drag the file into the window
-  rerun                    rerun {path}
-  mcap command             mcap info {path}"""
+FIRST, SECOND, OBSERVER = "first-operator", "second-operator", "demo"
+SPEED_MPS, ANGLE_DEG = 1.0, 20.0
+
+DEADMAN_S: Final = 0.8
+"""A busy machine may hold up the operators for so long, and no longer."""
+
+RENEWED_S: Final = 0.05
+READY_TIMEOUT_S: Final = 10.0
+REST_TIMEOUT_S: Final = 10.0
+TRY_AGAIN_S: Final = 120.0
+"""For so long an act is begun again where a busy machine comes between."""
+
+SETTLED_TICKS: Final = 50
+
+HELD_UP: Final = frozenset(
+    {
+        Reason.GUARD,
+        Reason.UNGUARDED,
+        Reason.LOOP_LATE,
+        Reason.FEEDBACK_LATE,
+        Reason.FEEDBACK_MISSING,
+        Reason.DEADMAN,
+        Reason.TOO_OLD,
+        Reason.CHALLENGE_UNKNOWN,
+        Reason.LINK_TOO_SLOW,
+        Reason.LEASE_EXPIRED,
+        Reason.NOT_CONFIRMED,
+        Reason.MOVING,
+        Reason.NOT_ENGAGED,
+        Reason.STOPPING,
+    }
+)
+"""Reasons for which a robot is stopped, or not engaged, whose processes do not get the processor in time."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,14 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"where the log goes, or DIR-2 and so on if that holds something ({OUT}, or {demo_desk.OUT})",
     )
     parser.add_argument(
-        "--link",
-        choices=[link.slug for link in LINKS],
-        default=LINKS[0].slug,
-        help="what the first operator's link is like (default %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    parser.add_argument(
-        "--desk", action="store_true", help="instead: a virtual fleet and the desk, and the browser on it"
+        "--desk", action="store_true", help="instead: virtual robots and the desk, and the browser on it"
     )
     demo_desk.add_arguments(parser.add_argument_group("with --desk"))
 
@@ -80,159 +103,245 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Run the demo that was asked for.
 
     Raises:
-        CommandError: it is to be too short, or a part of it ends by itself.
+        CommandError: a part of it does not start, ends by itself, or does not do what it should.
     """
     if arguments.desk:
-        return demo_desk.run(arguments, settings, stopped)
-    arguments.seconds = 30.0 if arguments.seconds is None else arguments.seconds
-    if not SHORTEST_S <= arguments.seconds <= LONGEST_S:
-        raise CommandError(f"--seconds: must be from {SHORTEST_S:g} to {LONGEST_S:g}", ExitCode.USAGE)
-    return _record_demo(arguments, settings, stopped)
-
-
-def _record_demo(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the three, as often as a busy machine needs, then say what was recorded."""
+        return demo_desk.run(arguments, stopped)
+    length_s = 30.0 if arguments.seconds is None else arguments.seconds
+    if not SHORTEST_S <= length_s <= LONGEST_S:
+        raise CommandError(
+            f"--seconds: must be from {SHORTEST_S:g} to {LONGEST_S:g}, not {length_s:g}", ExitCode.USAGE
+        )
     if arguments.log_level == "warning":
-        # What the operators' library warns of is what is shown here, and the timeline has it.
+        # The demo shows what the operators' library warns of.
         logging.getLogger("gateway.client").setLevel(logging.ERROR)
     directory = fresh(arguments.out or OUT)
     sys.stderr.write(
-        f"demo: starts chassis, gateway and recorder; two operators drive for about {arguments.seconds:g} s; "
+        f"demo: starts chassis, gateway and recorder; two operators drive for about {length_s:g} s; "
         f"the log goes to {directory}\n"
     )
-    for attempt in range(1, ATTEMPTS + 1):
-        timeline: list[TimelineEntry] = []
-
-        def tell(entry: TimelineEntry, timeline: list[TimelineEntry] = timeline) -> None:
-            timeline.append(entry)
-            if not arguments.json:
-                sys.stdout.write(f"{entry.at_s:6.1f} s  {entry.who:<15}  {entry.what}\n")
-                sys.stdout.flush()
-
-        path, problem = _record(arguments, settings, stopped, directory, tell)
-        if problem is None:
-            break
-        if not _is_held_up(problem) or stopped():
-            raise CommandError(f"{problem}. The log: {path}", problem.code)
-        kept = fresh(directory.parent / f"{directory.name}-interrupted")
-        directory.rename(kept)
-        interrupted = f"{problem}. That happens on a busy machine: {load()}. The log until then is in {kept}"
-        if attempt == ATTEMPTS:
-            raise CommandError(f"interrupted {ATTEMPTS} times, at last: {interrupted}", problem.code)
-        sys.stderr.write(f"demo: interrupted: {interrupted}. Once more, {attempt + 1} of {ATTEMPTS}\n")
+    path = _record(arguments.config, settings, stopped, directory, length_s)
     info, check = _review("info", path), _review("check", path)
-    summary = {
-        "path": str(path),
-        "incidents": [str(path.with_name(one["file"])) for one in info["incidents"]],
-        "seconds": info["duration_s"],
-        "frames": sum(row["frames"] for row in check["frames"]),
-        "messages": info["messages"],
-        "channels": len(info["channels"]),
-        "bytes": info["bytes"],
-        "frames_lost": check["frames_lost"],
-        "samples_missed": check["missed"],
-        "whole": check["whole"],
-        "timeline": [msgspec.to_builtins(entry) for entry in sorted(timeline, key=lambda entry: entry.at_s)],
-    }
-    if arguments.json:
-        sys.stdout.write(json.dumps(summary) + "\n")
-    else:
-        sys.stdout.write(describe(summary, f"{settings.robot.root}/{settings.robot.name}"))
-    # What is late on a busy machine counts as lost: the summary says so, and it is no failure of the demo.
-    return int(ExitCode.OK if summary["whole"] and summary["frames"] else ExitCode.FAILURE)
+    sys.stdout.write(describe(path, f"{settings.robot.root}/{settings.robot.name}", info, check))
+    # Frames that are late on a busy machine count as lost: the summary says so, and the demo has not failed.
+    return int(ExitCode.OK if check["whole"] and check["frames"] else ExitCode.FAILURE)
 
 
-def describe(summary: dict[str, Any], robot: str) -> str:
-    """The summary, for people."""
-    lost = summary["frames_lost"] or summary["samples_missed"]
-    return (
-        f"{summary['frames']} CAN frames in {summary['seconds']:.1f} s, {summary['frames_lost']} lost "
-        "(by the alive counters in the log)\n"
-        f"{summary['messages']} messages on {summary['channels']} channels, {summary['samples_missed']} missed, "
-        f"{summary['bytes']} bytes\n"
-        + (f"what is late counts as lost, and on a busy machine much is late: {load()}\n" if lost else "")
-        + f"log: {summary['path']}\n"
-        + "".join(f"incident: {path}\n" for path in summary["incidents"])
-        + VIEWERS.format(path=summary["path"], robot=robot)
-        + "\n"
-    )
-
-
-def _is_held_up(problem: CommandError) -> bool:
-    """Report whether a busy machine explains the problem, so that another attempt may succeed."""
-    return problem.reason in HELD_UP if isinstance(problem, RobotError) else isinstance(problem, Unreachable)
+def describe(path: Path, robot: str, info: Mapping[str, Any], check: Mapping[str, Any]) -> str:
+    """The log in a few lines, and programs that open it."""
+    frames = sum(row["frames"] for row in check["frames"])
+    incidents = [f"incident: {path.with_name(one['file'])}" for one in info["incidents"]]
+    is_late = check["frames_lost"] or check["missed"]
+    lines = [
+        f"{frames} CAN frames in {info['duration_s']:.1f} s, {check['frames_lost']} lost (by the alive counters)",
+        f"{info['messages']} messages on {len(info['channels'])} channels, {check['missed']} missed",
+        *([f"late frames count as lost, and on a busy machine many are late: {load()}"] if is_late else []),
+        f"log: {path}",
+        *incidents,
+        "open it with",
+        f'  Foxglove or Lichtblick   "Open local file"; plot e.g. "{robot}/state".speed_mps',
+        "  PlotJuggler              drag the file into the window",
+        f"  rerun                    rerun {path}",
+        f"  mcap command             mcap info {path}",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def _record(
-    arguments: argparse.Namespace,
-    settings: Settings,
-    stopped: Callable[[], bool],
-    directory: Path,
-    tell: Callable[[TimelineEntry], None],
-) -> tuple[Path, CommandError | None]:
-    """Run chassis, gateway, recorder and operators. Returns the log, and what interrupted the drive.
+    config: str | None, settings: Settings, stopped: Callable[[], bool], directory: Path, length_s: float
+) -> Path:
+    """Run chassis, gateway, recorder and operators; return the log.
 
-    All three read the configuration that the demo was given; only where they find each other is the demo's own.
+    All of them read the configuration that the demo was given; only the places where they meet are the demo's own.
+
+    Raises:
+        CommandError: one of them does not do what it should; it names the log.
     """
     robot = settings.robot
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    configuration = [] if arguments.config is None else ["--config", arguments.config]
+    configuration = [] if config is None else ["--config", config]
     with ExitStack() as stack:
         chassis = stack.enter_context(Child("sim", [*configuration, "--listen", "127.0.0.1:0"]))
         bus = ["--interface", "socketcand", "--channel", address_of(chassis)]
-        # A stop by the guard in another run must not latch the demo's robot, nor the other way round.
-        words = [*configuration, *bus, "--listen", endpoint]
-        # The port after that of a free endpoint may be taken.
+        # A stop by the guard in another run must not latch the demo's robot. The next port may be taken.
         own = {"CRUISER_GATEWAY_STATE_DIR": "", "CRUISER_ZENOH_COMMAND_LISTEN": ANY_LOCAL_PORT}
+        words = [*configuration, *bus, "--listen", endpoint]
         gateway = stack.enter_context(Child("gateway", words, environment=os.environ | own))
         gateway.wait_ready()
-        recorder = stack.enter_context(
-            Child(
-                "record",
-                [
-                    *configuration,
-                    *("-k", f"{robot.root}/{robot.name}/**", "-o", str(directory)),
-                    *("--connect", endpoint, "--json"),
-                ],
-            )
-        )
+        words = ["-k", f"{robot.root}/{robot.name}/**", "-o", str(directory), "--connect", endpoint, "--json"]
+        recorder = stack.enter_context(Child("record", [*configuration, *words]))
         recorder.wait_ready()
-        link = next(link for link in LINKS if link.slug == arguments.link)
-        drive = DemoDrive(settings, endpoint.removeprefix("tcp/"), chassis.type, link, stopped)
-        problem = _drive(arguments.seconds, drive, [chassis, gateway, recorder], tell)
-        # The recorder ends first: what it has not heard by then was not meant for the log.
+        problem: CommandError | None = None
+        try:
+            Play(settings, [*configuration, "--connect", endpoint], [chassis, gateway, recorder], stopped).run(
+                length_s - FIXED_S
+            )
+        except CommandError as error:
+            problem = error
+        # The recorder ends first: the end of the others is not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())
         gateway.end()
         chassis.end()
-    return Path(result["path"] or directory), problem
+    path = Path(result["path"] or directory)
+    if problem is not None:
+        raise CommandError(f"{problem}. The log: {path}", problem.code)
+    return path
 
 
-def _drive(
-    seconds: float,
-    drive: DemoDrive,
-    children: Sequence[Child],
-    tell: Callable[[TimelineEntry], None],
-) -> CommandError | None:
-    """Let the operators drive on a thread of their own, and report events. Returns what interrupted them."""
-    try:
-        observer = drive.observe()
-    except CommandError as error:
-        return error
-    with observer, ThreadPoolExecutor(1, "operators") as pool:
-        driven = pool.submit(drive.run, observer, seconds)
-        is_over = False
-        while not is_over:
-            # Once more after the end.
-            is_over = driven.done()
-            for entry in drive.take(observer):
-                tell(entry)
-            for child in children:
+class Play:
+    """Two operators drive a robot through the arbiter's work; whatever happens is printed, with its time.
+
+    Args:
+        settings: of the robot and of Zenoh.
+        words: of a command that reaches the robot; the last is its endpoint.
+        children: the chassis first.
+        stopped: the demo is to end.
+    """
+
+    def __init__(
+        self, settings: Settings, words: Sequence[str], children: Sequence[Child], stopped: Callable[[], bool]
+    ) -> None:
+        # A client, so that everything goes through this endpoint and nothing around it.
+        own = {"mode": "client", "connect": [words[-1]], "given": ("mode", "connect")}
+        self._settings = msgspec.structs.replace(settings, zenoh=msgspec.structs.replace(settings.zenoh, **own))
+        self._words = words
+        self._children = children
+        self._stopped = stopped
+        self._begin_ns = time.time_ns()
+        self._seen = self._connect(OBSERVER)
+
+    def run(self, eight_s: float) -> None:
+        """Play all of it.
+
+        Raises:
+            CommandError: it is to end, or the robot does something else than it should.
+        """
+        with self._seen:
+            try:
+                self._act(FIRST, partial(self._eight, eight_s))
+                self._act(FIRST, self._bump)
+                self._act(FIRST, self._drive_away)
+                self._vanish()
+                self._act(SECOND, self._drive_on)
+            finally:
+                # A lease that is given back stops the robot. The events of that arrive before a later state.
+                self._seen.wait_for(_is_left, REST_TIMEOUT_S)
+                tick = self._seen.state().state.tick
+                self._seen.wait_for(lambda state: state.tick > tick + SETTLED_TICKS, REST_TIMEOUT_S)
+                self._show()
+
+    def _eight(self, eight_s: float, lease: Lease) -> None:
+        self._tell(FIRST, "drives a figure of eight")
+        for angle_deg in (ANGLE_DEG, -ANGLE_DEG):
+            self._drive(lease, SPEED_MPS, angle_deg, max(1.0, eight_s / 2))
+
+    def _bump(self, lease: Lease) -> None:
+        self._drive(lease, SPEED_MPS, 0.0, 2.0)
+        self._tell("chassis", "the front bumper is hit, and stays pressed")
+        self._children[0].type("bumper front on")
+        try:
+            self._drive(lease, SPEED_MPS, 0.0, REST_TIMEOUT_S)
+        except Stopped as error:
+            if error.reason is not Reason.FRONT_BUMPER:
+                raise
+            self._tell(FIRST, f"is told: {error}")
+        else:
+            raise CommandError("the robot did not stop")
+
+    def _drive_away(self, lease: Lease) -> None:
+        self._tell(FIRST, "drives away from the hit side")
+        self._drive(lease, -0.5, 0.0, 1.5)
+        self._children[0].type("bumper front off")
+
+    def _vanish(self) -> None:
+        """A drive whose computer dies."""
+        robot = self._settings.robot.name
+        self._tell(FIRST, "drives with 'cruiser drive'")
+        words = [robot, *self._words, "--operator", FIRST, "--speed", "-0.5", "--seconds", "60"]
+        is_moving, end_s = False, time.monotonic() + TRY_AGAIN_S
+        while not is_moving and time.monotonic() < end_s:
+            with Child("drive", words) as drive:
+                self._seen.wait_for(partial(self._has_begun, drive), READY_TIMEOUT_S)
+                self._go_on(1.0)
+                is_moving = not drive.is_over
+        self._tell(FIRST, "is gone: its process was killed")
+
+    def _has_begun(self, drive: Child, state: SafetyState) -> bool:
+        return self._stopped() or drive.is_over or state.output_speed_mps != 0
+
+    def _drive_on(self, lease: Lease) -> None:
+        self._tell(SECOND, "drives on")
+        self._drive(lease, 0.5, 0.0, 1.5)
+
+    def _act(self, operator: str, act: Callable[[Lease], None]) -> None:
+        """Let an operator drive; once more where a busy machine comes between."""
+        end_s = time.monotonic() + TRY_AGAIN_S
+        while True:
+            try:
+                # Where that is in vain, engage says why.
+                self._seen.wait_for(lambda state: self._stopped() or _waits(state), READY_TIMEOUT_S)
+                self._go_on(RENEWED_S)
+                with self._connect(operator) as robot, robot.lease() as lease:
+                    if robot.state().state.latched:
+                        lease.reset()
+                    lease.engage(deadman_s=DEADMAN_S)
+                    lease.unpark()
+                    act(lease)
+                    # One that was stopped has nothing to end.
+                    if lease.is_engaged:
+                        lease.disengage()
+            except (RobotError, Unreachable) as error:
+                is_held_up = isinstance(error, Unreachable) or error.reason in HELD_UP
+                if not is_held_up or self._stopped() or time.monotonic() > end_s:
+                    raise
+                self._tell(operator, f"is told: {error}; tries again. That happens on a busy machine: {load()}")
+            else:
+                return
+
+    def _drive(self, lease: Lease, speed_mps: float, angle_deg: float, seconds: float) -> None:
+        self._go_on(seconds, partial(lease.drive, speed_mps, angle_deg=angle_deg))
+
+    def _go_on(self, seconds: float, renew: Callable[[], None] = lambda: None) -> None:
+        """Let time pass, and print what happens.
+
+        Raises:
+            CommandError: the demo is to end, or a process of it has ended.
+        """
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            if self._stopped():
+                raise CommandError("interrupted", ExitCode.PARTIAL)
+            for child in self._children:
                 child.check()
-            time.sleep(0.1)
-    problem = driven.exception()
-    if problem is not None and not isinstance(problem, CommandError):
-        raise problem
-    return problem
+            renew()
+            self._show()
+            time.sleep(RENEWED_S)
+
+    def _connect(self, operator: str) -> Robot:
+        return Robot.connect(self._settings.robot.name, operator, self._settings)
+
+    def _show(self) -> None:
+        for event in self._seen.events():
+            if event.time_ns >= self._begin_ns:
+                self._print(event.time_ns, "robot", event.text)
+
+    def _tell(self, who: str, what: str) -> None:
+        self._show()
+        self._print(time.time_ns(), who, what)
+
+    def _print(self, time_ns: int, who: str, what: str) -> None:
+        sys.stdout.write(f"{(time_ns - self._begin_ns) / 1e9:6.1f} s  {who:<15}  {what}\n")
+        sys.stdout.flush()
+
+
+def _waits(state: SafetyState) -> bool:
+    """A guard watches, the robot was seen to stand, and nothing else bars an operator; or something is latched."""
+    is_free = not state.lease_holder and state.state is ArbiterState.STANDBY
+    return is_free and (bool(state.latched) or (state.guarded and is_idle(state.blocked_by)))
+
+
+def _is_left(state: SafetyState) -> bool:
+    return state.state is ArbiterState.STANDBY and not state.lease_holder
 
 
 def _review(question: str, path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""``cruiser demo --desk``: a virtual fleet, a recorder and the desk in one command, and the browser on it."""
+"""``cruiser demo --desk``: virtual robots, a recorder and the desk in one command, and the browser on it."""
 
 from __future__ import annotations
 
@@ -9,53 +9,54 @@ import socket
 import sys
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
-from gateway.cli.child import fresh
-from gateway.cli.sim import whole
-from gateway.cli.sim_fleet import POLL_S, ROBOTS_PER_PROCESSOR, VirtualFleet, warn_of_load
-from gateway.cli.sim_patrol import Patrol
+from gateway.cli.child import Child, address_of, fresh
+from gateway.host.stop_note import StopNote
+from gateway.zenoh.client import close_session
+from gateway.zenoh.router import open_local_router
 from schemas.arguments import ending_after
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import address, shown_address
-from schemas.settings import DEFAULT_ENDPOINT, Settings
+from schemas.settings import DEFAULT_ENDPOINT
 from schemas.zenoh_link import split_endpoint, with_port
 
 HOST: Final = "127.0.0.1"
 DESK_PORT: Final = 8080
 
-ROBOTS: Final = min(12, (ROBOTS_PER_PROCESSOR - 2) * (os.cpu_count() or 1))
-"""Some processor time is left for the desk, the recorder and the browser."""
+ROBOTS: Final = min(12, 3 * (os.cpu_count() or 1))
+"""A chassis, its gateway and its guard take an eighth of a processor at rest, and more while it is driven. The
+desk, the recorder and the browser need the rest."""
 
 ROBOTS_MOST: Final = 64
 
-PATROLLING: Final = 2
-
 OUT: Final = Path("demo-desk")
+
+POLL_S: Final = 0.2
+
+BEGUN_MAX: Final = 5
+"""A gateway that died so often is started no more."""
+
+ENDED_AT_ONCE: Final = 8
+"""Processes that are ended at the same time."""
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
     """Declare the flags that belong to ``--desk``."""
     parser.add_argument(
         "--robots",
-        type=partial(whole, high=ROBOTS_MOST),
+        type=partial(_whole, high=ROBOTS_MOST),
         default=ROBOTS,
         metavar="N",
         help="how many (default on this machine %(default)s)",
     )
-    parser.add_argument(
-        "--patrol",
-        type=partial(whole, high=ROBOTS_MOST, low=0),
-        default=PATROLLING,
-        metavar="N",
-        help="so many at a time drive by themselves, as operator 'patrol' (default %(default)s)",
-    )
-    parser.add_argument(
-        "--browser", action=argparse.BooleanOptionalAction, default=True, help="open the browser, if there is one"
-    )
+    parser.add_argument("--no-browser", dest="browser", action="store_false", help="open no browser")
     parser.add_argument(
         "--listen",
         type=address,
@@ -65,11 +66,11 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument(
         "--endpoint",
         metavar="ENDPOINT",
-        help=f"where the fleet meets ({DEFAULT_ENDPOINT}, or a free port if that is taken)",
+        help=f"where the robots meet, on this machine alone ({DEFAULT_ENDPOINT}, or a free port if that is taken)",
     )
 
 
-def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
     """Run until it is stopped.
 
     Raises:
@@ -78,14 +79,23 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     endpoint = arguments.endpoint or with_port(DEFAULT_ENDPOINT, _port(split_endpoint(DEFAULT_ENDPOINT)[2]))
     listen = shown_address(*(arguments.listen or (HOST, _port(DESK_PORT))))
     configuration = [] if arguments.config is None else ["--config", arguments.config]
-    warn_of_load(arguments.robots)
     sys.stderr.write(f"demo: starts {arguments.robots} robots, a recorder and the desk\n")
-    fleet = VirtualFleet(arguments.robots, endpoint, [], configuration)
-    with fleet:
+    with ExitStack() as stack:
+        stack.callback(close_session, open_local_router(endpoint))
+        # A stop by the guard in another run latches none of these; one in this run does.
+        state = Path(stack.enter_context(TemporaryDirectory(prefix="cruiser-")))
+        meets = [*configuration, "--connect", endpoint]
+        names = [f"cruiser-{number}" for number in range(1, arguments.robots + 1)]
+        robots = [VirtualRobot(name, configuration, endpoint, state, stack) for name in names]
+        for robot in robots:
+            robot.begin()
+        for robot in robots:
+            robot.gateway.wait_ready()
         directory = fresh(arguments.out or OUT)
-        fleet.start("record", "-o", str(directory), "--connect", endpoint)
-        desk = fleet.start("desk", "--listen", listen, "--connect", endpoint, "--logs", str(directory))
-        page = re.search(r"http://\S+/", desk)
+        recorder = stack.enter_context(Child("record", ["-o", str(directory), *meets]))
+        recorder.wait_ready()
+        desk = stack.enter_context(Child("desk", ["--listen", listen, "--logs", str(directory), *meets]))
+        page = re.search(r"http://\S+/", desk.wait_ready())
         if page is None:
             raise CommandError("the desk does not say where it is")
         connect = "" if endpoint == DEFAULT_ENDPOINT else f" --connect {endpoint}"
@@ -94,12 +104,72 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         if arguments.browser:
             _open_browser(page[0])
         ends = ending_after(stopped, arguments.seconds, time.monotonic)
-        with Patrol(fleet.robots, arguments.patrol, settings, endpoint):
-            while not ends():
-                fleet.tend(_tell)
-                time.sleep(POLL_S)
-        fleet.end()
+        while not ends():
+            for child in (recorder, desk):
+                child.check()
+            for robot in robots:
+                robot.tend(_tell)
+            time.sleep(POLL_S)
+        # The gateways before their chassis: a robot that moves is stopped first.
+        for children in ([desk, recorder], [one.gateway for one in robots], [one.chassis for one in robots]):
+            with ThreadPoolExecutor(ENDED_AT_ONCE) as pool:
+                list(pool.map(Child.end, children))
     return int(ExitCode.OK)
+
+
+class VirtualRobot:
+    """A chassis and its gateway, with its guard. Another gateway takes the place of one that died.
+
+    Args:
+        name: of the robot.
+        configuration: words that name the configuration.
+        endpoint: where it is met.
+        state: the directory of what outlives its gateway.
+        stack: ends its processes.
+    """
+
+    def __init__(
+        self, name: str, configuration: Sequence[str], endpoint: str, state: Path, stack: ExitStack
+    ) -> None:
+        self.chassis = stack.enter_context(Child("sim", [*configuration, "--listen", f"{HOST}:0"]))
+        self._name = name
+        self._words = [*configuration, "--robot", name, "--connect", endpoint]
+        # It has no keys, and is met at the router alone.
+        own = {
+            "ZENOH_MODE": "client",
+            "ZENOH_CONFIG": "",
+            "AUTHORITY_MODE": "open",
+            "GATEWAY_STATE_DIR": str(state),
+        }
+        self._environment = os.environ | {f"CRUISER_{key}": text for key, text in own.items()}
+        self._state = state
+        self._stack = stack
+        self._begun = 0
+        self._noted = ""
+
+    def begin(self) -> None:
+        """Start its gateway."""
+        self._begun += 1
+        words = [*self._words, "--interface", "socketcand", "--channel", address_of(self.chassis)]
+        self.gateway = self._stack.enter_context(Child("gateway", words, environment=self._environment))
+
+    def tend(self, tell: Callable[[str], None]) -> None:
+        """Start another gateway where one has died, and tell of it, and of the guard's work.
+
+        Raises:
+            CommandError: the chassis has ended, or the gateway dies again and again.
+        """
+        self.chassis.check()
+        if self.gateway.is_over:
+            if self._begun > BEGUN_MAX:
+                self.gateway.check()
+            tell(f"{self._name}: its gateway has died. Its guard stops the robot; another gateway starts")
+            self.begin()
+        for path in self._state.glob(f"*.{self._name}.guard-stop"):
+            line = StopNote(path).last()
+            if line is not None and line[1] != self._noted:
+                self._noted = line[1]
+                tell(f"{self._name}: {line[1]}")
 
 
 def _tell(line: str) -> None:
@@ -116,6 +186,12 @@ def _port(wanted: int) -> int:
         except OSError:
             continue
     raise CommandError("this machine has no free port")
+
+
+def _whole(text: str, high: int) -> int:
+    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= high:
+        raise argparse.ArgumentTypeError(f"{text!a} is no whole number from 1 to {high}")
+    return int(text)
 
 
 def _open_browser(page: str) -> None:

@@ -34,9 +34,8 @@ if TYPE_CHECKING:
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "demo": (
         "gateway.cli.demo",
-        "chassis, gateway and recorder together, then a summary; with --desk a fleet in the browser",
+        "chassis, gateway and recorder together, then a summary; with --desk robots in the browser",
     ),
-    "demo-fleet": ("gateway.cli.demo_fleet", "a first fleet in signed mode: let in, driven, attacked, locked out"),
     "sim": ("gateway.cli.sim", "a virtual chassis on a CAN bus"),
     "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
     "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),

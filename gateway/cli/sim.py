@@ -7,7 +7,6 @@ import contextlib
 import logging
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Final
@@ -27,10 +26,10 @@ from gateway.sim.parameters import (
     Conditions,
     StopMode,
 )
-from schemas.arguments import ending_after, seconds
+from schemas.arguments import seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Variant
-from schemas.settings import DEFAULT_ENDPOINT, CanSettings, Settings
+from schemas.settings import CanSettings, Settings
 
 _logger = logging.getLogger(__name__)
 
@@ -39,11 +38,7 @@ EXAMPLE: Final = """\
   cruiser sim --variant fine --fault "3s bumper front on" --fault "5s silence Auto_GearFeedBack for 2s"
   cruiser sim --slope 8 --payload 100 --stop-mode coasts
   cruiser sim --interface socketcan --channel vcan0
-  cruiser sim --fleet 8 --patrol 2                cruiser-1 to cruiser-8 on Zenoh, gateways and guards included
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536      puts it on Zenoh"""
-
-ROBOTS_MAX: Final = 64
-"""Of a fleet."""
 
 _STDIN: Final = 0
 
@@ -109,35 +104,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--interface", dest="can.interface", metavar="NAME", help="be on this python-can bus instead of listening"
     )
     parser.add_argument("--channel", dest="can.channel", metavar="NAME", help="the channel of --interface")
-    parser.add_argument(
-        "--fleet",
-        type=partial(whole, high=ROBOTS_MAX),
-        metavar="N",
-        help="N robots, cruiser-1 and so on, each with chassis, gateway and guard, at one Zenoh endpoint",
-    )
-    parser.add_argument(
-        "--patrol",
-        type=partial(whole, high=ROBOTS_MAX),
-        nargs="?",
-        const=1,
-        default=0,
-        metavar="N",
-        help="of a fleet N robots at a time (1) drive by themselves: an operator named 'patrol', with leases",
-    )
-    parser.add_argument(
-        "--endpoint",
-        metavar="ENDPOINT",
-        help=f"where the fleet meets, on this machine alone (default {DEFAULT_ENDPOINT})",
-    )
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Runs the chassis until it is stopped."""
     flags = vars(arguments)
-    if arguments.fleet is not None:
-        return _run_fleet(arguments, settings, stopped)
-    if arguments.patrol or arguments.endpoint is not None:
-        raise CommandError("--patrol and --endpoint need --fleet", ExitCode.USAGE)
     attached = flags.get("can.interface") is not None
     if attached and flags.get("sim.listen") is not None:
         raise CommandError("--listen and --interface exclude each other", ExitCode.USAGE)
@@ -165,29 +136,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         )
     _logger.info("%d frames sent, %d received", summary.sent, summary.received)
     return ExitCode.OK
-
-
-def _run_fleet(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    # One chassis does without all of this.
-    from gateway.cli import sim_fleet  # noqa: PLC0415
-
-    flags = vars(arguments)
-    alone = {"sim.listen": "--listen", "can.interface": "--interface", "can.channel": "--channel"}
-    if given := [flag for name, flag in alone.items() if flags.get(name) is not None]:
-        raise CommandError(
-            f"{given[0]} and --fleet exclude each other: each chassis has its own bus", ExitCode.USAGE
-        )
-    if arguments.fault:
-        raise CommandError("--fault and --fleet exclude each other: a fault is one chassis's", ExitCode.USAGE)
-    chassis = ["--variant", settings.sim.variant, "--rate-multiplier", str(arguments.rate_multiplier)]
-    for field, (flag, *_) in _CONDITION_FLAGS.items():
-        chassis += [flag, str(flags[field])]
-    chassis += ["--stop-mode", arguments.stop_mode]
-    configuration = [] if arguments.config is None else ["--config", arguments.config]
-    endpoint = arguments.endpoint or DEFAULT_ENDPOINT
-    fleet = sim_fleet.VirtualFleet(arguments.fleet, endpoint, chassis, configuration)
-    ends = ending_after(stopped, arguments.seconds, time.monotonic)
-    return sim_fleet.run(fleet, arguments.patrol, settings, ends)
 
 
 @contextlib.contextmanager
@@ -242,17 +190,6 @@ def _bounded(text: str, low: float, high: float) -> float:
     if not low <= value <= high:
         raise argparse.ArgumentTypeError(f"{text} is not from {low:g} to {high:g}")
     return value
-
-
-def whole(text: str, high: int, low: int = 1) -> int:
-    """A number on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it is no whole number within the bounds.
-    """
-    if not text.isascii() or not text.isdigit() or not low <= int(text) <= high:
-        raise argparse.ArgumentTypeError(f"{text!a} is no whole number from {low} to {high}")
-    return int(text)
 
 
 def _say(text: str) -> None:

@@ -14,10 +14,10 @@ from typing import Final
 
 import msgspec
 
-from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.settings import DEADMAN_MAX_S, CommandSettings
 from tests.bench.loads import Row, print_table
 from tests.bench.plot import Chart, Line, draw
+from tests.support.links import FAR, LINKS, LinkProfile
 from tests.support.rigs.far_operator import Trip, trip
 
 SECONDS: Final = 60.0

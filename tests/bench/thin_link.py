@@ -23,7 +23,6 @@ import zenoh
 
 from gateway.client.refusal import Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
-from gateway.sim.links import LINKS, LinkProfile
 from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.router import open_local_router
 from schemas.configuration import TomlSource, merge
@@ -34,6 +33,7 @@ from tests.bench.loads import Row, print_table
 from tests.bench.origin import heading
 from tests.bench.processes import quantile, start
 from tests.support.fakes.peer import free_endpoint
+from tests.support.links import LINKS, LinkProfile
 from tests.support.processes.paced_link import PacedLink, paced_link
 
 SECONDS: Final = 20.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.sim.links import FAR
+from tests.support.links import FAR
 from tests.support.rigs.far_operator import trip
 
 

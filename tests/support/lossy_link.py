@@ -4,7 +4,7 @@ from collections import deque
 from random import Random
 from typing import Any
 
-from gateway.sim.links import LinkProfile
+from tests.support.links import LinkProfile
 
 
 class _Direction:

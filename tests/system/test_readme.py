@@ -77,8 +77,8 @@ PICTURE: Final = (
 COMMANDS: Final[dict[str, Run | Start | str]] = {
     PICTURE: "a picture",
     "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/"),
-    "make demo-fleet": "tests/system/gateway/cli/test_demo_fleet.py runs it",
-    "make demo-desk": "tests/system/gateway/cli/test_sim_fleet.py runs it",
+    "make demo-fleet": "tests/system/test_fleet_example.py runs its script",
+    "make demo-desk": "tests/system/gateway/cli/test_demo_desk.py runs it",
     "make test": "runs this test",
     # Five minutes.
     "cruiser sim": Start(r" on 127\.0\.0\.1:", stays=True),
@@ -109,7 +109,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser review recover FILE...": Run("whole"),
     # A log.
     "cruiser review events demo-log": Run("the front bumper was hit"),
-    "cruiser review why demo-log --at 23.3": Run("stop"),
+    "cruiser review why demo-log --at 16.5": Run("stop"),
     "cruiser review rerun demo-log": Run("different: 0"),
     "cruiser review rerun demo-log --set command.speed_limit_mps=0.4": Run("as it would have been"),
     "cruiser review report demo-log -o report.html": Run("and was stopped"),

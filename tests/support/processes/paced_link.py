@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from random import Random
 from typing import Final
 
-from gateway.sim.links import LinkProfile
+from tests.support.links import LinkProfile
 
 CHUNK_BYTES: Final = 1400
 """A packet: others get their turn behind it."""

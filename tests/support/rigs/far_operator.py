@@ -10,10 +10,10 @@ import msgspec
 
 from gateway.client.drive_stream import PERIOD_S, DriveEnd, DriveStream, SetPoint
 from gateway.client.payloads import encode_request
-from gateway.sim.links import LinkProfile
 from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Engage, Renew, Request, Unpark
+from tests.support.links import LinkProfile
 from tests.support.lossy_link import LossyLink
 from tests.support.rigs.gateway import GatewayRig
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import select
 import signal
 import subprocess
@@ -16,7 +17,6 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.cli.child import CRUISER, Child
-from gateway.cli.demo import describe
 from tests.support.processes.gateway import run
 from tests.support.waiting import wait_until
 
@@ -38,12 +38,13 @@ def assert_in_order(told: str, steps: Sequence[str]) -> None:
 class Demo(NamedTuple):
     """One demo, of a robot with names and a variant of its own."""
 
-    summary: dict[str, Any]
+    told: str
     directory: Path
 
     @property
     def log(self) -> Path:
-        return Path(self.summary["path"])
+        [path] = re.findall("^log: (.+)$", self.told, re.MULTILINE)
+        return Path(path)
 
     def states(self) -> list[Any]:
         with self.log.open("rb") as stream:
@@ -60,19 +61,20 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
         '[robot]\nroot = "yard"\nname = "r-7"\n[can]\nbus = "can7"\n[chassis]\nvariant = "fine"\n'
         '[sim]\nvariant = "fine"\n[recorder]\nchunk_bytes = 2048\n'
     )
-    done = run(["demo", "--config", str(file), "--seconds", "20", "--out", str(out), "--json"], TIMEOUT_S)
-    assert done.returncode == 0, done.stderr
-    return Demo(json.loads(done.stdout), out)
+    done = run(["demo", "--config", str(file), "--seconds", "20", "--out", str(out)], TIMEOUT_S)
+    assert done.returncode == 0, (done.stdout, done.stderr)
+    return Demo(done.stdout, out)
 
 
 @pytest.mark.night
 def test_the_demo_records_everything(demo: Demo) -> None:
     """A whole log, with all but what came too late on a busy machine; the robot drove and was hit in it."""
-    summary = demo.summary
-    assert summary["whole"]
-    assert summary["frames_lost"] + summary["samples_missed"] <= summary["messages"] / 100
-    (incident,) = summary["incidents"]
-    assert {str(path) for path in demo.directory.iterdir()} == {str(demo.log), incident}
+    [incident] = demo.directory.glob("*.incident.mcap")
+    assert {*demo.directory.iterdir()} == {demo.log, incident}
+    assert f"incident: {incident}" in demo.told
+    messages, missed = map(int, re.findall(r"(\d+) messages on \d+ channels, (\d+) missed", demo.told)[0])
+    [lost] = map(int, re.findall(r"(\d+) lost \(by the alive counters", demo.told))
+    assert missed + lost <= messages / 100
     states = demo.states()
     assert max(state.speed_mps for state in states if state.HasField("speed_mps")) > 0.5
     assert any(state.front_bumper for state in states)
@@ -80,8 +82,7 @@ def test_the_demo_records_everything(demo: Demo) -> None:
 
 @pytest.mark.night
 def test_the_demo_tells_what_the_arbiter_did(demo: Demo) -> None:
-    """Engaged, stopped by the bumper, reset, stopped by the stalled link, driven on by a second operator."""
-    told = "\n".join(entry["what"] for entry in demo.summary["timeline"])
+    """Engaged, stopped by the bumper, reset, stopped as the operator vanishes, driven on by a second one."""
     steps = (
         "first-operator has acquired the lease",
         "engaged",
@@ -94,7 +95,7 @@ def test_the_demo_tells_what_the_arbiter_did(demo: Demo) -> None:
         "stopping: the holder of the lease disengaged",
         "stopped",
     )
-    assert_in_order(told, steps)
+    assert_in_order(demo.told, steps)
 
 
 @pytest.mark.night
@@ -112,27 +113,12 @@ def test_the_demo_is_of_the_robot_that_the_configuration_says(demo: Demo) -> Non
     assert len(summary.chunk_indexes) > 10
 
 
-@pytest.mark.night
-def test_the_summary_is_for_people(demo: Demo) -> None:
-    """It tells frames, messages, losses, the log's path and what opens it."""
-    quiet = {"frames_lost": 0, "samples_missed": 0}
-    text = describe(demo.summary | quiet, "yard/r-7")
-    assert "busy" not in text
-    assert "0 lost" in text
-    for late in quiet:
-        assert "busy" in describe(demo.summary | quiet | {late: 80}, "yard/r-7")
-    assert str(demo.log) in text
-    assert demo.summary["incidents"][0] in text
-    for viewer in ("Foxglove", "PlotJuggler", "rerun"):
-        assert viewer in text
-
-
-SHORT_S, LONG_S = 0.5, 3.0
-"""The guard stops a robot after a tenth of a second; after a second without a word its operator gives up."""
+HELD_UP_S = 0.5
+"""The guard stops a robot after a tenth of a second."""
 
 
 class HeldUp(NamedTuple):
-    """A demo whose gateway got no processor twice: once until the guard stopped its robot, and once for longer.
+    """A demo whose gateway got no processor for a while.
 
     Attributes:
         was_open: the log was not finished when the first line of the timeline was there.
@@ -165,10 +151,7 @@ def held_up(tmp_path_factory: pytest.TempPathFactory) -> HeldUp:
 
         wait_told("drives a figure of eight")
         was_open = not list((out.parent / "log-2").glob("*.mcap"))
-        _hold_up(_child(process.pid, "gateway"), SHORT_S)
-        wait_told("engages again")
-        wait_told("engaged: ")
-        _hold_up(_child(process.pid, "gateway"), LONG_S)
+        _hold_up(_child(process.pid, "gateway"), HELD_UP_S)
         told, errors = process.communicate(timeout=TIMEOUT_S)
     return HeldUp(process.returncode, "".join(lines) + told, errors, was_open, out)
 
@@ -190,21 +173,11 @@ def _child(parent: int, command: str) -> int:
 
 
 @pytest.mark.night
-def test_a_demo_that_the_machine_held_up_begins_once_more(held_up: HeldUp) -> None:
-    """It says what happened, why, and where the log until then is; the next attempt shows everything."""
-    assert held_up.code == 0, held_up.errors
-    assert "demo: interrupted: " in held_up.errors
-    assert "busy" in held_up.errors
-    (kept,) = (held_up.out.parent / "log-2-interrupted").glob("*Z.mcap")
-    assert str(kept.parent) in held_up.errors
-    assert "second-operator gave the lease back" in held_up.told
-
-
-@pytest.mark.night
 def test_a_robot_that_the_guard_has_stopped_is_driven_on(held_up: HeldUp) -> None:
-    """Its operator says why it was stopped, resets it, and engages it again."""
-    before = held_up.told.partition("not heard any more")[0]
-    assert_in_order(before, ["the guard has stopped the robot", "engages again", "reset: guard", "engaged: "])
+    """Its operator says why it was stopped, resets it, and does all again that was interrupted."""
+    assert held_up.code == 0, held_up.errors
+    steps = ["the guard has stopped the robot", "tries again", "reset: guard", "engaged: ", "figure of eight"]
+    assert_in_order(held_up.told, [*steps, "second-operator gave the lease back"])
 
 
 @pytest.mark.night
@@ -223,7 +196,7 @@ def test_a_second_demo_leaves_the_log_of_the_first_alone(held_up: HeldUp) -> Non
 
 @pytest.mark.night
 def test_a_success_warns_of_nothing(held_up: HeldUp) -> None:
-    """The operator whose link stalls is shown on purpose."""
+    """The operator who vanishes is shown on purpose."""
     assert "WARNING" not in held_up.errors
 
 

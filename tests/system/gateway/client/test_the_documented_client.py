@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.can.relay import Relay
 from schemas.decisions import ArbiterState
 from tests.support.fakes.robot import FakeRobot
+from tests.support.relay import Relay
 from tests.support.waiting import wait_until
 
 PAGE = Path(__file__).parents[4] / "docs" / "commands.md"

@@ -11,7 +11,6 @@ import pytest
 import zenoh
 
 from gateway.command.flow import PendingReply
-from gateway.sim.links import LINKS
 from gateway.telemetry.sample import Sample
 from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.inbox import CommandInbox, open_inbox
@@ -22,6 +21,7 @@ from schemas.egress import PUBLISHED
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
 from tests.support.fakes.peer import free_endpoint
+from tests.support.links import LINKS
 from tests.support.nights import by_night
 from tests.support.processes.paced_link import PacedLink, paced_link
 from tests.support.waiting import wait_until

@@ -23,18 +23,12 @@ def test_its_length_is_bounded(text: str) -> None:
 
 def test_a_viewer_is_given_the_path_of_a_topic_in_the_log() -> None:
     """The topics begin with no slash, and one that holds slashes has to stand in quotes."""
-    summary = {
-        "path": "demo-log/a.mcap",
-        "incidents": [],
-        "seconds": 20.0,
-        "frames": 1,
-        "messages": 1,
-        "channels": 1,
-        "bytes": 1,
-        "frames_lost": 0,
-        "samples_missed": 0,
-    }
-    assert 'plot e.g. "fleet/cruiser-1/state".speed_mps\n' in describe(summary, "fleet/cruiser-1")
+    info = {"incidents": [], "duration_s": 20.0, "messages": 1, "channels": [{}], "bytes": 1}
+    check = {"frames": [{"frames": 1}], "frames_lost": 0, "missed": 0}
+    text = describe(Path("demo-log/a.mcap"), "fleet/cruiser-1", info, check)
+    assert 'plot e.g. "fleet/cruiser-1/state".speed_mps\n' in text
+    assert "busy" not in text
+    assert "busy" in describe(Path("a.mcap"), "fleet/cruiser-1", info, check | {"missed": 80})
 
 
 def test_an_out_that_is_no_directory_is_named(tmp_path: Path) -> None:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from gateway.sim.links import FAR, LINKS, LinkProfile
 from schemas.decisions import ArbiterState
 from schemas.reasons import TEXTS, Reason
+from tests.support.links import FAR, LINKS, LinkProfile
 from tests.support.lossy_link import LossyLink
 from tests.support.nights import by_night
 from tests.support.rigs.far_operator import FarOperator, trip

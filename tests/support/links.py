@@ -32,11 +32,6 @@ class LinkProfile(msgspec.Struct, frozen=True):
     stall_s: float = 0.0
     deadman_s: float | None = None
 
-    @property
-    def slug(self) -> str:
-        """The name as a word of the command line."""
-        return self.name.lower().replace(" ", "-")
-
     def delay_s(self, random: Random) -> float:
         """Draw how long a message takes one way, in seconds."""
         delay_s = self.one_way_s * (1 + self.jitter * random.uniform(-1, 1))

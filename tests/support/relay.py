@@ -1,4 +1,4 @@
-"""A TCP relay on the loopback that delays what it carries, and can be stalled: a link as bad radio makes it."""
+"""A TCP relay on the loopback that delays what it carries: a link as bad radio makes it."""
 
 from __future__ import annotations
 
@@ -14,36 +14,26 @@ BUFFER_BYTES: Final = 65_536
 
 
 class Relay:
-    """Carries every connection to a place, both ways, while it is not stalled.
+    """Carries every connection to a place, both ways.
 
     Attributes:
         endpoint: the address to connect to instead, as HOST:PORT.
     """
 
-    def __init__(self, host: str, port: int, delay_s: Callable[[], float] | None = None) -> None:
+    def __init__(self, host: str, port: int, delay_s: Callable[[], float]) -> None:
         """Carry connections to a place.
 
         Args:
             host: of the place.
             port: of the place.
-            delay_s: draws how long the next piece takes, either way; pieces keep their order. None is no delay.
+            delay_s: draws how long the next piece takes, either way; pieces keep their order.
         """
         self._delay_s = delay_s
         self._target = (host, port)
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"127.0.0.1:{self._server.getsockname()[1]}"
-        self._flows = threading.Event()
-        self._flows.set()
         self._sockets: list[socket.socket] = [self._server]
         threading.Thread(target=self._accept, name="relay", daemon=True).start()
-
-    def stall(self) -> None:
-        """Carry nothing more; what is sent waits, and is delivered after ``resume``."""
-        self._flows.clear()
-
-    def resume(self) -> None:
-        """Carry again, beginning with all that has waited."""
-        self._flows.set()
 
     def close(self) -> None:
         """Cut every connection."""
@@ -51,7 +41,6 @@ class Relay:
             with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
             one.close()
-        self._flows.set()
 
     def __enter__(self) -> Self:
         return self
@@ -75,7 +64,7 @@ class Relay:
         due_s = 0.0
         with contextlib.suppress(OSError):
             while data := source.recv(BUFFER_BYTES):
-                due_s = max(due_s, time.monotonic() + (self._delay_s() if self._delay_s is not None else 0.0))
+                due_s = max(due_s, time.monotonic() + self._delay_s())
                 under_way.put((due_s, data))
         under_way.put((due_s, b""))
 
@@ -88,7 +77,6 @@ class Relay:
                 if not data:
                     break
                 time.sleep(max(0.0, due_s - time.monotonic()))
-                self._flows.wait()
                 sink.sendall(data)
         for one in (source, sink):
             with contextlib.suppress(OSError):

@@ -1,8 +1,9 @@
-"""``cruiser sim --fleet`` and ``cruiser demo --desk``, as a user starts them."""
+"""``cruiser demo`` and ``cruiser demo --desk``, as a user starts and ends them."""
 
 import json
 import os
 import signal
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,16 +13,14 @@ from urllib.request import urlopen
 import pytest
 
 from gateway.client.robot import Robot
-from schemas.exit_codes import ExitCode
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings, ZenohSettings
 from tests.support.desk_client import DeskClient
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
 from tests.support.processes.gateway import Running, run
+from tests.support.processes.holding import hold
 from tests.support.waiting import wait_until
-
-PATROL_S = 200.0
-"""On a busy machine robots are stopped, and it comes by again."""
 
 TWO = ["cruiser-1", "cruiser-2"]
 
@@ -74,9 +73,7 @@ def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
 @pytest.mark.parametrize(
     ("words", "count"),
     [
-        (("sim", "--fleet", "1", "--endpoint", "ENDPOINT"), 3),  # a chassis, its gateway and the guard
         by_night(("demo", "--seconds", "60"), 4),
-        by_night(("demo-fleet", "--hold"), 6),
         (
             (
                 "demo",
@@ -92,7 +89,7 @@ def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
             5,
         ),
     ],
-    ids=["sim", "demo", "demo-fleet", "demo-desk"],
+    ids=["demo", "demo-desk"],
 )
 def test_nothing_goes_on_without_the_command_that_started_it(
     words: tuple[str, ...], count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -108,35 +105,6 @@ def test_nothing_goes_on_without_the_command_that_started_it(
     finally:
         for process in filter(is_running, processes):
             os.kill(process, signal.SIGKILL)
-
-
-def test_a_fleet_is_listed_and_drives_by_itself_under_a_lease() -> None:
-    """At one endpoint, with guards. A robot that patrols has an operator like any other, who can be overruled."""
-    endpoint = free_endpoint()
-    with started("sim", "--fleet", "2", "--patrol", "--endpoint", endpoint) as fleet:
-        fleet.wait_says(f"sim: cruiser-1 to cruiser-2 at {endpoint}")
-        listed = run(["list", "--connect", endpoint, "--json"])
-        assert [json.loads(line)["robot"] for line in listed.stdout.splitlines()] == TWO
-
-        there = Settings(zenoh=ZenohSettings(mode="client", connect=[endpoint]))
-        with Robot.connect("cruiser-1", "test", there) as robot:
-
-            def reset_what_is_latched() -> None:
-                # On a busy machine the guard may have stopped it; the patrol leaves it alone then.
-                if robot.state().state.latched:
-                    run(["reset", "cruiser-1", "--connect", endpoint])
-
-            wait_until(
-                lambda: robot.wait_for(
-                    lambda state: state.lease_holder == "patrol" and (state.output_speed_mps or 0.0) > 0, 1.0
-                ),
-                reset_what_is_latched,
-                deadline_s=PATROL_S,
-            )
-        stopped = run(["stop", "cruiser-1", "--connect", endpoint])
-        assert stopped.returncode == 0, stopped.stderr
-        assert "remote_stop" in run(["why", "cruiser-1", "--connect", endpoint]).stdout
-        end(fleet)
 
 
 def logs_of(robot: str, desk: str) -> list[str]:
@@ -155,22 +123,25 @@ def test_the_demo_shows_a_fleet_on_the_desk_and_opens_the_browser(
     browser = tmp_path / "browser"
     browser.write_text(f"#!{sys.executable}\nimport sys\nopen({str(opened)!r}, 'w').write(sys.argv[1])\n")
     browser.chmod(0o755)
-    words = ["--robots", "2", "--patrol", "1", "--out", str(out), "--listen", "127.0.0.1:0"]
+    endpoint = free_endpoint()
+    words = ["--robots", "2", "--out", str(out), "--listen", "127.0.0.1:0", "--endpoint", endpoint]
+    there = Settings(zenoh=ZenohSettings(mode="client", connect=[endpoint]))
     monkeypatch.setenv("BROWSER", f"{browser} %s")
-    with started("demo", "--desk", *words, "--endpoint", free_endpoint()) as demo:
+    with started("demo", "--desk", *words) as demo:
         wait_until(lambda: (opened.exists() and opened.read_text() != "") or demo.process.poll() is not None)
         with DeskClient(opened.read_text()) as page:
             while sorted(page.rows) != TWO or not page.recorders:
                 page.receive()
-            driven: list[str] = []
-            while not driven:
-                page.receive()
-                rows = page.rows.items()
-                driven = [name for name, row in rows if row["driver"] == "patrol" and row["word"] == "driving"]
-            # Its gateway dies: the demo goes on, and the desk shows what the guard has done.
-            os.kill(gateway_of(driven[0], demo.process.pid), signal.SIGKILL)
-            while page.rows[driven[0]]["reasons"] != ["guard"]:
-                page.receive()
+            with (
+                Robot.connect("cruiser-1", "test", there) as robot,
+                suppress(CommandError),
+                robot.lease() as lease,
+            ):
+                wait_until(lambda: lease.is_engaged, lambda: hold(robot, lease, 0.3))
+                # Its gateway dies: the demo goes on, and the desk shows what the guard has done.
+                os.kill(gateway_of("cruiser-1", demo.process.pid), signal.SIGKILL)
+                while page.rows["cruiser-1"]["reasons"] != ["guard"]:
+                    page.receive()
         wait_until(lambda: logs_of("cruiser-1", opened.read_text()))
         # The terminal is closed.
         end(demo, signal.SIGHUP)
@@ -180,17 +151,14 @@ def test_the_demo_shows_a_fleet_on_the_desk_and_opens_the_browser(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--fleet", "0"], "no whole number from 1 to 64"),
-        (["--fleet", "2", "--listen", "127.0.0.1:0"], "--listen and --fleet exclude each other"),
-        (["--fleet", "2", "--fault", "transmitter remote"], "--fault and --fleet exclude each other"),
-        (["--patrol", "2"], "need --fleet"),
-        (["--fleet", "2", "--endpoint", "tcp/0.0.0.0:0"], "can be reached from other machines"),
-        (["--fleet", "2", "--endpoint", "here"], "here"),
+        (["--robots", "0"], "no whole number from 1 to 64"),
+        (["--endpoint", "tcp/0.0.0.0:0"], "can be reached from other machines"),
+        (["--endpoint", "here"], "here"),
     ],
 )
 def test_what_cannot_be_is_one_clear_line(words: list[str], said: str) -> None:
     """Before anything is started: virtual robots have no keys, and are for this machine alone."""
-    refused = run(["sim", *words])
+    refused = run(["demo", "--desk", "--no-browser", *words])
     assert refused.returncode == ExitCode.USAGE
     assert said in refused.stderr.splitlines()[-1]
 
@@ -199,9 +167,7 @@ def test_what_cannot_be_is_one_clear_line(words: list[str], said: str) -> None:
 def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
     """Which names it; no robot is left behind."""
     endpoint = free_endpoint()
-    with started("sim", "--fleet", "1", "--endpoint", endpoint) as fleet:
-        fleet.wait_says("sim: cruiser-1")
-        refused = run(["sim", "--fleet", "1", "--endpoint", endpoint])
-        assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.UNREACHABLE, 1)
-        assert endpoint.partition("/")[2] in refused.stderr
-        assert fleet.stop(signal.SIGINT) == 0
+    with socket.create_server(("127.0.0.1", int(endpoint.rpartition(":")[2]))):
+        refused = run(["demo", "--desk", "--no-browser", "--robots", "1", "--endpoint", endpoint])
+    assert refused.returncode == ExitCode.UNREACHABLE
+    assert endpoint.partition("/")[2] in refused.stderr.splitlines()[-1]
