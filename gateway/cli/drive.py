@@ -14,8 +14,7 @@ from rich.live import Live
 
 from gateway.cli.drive_view import Cockpit, panel
 from gateway.cli.engaged import come_to_rest, engaged
-from gateway.cli.held_keys import HeldKeys, Wish
-from gateway.cli.keyboard import KeyDecoder
+from gateway.cli.held_keys import BINDINGS, REPEAT_NS, HeldKeys, KeyDecoder, Wish
 from gateway.cli.operator_arguments import add_robot_arguments, add_take_arguments, connect, wanted_lease
 from gateway.cli.terminal import Terminal
 from gateway.client.reasons_text import link_line, reason_line
@@ -44,8 +43,10 @@ KEY_HOLD_S: Final = 0.3
 
 DRAW_S: Final = 0.1
 
-ASK_S: Final = 0.1
-"""The period in which a terminal that reports releases is asked whether it is there."""
+FIRST_KEY: Final = (
+    "no terminal reports that a key is let go: motion begins when the key repeats, and ends "
+    f"{REPEAT_NS / 1e9:g} s after the last repeat. To hold and steer freely: cruiser desk"
+)
 
 SCRIPT_S: Final = 0.05
 """The period in which a script's set point is renewed."""
@@ -57,9 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     parser.description = (
         f"{parser.description or ''}\n\n"
-        "The robot moves while a key is held, and stops on its release, when the window loses the focus, and\n"
-        "when this program or its link ends. Terminals with the kitty keyboard protocol tell releases; in\n"
-        "others motion begins when the key repeats."
+        "The robot moves while a key repeats: motion begins with the first repeat, half a second after the key\n"
+        f"was pressed, and zero speed is commanded {REPEAT_NS / 1e9:g} s after the last. It stops on\n"
+        "any other key, and when the terminal is closed, or this program or its link ends. To hold and steer\n"
+        "freely: cruiser desk."
     )
     add_robot_arguments(parser)
     parser.add_argument(
@@ -155,6 +157,7 @@ class _Keys:
         self._decoder = KeyDecoder()
         self._keys = HeldKeys()
         self._message = ""
+        self._was_told = False
         self._is_leaving = False
 
     def drive(self, stopped: Callable[[], bool]) -> None:
@@ -166,17 +169,14 @@ class _Keys:
         # On the other screen, as in 'cruiser watch': nobody reads an old view as the present one.
         with (
             Live(console=Console(), auto_refresh=False, screen=True) as live,
-            Terminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal,
+            Terminal(sys.stdin.fileno()) as terminal,
         ):
             self._engage()
-            draw_s = ask_s = 0.0
+            draw_s = 0.0
             while not self._is_leaving and not stopped():
                 self._hear(terminal.read(KEY_S))
                 self._move()
                 now_s = time.monotonic()
-                if now_s >= ask_s and self._keys.reports_releases:
-                    ask_s = now_s + ASK_S
-                    terminal.ask()
                 if now_s >= draw_s:
                     draw_s = now_s + DRAW_S
                     live.update(panel(self._cockpit()), refresh=True)
@@ -186,8 +186,10 @@ class _Keys:
         if data is None:
             self._is_leaving = True
             return
-        events = self._decoder.feed(data) if data else self._decoder.settle()
-        for key in self._keys.receive(events, time.monotonic_ns()):
+        keys = self._decoder.feed(data)
+        if not self._was_told and not BINDINGS.keys().isdisjoint(keys):
+            self._was_told, self._message = True, FIRST_KEY
+        for key in self._keys.receive(keys, time.monotonic_ns()):
             self._press(key)
 
     def _press(self, key: str) -> None:
@@ -241,7 +243,6 @@ class _Keys:
             speed_mps=self._speed_mps,
             angle_deg=self._angle_deg,
             wish=self._wish(),
-            reports_releases=self._keys.reports_releases,
             message=self._message,
         )
 

@@ -21,8 +21,7 @@ class Cockpit(msgspec.Struct, frozen=True):
     Attributes:
         lease: its number.
         speed_mps, angle_deg: the target of a held key.
-        wish: the keys that are held.
-        reports_releases: the terminal does.
+        wish: the motion that the held key asks for.
         message: the last one for the person.
     """
 
@@ -32,7 +31,6 @@ class Cockpit(msgspec.Struct, frozen=True):
     speed_mps: float
     angle_deg: float
     wish: Wish
-    reports_releases: bool
     message: str
 
 
@@ -69,11 +67,10 @@ def _speeds(cockpit: Cockpit) -> str:
 
 
 def _keys(cockpit: Cockpit) -> list[str]:
-    how = "hold to move" if cockpit.reports_releases else "hold to move: it begins when the key repeats"
     limit_mps = cockpit.sighting.state.speed_limit_mps
     bound = f", of which the limit leaves {limit_mps:.2f}" if cockpit.speed_mps > limit_mps else ""
     return [
-        f"{how}: w s or arrows, a d steer; any other key: stand",
+        "hold to move, which begins when the key repeats: w s or arrows, a d steer; any other key: stand",
         "u o forward and m . backward in a curve, to the left and to the right",
         f"+ - speed ({cockpit.speed_mps:.2f} m/s{bound})",
         "g engage, r reset; x, q or Ctrl-C: stop and leave",

@@ -1,19 +1,16 @@
-"""Hold to move: the motion that the held keys ask for. Pure, time as an argument.
+"""Hold to move: the motion that the held key of a terminal asks for. Pure, time as an argument.
 
-A terminal that reports releases is trusted while it answers: one behind a dead link reports nothing.
-In any other, a key is held while it repeats: motion begins with its first repetition, and ends soon after the
-last. A link that stalls delivers old strokes in a burst: after a pause or a burst a key must be let go and
-pressed again.
+A terminal reports no release of a key. A key counts as held while it repeats: motion begins with its first
+repetition, and ends soon after the last. A link that stalls delivers old strokes in a burst: after a pause or a
+burst a key must be let go and pressed again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
 from typing import Final
 
 import msgspec
-
-from gateway.cli.keyboard import Action, Flags, Focus, Heard, Stroke
 
 REPEAT_NS: Final = 200_000_000
 """A key that repeats comes again within this time; slow keyboards take 90 ms."""
@@ -27,8 +24,17 @@ BEGIN_MIN_NS: Final = 150_000_000
 BURST_STROKES: Final = 6
 """As many strokes of one key in one read have waited somewhere: the fastest keyboards take 15 ms for each."""
 
-ANSWER_NS: Final = 400_000_000
-"""A terminal that reports releases is no longer trusted when it has not answered for this long."""
+LONGEST: Final = 64
+"""No sequence that a terminal sends is longer."""
+
+_ESCAPE: Final = 0x1B
+_SEQUENCE: Final = re.compile(rb"\x1b(?:\[[0-9:;<=>?]*[ -/]*([@-~])|O([A-Z]))")
+_BEGUN: Final = re.compile(rb"\x1b(\[[0-9:;<=>?]*[ -/]*|O)?")
+_ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
+_ARROW_BYTES: Final = 3
+"""A longer sequence is an arrow with Ctrl, Alt or Shift: another key."""
+
+_CHARACTERS: Final = {0x03: "ctrl-c", 0x20: "space"}
 
 
 class Wish(msgspec.Struct, frozen=True):
@@ -55,77 +61,75 @@ BINDINGS: Final[dict[str, Wish]] = {
     ".": Wish(-1, -1),
 }
 """Any other key means: stand. Those that drive a curve are where ROS's teleop_twist_keyboard has them: a terminal
-that reports no releases repeats one key only, so speed and angle must come from one."""
+repeats one key only, so speed and angle must come from one."""
 
 
-class HeldKeys:
-    """The keys that are held.
+class KeyDecoder:
+    """Makes keys of what is read, however it is cut in pieces.
 
-    Attributes:
-        reports_releases: the terminal does, so keys may be held together.
+    A key is a lower-case letter, ``up``, ``space``, ``ctrl-c``; empty if it is any other.
     """
 
     def __init__(self) -> None:
-        self.reports_releases = False
-        self._held: list[str] = []
-        self._answered_ns = 0
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """The keys of these bytes. Without any, what has begun is a key by itself, such as Escape."""
+        if not data:
+            begun, self._rest = self._rest, b""
+            return [""] if begun else []
+        buffer, self._rest = self._rest + data, b""
+        keys: list[str] = []
+        while buffer:
+            length = 1
+            if buffer[0] != _ESCAPE:
+                keys.append(_character(buffer[0]))
+            elif (match := _SEQUENCE.match(buffer)) is not None:
+                length = match.end()
+                keys.append(_ARROWS.get(match[1] or match[2], "") if length == _ARROW_BYTES else "")
+            elif len(buffer) < LONGEST and _BEGUN.fullmatch(buffer) is not None:
+                self._rest = buffer
+                break
+            else:
+                keys.append("")
+            buffer = buffer[length:]
+        return keys
+
+
+class HeldKeys:
+    """The key that is held."""
+
+    def __init__(self) -> None:
         self._last = ""
         self._last_ns = 0
         self._is_press = False
         self._until_ns = 0
 
-    def receive(self, events: Iterable[Heard], now_ns: int) -> list[str]:
-        """Take in what the terminal sent at one time. Returns the other keys that were pressed."""
-        others: list[str] = []
+    def receive(self, keys: list[str], now_ns: int) -> list[str]:
+        """Take in the keys that the terminal sent at one time. Returns those that do not drive."""
         pressed, strokes = "", 0
-        for event in events:
-            match event:
-                case Flags(reports_releases):
-                    self._receive_flags(reports_releases, now_ns)
-                case Stroke(key) if key in BINDINGS:
-                    if event.action is not Action.RELEASE:
-                        strokes = strokes + 1 if key == pressed else 1
-                        pressed = key
-                    self._hold(event)
-                case Stroke(_, Action.RELEASE) | Focus(True):
-                    pass
-                case _:
-                    self.release_all()
-                    pressed = ""
-                    if isinstance(event, Stroke) and event.action is Action.PRESS:
-                        others.append(event.key)
-        if pressed and not self.reports_releases:
+        for key in keys:
+            if key in BINDINGS:
+                strokes = strokes + 1 if key == pressed else 1
+                pressed = key
+            else:
+                self.release_all()
+                pressed = ""
+        if pressed:
             self._repeat(pressed, strokes, now_ns)
-        return others
+        return [key for key in keys if key not in BINDINGS]
 
     def wish(self, now_ns: int) -> Wish:
         """Return the motion asked for now."""
-        if self.reports_releases:
-            if now_ns - self._answered_ns > ANSWER_NS:
-                self._held.clear()
-            return _together(self._held)
         return BINDINGS[self._last] if self._last and now_ns < self._until_ns else NOTHING
 
     def release_all(self) -> None:
-        """Forget all held keys: each must be pressed again."""
-        self._held.clear()
+        """Forget the held key: it must be pressed again."""
         self._last = ""
         self._until_ns = 0
 
-    def _receive_flags(self, reports_releases: bool, now_ns: int) -> None:  # noqa: FBT001 - a field of the event
-        if reports_releases is not self.reports_releases:
-            self.release_all()
-        self.reports_releases, self._answered_ns = reports_releases, now_ns
-
-    def _hold(self, stroke: Stroke) -> None:
-        """Follow presses and releases in a terminal that reports both. A repetition does not count as a press."""
-        if stroke.action is Action.RELEASE and stroke.key in self._held:
-            self._held.remove(stroke.key)
-        if stroke.action is Action.PRESS and self.reports_releases and stroke.key not in self._held:
-            self._held.append(stroke.key)
-
     def _repeat(self, key: str, strokes: int, now_ns: int) -> None:
-        """A key came, and nobody knows whether it is held: if it repeats as a keyboard does, it is.
+        """A key came, and its terminal does not say whether it is held: if it repeats as a keyboard does, it is.
 
         That is: a stroke after a silence is a press, its first repetition comes after a keyboard's own delay, and
         the others follow without a pause.
@@ -139,8 +143,7 @@ class HeldKeys:
         self._until_ns = now_ns + REPEAT_NS if (goes_on or begins) and not is_burst else 0
 
 
-def _together(held: list[str]) -> Wish:
-    """Keys that are held together; opposite ones cancel each other."""
-    forward = sum(BINDINGS[key].forward for key in held)
-    left = sum(BINDINGS[key].left for key in held)
-    return Wish(max(-1, min(1, forward)), max(-1, min(1, left)))
+def _character(code: int) -> str:
+    if code in _CHARACTERS:
+        return _CHARACTERS[code]
+    return chr(code).lower() if 0x21 <= code < 0x7F else ""

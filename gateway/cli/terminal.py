@@ -10,17 +10,14 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
 
-from gateway.cli.keyboard import ASK, BEGIN, END
-
 _READ_BYTES: Final = 1024
 
 
 class Terminal:
     """A terminal without echo, lines and signals while the block runs; as it was afterwards."""
 
-    def __init__(self, read_from: int, write_to: int) -> None:
+    def __init__(self, read_from: int) -> None:
         self._in = read_from
-        self._out = write_to
         self._saved: list[Any] = []
 
     def __enter__(self) -> Self:
@@ -31,13 +28,11 @@ class Terminal:
         changed[tty.IFLAG] &= ~(termios.IXON | termios.ICRNL)
         changed[tty.CC][termios.VMIN], changed[tty.CC][termios.VTIME] = 0, 0
         termios.tcsetattr(self._in, termios.TCSADRAIN, changed)
-        self._write(BEGIN)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._write(END)
         with suppress(termios.error):  # The terminal may have gone.
             # What was typed for the robot is no command for the shell.
             termios.tcsetattr(self._in, termios.TCSAFLUSH, self._saved)
@@ -50,11 +45,3 @@ class Terminal:
             return os.read(self._in, _READ_BYTES) or None
         except OSError:
             return None
-
-    def ask(self) -> None:
-        """Ask whether it is still there."""
-        self._write(ASK)
-
-    def _write(self, data: bytes) -> None:
-        with suppress(OSError):  # Reading will say that it has gone.
-            os.write(self._out, data)
