@@ -13,6 +13,7 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "record start": "a recorder records while it runs: 'systemctl start cruiser-recorder'",
     "record stop": "a recorder records while it runs: 'systemctl stop cruiser-recorder'",
     "record split": "'systemctl reload cruiser-recorder', or SIGHUP, begins new files",
+    "review merge --fill": "'cruiser review rerun LOG' gives the journal to the arbiter",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
     "provision time": "a robot goes by its clock, and by no earlier time than its authority signed last",
     "demo-fleet": "'make demo-fleet' in a checkout; docs/examples/fleet.sh has its commands",

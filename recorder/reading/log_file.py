@@ -40,8 +40,6 @@ class LogFile(msgspec.Struct, frozen=True):
         is_being_written: a recorder had it open when it was found; that it has no end yet is no fault.
         namesakes: names that robots under several roots have, in this log or one that was found with it.
         stored: the log's content, where it is no file of this machine: then only what is needed of it is read.
-        is_reconstructed: it is no file at all: what other logs lack, made again out of them.
-        published_from_ns: what was made again was published from then on, long before its log times perhaps.
     """
 
     path: Path
@@ -52,8 +50,6 @@ class LogFile(msgspec.Struct, frozen=True):
     namesakes: frozenset[str] = frozenset()
     is_being_written: bool = False
     stored: StoredLog | None = None
-    is_reconstructed: bool = False
-    published_from_ns: int = 0
 
     @property
     def name(self) -> str:

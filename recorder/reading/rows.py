@@ -31,7 +31,7 @@ from recorder.mcap.stretches import stretches
 from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.topics import UNREADABLE, Declared, Topic, as_recorded
+from recorder.reading.topics import UNREADABLE, Declared, Topic
 
 END_OF_TIME_NS: Final = 2**64
 """Later than every log time."""
@@ -68,8 +68,6 @@ class Selection(msgspec.Struct, frozen=True):
             end of a stored log does: see ``recorder.encoding.event_digest``.
         checks_indexes: unpack every chunk, and believe no message indexes that leave messages out: whoever made
             the log could hide some from who asks for little, and show them to others.
-        is_filled: messages that were made again count as messages of their key, with a topic that is marked. Else
-            they are on a topic of their own, which is no robot's.
     """
 
     wants: Wants = every_topic
@@ -77,7 +75,6 @@ class Selection(msgspec.Struct, frozen=True):
     to_ns: int = END_OF_TIME_NS
     is_digested: bool = False
     checks_indexes: bool = False
-    is_filled: bool = False
 
 
 class Row(msgspec.Struct, frozen=True, gc=False):
@@ -296,9 +293,8 @@ class BlockReader:
 
     def _want(self, found: list[tuple[int, Topic]]) -> None:
         for channel_id, topic in found:
-            shown = as_recorded(topic) if topic.reconstructed and self.selection.is_filled else topic
-            if self.selection.wants(shown):
-                self.wanted[channel_id] = shown
+            if self.selection.wants(topic):
+                self.wanted[channel_id] = topic
 
 
 class LogReader(BlockReader):

@@ -41,13 +41,7 @@ Decode = Callable[[bytes], Any]
 DECODERS_KEPT: Final = 256
 
 RECONSTRUCTED_CHUNK: Final = "@reconstructed"
-"""Samples of a key that were made again are on the topic ``{key}/@reconstructed``: nobody recorded them."""
-
-ORIGIN: Final = "origin"
-"""Entry in the metadata of such a channel: out of what it was made, in words."""
-
-ORIGIN_MAX: Final = 200
-"""Its characters that are shown, with each entry that rests on it: whoever made the log wrote them."""
+"""Earlier versions put samples that they made again out of a journal on the topic ``{key}/@reconstructed``."""
 
 _SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK, RECONSTRUCTED_CHUNK)
 """The last chunks of topics that are made beside the one of a key."""
@@ -70,7 +64,6 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
         owner: the same, but also for what a recorder writes beside the topic of a key.
         subject: the name in the table of subjects, for such a key; else empty.
         decode: a message's bytes to the message; raises what UNREADABLE lists. None if nobody here can read them.
-        reconstructed: out of what its messages were made again, in words; empty if they were recorded.
     """
 
     name: str
@@ -83,7 +76,6 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
     owner: str
     subject: str
     decode: Decode | None
-    reconstructed: str = ""
 
 
 def topic_of(
@@ -94,8 +86,7 @@ def topic_of(
     is_protobuf = channel.message_encoding == "protobuf"
     kind = _BY_SCHEMA.get(name) if is_protobuf else None
     parts = keys.parse(channel.topic)
-    key, side = key_of(channel.topic)
-    of_key = parts or keys.parse(key)
+    of_key = parts or keys.parse(key_of(channel.topic)[0])
     decode: Decode | None = None
     if kind is not None and (schema is None or not means_the_same(kind, schema.data)):
         kind = None
@@ -116,20 +107,7 @@ def topic_of(
         owner="" if of_key is None else robot_of(of_key, namesakes),
         subject="" if parts is None else parts.subject.name,
         decode=decode,
-        reconstructed=_origin(channel) if side == f"/{RECONSTRUCTED_CHUNK}" and of_key is not None else "",
     )
-
-
-def _origin(channel: records.Channel) -> str:
-    return channel.metadata.get(ORIGIN, "")[:ORIGIN_MAX] or "from an unknown source"
-
-
-def as_recorded(topic: Topic) -> Topic:
-    """Return the topic of the key whose samples were made again, for whoever takes both; it stays marked."""
-    key = key_of(topic.name)[0]
-    parts = keys.parse(key)
-    subject = "" if parts is None else parts.subject.name
-    return msgspec.structs.replace(topic, name=key, robot=topic.owner, subject=subject)
 
 
 class Declared:

@@ -63,8 +63,6 @@ class Explanation(msgspec.Struct, frozen=True):
             did not, or long before or after the moment.
         headline: the answer in one sentence.
         chain: the links that lead to it.
-        reconstructed: out of what the state at that moment, or the event with which the stop began, was made
-            again, which was not recorded, as ``from the journal``; empty if it was recorded.
     """
 
     robot: str
@@ -75,7 +73,6 @@ class Explanation(msgspec.Struct, frozen=True):
     silent_ns: TimeNs | None
     headline: str
     chain: list[Link]
-    reconstructed: str = ""
 
     @property
     def is_answered(self) -> bool:
@@ -209,7 +206,6 @@ class _Answer:
     def __init__(self, reader: WindowReader, story: Story, at_ns: int) -> None:
         self._reader = reader
         self._story = story
-        self._windows: list[EvidenceWindow] = []
         self._now = self._window(at_ns)
         self._state = _state(self._now)
         self._focus = _focus(story, self._state, self._now)
@@ -271,18 +267,8 @@ class _Answer:
             stop_ns=None if focus is None else focus.time_ns,
             silent_ns=silence.heard_ns if silence is not None else None if death is None else death.time_ns,
             headline=self._headline(),
-            chain=[self._marked(link) for link in _once(links)],
-            reconstructed=self._origin(now.last(SafetyState)) or ("" if focus is None else focus.reconstructed),
+            chain=_once(links),
         )
-
-    def _origin(self, state: Heard[SafetyState] | None) -> str:
-        """Say out of what the state of the moment was made again; empty if it was recorded, or there is none."""
-        return "" if self._state is None or state is None else self._now.reconstructed.get(state.time_ns, "")
-
-    def _marked(self, link: Link) -> Link:
-        """The same, marked if what was said at its time was not recorded."""
-        origins = (one.reconstructed.get(link.time_ns or 0, "") for one in self._windows)
-        return msgspec.structs.replace(link, reconstructed=next(filter(None, origins), link.reconstructed))
 
     @property
     def _is_active(self) -> bool:
@@ -427,8 +413,7 @@ class _Answer:
         shift_ns = self._reader.shift(at_ns)
         window = self._reader.window(at_ns, shift_ns)
         off_ns = self._story.off_ns(window)
-        self._windows.append(self._reader.window(at_ns, shift_ns + off_ns) if off_ns else window)
-        return self._windows[-1]
+        return self._reader.window(at_ns, shift_ns + off_ns) if off_ns else window
 
     def _beside(self, at_ns: int, what: str, detail: str = "") -> EvidenceWindow:
         """The window around another moment, which these words name, and of which the arbiter said this."""
@@ -450,11 +435,6 @@ def _lacks(window: EvidenceWindow) -> Iterator[Link]:
             hole = f"{span(now.time_ns - was.time_ns)}, from {window.ago(was.time_ns)} on"
             text = f"no state of the arbiter is in the log for {hole}: what it was asked and did then may be lost"
             yield missing(text)
-    made = sorted(window.reconstructed)
-    if made:
-        of = f"the time from {window.ago(made[0])} to {window.ago(made[-1])}"
-        origin = window.reconstructed[made[0]]
-        yield missing(f"of {of} not all was recorded: what was not is reconstructed {origin}")
     for gap in window.gaps:
         text = (
             f"{gap.count} messages of {gap.key} reached the recorder and are not in the log ({gap.reason.value})"

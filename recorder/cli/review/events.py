@@ -24,7 +24,6 @@ from recorder.cli.review.asking import (
 from recorder.reading.faults import Faults
 from recorder.reading.survey import survey
 from recorder.reading.times import in_words
-from recorder.review.rerun.reconstruction import filled
 from recorder.review.timeline.entries import Entry, EntryKind
 from recorder.review.timeline.timeline import read_events
 from schemas.printable import plain
@@ -65,8 +64,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     wanted, kinds = chosen_robots(arguments.robot, robots), frozenset(map(EntryKind, arguments.kind))
     show = _as_json if arguments.json else _as_table
     with progress_bar("events", asked.bytes, stopped, prints=True) as progress:
-        logs = filled(asked.logs, asked.faults, progress, from_ns=asked.from_ns, to_ns=asked.to_ns)
-        entries = read_events(logs, asked.selection, asked.faults, progress, robots=wanted, kinds=kinds)
+        entries = read_events(asked.logs, asked.selection, asked.faults, progress, robots=wanted, kinds=kinds)
         first = list(islice(entries, 1))
         if not first and not survey(asked.logs, Faults()).robots:
             raise no_robot(asked.faults)
@@ -134,8 +132,6 @@ def _what(entry: Entry) -> str:
     notes = []
     if entry.count > 1:
         notes.append(f"{entry.count} times" + (f" within {lasted_s:.1f} s" if lasted_s >= 0.05 else ""))
-    if entry.reconstructed and entry.kind is not EntryKind.GAP:
-        notes.append(f"reconstructed {entry.reconstructed}")
     if entry.is_derived:
         notes.append("derived")
     if entry.is_late:

@@ -12,26 +12,19 @@ from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.joining.joining import Joined
 from recorder.review.merge import merge
-from recorder.review.rerun.reconstruction import filled
 from schemas.settings import Settings
 
-EXAMPLE: Final = """\
-  cruiser review merge robot-logs depot-logs -o all.mcap
-  cruiser review merge --fill log.mcap -o filled.mcap"""
+EXAMPLE: Final = "  cruiser review merge robot-logs depot-logs -o all.mcap"
 DESCRIPTION: Final = (
     "Puts logs together into a new one, in the order of their log times: all messages, each once where several "
     "logs hold it (the same topic, publish time, sequence and data), all metadata and all attachments. Nothing is "
-    "overwritten. With --fill also what the logs lack and their journal gives again, on topics that end with "
-    "@reconstructed. Exit code 3 if something could not be read; the rest is in the new file."
+    "overwritten. Exit code 3 if something could not be read; the rest is in the new file."
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser)
-    parser.add_argument(
-        "--fill", action="store_true", help="with what the logs lack, reconstructed from the journal"
-    )
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="the new file")
 
 
@@ -39,8 +32,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     """Merge."""
     asked = find(arguments)
     with progress_bar("merging", asked.bytes, stopped) as progress:
-        logs = filled(asked.logs, asked.faults, progress) if arguments.fill else asked.logs
-        joined = merge(logs, arguments.out, asked.faults, progress)
+        joined = merge(asked.logs, arguments.out, asked.faults, progress)
     show(joined, describe(joined), as_json=arguments.json)
     return end_with(asked.faults)
 
@@ -52,5 +44,3 @@ def describe(joined: Joined) -> Iterator[str]:
         yield f"  {in_words(joined.start_ns)} to {in_words(joined.end_ns)}"
     if len(joined.sources) > 1:
         yield f"  of {len(joined.sources)} files; {joined.duplicates} messages were in them more than once"
-    if joined.reconstructed:
-        yield f"  {joined.reconstructed} messages were reconstructed: on topics that end with @reconstructed"

@@ -23,7 +23,6 @@ from recorder.review.report.findings import Report, Why
 from recorder.review.report.page import page
 from recorder.review.report.survey import read_report
 from recorder.review.report.words import headline, summary_lines
-from recorder.review.rerun.reconstruction import filled
 from recorder.review.why import Explainer
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.missing_extra import missing_extra
@@ -66,9 +65,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     plotly = _plotly() if out is not None else ""
     asked = find(arguments)
     with progress_bar("report", asked.bytes, stopped) as progress:
-        logs = filled(asked.logs, asked.faults, progress, from_ns=asked.from_ns, to_ns=asked.to_ns)
         report = read_report(
-            logs,
+            asked.logs,
             _selection(asked, arguments.robot),
             asked.faults,
             progress,
@@ -82,7 +80,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         raise CommandError("there is no state, decision or event of a robot in these logs, so nothing to report")
     if out is not None:
         with progress_bar("why", asked.bytes, stopped) as progress:
-            whys = reasons(report, logs, progress)
+            whys = reasons(report, asked.logs, progress)
         _write(out, page(report, plotly, whys, shlex.join(map(str, arguments.logs))).encode())
     show(summary(report), describe(report, out), as_json=arguments.json)
     return end_with(asked.faults)
@@ -116,7 +114,7 @@ def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict
     What cannot be read of the logs has been reported by the reading before.
     """
     found: dict[tuple[str, int], Why] = {}
-    contents = survey([log for log in logs if not log.is_reconstructed], Faults())
+    contents = survey(logs, Faults())
     explainers: dict[str, Explainer] = {}
     for robot in report.drawn:
         stops = dict.fromkeys(one.time_ns for one in robot.charts.moments if one.is_stop)

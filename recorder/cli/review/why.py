@@ -15,7 +15,6 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import logs_of
 from recorder.reading.survey import survey
 from recorder.reading.times import FORMS, in_words, time_of
-from recorder.review.rerun.reconstruction import filled
 from recorder.review.why import Explanation, explain
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -53,7 +52,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     found = survey(logs, asked.faults)
     robot = _robot(arguments.robot, found.robots, asked.faults)
     with progress_bar("why", asked.bytes, stopped) as progress:
-        explanation = explain(robot, filled(logs, asked.faults, progress), found, at_ns, asked.faults, progress)
+        explanation = explain(robot, logs, found, at_ns, asked.faults, progress)
     show(record_of(explanation, asked.start_ns), describe(explanation, asked), as_json=arguments.json)
     code = end_with(asked.faults)
     return code if code or explanation.is_answered else int(ExitCode.FAILURE)
@@ -105,8 +104,6 @@ def describe(explanation: Explanation, asked: Asked) -> Iterator[str]:
     at_ns = explanation.at_ns
     since_s = (at_ns - asked.start_ns) / 1e9
     yield f"{explanation.robot} at {since_s:.3f} s, {in_words(at_ns)}: {explanation.headline}"
-    if explanation.reconstructed:
-        yield f"What this rests on was not recorded: it is reconstructed {explanation.reconstructed}."
     yield ""
     for when, clock, step, sentence in chain_in_words(explanation):
         head = f"  {when:>12}  {clock:12}  {step:8}  "
@@ -122,8 +119,7 @@ def chain_in_words(explanation: Explanation) -> Iterator[tuple[str, str, str, st
         if link.time_ns is not None:
             when = f"{(link.time_ns - explanation.at_ns) / 1e9:+.3f} s"
             clock = in_words(link.time_ns).split(" ")[-2]
-        mark = f" [reconstructed {link.reconstructed}]" if link.reconstructed else ""
-        yield when, clock, link.step.value, _sentence(link.text) + mark
+        yield when, clock, link.step.value, _sentence(link.text)
 
 
 def _sentence(text: str) -> str:

@@ -15,7 +15,6 @@ from recorder.review.info import LogInfo, lost, read_info
 from recorder.review.report.findings import Report, RobotReport
 from recorder.review.report.survey import read_report
 from recorder.review.report.words import moment_words
-from recorder.review.rerun.reconstruction import filled
 from recorder.review.timeline.entries import EntryKind
 from recorder.review.verify import shown_statements
 from recorder.review.verifying.commands import COMMANDING_ROLES
@@ -207,7 +206,7 @@ def summarize(
     """
     faults = Faults()
     info = read_info(log.path)
-    report = read_report(filled([log], faults, progress), Selection(), faults, progress, is_drawing=False)
+    report = read_report([log], Selection(), faults, progress, is_drawing=False)
     moments = sorted(_moments(info, report), key=lambda one: (one.time_ns, one.robot, one.kind, one.text))
     accounts = info.completeness.values()
     found = faults.told or info.faults

@@ -20,7 +20,6 @@ from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress
-from recorder.reading.topics import RECONSTRUCTED_CHUNK, key_of
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
 from recorder.record.robots import DEVICE_NAME, METADATA_NAME
 from recorder.review.joining.ordered import in_order
@@ -74,7 +73,6 @@ class Joined(msgspec.Struct, frozen=True):
         sources: the files that it is made of.
         duplicates: messages that were in these more than once, and are in it once.
         start_ns, end_ns: the first and the last log time; None if it holds no message.
-        reconstructed: messages in it that nobody recorded, on topics of their own.
     """
 
     path: str
@@ -85,7 +83,6 @@ class Joined(msgspec.Struct, frozen=True):
     duplicates: int
     start_ns: int | None
     end_ns: int | None
-    reconstructed: int = 0
 
 
 def join(
@@ -117,11 +114,10 @@ def join(
                 sources.append(JoinSource(log, joining.choose, faults))
             except OSError as error:
                 faults.add(f"{log.path}: {error.strerror or error}")
-        recorded = [source for source in sources if not source.is_reconstructed]
-        profiles = {source.profile for source in recorded}
+        profiles = {source.profile for source in sources}
         profile = profiles.pop() if len(profiles) == 1 else ""
         file = McapFile(out, f"cruiser-gateway {version('cruiser-gateway')}", profile, EventDigest())
-        joining.begin(file, drops_duplicates=len(recorded) > 1)
+        joining.begin(file, drops_duplicates=len(sources) > 1)
         _copy_metadata(file, sources, about)
         _copy_attachments(file, sources)
         for row in in_order(sources, wanted.from_ns, wanted.to_ns, faults, progress):
@@ -131,14 +127,13 @@ def join(
             raise CommandError("no topic is of these patterns", ExitCode.USAGE)
     return Joined(
         path=str(path),
-        sources=[str(log.path) for log in logs if not log.is_reconstructed],
+        sources=[str(log.path) for log in logs],
         bytes=file.size,
         channels=joining.channels,
         messages=file.messages,
         duplicates=joining.duplicates,
         start_ns=joining.start_ns,
         end_ns=joining.end_ns,
-        reconstructed=joining.reconstructed,
     )
 
 
@@ -179,8 +174,6 @@ class _Joining:
         self._recent: Recent | None = None
         self._recent_late = Recent(LATE_MAX)
         self.duplicates = 0
-        self._made: set[int] = set()
-        self.reconstructed = 0
         self.start_ns: int | None = None
         self.end_ns: int | None = None
 
@@ -208,8 +201,6 @@ class _Joining:
             found = self._ids[identity] = len(self._ids) + 1
             if channel.schema_name in _LATE:
                 self._late.add(found)
-            if key_of(channel.topic)[1] == f"/{RECONSTRUCTED_CHUNK}":
-                self._made.add(found)
             self._declare(msgspec.structs.replace(channel, channel_id=found))
         return found
 
@@ -229,7 +220,6 @@ class _Joining:
             if not recent.is_new(channel_id, sequence, publish_ns, data):
                 self.duplicates += 1
                 return
-        self.reconstructed += channel_id in self._made
         self._builder.add(channel_id, sequence, log_ns, publish_ns, data)
         if self.start_ns is None or log_ns < self.start_ns:
             self.start_ns = log_ns

@@ -50,7 +50,6 @@ class JoinSource:
 
     Attributes:
         profile: the header's promise.
-        is_reconstructed: nobody recorded it.
         metadata: the metadata records, or where they stand in the file...
         attachments: ...and the attachments.
         starts, ends: the first and the last log time of each chunk, or stretch of messages outside of chunks.
@@ -63,7 +62,6 @@ class JoinSource:
         self._log = log
         self._size = log.bytes if log.stored is None else log.stored.size
         self._is_being_written = log.is_being_written
-        self.is_reconstructed = log.is_reconstructed
         self._choose = choose
         self._faults = faults
         self._room = DeclaredRoom()

@@ -31,15 +31,12 @@ class Link(msgspec.Struct, frozen=True):
         text: a sentence.
         time_ns: when it was, in nanoseconds since 1970; None where it is of no one time.
         data: its numbers, with the units in their names.
-        reconstructed: out of what the messages of its time were made again, which were not recorded, as ``from the
-            journal``; empty if they were recorded.
     """
 
     step: Step
     text: str
     time_ns: TimeNs | None = None
     data: dict[str, Any] = {}
-    reconstructed: str = ""
 
 
 def evidence(text: str, time_ns: int | None = None, **data: object) -> Link:

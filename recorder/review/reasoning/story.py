@@ -118,7 +118,6 @@ def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress
     selection = Selection(
         lambda topic: topic.kind is RecorderEvent or (topic.robot == robot and topic.kind is SafetyEvent),
         is_digested=True,
-        is_filled=True,
     )
     timeline = Timeline(faults, has_states=False)
 
@@ -163,7 +162,7 @@ def endings(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, p
     died: Heard[SafetyState] | None = None
     last: Heard[SafetyState] | None = None
     selection = Selection(
-        lambda topic: topic.robot == robot and topic.kind is SafetyState, from_ns, is_digested=True, is_filled=True
+        lambda topic: topic.robot == robot and topic.kind is SafetyState, from_ns, is_digested=True
     )
     for row, state in decoded_rows(logs, selection, faults, lambda _: progress(0)):
         if not isinstance(state, SafetyState):

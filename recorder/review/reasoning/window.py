@@ -112,7 +112,6 @@ class EvidenceWindow:
         sent: likewise those that the gateway sent.
         received: number of frames received in the last second before the moment.
         gaps: the gaps of this time that the recorder reports.
-        reconstructed: the times of messages that were not recorded, each with out of what they were made again.
     """
 
     def __init__(self, robot: str, at_ns: int, shift_ns: int, limits: Limits) -> None:
@@ -127,7 +126,6 @@ class EvidenceWindow:
         self.is_journaled = False
         self.received = 0
         self.gaps: list[RecordGap] = []
-        self.reconstructed: dict[int, str] = {}
         self._shift_ns = shift_ns
         self._taken: dict[type[Message], deque[Heard[Any]]] = {}
         self._said: dict[type[Message], list[Heard[Any]]] = {}
@@ -145,12 +143,9 @@ class EvidenceWindow:
         if kind is None or decode is None:
             return
         time_ns = row.publish_ns + self._shift_ns
-        is_received = not row.topic.reconstructed and kind not in _ASKED_LATER
-        if is_received and abs(row.log_ns - time_ns) > _STALL_NS:
+        if kind not in _ASKED_LATER and abs(row.log_ns - time_ns) > _STALL_NS:
             # The robot's clock was set in these seconds. These are received soon, so the receipt tells enough.
             time_ns = row.log_ns
-        if row.topic.reconstructed:
-            self.reconstructed[time_ns] = row.topic.reconstructed
         if kind is CanFrame:
             self._take_frame(row, time_ns, decode)
             return
@@ -363,7 +358,6 @@ class WindowReader:
             lambda topic: topic.robot == self.robot and topic.kind in {SafetyState, RobotState},
             max(0, at_ns - 2_000_000_000),
             at_ns + 2_000_000_000,
-            is_filled=True,
         )
         off_ns = [row.log_ns - row.publish_ns for row in read_rows(self._logs, around, self._faults)]
         if not off_ns:
@@ -382,17 +376,8 @@ class WindowReader:
             lambda topic: (topic.robot == self.robot and topic.kind in _WANTED) or topic.kind is RecordGap,
             from_ns,
             to_ns + _LINK_NS,
-            is_filled=True,
         )
-        self._read(self._logs, window, around)
-        # A recorder that hung receives at once what waited for it; what was made again lies there, too.
-        made = Selection(
-            lambda topic: topic.robot == self.robot and topic.reconstructed != "" and topic.kind in _WANTED,
-            to_ns + _LINK_NS,
-            to_ns + LATER_NS,
-            is_filled=True,
-        )
-        self._read([log for log in self._logs if log.published_from_ns < to_ns], window, made, until_ns=to_ns)
+        self._read(window, around)
         if window.lacks_decisions or not window.all(Decision):
             later = Selection(
                 lambda topic: topic.robot == self.robot and topic.kind in {Decision, SafetyEvent},
@@ -400,21 +385,19 @@ class WindowReader:
                 to_ns + LATER_NS,
                 # What was asked for later is in a digest, for it was received late.
                 is_digested=True,
-                is_filled=True,
             )
-            self._read(self._logs, window, later, until_ns=to_ns)
+            self._read(window, later, until_ns=to_ns)
         window.gaps = [gap for gap in window.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]
         window.settle()
         return window
 
     def _read(
         self,
-        logs: Sequence[LogFile],
         window: EvidenceWindow,
         selection: Selection,
         until_ns: int | None = None,
     ) -> None:
-        for row in read_rows(logs, selection, self._faults):
+        for row in read_rows(self._logs, selection, self._faults):
             if until_ns is not None and row.publish_ns >= until_ns:
                 continue
             try:

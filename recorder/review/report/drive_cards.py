@@ -56,7 +56,7 @@ def _stops(robot: RobotSummary, stops: Sequence[Moment], links: PageLinks) -> It
     known = [(stop, answer) for stop, answer in answers if isinstance(answer, Why)]
     for stop, answer in known:
         reason = "" if stop.reason == "none" else reason_words(stop.reason)
-        said = stop.marked if reason in stop.text else f"{stop.marked}: {reason}"
+        said = stop.text if reason in stop.text else f"{stop.text}: {reason}"
         yield f'<details class="why"><summary>{text(clock(stop.time_ns))} {text(said)}</summary>'
         yield f"<p>{text(answer.headline)} {links.at(robot, stop.time_ns, 'Show it on path and charts.')}</p>"
         yield "<ol>"

@@ -68,7 +68,7 @@ class Drives:
             if one.start_ns - MARGIN_NS <= entry.time_ns <= one.end_ns + MARGIN_NS:
                 one.stops += is_stop
                 if _RANKS[entry.severity] > _RANKS[one.worst]:
-                    one.worst, one.worst_text = entry.severity, entry.marked
+                    one.worst, one.worst_text = entry.severity, entry.text
                 return
 
     def drives(self) -> list[ReportedDrive]:

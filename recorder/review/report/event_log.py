@@ -176,7 +176,6 @@ def _moment(entry: Entry, time_ns: int, place: Place | None) -> Moment:
         x_m=None if place is None else place.x_m,
         y_m=None if place is None else place.y_m,
         is_stop=is_stop(entry),
-        reconstructed=entry.reconstructed,
     )
 
 

@@ -8,7 +8,6 @@ from recorder.record.accounting import KeyReport
 from recorder.review.report.odometry import Place
 from recorder.review.report.series import Point
 from recorder.review.report.spans import Span
-from recorder.review.timeline.entries import EntryKind
 
 
 class Moment(msgspec.Struct, frozen=True):
@@ -21,7 +20,6 @@ class Moment(msgspec.Struct, frozen=True):
         holder: the lease's holder then, as far as the log shows; empty if nobody.
         x_m, y_m: where, as far as the path is known.
         is_stop: the robot was commanded no longer, or its gateway died.
-        reconstructed: out of what it was made again, as ``from the journal``; empty if it was recorded.
     """
 
     time_ns: int
@@ -36,13 +34,6 @@ class Moment(msgspec.Struct, frozen=True):
     x_m: float | None
     y_m: float | None
     is_stop: bool = False
-    reconstructed: str = ""
-
-    @property
-    def marked(self) -> str:
-        """The text, with a mark behind it if it was not recorded. A gap says so itself."""
-        is_marked = self.reconstructed and self.kind != EntryKind.GAP.value
-        return f"{self.text} [reconstructed {self.reconstructed}]" if is_marked else self.text
 
 
 class Why(msgspec.Struct, frozen=True):

@@ -90,7 +90,7 @@ def _lines(number: int, robot: RobotReport, numbers: dict[int, int]) -> Iterator
         distance_m=summary.distance_m,
         stops=sum(summary.stops.values()),
         severity=worst.severity if worst is not None and is_told else "info",
-        worst=worst.marked if worst is not None and is_told else "",
+        worst=worst.text if worst is not None and is_told else "",
     )
     yield _Line(number, whole, numbers[id(robot)])
 

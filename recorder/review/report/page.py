@@ -30,10 +30,10 @@ from recorder.review.report.words import (
     gateway_lines,
     headline,
     is_lossy,
-    metres,
     size,
     summary_lines,
     times,
+    way,
 )
 
 _LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "queue", "size", "full", "disk")
@@ -147,7 +147,7 @@ def _figures(summary: RobotSummary, *, is_part: bool) -> Iterator[str]:
     outages = sum(not one.is_between_logs for one in summary.outages) + summary.more_outages
     lost = sum(one.lost + one.lost_source + (one.lost_bus or 0) for one in summary.completeness.values())
     tiles = [
-        ("", metres(summary.distance_m), "path"),
+        ("", way(summary), "path"),
         ("", duration(summary.moving_s), "moving"),
         ("", f"{abs(summary.top_mps):.2f} m/s", "highest speed"),
         ("", str(stops), "stop" if stops == 1 else "stops"),

@@ -61,13 +61,12 @@ def read_report(
         is_drawing: read drives that are apart once more, for their charts.
     """
     versions: dict[str, Versions] = {}
-    files = [log for log in logs if not log.is_reconstructed]
-    margins = [read_margins(log, versions) for log in files]
+    margins = [read_margins(log, versions) for log in logs]
     fleet = _Fleet(logs, selection, versions, faults)
     fleet.read(progress)
     robots = sorted(fleet.end(margins), key=lambda one: one.summary.name)
     return Report(
-        files=[_reported(log, margin) for log, margin in zip(files, margins, strict=True)],
+        files=[_reported(log, margin) for log, margin in zip(logs, margins, strict=True)],
         from_ns=selection.from_ns,
         to_ns=None if selection.to_ns == END_OF_TIME_NS else selection.to_ns,
         robots=_drawn(robots, logs, selection, progress) if is_drawing else robots,
@@ -170,7 +169,6 @@ class _Fleet:
             lambda topic: _is_wanted(topic) and asked.wants(topic),
             max(0, asked.from_ns - BEFORE_NS),
             asked.to_ns,
-            is_filled=True,
         )
         for row, message in decoded_rows(self._logs, looked_at, self._faults, progress):
             if row.log_ns >= asked.from_ns:
@@ -212,7 +210,7 @@ class _Fleet:
         found = []
         for key, account in self._accounts.items():
             root, _, robot = key.rpartition("/")
-            files = [log for log in self._logs if (root, robot) in log.robots and not log.is_reconstructed]
+            files = [log for log in self._logs if (root, robot) in log.robots]
             account.set_apart([(log.start_ns, log.end_ns) for log in files])
             found.append(account.sum_up(*of_robot(key, margins), asked.from_ns, asked.to_ns))
         return [one for one in found if one is not None]

@@ -57,7 +57,7 @@ def summary_lines(robot: RobotSummary, report: Report) -> list[Line]:
 def headline(robot: RobotSummary) -> str:
     """The robot in a sentence."""
     stops = sum(robot.stops.values())
-    how_far = "stood still" if robot.distance_m < STANDING_M else f"went {metres(robot.distance_m)}"
+    how_far = "stood still" if robot.distance_m < STANDING_M else f"went {way(robot)}"
     said = [f"It {how_far}, and was {f'stopped {times(stops)}' if stops else 'not stopped'}."]
     outages = [one for one in robot.outages if not one.is_between_logs]
     if len(outages) == 1 and not robot.more_outages:
@@ -93,9 +93,9 @@ def gateway_lines(robot: RobotSummary) -> list[str]:
 def moment_words(moment: Moment) -> str:
     """The text of an event, and how often it occurred; a gap says itself how much is missing."""
     if moment.count <= 1 or moment.kind == EntryKind.GAP.value:
-        return moment.marked
+        return moment.text
     lasted_s = (moment.last_ns - moment.time_ns) / 1e9
-    return f"{moment.marked} [{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}]"
+    return f"{moment.text} [{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}]"
 
 
 def who(moment: Moment) -> str:
@@ -153,6 +153,11 @@ def metres(length_m: float) -> str:
     return f"{length_m / 1000:.2f} km" if length_m >= 10_000 else f"{length_m:.1f} m"
 
 
+def way(robot: RobotSummary) -> str:
+    """The distance of a robot for people: nobody knows how far it went where the log has no state."""
+    return f"{'at least ' if robot.gaps else ''}{metres(robot.distance_m)}"
+
+
 def size(count: int) -> str:
     """A file's length for people."""
     for factor, unit in ((10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
@@ -173,7 +178,7 @@ def _how_far(robot: RobotSummary) -> str:
         return f"it stood still for the {duration(robot.known_s)} of which that is known"
     top = f"{abs(robot.top_mps):.2f} m/s{' in reverse' if robot.top_mps < 0 else ''}"
     return (
-        f"{metres(robot.distance_m)} by its own speed, moving for {duration(robot.moving_s)} "
+        f"{way(robot)} by its own speed, moving for {duration(robot.moving_s)} "
         f"of {duration(robot.known_s)}; at most {top}, at {in_words(robot.top_ns)}"
     )
 

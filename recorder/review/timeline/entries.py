@@ -79,8 +79,6 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
         tick: the arbiter's; None where there is none.
         text: the event in a sentence.
         is_late: entries that happened later come before it.
-        reconstructed: out of what the message behind it was made again, which was not recorded, as ``from the
-            journal``; empty if it was recorded.
     """
 
     time_ns: TimeNs
@@ -97,13 +95,6 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     request: str = ""
     tick: Tick | None = None
     is_late: bool = False
-    reconstructed: str = ""
-
-    @property
-    def marked(self) -> str:
-        """The text, with a mark behind it if it rests on what was not recorded. A gap says so itself."""
-        is_marked = self.reconstructed and self.kind is not EntryKind.GAP
-        return f"{self.text} [reconstructed {self.reconstructed}]" if is_marked else self.text
 
     @property
     def is_derived(self) -> bool:

@@ -18,37 +18,6 @@ HOLDERS_KEPT: Final = 10_000
 """Changes of the lease that are remembered."""
 
 
-class HoleNote:
-    """Tells where states of a robot were not recorded, but made again."""
-
-    def __init__(self) -> None:
-        self._origin = ""
-        self._from_ns = self._count = 0
-
-    def take(self, robot: RobotTrack, time_ns: int, origin: str) -> Entry | None:
-        """Take the next state, made again out of something or recorded. Returns an entry behind a hole."""
-        if origin:
-            if not self._count:
-                self._origin, self._from_ns = origin, robot.state_ns or time_ns
-            self._count += 1
-            return None
-        count, self._count = self._count, 0
-        if not count:
-            return None
-        seconds = f"{(time_ns - self._from_ns) / 1e9:.1f} s"
-        text = f"no state of the arbiter was recorded for {seconds}: {count} are reconstructed {self._origin}"
-        return Entry(
-            time_ns=self._from_ns,
-            last_ns=time_ns,
-            robot=robot.name,
-            kind=EntryKind.GAP,
-            severity=Severity.WARNING,
-            source=EntrySource.LOG,
-            text=text,
-            reconstructed=self._origin,
-        )
-
-
 class RobotTrack:
     """One robot.
 
@@ -60,7 +29,6 @@ class RobotTrack:
             ``state_sequence``.
         ended_tick: the tick of the last announcement of a shutdown; None if there was none.
         health: the newest; ``health_ns``, when it was.
-        filling: the hole of the states that is being filled.
     """
 
     def __init__(self, name: str) -> None:
@@ -73,7 +41,6 @@ class RobotTrack:
         self.ended_tick: int | None = None
         self.health: GatewayHealth | None = None
         self.health_ns = 0
-        self.filling = HoleNote()
         self._holder_ticks: deque[int] = deque(maxlen=HOLDERS_KEPT)
         self._holders: deque[str] = deque(maxlen=HOLDERS_KEPT)
         self._runs: list[int] = []

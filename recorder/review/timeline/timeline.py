@@ -83,7 +83,6 @@ def read_events(
         max(0, selection.from_ns - BEFORE_NS),
         selection.to_ns + LATER_NS,
         is_digested=True,
-        is_filled=True,
     )
     timeline = Timeline(faults)
     for row in read_rows(logs, looked_at, faults, progress):
@@ -225,7 +224,6 @@ class Timeline:
                 operator=event.operator,
                 holder=robot.holder_at(event.tick),
                 tick=event.tick,
-                reconstructed=row.topic.reconstructed,
             )
         )
 
@@ -253,33 +251,29 @@ class Timeline:
             holder=robot.holder_at(decision.tick),
             request=decision.request,
             tick=decision.tick,
-            reconstructed=row.topic.reconstructed,
         )
         key = (robot.name, decision.operator, decision.request, decision.reason)
         self._spells.add(key, entry, row.log_ns)
 
     def _take_state(self, robot: RobotTrack, row: Row, state: SafetyState) -> None:
-        was, made = robot.state, row.topic.reconstructed
+        was = robot.state
         is_other_run = robot.clock.is_other_run(state.tick)
         said = robot.clock.hear(state.tick, row.publish_ns, row.log_ns)
         time_ns = robot.place(row, state.tick)
         if said:
             self._hold(_plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, EntrySource.LOG))
         if was is not None and is_other_run:
-            self._take_other_run(robot, time_ns, made)
+            self._take_other_run(robot, time_ns)
         elif was is not None:
             if state.tick <= was.tick:
                 return
             self._look_for_silence(robot, row, state, was, time_ns)
             if _says(state) != _says(was):
                 for change in changes(was, state):
-                    entry = entry_of(change, robot.name, time_ns, state.lease_holder)
-                    self._hold(msgspec.structs.replace(entry, reconstructed=made), change)
-        if hole := robot.filling.take(robot, time_ns, made):
-            self._hold(hole)
+                    self._hold(entry_of(change, robot.name, time_ns, state.lease_holder), change)
         robot.hear_state(state, row.sequence, time_ns, row.log_ns)
 
-    def _take_other_run(self, robot: RobotTrack, time_ns: int, made: str) -> None:
+    def _take_other_run(self, robot: RobotTrack, time_ns: int) -> None:
         """The first state of a gateway that began anew."""
         left, active = robot.left, robot.is_active
         severity = Severity.INFO if robot.is_ended else Severity.ERROR if active else Severity.WARNING
@@ -290,8 +284,7 @@ class Timeline:
             self._hold(msgspec.structs.replace(silence, last_ns=time_ns))
         text = "the gateway began anew: nothing of before holds any more"
         text += f"; the one before was {left}" if active else ""
-        began = _plain(robot.name, EntryKind.GATEWAY, severity, time_ns, text)
-        self._hold(msgspec.structs.replace(began, reconstructed=made))
+        self._hold(_plain(robot.name, EntryKind.GATEWAY, severity, time_ns, text))
 
     def _look_for_silence(
         self, robot: RobotTrack, row: Row, state: SafetyState, was: SafetyState, time_ns: int

@@ -90,6 +90,8 @@ def test_a_key_of_ours_tells_robot_and_subject() -> None:
     assert (topic().robot, topic().subject, topic().kind) == ("cruiser-1", "chassis/gear", Gear)
     assert (topic("/elsewhere").robot, topic("/elsewhere").subject) == ("", "")
     assert topic("fleet/r/can/can7/rx").subject == "can/{bus}/rx"
+    made_again = topic("fleet/r/chassis/gear/@reconstructed")
+    assert (made_again.robot, made_again.owner, made_again.subject) == ("", "r", "")
 
 
 def test_the_protobuf_of_others_is_read_by_the_schema_in_the_log() -> None:

@@ -61,7 +61,7 @@ def test_json_holds_the_chain_as_data(log: Path, capsys: pytest.CaptureFixture[s
     event = next(one for one in acted(scenarios.front_bumper).events if one.reason.value == "front_bumper")
     assert answer["stop_ns"] == event.time_ns
     (shown,) = (link for link in answer["chain"] if link["step"] == "evidence")
-    assert set(shown) == {"step", "text", "time_ns", "data", "reconstructed", "time", "since_s", "from_at_s"}
+    assert set(shown) == {"step", "text", "time_ns", "data", "time", "since_s", "from_at_s"}
     assert (shown["data"]["signal"], shown["data"]["value"]) == ("FrontBumper", 1)
     assert shown["data"]["bytes"].startswith("0139300001")
 

@@ -61,7 +61,9 @@ def test_a_drive_in_words(report: Report) -> None:
 def test_what_is_missing_is_never_called_nothing(report: Report) -> None:
     """Gaps, losses, and what was not kept are told; an account that is not there is no good account."""
     lost = {"fleet/cruiser-1/state": KeyReport(sent=9, received=7, written=7, lost_link=2, lost_bus=3)}
-    told = said(report, completeness=lost, gaps=2, gap_s=3.5)["Missing"]
+    lines = said(report, completeness=lost, gaps=2, gap_s=3.5)
+    assert lines["How far"].startswith("at least 10.0 m by its own speed")
+    told = lines["Missing"]
     assert "breaks off twice, for 3.5 s" in told
     assert "3 frames between chassis and gateway, 2 samples on the way to the recorder" in told
     assert "Nothing" not in told
