@@ -93,10 +93,6 @@ class SampleSource(Protocol):
         """The keys of the gateways' liveliness tokens that are gone since the last call."""
         ...
 
-    def robots_left(self) -> Iterable[str]:
-        """The robots that another recorder has taken over since the last call."""
-        ...
-
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key; the replies come with the samples."""
         ...
@@ -214,8 +210,6 @@ class RecorderLoop:
         self._receive_notices(now_ns, wall_ns)
         for key in self._source.tokens_gone():
             self._recorder.lose_token(key, now_ns)
-        for robot in self._source.robots_left():
-            self._apply(self._recorder.let_go(robot, now_ns))
         self._apply(self._recorder.tick(now_ns, wall_ns, self._writer.sizes))
         # While samples wait, questions do, but for one: a recorder that is never idle asks, too.
         most = min(self._source.query_room, 1 if self._inbox else QUERIES_PER_TICK)

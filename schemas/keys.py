@@ -122,23 +122,6 @@ def of_recorder(root: str, recorder: str, rest: str = "") -> str:
     return "/".join(filter(None, (root, RECORDER_CHUNK, recorder, rest)))
 
 
-SHARD_CHUNK: Final = "shard"
-
-
-def shard(root: str, recorder: str, shard: str) -> str:
-    """The key of the liveliness token of a recorder that shares a fleet with others; ALL is any recorder or shard.
-
-    Args:
-        root: the first chunks.
-        recorder: its name.
-        shard: which one of how many it is, such as ``2-of-4``.
-
-    Raises:
-        ValueError: a part is not of its form.
-    """
-    return of_recorder(root, recorder, f"{SHARD_CHUNK}/{shard}")
-
-
 def recorder_command(root: str, recorder: str, operator: str, verb: str) -> str:
     """The key of a recorder's verb; ALL may stand for recorder, operator and verb.
 

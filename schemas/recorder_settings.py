@@ -49,8 +49,8 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         keys: key expressions to record; if empty, everything under the root
         directory: the directory of the logs
         per_robot: a log for each robot; else one for all
-        shard: NUMBER/COUNT, such as 2/4: this recorder is the second of four that share a fleet's robots; if
-            empty, it records all of them
+        shard: NUMBER/COUNT, such as 2/4: this recorder is the second of four that share a fleet's robots by their
+            names; if empty, it records all of them
         standby: write nothing but incidents
         flush_s: s; at most this much of the log is not yet on the disk
         chunk_bytes: bytes of a chunk before compression

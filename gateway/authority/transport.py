@@ -104,7 +104,6 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
     all_stops = f"{every}/{COMMAND_CHUNK}/*/{STOP_VERB}"
     statement, all_statements = f"{one}/{AUTHORITY_CHUNK}", f"{every}/{AUTHORITY_CHUNK}"
     recorders = f"{root}/{RECORDER_CHUNK}/*"
-    shards = keys.shard(root, keys.ALL, keys.ALL)
     says = tuple(f"{recorders}/{subject.name}" for subject in RECORDER_SUBJECTS)
     orders = (f"{recorders}/{COMMAND_CHUNK}/*/*",)
     put, all_puts = (_verbs(robots, Asking.QUERY) for robots in (one, every))
@@ -164,12 +163,12 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
             recording,
             "ingress",
             ("liveliness_query", "declare_liveliness_subscriber"),
-            (keys.ANY_TOKEN, *tokens, recorders, shards),
+            (keys.ANY_TOKEN, *tokens, recorders),
         ),
-        AccessRow("recorder-finds", recording, "egress", ("liveliness_token",), (*tokens, recorders, shards)),
+        AccessRow("recorder-finds", recording, "egress", ("liveliness_token",), (*tokens, recorders)),
         AccessRow("recorder-says", recording, "ingress", ("put",), says),
         AccessRow("recorder-is-subscribed", recording, "egress", (subscribe,), (everything, *says)),
-        AccessRow("recorder-is-there", recording, "ingress", ("liveliness_token",), (recorders, shards)),
+        AccessRow("recorder-is-there", recording, "ingress", ("liveliness_token",), (recorders,)),
         AccessRow("recorder-listens", recording, "ingress", (queryable, "reply"), orders),
         AccessRow("recorder-is-ordered", recording, "egress", ("query", queryable), orders),
     ]

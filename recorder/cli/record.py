@@ -96,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--shard",
         dest="recorder.shard",
         metavar="I/N",
-        help="record the I-th part of a fleet of which N recorders record all (all of it)",
+        help="record the I-th part of the robots, by their names; N recorders record all (all of them)",
     )
     add_zenoh_arguments(parser)
     parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")

@@ -72,11 +72,6 @@ class KeyCounters:
         new = 0 if before is None else lost - before if lost >= before else lost
         self.lost_bus = (self.lost_bus or 0) + new
 
-    def begin_anew(self) -> None:
-        """Count no gap before the next sample: until then another recorder has the key."""
-        self.next = self._bus_count = None
-        self._sources.clear()
-
     def count_source(self, source: str, sequence: int) -> None:
         """Take note of a sample by the sequence that Zenoh gives it: each source of a key has its own."""
         self.next = self._sources.pop(source, None)

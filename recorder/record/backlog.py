@@ -64,8 +64,6 @@ class _Key:
         # Hashes of what the log has, by place: who repeats a robot's sample makes it look as if it had begun anew.
         self._held: dict[int, int] = {}
         self.asked_ns: int | None = None
-        self.was_let_go = False
-        """Another recorder has the key: what is missing until the next sample is asked for, and no loss."""
         self.begin(now_ns)
 
     def begin(self, now_ns: int) -> None:
@@ -81,10 +79,9 @@ class _Key:
         if last is not None and last.end is None:
             last.end = sequence
         elif sequence > self.expected:
-            self.ranges.append(_Range(self.expected, sequence, counted=not self.was_let_go))
+            self.ranges.append(_Range(self.expected, sequence, counted=True))
             del self.ranges[:-RANGES_MAX]
         self.expected = sequence + 1
-        self.was_let_go = False
 
     def hold(self, sequence: int, payload: bytes) -> bool:
         """Note that the log has a sample from now on. False if it had it before."""
@@ -123,12 +120,6 @@ class Backlog:
             key = keys.build(root, robot, subject)
             if key not in self._keys:
                 self._keys[key] = _Key(key, subject, now_ns)
-
-    def let_go(self) -> None:
-        """Ask for nothing, and count no gap, until samples come again: another recorder has the keys."""
-        for one in self._keys.values():
-            one.ranges.clear()
-            one.was_let_go = True
 
     def receive(self, key: str, sequence: int, payload: bytes, now_ns: int, *, is_restart: bool) -> None:
         """Note a sample that came by itself. ``is_restart``: its sequence steps back."""

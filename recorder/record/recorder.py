@@ -254,13 +254,6 @@ class Recorder:
             log.roll(reason, now_ns)
         return self._take_actions()
 
-    def let_go(self, robot: str, now_ns: int) -> Sequence[Action]:
-        """End a robot's log, as another recorder goes on with it; if the robot comes back, it is counted anew."""
-        log = self._logs.get(robot)
-        if log is not None:
-            log.let_go(now_ns)
-        return self._take_actions()
-
     def mark(self, robot: str, because: str, now_ns: int, wall_ns: int) -> tuple[dict[str, str], Sequence[Action]]:
         """Make an incident, of one log or of all.
 

@@ -188,8 +188,6 @@ class RobotLog:
         self._roll_wanted = ""
         """The reason to end the file as soon as may be; empty if there is none."""
         self._ended_by = ""
-        self._is_let_go = False
-        """Another recorder had the robot since the last file."""
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.
         self._patience_ns = plan.flush_ns // 2
@@ -395,14 +393,6 @@ class RobotLog:
             self._rolled_ns, self._ended_by = now_ns, reason
         self.close(now_ns)
 
-    def let_go(self, now_ns: int) -> None:
-        """End the file, as another recorder goes on: what comes after that is counted anew."""
-        self._is_let_go = True
-        self.roll("handed over", now_ns)
-        self._backlog.let_go()
-        for counters in self.channels.counters:
-            counters.begin_anew()
-
     def pause(self, reason: str, now_ns: int) -> None:
         """End the file, and begin none until ``resume``."""
         if self.is_open:
@@ -471,9 +461,6 @@ class RobotLog:
         self._linked_incident = ""
         self._files += 1
         self._opened_ns = self._received_ns = now_ns
-        if self._is_let_go:
-            self._is_let_go = False
-            self.robots.see_restarts(now_ns)
         self._apply(OpenLog(self.name, self.name, log_ns))
         self._describe()
         if self._files > 1:

@@ -96,11 +96,6 @@ class Robots:
             robot.ask_at_ns = max(now_ns, robot.asked_ns + ASK_AGAIN_NS)
             robot.pause_ns = ASK_AGAIN_NS
 
-    def see_restarts(self, now_ns: int) -> None:
-        """Ask all robots again, as nobody knows what became of them meanwhile."""
-        for name in self._robots:
-            self.see_restart(name, now_ns)
-
     def queries(self, now_ns: int, most: int = QUERIES_PER_TICK) -> list[Query]:
         """The queries that are due, at most so many; the others stay due."""
         queries: list[Query] = []

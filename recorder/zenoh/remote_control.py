@@ -20,7 +20,6 @@ import msgspec
 import zenoh
 
 from recorder.record.orders import OperatorRequest
-from recorder.record.shards import shard_of
 from recorder.zenoh.session import listen_beside, open_session
 from schemas import codec, keys
 from schemas.codec import PayloadFault
@@ -74,10 +73,6 @@ class RemoteControl:
         self.name = self._free_name(settings.recorder.name or host_name())
         """Its name: the one that is set, or with a number behind it where another recorder has that."""
         self._token = self._session.liveliness().declare_token(keys.of_recorder(self._root, self.name))
-        self._shard = None
-        if settings.recorder.shard:
-            chunk = shard_of(settings.recorder.shard).chunk
-            self._shard = self._session.liveliness().declare_token(keys.shard(self._root, self.name, chunk))
         self._queries = self._session.declare_queryable(
             keys.recorder_command(self._root, self.name, keys.ALL, keys.ALL),
             zenoh.handlers.RingChannel(QUERIES_WAITING),

@@ -158,10 +158,6 @@ class ZenohSource:
             if token.kind == zenoh.SampleKind.DELETE:
                 yield str(token.key_expr)
 
-    def robots_left(self) -> Iterable[str]:
-        """The robots that another recorder has taken over: none, this one records all."""
-        return ()
-
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key. The replies come with the samples."""
         # Not a ring: that one forgets the reply when the query ends before it is taken.
@@ -189,12 +185,6 @@ class ZenohSource:
             self._subscribers[expression] = self._session.declare_subscriber(
                 expression, zenoh.handlers.RingChannel(self._queue_samples)
             )
-
-    def _unsubscribe(self, expressions: Iterable[zenoh.KeyExpr]) -> None:
-        """Subscribe to these no more."""
-        for expression in expressions:
-            self._subscribers.pop(expression).undeclare()
-        self._owners.clear()
 
     def _replies(self) -> Iterator[ZenohSample]:
         waiting = []

@@ -111,7 +111,6 @@ TOKENS: Final = {
     "fleet/ghost/gateway": ROBOTS,
     "fleet/ghost/safety/event/@adv/pub/1/2/_": ROBOTS,
     "fleet/@recorder/ghost": {RECORDER},
-    "fleet/@recorder/ghost/shard/1-of-2": {RECORDER},
     "fleet/ghost": NOBODY,
     "operators/ghost": NOBODY,
 }

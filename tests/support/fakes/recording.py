@@ -163,9 +163,6 @@ class FakeSource:
     def tokens_gone(self) -> list[str]:
         return []
 
-    def robots_left(self) -> list[str]:
-        return []
-
     def drain(self, limit: int) -> list[ReceivedSample]:
         taken = list(islice(self._samples, limit))
         self.is_behind = len(taken) == limit

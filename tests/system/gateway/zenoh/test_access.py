@@ -290,7 +290,6 @@ def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
             "fleet/*/gateway",
             "fleet/*/safety/*/@adv/**",
             "fleet/@recorder/*",
-            "fleet/@recorder/*/shard/*",
             "fleet/*",
             "operators/*",
         )

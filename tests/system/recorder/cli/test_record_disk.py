@@ -24,7 +24,7 @@ from schemas.recording import GapReason, RecorderEventKind, RecorderState
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.logs import Log, logs_in
 from tests.support.messages import SECOND, FakeSample, gear, key_of, safety_event, sample_of
-from tests.support.processes.recorder import Told, ask, counts, heard, link, recording, sequences, whole
+from tests.support.processes.recorder import Told, ask, counts, heard, link, readable, recording, sequences, whole
 from tests.support.waiting import wait_until
 
 PAGE_BYTES = 4096
@@ -331,8 +331,11 @@ def test_a_disk_that_is_read_only_for_a_while_costs_nothing(small_disk: Path, pe
 
     with recording(*words(small_disk, endpoint)) as process:
         drive_until(lambda: bool(told.healths()) and has_gear(small_disk))
+        # A sample that came after the hangup would begin another file.
+        peer.put(FakeSample("fleet/cruiser-1/last", "zenoh/bytes", b""))
+        wait_until(lambda: any(counts(one).get("fleet/cruiser-1/last") for one in readable(small_disk)))
         process.signal(signal.SIGHUP)
-        drive_until(lambda: whole(small_disk))
+        wait_until(lambda: whole(small_disk))
         first = whole(small_disk)
         remount(small_disk, "ro")
         try:

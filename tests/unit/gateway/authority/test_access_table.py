@@ -67,13 +67,12 @@ def test_who_may_subscribe_to_what(key: str) -> None:
 
 
 def test_whose_token_says_that_somebody_is_there() -> None:
-    """A gateway's and a recorder's; people look for them, and find them. Recorders alone see shards."""
+    """A gateway's and a recorder's; people look for them, and find them."""
     assert senders("ingress", "liveliness_token", TOKENS) == TOKENS
     for key, said_by in TOKENS.items():
         for message, flow in (("liveliness_query", "ingress"), ("liveliness_token", "egress")):
-            is_shard = "/shard/" in key
             assert lets_pass(TransportRole.RECORDER, flow, message, key) == bool(said_by)
-            assert lets_pass(TransportRole.OPERATOR, flow, message, key) == (bool(said_by) and not is_shard)
+            assert lets_pass(TransportRole.OPERATOR, flow, message, key) == bool(said_by)
 
 
 def test_each_rule_has_a_name_of_its_own() -> None:
