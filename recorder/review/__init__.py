@@ -1,6 +1,6 @@
 """Questions that a log answers: each is a function here, and a command in ``recorder.cli.review``.
 
-- ``find``, ``catalog``  which of very many logs; their rows. ``days`` is the same for a calendar
+- ``find``, ``catalog``  which of very many logs; their rows
 - ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``)
 - ``merge``, ``cut``     several logs in one; a part of a log (``joining``)
 - ``timeline``, ``why``  what happened; why the robot stopped or stood (``reasoning``)

@@ -1,4 +1,4 @@
-"""SQL over logs, or over a dataset made of them, with DuckDB: a table for each subject.
+"""SQL over logs, over a dataset made of them, or over catalogs, with DuckDB: a table for each subject.
 
 The tables of logs are read when a statement asks for them: of the log only chunks that hold their topics are
 unpacked, and only the columns that are asked for are made. DuckDB holds MEMORY_LIMIT and uses a directory on the
@@ -7,15 +7,17 @@ disk beyond that. Nothing is loaded from a network: extensions are neither looke
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from functools import partial
 from tempfile import TemporaryDirectory
 from typing import Any, Final, TypeVar
 
 import duckdb
 import pyarrow as pa
 
+from recorder.review.querying.catalog_source import CATALOG, CatalogSource
 from recorder.review.querying.dataset_source import DatasetSource
 from recorder.review.querying.log_source import LogSource
 from schemas.exit_codes import CommandError, ExitCode
@@ -37,7 +39,7 @@ _WRONG_SQL: Final = (duckdb.ProgrammingError, duckdb.NotSupportedError, duckdb.D
 LOOK_S: Final = 0.1
 """Interval at which a stop is looked for while DuckDB is at work."""
 
-Source = LogSource | DatasetSource
+Source = LogSource | DatasetSource | CatalogSource
 
 
 @contextmanager
@@ -47,6 +49,7 @@ def answer(
     stopped: Callable[[], bool] = lambda: False,
     *,
     may_use_files: bool = False,
+    parameters: Mapping[str, Any] | None = None,
 ) -> Generator[pa.RecordBatchReader | None, None, None]:
     """The rows that a statement gives, as they come; None if it gives none.
 
@@ -56,6 +59,7 @@ def answer(
         stopped: turns true when nobody waits for the answer any more. DuckDB heeds no signal by itself, so it
             works in a thread of its own.
         may_use_files: the statement may read and write files of the user's, and not only what the source gives.
+        parameters: values of what the statement names with ``$``.
 
     Raises:
         CommandError: DuckDB does not understand it, or cannot do it; also while the rows are read, see ``told``.
@@ -81,7 +85,7 @@ def answer(
                     _only_reads(connection, sql)
                     _shut_in(connection, [scratch, *source.directories])
                 connection.execute("SET lock_configuration = true")
-                relation = run(connection.sql, sql)
+                relation = run(partial(connection.sql, params=parameters), sql)
                 rows = None if relation is None else run(relation.to_arrow_reader, BATCH_ROWS)
             yield None if rows is None else pa.RecordBatchReader.from_batches(rows.schema, _batches(rows, run))
         finally:
@@ -132,6 +136,12 @@ def _shut_in(connection: duckdb.DuckDBPyConnection, directories: list[str]) -> N
     """Let the statement see no file but in these directories: it may come from anybody, as a log may."""
     connection.execute("SET allowed_directories = $1", [directories])
     connection.execute("SET enable_external_access = false")
+
+
+def asks_catalog(sql: str) -> bool:
+    """Report whether a statement reads the catalogs of directories, and not their logs."""
+    with duckdb.connect(":memory:", config={"enable_external_access": "false"}) as connection:
+        return CATALOG in _names_in(connection, sql)
 
 
 def _names_in(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:

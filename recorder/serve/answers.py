@@ -8,9 +8,9 @@ from typing import Any, Final
 import msgspec
 
 from recorder.review.catalog.rows import INCIDENT, CatalogRow, LoggedDrive, LoggedDriver, LoggedMoment
-from recorder.review.find import FindAnswer, FoundDrive, FoundMoment
 from recorder.review.report.links import iso
 from recorder.review.timeline.entries import EntryKind
+from recorder.serve.search import FindAnswer, FoundDrive, FoundMoment
 
 DRIVE_STOPS: Final = 20
 """Stops and incidents that are listed with a drive; the report has all."""

@@ -21,8 +21,11 @@ from recorder.review.catalog.directory import name_in_row
 from recorder.review.catalog.known import CATALOG_NAME
 from recorder.review.catalog.rows import INCIDENT, CatalogRow, CatalogUnreadableError, LoggedDriver, LoggedMoment
 from recorder.review.catalog.table import SCHEMA, read_table
-from recorder.review.days import DAYS_COLUMNS, LoggedDay, days
-from recorder.review.find import (
+from recorder.review.timeline.entries import ENDS, EntryKind
+from recorder.serve.answers import BEGINS, NearDrives, answer, whole
+from recorder.serve.days import DAYS_COLUMNS, LoggedDay, days
+from recorder.serve.notes import NOTES_SUFFIX, notes_path, read_notes, tags_of
+from recorder.serve.search import (
     FindCondition,
     FindQuery,
     FindSubject,
@@ -32,9 +35,6 @@ from recorder.review.find import (
     newest,
     read_words,
 )
-from recorder.review.timeline.entries import ENDS, EntryKind
-from recorder.serve.answers import BEGINS, NearDrives, answer, whole
-from recorder.serve.notes import NOTES_SUFFIX, notes_path, read_notes, tags_of
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.web.jobs import ask_review
 
@@ -61,9 +61,6 @@ NEAR: Final = frozenset({*BEGINS, *(kind.value for kind in ENDS), EntryKind.GATE
 
 NEAR_MAX: Final = 100 * ANSWERS
 """Moments that are looked through for them, the newest."""
-
-_NOTHING: Final = "log file=-"
-"""A search that brings the catalog up to date, and finds nothing."""
 
 Signature = Mapping[str, tuple[int, int]]
 """Files by their names: length, and time of the last change."""
@@ -133,7 +130,7 @@ class Library:
 
     async def _refresh(self, seconds: float) -> tuple[bool, str]:
         """Read what is new. Returns whether that is all, and what is missing."""
-        words = ["find", _NOTHING, str(self._directory), "--catalog", str(self.catalog)]
+        words = ["find", "logs", str(self._directory), "--newest=1", "--catalog", str(self.catalog)]
         done = await ask_review(words, seconds)
         if done.code is None:
             return False, ""

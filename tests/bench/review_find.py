@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +24,7 @@ from recorder.review.catalog.directory import Catalog
 from recorder.review.catalog.known import CATALOG_NAME
 from recorder.review.catalog.rows import LoggedRobot
 from recorder.review.catalog.table import to_table, write_table
-from recorder.review.find import columns_of, find, read_words
+from recorder.review.find import SEARCHES, FindConditions, find
 from schemas.reasons import Reason
 from tests.bench.loads import Row, print_table
 from tests.support.catalog import DRIVE, STOP, row
@@ -35,11 +36,16 @@ MOMENTS: Final = 12
 HOUR_NS: Final = 3600 * SECOND
 CRUISER: Final = Path(sys.executable).with_name("cruiser")
 
-WORDS: Final = {
-    "a stop of some robots in 30 days": "stop reason=front_bumper robot=cruiser-1? last 30d",
-    "long drives": "drive distance_m>900",
-    "logs of an operator": "log operator=nobody lost>0",
+ASKED: Final = {
+    "a stop of some robots": (
+        "stops",
+        FindConditions({f"cruiser-1{digit}" for digit in range(10)}, "front_bumper"),
+        ("--reason=front_bumper", "--robot=cruiser-1?"),
+    ),
+    "drives that ended so": ("drives", FindConditions(reason="front_bumper"), ("--reason=front_bumper",)),
+    "logs of an operator": ("logs", FindConditions(operator="nobody"), ("--operator=nobody",)),
 }
+"""Each question as a search and its conditions, and as flags."""
 
 
 def main() -> None:
@@ -56,9 +62,9 @@ def rows(logs: int = LOGS) -> list[Row]:
         fill(directory, logs)
         size_mb = (directory / CATALOG_NAME).stat().st_size / 1e6
         found: list[Row] = [("logs in the catalog", f"{logs:,}, {size_mb:.1f} MB", "")]
-        for about, words in WORDS.items():
-            wall_s, cpu_s, count = ask(directory, words)
-            process_s = ask_as_process(directory, words)
+        for about, (search, conditions, flags) in ASKED.items():
+            wall_s, cpu_s, count = ask(directory, search, conditions)
+            process_s = ask_as_process(directory, search, flags)
             figure = f"{wall_s:.2f} s, {cpu_s:.2f} s of CPU, {count:,} found"
             found.append((f"find: {about}", figure, "under 1 s"))
             found.append(("  as a command, from its start to its end", f"{process_s:.2f} s", ""))
@@ -110,22 +116,21 @@ def fill(directory: Path, logs: int) -> None:
     write_table(directory / CATALOG_NAME, to_table(made))
 
 
-def ask(directory: Path, words: str) -> tuple[float, float, int]:
+def ask(directory: Path, search: str, conditions: FindConditions) -> tuple[float, float, int]:
     """Seconds of a question here, those of the processors, and the number of answers."""
     begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
-    now_ns = WALL_NS + LOGS // ROBOTS * HOUR_NS
-    query = read_words(words, now_ns)
-    catalog = Catalog(directory, columns_of(query))
-    count = len(find(catalog.table, query))
+    catalog = Catalog(directory, SEARCHES[search].columns)
+    count = len(find(catalog.table, search, conditions))
     if catalog.stale or catalog.notes:
         raise RuntimeError("the catalog does not hold")
     return time.perf_counter() - begun_s, time.process_time() - begun_cpu_s, count
 
 
-def ask_as_process(directory: Path, words: str) -> float:
+def ask_as_process(directory: Path, search: str, flags: Sequence[str]) -> float:
     """Seconds of the command."""
     begun_s = time.perf_counter()
-    subprocess.run([CRUISER, "review", "find", words, directory, "--json"], check=True, stdout=subprocess.DEVNULL)
+    words = [str(CRUISER), "review", "find", search, str(directory), *flags, "--json"]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - begun_s
 
 

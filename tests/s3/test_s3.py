@@ -150,7 +150,7 @@ def test_what_was_uploaded_is_found_and_asked_in_the_store(
             assert run_command(review, "events", place, "--json", settings=settings) == ExitCode.OK
             answers.append(capsys.readouterr().out)
         assert answers[0] == answers[1]
-        words = ("find", "stop reason=deadman", f"s3://{BUCKET}/plant-1", "--json")
+        words = ("find", "stops", f"s3://{BUCKET}/plant-1", "--reason=deadman", "--json")
         assert run_command(review, *words, settings=settings) == ExitCode.OK
         [found] = capsys.readouterr().out.splitlines()
         assert json.loads(found)["file"] == f"s3://{BUCKET}/plant-1/cruiser-1/{SMALL}"

@@ -16,7 +16,10 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser review info logs\n  cruiser review QUESTION --help"
 
 QUESTIONS: Final[dict[str, tuple[str, str]]] = {
-    "find": ("recorder.cli.review.find", "moments, drives and logs of directories, by words, from a catalog"),
+    "find": (
+        "recorder.cli.review.find",
+        "stops, incidents, events, drives and logs of directories, from a catalog",
+    ),
     "info": ("recorder.cli.review.info", "what logs hold, as their ends and their recorder tell"),
     "check": ("recorder.cli.review.check", "whether logs are what they say, and what they lack"),
     "events": ("recorder.cli.review.events", "what happened, in order: stops, faults, refusals, and why"),

@@ -1,12 +1,14 @@
-"""``cruiser review find``: moments, drives and logs by words, from the catalogs of directories."""
+"""``cruiser review find``: stops, incidents, events, drives and logs, from the catalogs of directories."""
 
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -15,51 +17,45 @@ import msgspec
 
 from recorder.cli.review.asking import (
     JSON_HELP,
+    add_robots,
+    chosen_robots,
     end_with,
     log_place,
     needing_extra,
-    needing_store,
-    progress_bar,
     table,
 )
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
-from recorder.objects.address import StoreAddress, is_address, shown_url
+from recorder.objects.address import is_address
 from recorder.reading.faults import Faults
-from recorder.reading.times import in_words
+from recorder.reading.times import date_of, in_words
 from recorder.review.report.links import iso
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 
-_missing: CommandError | None = None
-try:
-    with needing_extra():
-        import pyarrow as pa
-
-        from recorder.review.catalog.directory import Catalog
-        from recorder.review.catalog.place import PlaceCatalog
-        from recorder.review.catalog.rows import CatalogRow, LoggedMoment
-        from recorder.review.find import FindAnswer, FoundDrive, FoundMoment, columns_of, find, read_words
-except CommandError as error:
-    # The help is for everybody.
-    _missing = error
+SEARCHES: Final = ("stops", "incidents", "events", "drives", "logs")
 
 EXAMPLE: Final = """\
-  cruiser review find 'stop reason=front_bumper robot=cruiser-* last 30d' logs
-  cruiser review find 'drive distance_m>100 from 2026-01-02' logs
-  cruiser review find 'log operator=alice lost>0' robot-logs depot-logs --json"""
+  cruiser review find stops logs --reason front_bumper --robot 'cruiser-*' --since 30d
+  cruiser review find drives logs --operator alice --since 2026-01-02
+  cruiser review find logs robot-logs depot-logs --json
+  cruiser review query 'SELECT file FROM catalog WHERE distance_m > 100' logs"""
 DESCRIPTION: Final = (
-    "What the logs of directories hold, by words: a subject (log, drive, event, stop, incident, fault, ...), "
-    "conditions (FIELD=PATTERN, FIELD!=PATTERN, FIELD<NUMBER, FIELD>NUMBER), and a time (last 30d, from DATE, to "
-    "DATE). It is answered from a catalog, catalog.parquet in each directory, which is brought up to date first: "
-    "only logs that are new or have changed are opened. Exit code 3 if a log could not be read as a whole."
+    "Finds stops, incidents, events, drives or logs in directories of logs. It is answered from a catalog, "
+    "catalog.parquet in each directory, which is brought up to date first: only logs that are new or have changed "
+    "are opened. For any other question, 'cruiser review query' has the catalog as a table. Exit code 3 if a log "
+    "could not be read as a whole."
 )
+
+_UNITS_S: Final = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_SPAN: Final = re.compile(rf"(\d{{1,9}})({'|'.join(_UNITS_S)})")
+_REASONS: Final = tuple(reason.value for reason in Reason)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    parser.add_argument("words", metavar="WORDS", help="what to look for, as one argument")
+    parser.add_argument("search", type=_search, metavar="SEARCH", help=f"one of {', '.join(SEARCHES)}")
     parser.add_argument(
         "logs",
         nargs="+",
@@ -67,6 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIRECTORY",
         help="a directory of logs, here or in an object store (s3://BUCKET/PLACE, ...)",
     )
+    add_robots(parser)
+    parser.add_argument("--reason", type=_reason, metavar="WORD", help="with a stop or refusal for this reason")
+    parser.add_argument("--operator", metavar="NAME", help="of this operator")
+    moment = "a time before now (90min, 12h, 30d, 2w), or a date in UTC (2026-01-02, 2026-01-02T03:04:05Z)"
+    parser.add_argument("--since", type=_moment, default=0, metavar="TIME", help=f"not over before: {moment}")
+    parser.add_argument("--until", type=_moment, metavar="TIME", help="begun before that, likewise")
+    parser.add_argument("--newest", type=_count, metavar="N", help="the last N answers alone")
     parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
     parser.add_argument(
         "--catalog",
@@ -74,74 +77,71 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="keep the catalog there, not beside the logs; of one directory",
     )
-    parser.add_argument("--rebuild", action="store_true", help="make the catalog anew from the logs")
+    parser.add_argument("--rebuild", action="store_true", help="make the catalog again from the logs")
+
+
+def _search(text: str) -> str:
+    if text in SEARCHES:
+        return text
+    words = " ".join(text.split()[:1]).lower()
+    near = get_close_matches(f"{words}s", SEARCHES, 1, 0.8) or ["events"]
+    raise argparse.ArgumentTypeError(
+        f"{text!a} is no search: give {', '.join(SEARCHES)}, as in 'cruiser review find {near[0]} DIRECTORY "
+        "--robot NAME --since 30d', or 'cruiser review query' for all else"
+    )
+
+
+def _reason(text: str) -> str:
+    if text in _REASONS:
+        return text
+    near = get_close_matches(text, _REASONS, 1)
+    hint = f"did you mean {near[0]}?" if near else f"it is one of {', '.join(_REASONS)}"
+    raise argparse.ArgumentTypeError(f"there is no reason {text!a}: {hint}")
+
+
+def _moment(text: str) -> int:
+    """A time in nanoseconds since 1970."""
+    if match := _SPAN.fullmatch(text):
+        return max(0, time.time_ns() - int(match[1]) * _UNITS_S[match[2]] * 1_000_000_000)
+    time_ns = date_of(text)
+    if time_ns is None or not 0 <= time_ns < 2**63:
+        raise argparse.ArgumentTypeError(
+            f"{text!a} is no time: give one as 30d, 2026-01-02 or 2026-01-02T03:04:05Z"
+        )
+    return time_ns
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and 0 < int(text[:10]) < 2**31):
+        raise argparse.ArgumentTypeError(f"{text!a} is no number of answers")
+    return int(text)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Bring the catalogs up to date, and answer from them."""
-    if _missing is not None:
-        raise _missing
-    query = read_words(arguments.words, time.time_ns())
-    columns = columns_of(query)
+    with needing_extra():
+        from recorder.cli.review.catalogs import catalog_rows  # noqa: PLC0415 - its libraries are an extra
+        from recorder.review import find  # noqa: PLC0415
+    bounds = {} if arguments.until is None else {"until_ns": arguments.until}
+    if arguments.until is not None and arguments.since >= arguments.until:
+        raise CommandError("there is no time between --since and --until", ExitCode.USAGE)
     faults = Faults()
-    directories = list(dict.fromkeys(arguments.logs))
-    if arguments.catalog is not None and len(directories) > 1:
-        raise CommandError("--catalog keeps the logs of one directory", ExitCode.USAGE)
-    catalogs = [
-        (place, _catalog(place, columns, settings, arguments.catalog, is_anew=arguments.rebuild))
-        for place in directories
-    ]
-    total = sum(catalog.stale_bytes for _, catalog in catalogs)
-    with progress_bar("cataloguing", total, stopped) as progress:
-        for _, catalog in catalogs:
-            catalog.refresh(faults, progress)
-    rows = pa.concat_tables([_with_paths(path, catalog.table) for path, catalog in catalogs])
-    if not rows.num_rows and not faults:
-        _tell(catalogs)
-        raise CommandError(f"there is no log in {', '.join(_shown(place) for place, _ in catalogs)}")
-    found = find(rows, query)
-    for line in _as_json(found) if arguments.json else _as_table(found):
+    rows = catalog_rows(
+        arguments.logs,
+        find.SEARCHES[arguments.search].columns,
+        settings,
+        faults,
+        stopped,
+        arguments.catalog,
+        is_anew=arguments.rebuild,
+    )
+    named = {name for names in rows.column("names").to_pylist() for name in names}
+    robots = chosen_robots(arguments.robot, named) if arguments.robot else None
+    conditions = find.FindConditions(robots, arguments.reason, arguments.operator, arguments.since, **bounds)
+    found = find.find(rows, arguments.search, conditions, arguments.newest, stopped)
+    for line in _as_json(arguments.search, found) if arguments.json else _as_table(arguments.search, found):
         sys.stdout.write(f"{line}\n")
-    _tell(catalogs)
-    damaged = sum(count > 0 for count in rows.column("faults").to_pylist())
-    if damaged:
-        faults.add(f"{damaged} of {rows.num_rows} logs are damaged, or not whole: 'log faults>0' lists them")
     return end_with(faults)
-
-
-def _catalog(
-    place: Path | StoreAddress, columns: Sequence[str], settings: Settings, kept: Path | None, *, is_anew: bool
-) -> Catalog | PlaceCatalog:
-    if isinstance(place, Path):
-        return Catalog(place, columns, kept, is_anew=is_anew)
-    if kept is not None:
-        raise CommandError("--catalog keeps the logs of a directory here", ExitCode.USAGE)
-    with needing_store():
-        from recorder.cli.review.stored import open_objects  # noqa: PLC0415 - it needs an extra
-    return PlaceCatalog(open_objects(place, settings.upload), place, columns, is_anew=is_anew)
-
-
-def _shown(place: Path | StoreAddress) -> str:
-    return plain(str(place)) if isinstance(place, Path) else shown_url(place.url)
-
-
-def _with_paths(place: Path | StoreAddress, rows: pa.Table) -> pa.Table:
-    """The same, with each file as a path or an address."""
-    names = rows.column("file").to_pylist()
-    if isinstance(place, Path):
-        paths = [str(place / name) for name in names]
-    else:
-        paths = [place.join(name).url for name in names]
-    return rows.set_column(rows.schema.get_field_index("file"), "file", pa.array(paths, pa.string()))
-
-
-def _tell(catalogs: Sequence[tuple[Path | StoreAddress, Catalog | PlaceCatalog]]) -> None:
-    """Print on stderr what is no fault of a log, and yet ought to be known."""
-    for _, catalog in catalogs:
-        for note in catalog.notes:
-            sys.stderr.write(f"cruiser review: {note}\n")
-        for path in catalog.being_written:
-            sys.stderr.write(f"cruiser review: {plain(str(path))} is being written, and not in the answer yet\n")
 
 
 def link(file: str, robot: str, time_ns: int) -> str:
@@ -162,84 +162,59 @@ def page_of(file: str) -> str:
 
 def report_command(file: str) -> str:
     """Return the command that writes the report of a log beside it; empty for a log in a store."""
-    if is_address(file):
-        return ""
-    return shlex.join(["cruiser", "review", "report", file, "-o", page_of(file)])
+    return "" if is_address(file) else shlex.join(["cruiser", "review", "report", file, "-o", page_of(file)])
 
 
-def why_command(file: str, moment: LoggedMoment) -> str:
-    """Return the command that tells why the robot stopped, or did not move, at a moment."""
-    named = ["--robot", moment.robot] if moment.robot else []
-    return shlex.join(["cruiser", "review", "why", file, *named, "--at", iso(moment.time_ns)])
+def _as_json(search: str, found: Sequence[dict[str, Any]]) -> list[str]:
+    """An answer as a line of JSON: its own fields, its time as a text, and where to go on."""
+    return [msgspec.json.encode({**one, **_more(search, one)}).decode() for one in found]
 
 
-def record_of(one: FindAnswer) -> dict[str, Any]:
-    """Return an answer as a JSON object: its own fields, its time as a text, and where to go on."""
-    match one:
-        case FoundMoment(file, moment):
-            return {
-                "time": in_words(moment.time_ns),
-                "file": file,
-                **msgspec.structs.asdict(moment),
-                "link": link(file, moment.robot, moment.time_ns),
-                "report": report_command(file),
-                "why": why_command(file, moment),
-            }
-        case FoundDrive(file, drive):
-            return {
-                "time": in_words(drive.start_ns),
-                "file": file,
-                **msgspec.structs.asdict(drive),
-                "link": link(file, drive.robot, drive.start_ns),
-                "report": report_command(file),
-            }
-        case CatalogRow():
-            fields = {"time": in_words(one.start_ns), **msgspec.structs.asdict(one)}
-            # There may be thousands, and they have a subject of their own.
-            del fields["moments"]
-            return {**fields, "report": report_command(one.file)}
+def _more(search: str, one: dict[str, Any]) -> dict[str, Any]:
+    file = one["file"]
+    time_ns = one["start_ns" if search in {"drives", "logs"} else "time_ns"]
+    more = {"time": in_words(time_ns), "report": report_command(file)}
+    if search == "logs":
+        return more
+    more["link"] = link(file, one["robot"], time_ns)
+    if search != "drives":
+        named = ["--robot", one["robot"]] if one["robot"] else []
+        more["why"] = shlex.join(["cruiser", "review", "why", file, *named, "--at", iso(time_ns)])
+    return more
 
 
-def _as_json(found: Sequence[FindAnswer]) -> Iterator[str]:
-    for one in found:
-        yield msgspec.json.encode(record_of(one)).decode()
+def _as_table(search: str, found: Sequence[dict[str, Any]]) -> list[str]:
+    if not found:
+        return ["nothing of that is in the logs"]
+    head, cells = {"logs": (_LOG, _log_cells), "drives": (_DRIVE, _drive_cells)}.get(
+        search, (_EVENT, _event_cells)
+    )
+    lines = table(head, [[plain(cell) for cell in cells(one)] for one in found], words=len(head))
+    command = report_command(found[-1]["file"]) if search != "logs" else ""
+    return [*lines, *([f"The page of a link is written by: {plain(command)}"] if command else [])]
 
 
-def _as_table(found: Sequence[FindAnswer]) -> Iterator[str]:
-    rows = []
-    for one in found:
-        head, row = _row(one)
-        rows.append([plain(cell) for cell in row])
-    if not rows:
-        yield "nothing of that is in the logs"
-        return
-    yield from table(head, rows, words=len(head))
-    if not isinstance(one, CatalogRow) and report_command(one.file):
-        yield f"The page of a link is written by: {plain(report_command(one.file))}"
+_EVENT: Final = ("time", "robot", "kind", "reason", "operator", "what", "link")
+_DRIVE: Final = ("begin", "robot", "lasted", "distance", "stops", "worst", "link")
+_LOG: Final = ("begin", "robots", "lasted", "distance", "stops", "lost", "faults", "log")
 
 
-def _row(one: FindAnswer) -> tuple[Sequence[str], Sequence[str]]:
-    """The heads of the columns, and the cells."""
-    match one:
-        case FoundMoment(file, moment):
-            where = link(file, moment.robot, moment.time_ns)
-            reason = "" if moment.reason == Reason.NONE.value else moment.reason
-            cells = [in_words(moment.time_ns), moment.robot, moment.kind, reason, moment.operator]
-            return ("time", "robot", "kind", "reason", "operator", "what", "link"), [*cells, moment.text, where]
-        case FoundDrive(file, drive):
-            where = link(file, drive.robot, drive.start_ns)
-            lasted_s = (drive.end_ns - drive.start_ns) / 1e9
-            cells = [in_words(drive.start_ns), drive.robot, f"{lasted_s:.0f} s", f"{drive.distance_m:.1f} m"]
-            return (
-                ("begin", "robot", "lasted", "distance", "stops", "worst", "link"),
-                [*cells, str(drive.stops), drive.text or "-", where],
-            )
-        case CatalogRow():
-            lasted_s = (one.end_ns - one.start_ns) / 1e9
-            begin = in_words(one.start_ns) if one.messages else "no time"
-            cells = [begin, ", ".join(one.names), f"{lasted_s:.0f} s", f"{one.distance_m:.1f} m"]
-            lost = "not told" if one.lost is None else str(one.lost)
-            return (
-                ("begin", "robots", "lasted", "distance", "stops", "lost", "log"),
-                [*cells, str(sum(one.stops.values())), lost, one.file],
-            )
+def _event_cells(one: dict[str, Any]) -> list[str]:
+    reason = "" if one["reason"] == Reason.NONE.value else one["reason"]
+    where = link(one["file"], one["robot"], one["time_ns"])
+    return [in_words(one["time_ns"]), one["robot"], one["kind"], reason, one["operator"], one["text"], where]
+
+
+def _drive_cells(one: dict[str, Any]) -> list[str]:
+    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", f"{one['distance_m']:.1f} m"
+    where = link(one["file"], one["robot"], one["start_ns"])
+    begin = in_words(one["start_ns"])
+    return [begin, one["robot"], lasted, distance, str(one["stops"]), one["text"] or "-", where]
+
+
+def _log_cells(one: dict[str, Any]) -> list[str]:
+    begin = in_words(one["start_ns"]) if one["messages"] else "no time"
+    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", f"{one['distance_m']:.1f} m"
+    lost = "unknown" if one["lost"] is None else str(one["lost"])
+    counts = [str(sum(one["stops"].values())), lost, str(one["faults"])]
+    return [begin, ", ".join(one["names"]), lasted, distance, *counts, one["file"]]

@@ -14,17 +14,20 @@ import msgspec
 
 from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, needing_extra, progress_bar, table
 from recorder.cli.show import show
+from recorder.reading.faults import Faults
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review query 'SELECT log_time, kind, text FROM safety_event' logs
   cruiser review query 'SELECT robot, max(speed_mps) FROM chassis_drive GROUP BY robot' dataset
+  cruiser review query 'SELECT file FROM catalog WHERE distance_m > 100' logs
   cruiser review query --tables logs"""
 DESCRIPTION: Final = (
     "Answers SQL, as DuckDB speaks it, from logs or from a dataset that 'cruiser review export' has made. Each "
     "subject is a table: state, chassis_drive, safety_decision, can_rx, journal, ...; its columns are robot, "
-    "log_time, publish_time, sequence, and the fields of the message. The statement sees nothing but these "
+    "log_time, publish_time, sequence, and the fields of the message. The table catalog has a row for each log of "
+    "directories, as 'cruiser review find' keeps it. The statement sees nothing but these "
     "tables; with --allow-files it may read and write files with your own rights. Exit code 2 if it is wrong, 3 "
     "if not all of a log could be read."
 )
@@ -51,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_period(parser)
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Ask."""
     sql, *logs = ["", *arguments.words] if arguments.tables else arguments.words
     if not logs:
@@ -61,6 +64,8 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
         from recorder.review import query  # noqa: PLC0415 - its libraries are an extra
         from recorder.review.export.manifest import read_manifest  # noqa: PLC0415
         from recorder.review.querying import dataset_source, log_source  # noqa: PLC0415
+    if sql and query.asks_catalog(sql):
+        return _ask_catalog(query, sql, arguments, settings, stopped)
     manifests = list(map(read_manifest, arguments.logs))
     if len(logs) > 1 and any(manifests):
         raise CommandError("a dataset is asked alone, without logs or other datasets", ExitCode.USAGE)
@@ -86,6 +91,27 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             end_with(asked.faults)
             raise
     return end_with(asked.faults)
+
+
+def _ask_catalog(
+    query: Any,  # noqa: ANN401 - a module that is imported late
+    sql: str,
+    arguments: argparse.Namespace,
+    settings: Settings,
+    stopped: Callable[[], bool],
+) -> int:
+    from recorder.cli.review.catalogs import catalog_rows  # noqa: PLC0415 - as above
+    from recorder.review.catalog.table import SCHEMA  # noqa: PLC0415
+    from recorder.review.querying.catalog_source import CatalogSource  # noqa: PLC0415
+
+    if arguments.from_time or arguments.to_time:
+        raise CommandError(
+            "of a catalog the statement itself says which time: WHERE start_ns > ...", ExitCode.USAGE
+        )
+    faults = Faults()
+    rows = catalog_rows(arguments.logs, SCHEMA.names, settings, faults, stopped)
+    _ask(query, CatalogSource(rows), sql, arguments, stopped)
+    return end_with(faults)
 
 
 def _ask(query: Any, source: Any, sql: str, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 - a module that is imported late

@@ -106,7 +106,7 @@ def test_a_directory_is_told_alike_with_a_catalog_and_without_one(
         ("info", str(cut), str(cut.parent)),
     ]
     before = [(review(*one), capsys.readouterr()) for one in words]
-    assert review("find", "log", str(whole.parent)) == ExitCode.PARTIAL
+    assert review("find", "logs", str(whole.parent)) == ExitCode.PARTIAL
     capsys.readouterr()
     assert (whole.parent / CATALOG_NAME).exists()
     assert [(review(*one), capsys.readouterr()) for one in words] == before

@@ -12,7 +12,7 @@ from recorder.review.catalog import place as places
 from recorder.review.catalog.place import PlaceCatalog
 from recorder.review.catalog.single import row_of, write_row
 from recorder.review.catalog.table import to_table, write_stream
-from recorder.review.find import columns_of, read_words
+from recorder.review.find import SEARCHES
 from recorder.upload.manifest import FORMER_ROW_SUFFIX, ROW_SUFFIX
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.drives import drive_messages, write_messages
@@ -22,7 +22,7 @@ from tests.support.logs import foreign_log
 PLACE = StoreAddress("s3://logs/plant-1")
 NAME = "cruiser-1/a.mcap"
 OTHER = "cruiser-1/b.mcap"
-COLUMNS = columns_of(read_words("log", 0))
+COLUMNS = SEARCHES["logs"].columns
 
 
 @pytest.fixture

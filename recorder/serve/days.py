@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from recorder.review.catalog.rows import INCIDENT
-from recorder.review.find import FindQuery, FindSubject, matching
+from recorder.serve.search import FindQuery, FindSubject, matching
 
 DAY_NS: Final = 86_400_000_000_000
 

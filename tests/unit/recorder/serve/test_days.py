@@ -4,7 +4,7 @@ import msgspec
 
 from recorder.review.catalog.rows import INCIDENT, NEVER_NS
 from recorder.review.catalog.table import to_table
-from recorder.review.days import DAY_NS, DAYS_COLUMNS, LoggedDay, days
+from recorder.serve.days import DAY_NS, DAYS_COLUMNS, LoggedDay, days
 from tests.support.catalog import DRIVE, STOP, row
 from tests.support.messages import WALL_NS
 
