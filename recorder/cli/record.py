@@ -23,7 +23,7 @@ from recorder.cli import remote
 from recorder.cli.own_name import own_name
 from recorder.cli.role import check_recording
 from recorder.disk.keeper import DiskKeeper
-from recorder.disk.key_files import read_trust
+from recorder.disk.key_files import has_key, read_identity, read_trust
 from recorder.disk.leftovers import LeftoverThread
 from recorder.disk.log_directory import LogDirectory
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
@@ -34,15 +34,17 @@ from recorder.record.recorder import Recorder, RecorderPlan
 from recorder.record.retention import DiskLimits
 from recorder.record.robot_log import LogPlan
 from recorder.record.shards import shard_of
+from recorder.record.signature import LogSigner
 from recorder.zenoh.remote_control import RemoteControl
 from recorder.zenoh.sharded_source import ShardedSource
 from recorder.zenoh.source import RING_SAMPLE_BYTES, ZenohSource
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
+from schemas.authority.identity import made
 from schemas.decisions import EventKind
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.recorder_settings import ROBOT_LIMIT
-from schemas.settings import Settings
+from schemas.settings import AuthoritySettings, Settings
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
 
@@ -144,7 +146,8 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     path = Path(recorder.directory)
     log_limit = allow_many_files()
     collect_seldom()
-    directory = LogDirectory(path)
+    signer = signer_of(settings.authority)
+    directory = LogDirectory(path, signer)
     with ExitStack() as stack:
         source = stack.enter_context(closing(_source(settings, expressions)))
         control = stack.enter_context(closing(RemoteControl(settings)))
@@ -158,7 +161,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
             f"record: waiting for samples of {', '.join(expressions)} into {recorder.directory}; "
             f"listens on {', '.join([*source.listen, *control.listen]) or 'nothing'}\n"
         )
-        leftovers = LeftoverThread(path, library)
+        leftovers = LeftoverThread(path, library, signer)
         plan = recorder_plan(settings, control.name, expressions, release)
         loop = RecorderLoop(
             Recorder(msgspec.structs.replace(plan, log_limit=log_limit)),
@@ -181,6 +184,20 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         sys.stdout.flush()
         os._exit(code)
     return code
+
+
+def signer_of(settings: AuthoritySettings) -> LogSigner | None:
+    """Return what signs the logs in signed mode; None where this machine is not provisioned as a recorder.
+
+    Raises:
+        CommandError: the recorder's key, grant or authority is not what it should be.
+    """
+    if settings.mode != "signed":
+        return None
+    if not has_key(settings, "recorder"):
+        sys.stderr.write(f"record: the logs are not signed: {made('recorder')}\n")
+        return None
+    return LogSigner(read_identity(settings, "recorder"))
 
 
 def with_shard_lease(settings: Settings) -> Settings:

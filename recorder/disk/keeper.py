@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +20,7 @@ from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX
 from recorder.disk.upload_note import NONE_SAFE, SafeLogReader, SafeLogs
 from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry, judge
+from recorder.record.signature import SIGNATURE_SUFFIX
 from schemas.printable import plain
 
 log = logging.getLogger(__name__)
@@ -215,6 +217,8 @@ class DiskKeeper:
             log.log(level, "cannot delete %s: %s", plain(name), error.strerror or error)
             self._stuck[name] = time.monotonic() + RETRY_S
             return
+        with suppress(OSError):
+            (self._directory / f"{name}{SIGNATURE_SUFFIX}").unlink()
         log.info("deleted %s for want of room", plain(name))
         self._notices.append(Deleted(name, size))
 

@@ -36,6 +36,12 @@ def read_identity(settings: AuthoritySettings, who: str) -> Identity:
     return identity.identity_of(key, grant, authority, who)
 
 
+def has_key(settings: AuthoritySettings, who: str) -> bool:
+    """Return True if the directory that the settings name holds a key of somebody."""
+    directory = Path(key_directory.directory_of(settings, os.environ, Path.home()))
+    return (directory / KEY_FILE.format(who=who)).exists()
+
+
 def read_trust(settings: AuthoritySettings, who: str) -> Trust:
     """Read the fleet's authority out of the directory that the settings name.
 

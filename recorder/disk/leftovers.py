@@ -9,6 +9,7 @@ record: the beginning of one last write, or zeros. Anything else behind the good
 from __future__ import annotations
 
 import errno
+import hashlib
 import logging
 import os
 import shutil
@@ -22,10 +23,11 @@ from typing import BinaryIO, Final
 import msgspec
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
-from recorder.disk.part_file import sync_directory
+from recorder.disk.part_file import sync_directory, write_signature
 from recorder.encoding.event_digest import EventDigest
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.notices import DiskBack, DiskRoom, Notice, Recovered
+from recorder.record.signature import LogSigner
 from schemas.printable import plain
 
 log = logging.getLogger(__name__)
@@ -78,13 +80,14 @@ class Recovery(msgspec.Struct, frozen=True):
     detail: str = ""
 
 
-def recover(path: Path, library: str, *, set_aside: bool = False) -> Recovery:
+def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSigner | None = None) -> Recovery:
     """Make a log whole.
 
     Args:
         path: the log.
         library: the writer's name, for the header of a copy.
         set_aside: rename a file of which nothing can be read, so that nobody tries it again.
+        signer: signs what becomes a whole log of a part; None leaves it unsigned.
     """
     name = str(path)
     try:
@@ -94,12 +97,12 @@ def recover(path: Path, library: str, *, set_aside: bool = False) -> Recovery:
             # Its writer may have renamed it before the lock was ours.
             if not os.path.samestat(path.stat(), os.fstat(stream.fileno())):
                 return Recovery(name, RecoveryOutcome.BUSY, name, detail="a recorder has just written it")
-            return _recover(path, stream, library, set_aside=set_aside)
+            return _recover(path, stream, library, signer, set_aside=set_aside)
     except OSError as error:
         return Recovery(name, RecoveryOutcome.FAILED, name, detail=error.strerror or str(error))
 
 
-def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> Recovery:
+def _recover(path: Path, stream: BinaryIO, library: str, signer: LogSigner | None, *, set_aside: bool) -> Recovery:
     size = os.fstat(stream.fileno()).st_size
     found = survey(stream, size, EventDigest())
     if not found.end or (found.fault_count and not found.messages):
@@ -108,14 +111,14 @@ def _recover(path: Path, stream: BinaryIO, library: str, *, set_aside: bool) -> 
             str(path), RecoveryOutcome.NOTHING, str(kept), cut_bytes=size, detail="nothing in it can be read"
         )
     if found.fault_count:
-        return _copy(path, stream, size, library, found)
+        return _copy(path, stream, size, library, found, signer)
     kept_rest = None
     if not found.is_whole:
         if not found.is_torn:
             kept_rest = _keep_rest(path, stream, found.end)
         _finish(stream, found)
     os.fsync(stream.fileno())
-    result = _rename(path, SUFFIX) if path.name.endswith(PART_SUFFIX) else path
+    result = _rename(path, SUFFIX, signer=signer) if path.name.endswith(PART_SUFFIX) else path
     whole_now = RecoveryOutcome.DAMAGED if kept_rest else RecoveryOutcome.RECOVERED
     return Recovery(
         str(path),
@@ -163,7 +166,9 @@ def _keep_rest(path: Path, stream: BinaryIO, end: int) -> Path:
     return rest
 
 
-def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: FileSurvey) -> Recovery:
+def _copy(
+    path: Path, stream: BinaryIO, size: int, library: str, found: FileSurvey, signer: LogSigner | None
+) -> Recovery:
     _check_room(path.parent, size + len(found.ending))
     copy = path.with_name(_stem(path) + COPY_SUFFIX)
     try:
@@ -175,7 +180,7 @@ def _copy(path: Path, stream: BinaryIO, size: int, library: str, found: FileSurv
         copy.unlink(missing_ok=True)
         raise
     if path.name.endswith(PART_SUFFIX):
-        result = _rename(copy, SUFFIX, beside=path)
+        result = _rename(copy, SUFFIX, beside=path, signer=signer)
         kept = _rename(path, DAMAGED_SUFFIX)
     else:
         kept = _rename(path, DAMAGED_SUFFIX)
@@ -202,9 +207,12 @@ def _check_room(directory: Path, size: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def _rename(path: Path, suffix: str, beside: Path | None = None) -> Path:
-    """Give a file another suffix, and a number where the name is taken."""
+def _rename(path: Path, suffix: str, beside: Path | None = None, signer: LogSigner | None = None) -> Path:
+    """Give a file another suffix, and a number where the name is taken; before it has it, it is signed."""
     target = free_path(path.parent, _stem(path), suffix, but_for=beside or path)
+    if signer is not None:
+        with path.open("rb") as stream:
+            write_signature(target, hashlib.file_digest(stream, "sha256").hexdigest(), signer)
     path.rename(target)
     sync_directory(path.parent)
     return target
@@ -217,10 +225,10 @@ def _stem(path: Path) -> str:
     return path.name
 
 
-def recover_leftovers(parts: Iterable[Path], library: str) -> Iterator[Recovery]:
+def recover_leftovers(parts: Iterable[Path], library: str, signer: LogSigner | None = None) -> Iterator[Recovery]:
     """Recover each part that nobody writes any more, and say so in the log."""
     for path in parts:
-        recovery = recover(path, library, set_aside=True)
+        recovery = recover(path, library, set_aside=True, signer=signer)
         if recovery.outcome is not RecoveryOutcome.BUSY:
             _tell(recovery)
             yield recovery
@@ -249,11 +257,12 @@ class LeftoverThread:
     again when there is some.
     """
 
-    def __init__(self, directory: Path, library: str) -> None:
+    def __init__(self, directory: Path, library: str, signer: LogSigner | None = None) -> None:
         self.recoveries: list[Recovery] = []
         self._notices: deque[Notice] = deque()
         self._directory = directory
         self._library = library
+        self._signer = signer
         self._has_failed = False
         """The last look has left a part as it was."""
         self._is_wanted = False
@@ -287,7 +296,7 @@ class LeftoverThread:
         return thread
 
     def _run(self, parts: Iterable[Path]) -> None:
-        for recovery in recover_leftovers(parts, self._library):
+        for recovery in recover_leftovers(parts, self._library, self._signer):
             self.recoveries.append(recovery)
             if recovery.outcome is RecoveryOutcome.FAILED:
                 self._has_failed = True

@@ -20,6 +20,7 @@ from typing import Final
 
 from recorder.disk.part_file import PartFile, clear_errors, sync_directory
 from recorder.record.retention import START_FORMAT
+from recorder.record.signature import LogSigner
 from schemas.exit_codes import CommandError
 
 SUFFIX: Final = ".mcap"
@@ -40,12 +41,17 @@ NAMESAKES_MAX: Final = 1000
 class LogDirectory:
     """The directory of the logs. It is made if it does not exist.
 
+    Args:
+        path: its place.
+        signer: signs each log when it is whole; None leaves them unsigned.
+
     Raises:
         CommandError: it cannot be made or written to.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, signer: LogSigner | None = None) -> None:
         self._path = path
+        self._signer = signer
         self._disk = ThreadPoolExecutor(SYNC_THREADS, "log sync")
         with clear_errors(path):
             path.mkdir(parents=True, exist_ok=True)
@@ -67,7 +73,7 @@ class LogDirectory:
             part, path, stream = self._create(stem)
             try:
                 sync_directory(self._path)
-                return PartFile(part, path, stream, library, self._disk)
+                return PartFile(part, path, stream, library, self._disk, self._signer)
             except (CommandError, OSError):
                 # Not even the header fits: there is nothing to keep.
                 with suppress(OSError):

@@ -28,6 +28,7 @@ from recorder.record.actions import (
     WriteChunk,
     WriteMetadata,
 )
+from recorder.record.signature import SIGNATURE_SUFFIX, LogSigner
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
 from schemas.recorder_settings import ROBOT_LIMIT
@@ -52,6 +53,18 @@ def sync_directory(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def write_signature(log: Path, sha256: str, signer: LogSigner) -> None:
+    """Write the signature of a log beside it, before the log has its name: what has it is signed.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    with log.with_name(log.name + SIGNATURE_SUFFIX).open("wb") as file:
+        file.write(signer.sign(sha256, log.name))
+        file.flush()
+        os.fsync(file.fileno())
 
 
 class Prologue:
@@ -102,9 +115,19 @@ class PartFile:
         stream: the open file, unbuffered.
         library: the writer's name.
         disk: runs the syncs.
+        signer: signs it when it is whole; None leaves it unsigned.
     """
 
-    def __init__(self, part: Path, path: Path, stream: FileIO, library: str, disk: Executor) -> None:
+    def __init__(
+        self,
+        part: Path,
+        path: Path,
+        stream: FileIO,
+        library: str,
+        disk: Executor,
+        signer: LogSigner | None = None,
+    ) -> None:
+        self._signer = signer
         self._stream = stream
         self._part = part
         self._whole_path = path
@@ -335,7 +358,10 @@ class PartFile:
         self._sync_all()
         # Renamed while it is locked: an unlocked part is one that somebody may recover.
         part = self._find()
-        self.path = part.rename(part.with_name(self._whole_path.name))
+        whole = part.with_name(self._whole_path.name)
+        if self._signer is not None:
+            write_signature(whole, self._mcap.sha256, self._signer)
+        self.path = part.rename(whole)
         self.has_synced = True
         self._stream.close()
         sync_directory(self.path.parent)

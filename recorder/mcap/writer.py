@@ -9,6 +9,7 @@ record.
 from __future__ import annotations
 
 import errno
+import hashlib
 import zlib
 from collections.abc import Iterable
 from typing import Final, Protocol
@@ -81,6 +82,7 @@ class McapFile:
         self._stream = stream
         self._size = 0
         self._data_crc = 0
+        self._sha256 = hashlib.sha256()
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
         self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}
         self._summary = Summary()
@@ -91,6 +93,11 @@ class McapFile:
     def size(self) -> int:
         """Bytes of whole records so far."""
         return self._size
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of these bytes as they were given to the stream, hexadecimal."""
+        return self._sha256.hexdigest()
 
     @property
     def messages(self) -> int:
@@ -193,14 +200,14 @@ class McapFile:
 
     def _finish_with(self, digest: FileDigest, end: bytes) -> bool:
         """Write the end with a digest. False if there is no room for it: the file had better be whole without."""
-        size, crc = self._size, self._data_crc
+        size, crc, sha256 = self._size, self._data_crc, self._sha256.copy()
         try:
             self.add_attachment(digest.name, digest.media_type, end, self._summary.end_ns)
             self._write(self._summary.ending(self._size, self._data_crc))
         except OSError:
             if self._size > size:
                 self._summary.forget_attachment()
-            self._size, self._data_crc = size, crc
+            self._size, self._data_crc, self._sha256 = size, crc, sha256
             self.cut_back()
             return False
         return True
@@ -222,4 +229,5 @@ class McapFile:
                 raise OSError(errno.EAGAIN, "the stream takes no bytes")
             view = view[taken:]
         self._data_crc = zlib.crc32(data, self._data_crc)
+        self._sha256.update(data)
         self._size += len(data)

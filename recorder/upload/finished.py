@@ -17,6 +17,7 @@ import msgspec
 from recorder.mcap.reader import is_mcap
 from recorder.reading.contents import read_contents
 from recorder.record.robots import METADATA_NAME
+from recorder.record.signature import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
 from schemas.file_kinds import other_kind
 from schemas.rate_limit import RateLimit
 
@@ -24,6 +25,9 @@ READ_BYTES: Final = 65_536
 
 DISK_BYTES_PER_S: Final = 8_000_000
 """Rate at which a log is read ahead, for its checksum: far below what a card or a disk can do."""
+
+SAFELY: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+"""A FIFO would be waited for, and a link leads to where this must not read."""
 
 PART_BYTES: Final = 5 * 1024 * 1024
 """Larger logs go in parts of this length: the smallest that S3 takes."""
@@ -66,8 +70,7 @@ def finished_log(path: Path) -> Generator[BinaryIO, None, None]:
     """
     if path.is_symlink():
         raise UnfitLogError("is a link")
-    # A FIFO would be waited for, and a link leads to where this must not read.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, SAFELY)
     if kind := other_kind(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise UnfitLogError(f"is {kind}")
@@ -81,6 +84,18 @@ def finished_log(path: Path) -> Generator[BinaryIO, None, None]:
         if not is_mcap(stream):
             raise UnfitLogError("is no MCAP file")
         yield stream
+
+
+def signature_of(path: Path, sha256: str) -> bytes:
+    """The signature beside a log with these bytes; empty if there is none."""
+    with suppress(OSError):
+        descriptor = os.open(f"{path}{SIGNATURE_SUFFIX}", SAFELY)
+        with os.fdopen(descriptor, "rb") as stream:
+            data = stream.read(SIGNATURE_MAX_BYTES) or b""
+        found = LogSignature.read(data)
+        if found is not None and found.sha256 == sha256:
+            return data
+    return b""
 
 
 async def digest(stream: BinaryIO) -> LogDigest:

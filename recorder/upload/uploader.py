@@ -1,8 +1,8 @@
 """Finished logs to a store, one after the other, incidents first.
 
-Of each log first the manifest is made, where none is; then the log comes, is verified, and the manifest says so;
-then the note beside the logs. Whatever breaks off in between is done again from the beginning of that log: a store
-shows an object whole or not at all.
+Of each log first the manifest is made, where none is; then the log comes and is verified, its recorder's signature
+follows, and the manifest says so; then the note beside the logs. Whatever breaks off in between is done again from
+the beginning of that log: a store shows an object whole or not at all.
 """
 
 from __future__ import annotations
@@ -24,7 +24,16 @@ from recorder.disk.log_directory import SUFFIX
 from recorder.disk.upload_note import UploadedLog, UploadNote
 from recorder.objects.interface import StoreError
 from recorder.record.retention import LogEntry
-from recorder.upload.finished import LogDigest, UnfitLogError, digest, finished_log, read_facts, read_slowly
+from recorder.record.signature import SIGNATURE_SUFFIX
+from recorder.upload.finished import (
+    LogDigest,
+    UnfitLogError,
+    digest,
+    finished_log,
+    read_facts,
+    read_slowly,
+    signature_of,
+)
 from recorder.upload.manifest import (
     MANIFEST_SUFFIX,
     ROW_SUFFIX,
@@ -256,6 +265,8 @@ class Uploader:
             how = "" if is_new else await self._verify(name, found)
             if not how:
                 how = await self._write(name, stream, found)
+            if signature := signature_of(self._plan.directory / entry.name, found.sha256):
+                await self._store.replace(name + SIGNATURE_SUFFIX, signature)
             if not before.verified:
                 done = msgspec.structs.replace(claim, state=UploadState.VERIFIED, verified=how)
                 await self._store.replace(name + MANIFEST_SUFFIX, msgspec.json.encode(done))

@@ -21,6 +21,7 @@ from recorder.disk.log_directory import LogDirectory, lock
 from recorder.encoding.event_digest import DIGEST_NAME
 from recorder.mcap.recovery import survey
 from recorder.record.notices import DiskBack, DiskRoom, Recovered
+from recorder.record.signature import LogSigner
 from recorder.review.check import check_log
 from tests.support.logs import logs_in, small_log
 from tests.support.messages import WALL_NS
@@ -384,12 +385,12 @@ def test_room_that_comes_during_a_look_is_not_missed(tmp_path: Path, monkeypatch
     """The first part has failed by then, and the second is still being read: one more look follows."""
     reads, goes_on = threading.Event(), threading.Event()
 
-    def late(path: Path, library: str, *, set_aside: bool) -> Recovery:
+    def late(path: Path, library: str, *, set_aside: bool, signer: LogSigner | None) -> Recovery:
         if path.name.startswith("a") and not goes_on.is_set():
             return Recovery(str(path), RecoveryOutcome.FAILED, str(path), detail="No space left on device")
         reads.set()
         assert goes_on.wait(30)
-        return recover(path, library, set_aside=set_aside)
+        return recover(path, library, set_aside=set_aside, signer=signer)
 
     monkeypatch.setattr(leftovers, "recover", late)
     for stem in "ab":
@@ -430,9 +431,9 @@ def test_a_part_that_begins_after_the_start_is_no_leftover(
     goes_on = threading.Event()
     recover_all = leftovers.recover_leftovers
 
-    def late(parts: Iterable[Path], library: str) -> Iterator[Recovery]:
+    def late(parts: Iterable[Path], library: str, signer: LogSigner | None) -> Iterator[Recovery]:
         assert goes_on.wait(30)
-        return recover_all(parts, library)
+        return recover_all(parts, library, signer)
 
     monkeypatch.setattr(leftovers, "recover_leftovers", late)
     thread = LeftoverThread(tmp_path, "test")

@@ -12,6 +12,7 @@ import pytest
 
 from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
 from recorder.objects.interface import StoreError
+from recorder.record.signature import LogSigner
 from recorder.upload import finished
 from recorder.upload import store as stores
 from recorder.upload import uploader as uploading
@@ -19,8 +20,11 @@ from recorder.upload.manifest import NAMESAKES_MAX, ROW_SUFFIX, UploadManifest, 
 from recorder.upload.row import RowError
 from recorder.upload.store import LogStore, ObstoreLogs
 from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
+from schemas.authority.identity import Identity
+from schemas.authority.statement import GrantRole
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.rate_limit import RateLimit
+from tests.support.authority import Fleet, Party
 from tests.support.fakes.log_store import FakeLogStore
 from tests.support.logs import gears, own_log, saved
 
@@ -93,6 +97,25 @@ def test_a_log_is_whole_in_the_store_with_a_manifest_and_a_mark(tmp_path: Path, 
     )
     assert (totals.uploaded, totals.bytes, totals.waiting, totals.faults) == (1, len(data), [], {})
     assert safe(tmp_path) == {LOG}
+
+
+def test_the_recorders_signature_goes_with_its_log(tmp_path: Path, store: FakeLogStore) -> None:
+    """And one of another log, or a link, stays."""
+    fleet, recorder = Fleet(), Party("depot-1")
+    fleet.authority.grant(recorder, role=GrantRole.RECORDER)
+    signer = LogSigner(Identity(recorder.private, recorder.chain, fleet.trust))
+    for number in (1, 2, 3):
+        name, data = f"cruiser-1-20270115T08000{number}Z.mcap", log_of(number)
+        saved(tmp_path / name, data)
+        signature = signer.sign(hashlib.sha256(data).hexdigest(), name)
+        if number == 3:
+            (tmp_path / f"{name}.sig").symlink_to(saved(tmp_path / "elsewhere", signature))
+        else:
+            saved(tmp_path / f"{name}.sig", signature if number == 1 else signer.sign("0" * 64, name))
+    upload(tmp_path, store)
+    assert len(safe(tmp_path)) == 3
+    signatures = [name for name in store.objects if name.endswith(".sig")]
+    assert signatures == ["cruiser-1/cruiser-1-20270115T080001Z.mcap.sig"]
 
 
 def test_what_is_safe_is_not_sent_again(tmp_path: Path, store: FakeLogStore) -> None:

@@ -1,0 +1,103 @@
+"""Logs that their recorder signs."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+from pathlib import Path
+
+import pytest
+
+from recorder.disk import part_file
+from recorder.disk.keeper import DiskKeeper
+from recorder.disk.leftovers import recover_leftovers
+from recorder.disk.log_directory import LogDirectory
+from recorder.disk.log_writer import LogWriter
+from recorder.encoding.protobuf_schema import descriptor_set
+from recorder.mcap.channel import LogChannel
+from recorder.record.actions import CloseLog, DeclareChannel, OpenLog, WriteChunk
+from recorder.record.retention import DiskLimits
+from recorder.record.signature import LogSignature, LogSigner
+from schemas.authority.identity import Identity
+from schemas.authority.statement import GrantRole
+from schemas.messages import Gear
+from tests.support.authority import Fleet, Party
+from tests.support.logs import sealed, small_log
+from tests.support.messages import WALL_NS
+from tests.support.waiting import wait_until
+
+FLEET = Fleet()
+RECORDER = Party("depot-1")
+FLEET.authority.grant(RECORDER, role=GrantRole.RECORDER)
+SIGNER = LogSigner(Identity(RECORDER.private, RECORDER.chain, FLEET.trust))
+NAME = "x-20270115T080000Z.mcap"
+
+
+def written(directory: Path) -> Path:
+    """Write a log as a recorder in signed mode does; its path."""
+    writer = LogWriter(LogDirectory(directory, SIGNER), "test")
+    channel = DeclareChannel("x", LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear)))
+    chunk = WriteChunk("x", sealed([(1, 1, WALL_NS, WALL_NS, os.urandom(1000))]))
+    writer.submit([OpenLog("x", "x", WALL_NS), channel, chunk, CloseLog("x")])
+    writer.close()
+    return directory / NAME
+
+
+def signature_of(log: Path) -> LogSignature:
+    """The signature beside a log, which fits it."""
+    found = LogSignature.read(Path(f"{log}.sig").read_bytes())
+    assert found is not None
+    assert found.fits
+    assert found.key == RECORDER.key
+    assert found.sha256 == hashlib.sha256(log.read_bytes()).hexdigest()
+    return found
+
+
+def test_a_finished_log_is_signed(tmp_path: Path) -> None:
+    """By the recorder, all of it, under its name."""
+    assert signature_of(written(tmp_path)).file == NAME
+
+
+@pytest.mark.parametrize("cut", [0, 3])
+def test_what_a_killed_recorder_left_is_signed_at_the_next_start(tmp_path: Path, cut: int) -> None:
+    """A part that is whole but for its name, and one that is made whole."""
+    (tmp_path / f"{NAME}.part").write_bytes(small_log()[: -cut or None])
+    (tmp_path / f"{NAME}.sig").write_text("half a signa")
+    assert len(list(recover_leftovers(tmp_path.glob("*.part"), "test", SIGNER))) == 1
+    assert signature_of(tmp_path / NAME).file == NAME
+
+
+def test_a_damaged_part_is_signed_as_what_was_made_of_it(tmp_path: Path) -> None:
+    """The copy of what is good in it."""
+    data = bytearray(small_log())
+    data[data.index(b"\x04\x00\x00\x00zstd") + 30] ^= 4
+    (tmp_path / f"{NAME}.part").write_bytes(data)
+    assert len(list(recover_leftovers(tmp_path.glob("*.part"), "test", SIGNER))) == 1
+    signature_of(tmp_path / NAME)
+
+
+def test_a_log_without_room_for_its_signature_has_no_name_until_there_is_some(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is called a log in signed mode is signed."""
+
+    def full(*_given: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(part_file, "write_signature", full)
+        assert not written(tmp_path).exists()
+    (part,) = tmp_path.glob("*.part")
+    assert len(list(recover_leftovers([part], "test", SIGNER))) == 1
+    signature_of(tmp_path / NAME)
+
+
+def test_a_log_takes_its_signature_with_it(tmp_path: Path) -> None:
+    """Retention deletes both."""
+    written(tmp_path)
+    keeper = DiskKeeper(tmp_path, DiskLimits(budget_bytes=1))
+    try:
+        wait_until(lambda: not list(tmp_path.iterdir()))
+    finally:
+        keeper.close()
