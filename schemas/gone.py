@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 GONE_WORDS: Final[Mapping[str, str]] = {
+    "setup --dry-run": "docs/operate.md says what is written; what was there is kept beside it",
+    "setup --output": "the services read /etc/cruiser/cruiser.toml",
+    "setup --without-bus": "setup needs no bus",
     "shadow": "record the drive, and ask 'cruiser review rerun LOG --set SETTING=VALUE'",
     "review regress": "'cruiser review rerun LOG...' says of how many logs the decisions differ",
     "review rerun --jobs": "give --processes N",

@@ -237,7 +237,10 @@ def _nobody(text: str) -> str:
     where = ", ".join(places)
     if not any(place.startswith(WITH_NAMES) for place in places):
         return f"nobody answers at {where}: look at the router or gateway there, and at the network"
-    return f"nobody at {where} lets this machine in: look at the router there"
+    return (
+        f"nobody at {where} lets this machine in: no router runs there, it is another fleet's, or a certificate "
+        "is over; look there"
+    )
 
 
 def _endpoints(value: Json, mode: str) -> list[str]:

@@ -1,14 +1,18 @@
-"""``cruiser setup``: makes a robot of a computer that has the package, and ends with what doctor says."""
+"""``cruiser setup``: asks, writes the settings, enables the services, and ends with what doctor says."""
 
 from __future__ import annotations
 
 import argparse
 import os
+import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
+from pwd import getpwnam
 from typing import Final
 
 import msgspec
@@ -18,41 +22,42 @@ from gateway.can.bus_claim import count_claims
 from gateway.cli import doctor
 from gateway.cli.configuration_file import load_settings
 from gateway.doctor import installation
-from gateway.doctor.checks import USUAL_BITRATE, Diagnosis, diagnose
+from gateway.doctor.checks import USUAL_BITRATE, diagnose
 from gateway.doctor.facts import CanInterface, Facts
-from gateway.doctor.installation import Answers
+from gateway.doctor.installation import CONFIGURATION, KEYS, SERVICES, Answers
 from gateway.host.bus_look import can_interfaces, listen, look_at_interface
-from gateway.host.computer_look import earliest_s, look_at_disk, look_at_units, run_program
-from gateway.host.machine import Machine
+from gateway.host.computer_look import look_at_disk, look_at_units, owning, run_program
 from gateway.provisioning.certificates import CertificateError, expires_s, read_certificates
-from gateway.provisioning.key_store import KeyStore, find
+from gateway.provisioning.key_store import KeyStore, find, replace_whole
 from gateway.provisioning.machine_keys import install, unknown_of
 from schemas.arguments import robot_name
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.settings import STANDSTILL_MPS, Settings
+from schemas.settings import STANDSTILL_MPS, CanSettings, Settings
 
 EXAMPLE: Final = """\
   sudo cruiser setup                                        asks; each default is what was found
-  sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle --fingerprint F
-  cruiser setup --defaults --dry-run                        only says what it would do"""
+  sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle --fingerprint F"""
 
 READY_S: Final = 60.0
 """So long the services have to be well, after which what is wrong is said."""
 
-SERVICE_OF: Final = {EnrolmentRole(role): service for service, role in installation.SERVICES.items()}
+PROGRAM_TIMEOUT_S: Final = 120.0
+
+SERVICE_OF: Final = {EnrolmentRole(role): service for service, role in SERVICES.items()}
+
+NOBODY_DRIVES: Final = frozenset({"other_commander", "two_gateways"})
+"""Findings of doctor with which nothing is changed: the bus would be taken from somebody who drives."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     parser.description = (
-        "Asks what it must, listens to the CAN bus, and only then writes settings, installs bundles of the "
-        "authority, and starts the services. It prints each step, and ends with what 'cruiser doctor' says. It "
+        "Asks what it must; then writes settings, installs bundles of the authority, and starts the services, "
+        "unless somebody drives the robot. It prints each step, and ends with what 'cruiser doctor' says. It "
         "sends no command."
     )
     parser.add_argument("--defaults", action="store_true", help="ask nothing: what is not given is what was found")
-    parser.add_argument("--dry-run", action="store_true", help="do nothing, only say what would be done")
-    parser.add_argument("--without-bus", action="store_true", help="do not listen to the bus: for a bench")
     parser.add_argument("--name", type=robot_name, metavar="NAME", help="the robot's name")
     parser.add_argument("--interface", metavar="NAME", help="python-can interface (socketcan)")
     parser.add_argument("--channel", metavar="CHANNEL", help="the interface's channel (can0)")
@@ -69,12 +74,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--fingerprint", metavar="F", help="of the authority of the bundles; else it is asked for")
     parser.add_argument("--replace", action="store_true", help="write over certificates that are installed")
-    parser.add_argument(
-        "--output",
-        default=installation.CONFIGURATION,
-        metavar="FILE",
-        help=f"where the settings go ({installation.CONFIGURATION}, which the services read)",
-    )
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
@@ -85,53 +84,109 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     del settings  # Those of the file that is to be written count, not those of who asks.
     if arguments.config is not None:
-        raise CommandError("--config names no file to write: --output does", ExitCode.USAGE)
-    return int(set_up(arguments, Machine(_say, is_dry=arguments.dry_run), stopped))
+        raise CommandError(f"the settings go to {CONFIGURATION}, and --config names no other", ExitCode.USAGE)
+    if os.geteuid() != 0:
+        raise CommandError("this writes files of the system: run it as root", ExitCode.USAGE)
+    return int(set_up(arguments, Machine(), stopped))
+
+
+def run_to_end(words: Sequence[str]) -> str:
+    """Run a program of the system. Returns why it failed, in one line; empty if it did not."""
+    try:
+        done = subprocess.run(  # noqa: S603 - programs of the system, named in this tree
+            list(words), capture_output=True, text=True, check=False, timeout=PROGRAM_TIMEOUT_S
+        )
+    except OSError as error:
+        return (error.strerror or str(error)).lower()
+    except subprocess.TimeoutExpired:
+        return f"it did not end within {PROGRAM_TIMEOUT_S:g} s"
+    if done.returncode == 0:
+        return ""
+    said = (done.stderr.strip() or done.stdout.strip()).splitlines()
+    return plain(said[-1]) if said else f"exit code {done.returncode}"
+
+
+class Machine:
+    """Files that are written and programs that are run, each of them said. A test has others in their place."""
+
+    def __init__(self, root: Path = Path("/"), program: Callable[[Sequence[str]], str] = run_to_end) -> None:
+        self._root = root
+        self._program = program
+
+    def path(self, name: str) -> Path:
+        """Where a file is."""
+        return self._root / name.lstrip("/")
+
+    def write(self, name: str, text: str) -> None:
+        """Write a file that all may read, whole or not at all. What was there before is kept beside it.
+
+        Raises:
+            CommandError: it cannot be written.
+        """
+        path = self.path(name)
+        try:
+            before = path.read_text("utf-8") if path.exists() else None
+            if before == text:
+                say(f"{name}: is as it should be")
+                return
+            kept = f"{path.name}.before-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if before is not None else ""
+            say(f"writes {name}{f', and keeps {kept}' if kept else ''}")
+            path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
+            if before is not None:
+                replace_whole(path.with_name(kept), before, 0o644)
+            replace_whole(path, text, 0o644)
+        except (OSError, UnicodeDecodeError) as error:
+            why = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "it is no text"
+            raise CommandError(f"{name} cannot be written: {why}") from error
+
+    def run(self, programs: Iterable[Sequence[str]]) -> None:
+        """Run programs. What keeps a service from starting is what doctor finds afterwards."""
+        for words in programs:
+            say(f"runs: {' '.join(words)}")
+            if why_not := self._program(words):
+                say(f"'{' '.join(words)}' failed: {why_not}")
 
 
 def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[], bool]) -> ExitCode:
     """Set a machine up; see ``run``."""
-    machine.check_root()
-    bundles = _bundles(arguments)
+    bundles = _bundles(arguments.bundle or ())
     _compare(arguments, machine, bundles)
-    file = machine.path(arguments.output)
+    file = machine.path(CONFIGURATION)
     before = load_settings(str(file) if file.exists() else None, {}, {})
-    answers = _answers(arguments, machine, before, bundles)
-    wanted = _settings(answers, before)
-    _examine(arguments, machine, answers, wanted, stopped)
+    answers = _answers(arguments, machine, before, bundles.values())
+    _refuse_where_driven(machine, answers, before, stopped)
     for bundle_file, bundle in bundles.items():
-        _install(arguments, machine, bundle_file, bundle)
+        _install(machine, bundle_file, bundle, replace=arguments.replace)
     tables = tomllib.loads(file.read_text("utf-8-sig")) if file.exists() else {}
-    machine.write(arguments.output, installation.configuration(answers, tables))
-    if not machine.has_systemd:
-        _say("there is no systemd here; what it would do is left to you:")
-        for line in installation.by_hand(answers):
-            _say(f"    {line}")
+    machine.write(CONFIGURATION, installation.configuration(answers, tables))
+    if not machine.path("/run/systemd/system").is_dir():
+        say("there is no systemd here: start the services by hand, 'cruiser gateway' and 'cruiser record' first")
         return ExitCode.OK
     for name, text in installation.system_files(answers).items():
         machine.write(name, text)
-    for program in installation.start_services(answers):
-        try:
-            machine.run([program])
-        except CommandError as error:
-            # What keeps a service from starting is what is found below.
-            _say(str(error))
-    if machine.is_dry:
-        return ExitCode.OK
-    settings = load_settings(str(file), os.environ, {})
-    facts, found = _wait_until_well(settings, stopped)
-    return doctor.report(facts, found, as_json=False)
+    machine.run(installation.start_services(answers))
+    say("waits until the gateway is ready")
+    settings, end_s = load_settings(str(file), os.environ, {}), time.monotonic() + READY_S
+    while True:
+        facts = doctor.look(settings, 3.0, stopped)
+        found = diagnose(facts)
+        must = {one.check for one in found if not one.is_note}
+        if not must & installation.PENDING or stopped() or time.monotonic() > end_s:
+            return doctor.report(facts, found, as_json=False)
 
 
 def _answers(
-    arguments: argparse.Namespace, machine: Machine, before: Settings, bundles: dict[Path, Bundle]
+    arguments: argparse.Namespace, machine: Machine, before: Settings, bundles: Iterable[Bundle]
 ) -> Answers:
     """The answers: from flags, from the person, or found."""
-    ask = _Asking(is_silent=arguments.defaults)
-    robot = next((one for one in bundles.values() if one.role is EnrolmentRole.ROBOT), None)
-    name = (
-        robot.name if robot is not None else ask("the robot's name", before.robot.name, arguments.name, robot_name)
-    )
+
+    def ask(question: str, default: str, given: str | None, check: Callable[[str], object] = str) -> str:
+        if given is None and not arguments.defaults:
+            return _ask(f"{question} [{default}]: ", default, check)
+        return default if given is None else given
+
+    robot = next((one for one in bundles if one.role is EnrolmentRole.ROBOT), None)
+    name = robot.name if robot else ask("the robot's name", before.robot.name, arguments.name, robot_name)
     if arguments.name not in {None, name}:
         raise CommandError(f"the bundle is for {plain(name)}, not for {arguments.name}", ExitCode.USAGE)
     interface = arguments.interface or before.can.interface
@@ -141,19 +196,21 @@ def _answers(
         (channel,) = found
     channel = ask("the CAN interface", channel, arguments.channel)
     link = _interface(machine, interface, channel)
-    if interface != "socketcand" and not link.is_virtual:
-        usual = link.bitrate or before.can.bitrate or USUAL_BITRATE
+    if interface != "socketcand" and not (link and link.is_virtual):
+        usual = (link and link.bitrate) or before.can.bitrate or USUAL_BITRATE
         bitrate = int(ask("its bit rate", str(usual), arguments.bitrate, _bitrate))
-    keys = {SERVICE_OF[one.role] for one in bundles.values()} | _installed(machine)
+    keys = {SERVICE_OF[one.role] for one in bundles}
+    keys |= {one for one, role in SERVICES.items() if machine.path(f"{KEYS}/{one}/{role}.json5").exists()}
     routers = before.zenoh.connect
     if "gateway" not in keys:
         given = ",".join(arguments.router) if arguments.router else None
         router = ask("routers, with commas (empty: none, this machine alone)", ",".join(routers), given)
         routers = [one for one in router.split(",") if one]
-    disk = look_at_disk(_existing(machine.path(installation.LOGS)))
+    logs = machine.path(installation.LOGS)
+    disk = look_at_disk(next((one for one in (logs, *logs.parents) if one.is_dir()), logs))
     return Answers(
         name,
-        robot.fleet.root if robot is not None else "",
+        robot.fleet.root if robot else "",
         interface,
         channel,
         bitrate,
@@ -164,34 +221,24 @@ def _answers(
     )
 
 
-class _Asking:
-    """Asks the person at the terminal; nobody, where all defaults are to do."""
+def _ask(prompt: str, default: str, check: Callable[[str], object]) -> str:
+    """The person's answer.
 
-    def __init__(self, *, is_silent: bool) -> None:
-        self._is_silent = is_silent
-
-    def __call__(
-        self, question: str, default: str, given: str | None, check: Callable[[str], object] = str
-    ) -> str:
-        """The answer: the flag's, the person's, or the default.
-
-        Raises:
-            CommandError: there is nobody to ask.
-        """
-        if given is not None or self._is_silent:
-            return default if given is None else given
-        if not sys.stdin.isatty():
-            raise CommandError("there is no terminal to ask: --defaults asks nothing", ExitCode.USAGE)
-        while True:
-            try:
-                answer = input(f"{question} [{default}]: ").strip() or default
-                check(answer)
-            except EOFError as error:
-                raise CommandError(f"no answer: {question}", ExitCode.USAGE) from error
-            except argparse.ArgumentTypeError as error:
-                _say(str(error))
-            else:
-                return answer
+    Raises:
+        CommandError: there is nobody to ask.
+    """
+    if not sys.stdin.isatty():
+        raise CommandError("there is no terminal to ask: --defaults asks nothing", ExitCode.USAGE)
+    while True:
+        try:
+            answer = input(prompt).strip() or default
+            check(answer)
+        except EOFError as error:
+            raise CommandError(f"no answer: {prompt}", ExitCode.USAGE) from error
+        except argparse.ArgumentTypeError as error:
+            say(str(error))
+        else:
+            return answer
 
 
 def _bitrate(text: str) -> str:
@@ -200,153 +247,72 @@ def _bitrate(text: str) -> str:
     return text
 
 
-def _settings(answers: Answers, before: Settings) -> Settings:
-    """The settings to listen by."""
-    can = msgspec.structs.replace(
-        before.can,
-        interface=answers.interface,
-        channel=answers.channel,
-        bitrate=answers.bitrate,
-    )
-    robot = msgspec.structs.replace(before.robot, name=answers.name, root=answers.root or before.robot.root)
-    state = msgspec.structs.replace(before.gateway, state_dir=installation.STATE)
-    return msgspec.structs.replace(before, can=can, robot=robot, gateway=state)
+def _interface(machine: Machine, interface: str, channel: str) -> CanInterface | None:
+    """The interface; None where it is none of the kernel's."""
+    settings = Settings(can=CanSettings(interface=interface, channel=channel))
+    return look_at_interface(settings, run_program, machine.path("/sys/class/net"))
 
 
-# What is looked at before anything is written.
-
-
-def _examine(
-    arguments: argparse.Namespace,
-    machine: Machine,
-    answers: Answers,
-    settings: Settings,
-    stopped: Callable[[], bool],
+def _refuse_where_driven(
+    machine: Machine, answers: Answers, before: Settings, stopped: Callable[[], bool]
 ) -> None:
-    """Listen to the bus, and look at the disk.
+    """Listen to the bus as it is: services are started again, and a bit rate changed, only where nobody drives.
 
     Raises:
-        CommandError: the robot cannot be set up like this, or somebody commands it.
+        CommandError: the robot moves, or somebody commands it.
     """
-    if arguments.without_bus:
-        _refuse_for(_facts(machine, settings, None, stopped), "disk_unusable", "disk_read_only", "disk_full")
-        return
+    can = msgspec.structs.replace(
+        before.can, interface=answers.interface, channel=answers.channel, bitrate=answers.bitrate
+    )
+    settings = msgspec.structs.replace(before, can=can)
     link = _interface(machine, answers.interface, answers.channel)
-    undo: list[list[str]] = []
-    if answers.is_kernels and link.is_present:
-        differs = link.bitrate not in {None, answers.bitrate}
-        if link.is_up and differs:
-            # Nobody who drives a robot over this interface loses it.
-            _refuse_for(_facts(machine, settings, link, stopped), "other_commander")
-            was = msgspec.structs.replace(answers, bitrate=link.bitrate or answers.bitrate)
-            undo = [*installation.bring_down(answers), *installation.bring_up(was)]
-            machine.run(installation.bring_down(answers))
-        if not link.is_up or differs:
-            undo = undo or installation.bring_down(answers)
-            machine.run(installation.bring_up(answers))
-            if machine.is_dry:
-                _say("would listen to the bus")
-                return
-    _say(f"listens to {answers.interface} {answers.channel}")
-    try:
-        facts = _facts(machine, settings, _interface(machine, answers.interface, answers.channel), stopped)
-        _refuse_for(facts, *installation.REFUSALS)
-    except CommandError:
-        machine.run(undo)
-        raise
-    health = facts.health
-    variant = "" if health is None else f", variant {health.variant.value}"
-    _say(f"the chassis is there{variant}; nobody commands it")
-
-
-def _facts(machine: Machine, settings: Settings, link: CanInterface | None, stopped: Callable[[], bool]) -> Facts:
-    """Collect the facts that setup needs; without an interface the bus is not listened to."""
+    is_open = link is None or (link.is_present and link.is_up)
     is_running = any(unit.name == "cruiser-gateway.service" and unit.state == "active" for unit in look_at_units())
-    # The service's own gateway is about to be started anew; any other is one too many.
-    claims = count_claims(settings.can) + (0 if is_running else 1)
-    return Facts(
+    facts = Facts(
         settings,
         "",
         time.time(),
-        earliest_s(settings),
-        interface=link,
-        claims=claims,
-        bus=None if link is None else listen(settings, stopped),
-        disk=look_at_disk(_existing(machine.path(installation.LOGS))),
+        # The service's own gateway is about to be started anew; any other is one too many.
+        claims=count_claims(can) + (0 if is_running else 1),
+        bus=listen(settings, stopped) if is_open else None,
     )
-
-
-def _refuse_for(facts: Facts, *names: str) -> None:
-    """Go no further if any of these findings is there, or if the robot moves."""
-    found = next((one for one in diagnose(facts) if one.check in names), None)
-    if found is not None:
-        raise CommandError(f"{found.text} -> {found.cure}", _CODES.get(found.check, ExitCode.FAILURE))
-    speed_mps = None if facts.state is None else facts.state.speed_mps
+    if found := next((one for one in diagnose(facts) if one.check in NOBODY_DRIVES), None):
+        raise CommandError(f"{found.text} -> {found.cure}", ExitCode.REFUSED)
+    speed_mps = facts.state.speed_mps if facts.state else None
     if speed_mps is not None and abs(speed_mps) > STANDSTILL_MPS:
         raise CommandError(f"the robot moves at {speed_mps:+.2f} m/s: nothing is changed", ExitCode.REFUSED)
-
-
-_CODES: Final = {
-    "other_commander": ExitCode.REFUSED,
-    "two_gateways": ExitCode.REFUSED,
-    "interface_missing": ExitCode.UNREACHABLE,
-    "interface_down": ExitCode.UNREACHABLE,
-    "bus_unreachable": ExitCode.UNREACHABLE,
-}
-
-
-def _interface(machine: Machine, interface: str, channel: str) -> CanInterface:
-    """The interface; one that is well where it is none of the kernel's."""
-    can = msgspec.structs.replace(Settings().can, interface=interface, channel=channel)
-    settings = msgspec.structs.replace(Settings(), can=can)
-    found = look_at_interface(settings, run_program, machine.path("/sys/class/net"))
-    return found or CanInterface(is_present=True, is_up=True)
-
-
-def _existing(directory: Path) -> Path:
-    """The directory, or the nearest above it that is there."""
-    return next((one for one in (directory, *directory.parents) if one.is_dir()), directory)
 
 
 # Keys and certificates.
 
 
-def _bundles(arguments: argparse.Namespace) -> dict[Path, Bundle]:
+def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
     """The bundles that were named, by their files.
 
     Raises:
         CommandError: one is none, is somebody else's file, or its certificate is over.
     """
     bundles = {}
-    for file in map(Path, arguments.bundle or ()):
+    for file in map(Path, files):
+        name = plain(str(file))
+        found = find(file)
+        if not found.is_own and str(file.stat().st_uid) != os.environ.get("SUDO_UID"):
+            raise CommandError(f"{name} belongs to another user; chown it to yours", ExitCode.USAGE)
         try:
-            bundle = read_bundle(_own_input(file), int(time.time()))
-            ends_s = expires_s(read_certificates(bundle.certificate)[0])
+            bundle = read_bundle(found.content, int(time.time()))
+            ended_s = time.time() - expires_s(read_certificates(bundle.certificate)[0])
         except (EnrolmentError, CertificateError) as error:
-            raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
-        if ends_s < time.time():
-            days = (time.time() - ends_s) / 86_400
+            raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
+        if ended_s > 0:
             raise CommandError(
-                f"{plain(str(file))}: its certificate ended {days:.1f} days ago -> 'cruiser provision renew "
+                f"{name}: its certificate ended {ended_s / 86_400:.1f} days ago -> 'cruiser provision renew "
                 f"{bundle.role.value}' asks for another",
                 ExitCode.USAGE,
             )
         if bundle.role not in SERVICE_OF:
-            raise CommandError(f"{plain(str(file))} is for a {bundle.role.value}, and for no service here")
+            raise CommandError(f"{name} is for a {bundle.role.value}, and for no service here")
         bundles[file] = bundle
     return bundles
-
-
-def _own_input(file: Path) -> bytes:
-    """The content of a file of root's, or of who asks, by sudo or not.
-
-    Raises:
-        CommandError: it cannot be read, or is somebody else's.
-    """
-    found = find(file)
-    if not found.is_own and str(file.stat().st_uid) != os.environ.get("SUDO_UID"):
-        raise CommandError(f"{plain(str(file))} belongs to another user; chown it to yours", ExitCode.USAGE)
-    return found.content
 
 
 def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path, Bundle]) -> None:
@@ -361,69 +327,47 @@ def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path
             raise CommandError(
                 f"{plain(str(file))} is of the authority {bundle.fingerprint}, not of that one", ExitCode.USAGE
             )
-        store = KeyStore(machine.path(f"{installation.KEYS}/{SERVICE_OF[bundle.role]}"))
-        if arguments.fingerprint is None and not machine.is_dry and unknown_of(store, bundle):
+        store = KeyStore(machine.path(f"{KEYS}/{SERVICE_OF[bundle.role]}"))
+        if arguments.fingerprint is None and unknown_of(store, bundle):
             fresh.append(bundle.fingerprint)
     for fingerprint in dict.fromkeys(fresh):
         showed = f"'provision authority' or 'sign' showed {fingerprint} there"
         if arguments.defaults:
             raise CommandError(f"--fingerprint takes the authority over, if {showed}", ExitCode.USAGE)
-        if _Asking(is_silent=False)(f"is it so that {showed}? yes or no", "no", None) != "yes":
+        if _ask(f"is it so that {showed}? yes or no [no]: ", "no", str) != "yes":
             raise CommandError("nothing is installed: it is the bundle of another authority", ExitCode.USAGE)
 
 
-def _installed(machine: Machine) -> set[str]:
-    """Services whose certificates are installed."""
-    return {
-        service
-        for service, role in installation.SERVICES.items()
-        if machine.path(f"{installation.KEYS}/{service}/{role}.json5").exists()
-    }
+def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> None:
+    """Install a bundle where its service has its keys, as its user.
 
-
-def _install(
-    arguments: argparse.Namespace,
-    machine: Machine,
-    file: Path,
-    bundle: Bundle,
-) -> None:
-    """Install a bundle where its service has its keys, as its user."""
-    service = SERVICE_OF[bundle.role]
-    with machine.keys_of(service) as directory:
-        store = KeyStore(directory)
-        if _is_installed(store, bundle):
-            _say(f"{plain(str(file))}: is installed")
+    Raises:
+        CommandError: it does not fit the keys there, or cannot be written.
+    """
+    service, name = SERVICE_OF[bundle.role], plain(str(file))
+    directory = machine.path(f"{KEYS}/{service}")
+    try:
+        if not directory.exists():
+            directory.mkdir(mode=0o700, parents=True)
+            with suppress(KeyError):
+                user = getpwnam(f"cruiser-{service}")
+                os.chown(directory, user.pw_uid, user.pw_gid)
+    except OSError as error:
+        raise CommandError(f"{directory} cannot be made: {error.strerror}") from error
+    with owning(directory):
+        store, certificate = KeyStore(directory), f"{bundle.role.value}-tls.pem"
+        if store.has(certificate) and store.read(certificate, "").decode(errors="replace") == bundle.certificate:
+            say(f"{name}: is installed")
             return
-        _say(f"{'would install' if machine.is_dry else 'installs'} {plain(str(file))} in {directory}")
-        if machine.is_dry:
-            return
+        say(f"installs {name} in {directory}")
         try:
-            done = install(store, bundle, replace=arguments.replace, is_compared=True)
+            done = install(store, bundle, replace=replace, is_compared=True)
         except ValueError as error:
-            raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
-    _say(f"    {', '.join(done.files)}: of authority {bundle.fingerprint}")
+            raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
+    say(f"    {', '.join(done.files)}: of authority {bundle.fingerprint}")
 
 
-def _is_installed(store: KeyStore, bundle: Bundle) -> bool:
-    name = f"{bundle.role.value}-tls.pem"
-    return store.has(name) and store.read(name, "").decode(errors="replace") == bundle.certificate
-
-
-# The end.
-
-
-def _wait_until_well(settings: Settings, stopped: Callable[[], bool]) -> tuple[Facts, list[Diagnosis]]:
-    """Examine the robot until it is well, or will not become so."""
-    _say("waits until the gateway is ready")
-    end_s = time.monotonic() + READY_S
-    while True:
-        facts = doctor.look(settings, 3.0, stopped)
-        found = diagnose(facts)
-        must = {one.check for one in found if not one.is_note}
-        if not must & installation.PENDING or stopped() or time.monotonic() > end_s:
-            return facts, found
-
-
-def _say(line: str) -> None:
+def say(line: str) -> None:
+    """Print a line at once."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()

@@ -17,7 +17,6 @@ from typing import Final
 
 from gateway.host.service_manager import ServiceManager
 from gateway.provisioning.tls_files import check_tls_files, why_shut_out
-from gateway.provisioning.tls_probe import why_not_let_in
 from gateway.zenoh.client import client_endpoints, close_session, open_session
 from schemas.exit_codes import CommandError
 from schemas.settings import ZenohSettings
@@ -63,13 +62,9 @@ def fault_of_files(error: SessionError) -> str:
 def why_away(error: SessionError) -> str:
     """Return why a session did not open, where another attempt may; empty where none would.
 
-    What is wrong with its files; or what its router says to a handshake, or that none answers.
+    What is wrong with its files, or that no router answers.
     """
-    if fault := fault_of_files(error):
-        return fault
-    if not error.is_unanswered:
-        return ""
-    return (why_not_let_in(Path(error.config), str(error)) if error.config else "") or str(error)
+    return fault_of_files(error) or (str(error) if error.is_unanswered else "")
 
 
 def has_waited(error: CommandError, zenoh: ZenohSettings, ends: Callable[[], bool]) -> bool:

@@ -10,7 +10,6 @@ import msgspec
 from schemas.toml_text import write_key, write_value
 
 CONFIGURATION: Final = "/etc/cruiser/cruiser.toml"
-DESK: Final = "/etc/cruiser/desk.toml"
 METRICS: Final = "/etc/cruiser/metrics.toml"
 KEYS: Final = "/etc/cruiser"
 STATE: Final = "/var/lib/cruiser/gateway"
@@ -35,27 +34,6 @@ SERVICES: Final = {
 }
 """Our services, each with the role of its certificate; its keys are in a directory of its name."""
 
-
-REFUSALS: Final = frozenset(
-    {
-        "interface_missing",
-        "interface_down",
-        "bus_unreachable",
-        "bit_rate",
-        "bit_rate_differs",
-        "bus_silent",
-        "other_device",
-        "feedback_missing",
-        "feedback_faulty",
-        "other_commander",
-        "two_gateways",
-        "clock_behind",
-        "disk_unusable",
-        "disk_read_only",
-        "disk_full",
-    }
-)
-"""Findings of ``checks`` with which nothing is set up: what would be written could not work."""
 
 PENDING: Final = frozenset(
     {
@@ -211,20 +189,6 @@ def _zenoh_file(service: str) -> str:
     return f"{KEYS}/{service}/{SERVICES[service]}.json5"
 
 
-def bring_up(answers: Answers) -> list[list[str]]:
-    """Programs that bring the interface up, to listen."""
-    link = ["ip", "link", "set", answers.channel]
-    if not answers.bitrate:
-        return [[*link, "up"]]
-    can = ["type", "can", "bitrate", str(answers.bitrate), "restart-ms", str(RESTART_MS)]
-    return [[*link, *can], [*link, "txqueuelen", str(QUEUE_FRAMES), "up"]]
-
-
-def bring_down(answers: Answers) -> list[list[str]]:
-    """Programs that leave the interface as it was found."""
-    return [["ip", "link", "set", answers.channel, "down"]]
-
-
 def start_services(answers: Answers) -> list[list[str]]:
     """Programs that let systemd know, and start what is to run here, in their order."""
     programs = [["systemctl", "daemon-reload"]]
@@ -235,21 +199,3 @@ def start_services(answers: Answers) -> list[list[str]]:
         unit = f"cruiser-{name}.service"
         programs += [["systemctl", "reenable", unit], ["systemctl", "restart", unit]]
     return programs
-
-
-def by_hand(answers: Answers) -> list[str]:
-    """The steps that remain for a person where there is no systemd."""
-    lines = [" ".join(program) for program in bring_up(answers)] if answers.is_kernels else []
-    commands = {
-        "router": f"cruiser router --directory {KEYS}/router",
-        "gateway": f"cruiser gateway --config {CONFIGURATION} --wait-for-bus",
-        "recorder": f"cruiser record --config {CONFIGURATION}",
-        "desk": f"CRUISER_ZENOH_CONFIG={_zenoh_file('desk')} cruiser desk --config {DESK}",
-        "metrics": f"cruiser metrics --config {METRICS}",
-    }
-    for name in answers.services:
-        before = ""
-        if name == "recorder" and answers.is_signed:
-            before = f"CRUISER_AUTHORITY_DIRECTORY={KEYS}/recorder CRUISER_ZENOH_CONFIG={_zenoh_file(name)} "
-        lines.append(f"{before}{commands[name]}")
-    return [*lines, "cruiser doctor"]

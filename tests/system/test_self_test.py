@@ -230,7 +230,7 @@ def test_a_gateway_that_finds_no_router_tests_itself_when_it_has_one(fleet: Flee
 def test_a_gateway_whose_router_is_away_starts_and_joins_it_later(fleet: Fleet) -> None:
     """It says once for what it waits. Nobody engages the robot before its test at the router has passed."""
     with fleet.gateway() as process:
-        away = r"no router runs at tls/127\.0\.0\.1:\d+: .*; the robot is off the network"
+        away = r"nobody at tls/127\.0\.0\.1:\d+ lets this machine in: .*; the robot is off the network"
         process.wait_says(away)
         # The chassis is seen: the loop runs.
         process.wait_says("the bus is up")

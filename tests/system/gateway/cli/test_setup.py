@@ -1,6 +1,7 @@
 """``cruiser setup`` on a machine below a directory, with a virtual chassis, and services that are processes."""
 
 import argparse
+import errno
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -14,8 +15,8 @@ import pytest
 
 from gateway.cli import setup
 from gateway.cli.configuration_file import load_settings
+from gateway.cli.setup import Machine, run_to_end
 from gateway.doctor.facts import BusReport
-from gateway.host.machine import Machine
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ChassisSettings
 from schemas.zenoh_link import split_endpoint
@@ -35,20 +36,20 @@ class FakeSystemd:
     """A machine whose services are processes of this test; their places are below a directory.
 
     Attributes:
-        lines: what was said.
         programs: what was run.
         listen: where the gateway is to be reached, if not where it says itself.
     """
 
     def __init__(self, root: Path, processes: ExitStack) -> None:
         self.root = root
-        self.lines: list[str] = []
         self.programs: list[str] = []
         self.listen = ""
         self._processes = processes
 
-    def machine(self, *, has_systemd: bool = True, is_dry: bool = False) -> Machine:
-        return Machine(self.lines.append, root=self.root, program=self, has_systemd=has_systemd, is_dry=is_dry)
+    def machine(self, *, has_systemd: bool = True) -> Machine:
+        if has_systemd:
+            (self.root / "run/systemd/system").mkdir(parents=True, exist_ok=True)
+        return Machine(self.root, self)
 
     def __call__(self, words: Sequence[str]) -> str:
         self.programs.append(" ".join(words))
@@ -124,22 +125,20 @@ def is_well(code: ExitCode, text: str) -> bool:
 def test_a_bare_machine_becomes_a_robot_that_is_recorded(
     bus: str, systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It listens, writes, starts, and examines; a second time it finds all as it should be."""
+    """It writes, starts, and examines. A second time a gateway that is not the service's is in its way."""
     systemd.listen = free_endpoint()
     monkeypatch.setenv("CRUISER_ZENOH_CONNECT", systemd.listen)
     code = set_up(systemd.machine(), *of(bus), "--name", "depot-3")
     said = capsys.readouterr().out
     assert is_well(code, said), said
-    assert "the chassis is there, variant coarse; nobody commands it\n" in said
     settings = load_settings(str(systemd.root / TOML[1:]), {}, {})
     assert (settings.robot.name, settings.can.channel) == ("depot-3", bus)
     assert "systemctl restart cruiser-gateway.service" in systemd.programs
-    systemd.lines.clear()
     # What runs already is no gateway of systemd's here.
     with pytest.raises(CommandError, match="more than one gateway commands the bus") as caught:
         set_up(systemd.machine(), *of(bus))
     assert caught.value.code is ExitCode.REFUSED
-    assert systemd.lines == []
+    assert capsys.readouterr().out == ""
 
 
 def test_a_robot_with_bundles_is_set_up_in_signed_mode(
@@ -198,7 +197,7 @@ def test_who_is_asked_has_to_have_compared_the_authority(
 
         monkeypatch.setattr("builtins.input", said)
         with pytest.raises(CommandError, match="nothing is installed"):
-            set_up(systemd.machine(), "--without-bus", "--bundle", str(bundle))
+            set_up(systemd.machine(), "--bundle", str(bundle))
     assert not (systemd.root / TOML[1:]).exists()
 
 
@@ -211,40 +210,42 @@ def test_a_bundle_is_a_file_of_roots_or_of_who_asks(
     fleet = ProvisionedFleet(tmp_path / "fleet")
     bundle = fleet.sign(fleet.request("robot", "depot-3"))
     os.chown(bundle, 65534, 65534)
-    words = ("--defaults", "--without-bus", "--dry-run", "--bundle", str(bundle))
+    words = ("--defaults", "--bundle", str(bundle))
     with pytest.raises(CommandError, match="belongs to another user"):
         set_up(systemd.machine(), *words)
     monkeypatch.setenv("SUDO_UID", "65534")
-    set_up(systemd.machine(is_dry=True), *words)
+    # It is read, and of an authority that is not known here.
+    with pytest.raises(CommandError, match="--fingerprint takes the authority over"):
+        set_up(systemd.machine(), *words)
 
 
-def test_nothing_is_written_where_the_bus_is_not_that_of_a_chassis(bus: str, systemd: FakeSystemd) -> None:
-    """One line says what is wrong, with its cure: a silent bus, another device, another bit rate, no bus."""
-    cases = [
-        (["silence", "all"], of(bus), "nothing is received on the bus"),
-        (["foreign", "siblings"], of(bus), "none is of this chassis: identifiers 200, 201, 202"),
-        (["foreign", "004", "error"], of(bus), "another bit rate"),
-        ([], of("127.0.0.1:1"), "the bus cannot be opened"),
-        ([], ["--defaults", "--channel", "can9"], "the interface is not there: can9"),
-    ]
-    for fault, words, says in cases:
-        if fault:
-            assert run(["fault", "--sim", bus, *fault]).returncode == 0
-        with pytest.raises(CommandError, match=says) as caught:
-            set_up(systemd.machine(), *words)
-        assert "\n" not in str(caught.value)
-        assert " -> " in str(caught.value)
-    assert not (systemd.root / "etc").exists()
-    assert systemd.programs == []
+@pytest.mark.parametrize(
+    ("channel", "says"),
+    [("", "bus_silent: "), ("127.0.0.1:1", "bus_unreachable: ")],
+)
+def test_what_is_wrong_with_the_bus_is_what_doctor_says_at_the_end(
+    bus: str,
+    systemd: FakeSystemd,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    channel: str,
+    says: str,
+) -> None:
+    """With its cure, and exit code 1; after it setup is run again."""
+    monkeypatch.setattr(setup, "READY_S", 0.0)
+    monkeypatch.setattr(systemd, "_start", lambda _: None)
+    assert run(["fault", "--sim", bus, "silence", "all"]).returncode == 0
+    assert set_up(systemd.machine(), *of(channel or bus)) is ExitCode.FAILURE
+    assert says in capsys.readouterr().out
+    assert (systemd.root / TOML[1:]).exists()
 
 
-def test_without_systemd_it_says_what_is_left_to_do(
+def test_without_systemd_the_settings_are_written(
     systemd: FakeSystemd, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On a bench without a bus, too. The settings are written."""
-    assert set_up(systemd.machine(has_systemd=False), "--defaults", "--without-bus") is ExitCode.OK
-    said = capsys.readouterr().out
-    assert "    cruiser gateway --config /etc/cruiser/cruiser.toml --wait-for-bus\n" in said
+    """On a bench without a bus, too."""
+    assert set_up(systemd.machine(has_systemd=False), "--defaults") is ExitCode.OK
+    assert "there is no systemd here" in capsys.readouterr().out
     assert (systemd.root / TOML[1:]).exists()
     assert systemd.programs == []
 
@@ -275,122 +276,99 @@ def test_a_bundle_whose_certificate_is_over_is_refused(
 def test_without_a_terminal_it_wants_defaults(systemd: FakeSystemd) -> None:
     """It never waits for an answer that cannot come."""
     with pytest.raises(CommandError, match="--defaults asks nothing"):
-        set_up(systemd.machine(is_dry=True))
+        set_up(systemd.machine())
 
 
-class FakeLink:
-    """An interface of the kernel's below a directory, which ``ip`` brings up and down."""
-
-    def __init__(self, systemd: FakeSystemd) -> None:
-        self.systemd = systemd
-        self._flags = systemd.root / "sys/class/net/can0/flags"
-        self._flags.parent.mkdir(parents=True)
-        for name, text in (("type", "280"), ("tx_queue_len", "10")):
-            (self._flags.parent / name).write_text(text)
-        self._flags.write_text("0x40080")
-
-    def machine(self, *, has_systemd: bool = False, is_dry: bool = False) -> Machine:
-        return Machine(
-            self.systemd.lines.append, root=self.systemd.root, program=self, has_systemd=has_systemd, is_dry=is_dry
-        )
-
-    def __call__(self, words: Sequence[str]) -> str:
-        self.systemd.programs.append(" ".join(words))
-        if words[0] == "networkctl":
-            return "systemd-networkd is not running"
-        if words[:4] == ["ip", "link", "set", "can0"] and words[-1] in {"up", "down"}:
-            self._flags.write_text("0x40081" if words[-1] == "up" else "0x40080")
-        return ""
+def bring_up(systemd: FakeSystemd) -> None:
+    """Let the kernel have a CAN interface that is up."""
+    link = systemd.root / "sys/class/net/can0"
+    link.mkdir(parents=True)
+    for name, text in (("type", "280"), ("tx_queue_len", "10"), ("flags", "0x40081")):
+        (link / name).write_text(text)
 
 
 replace = msgspec.structs.replace
 
 FEEDBACK = [replace(HEALTH.feedback[0], name=name) for name in ChassisSettings().required_feedback]
 WELL_HEALTH = replace(HEALTH, feedback=FEEDBACK)
-DEAD = replace(HEALTH, feedback=[], frames_per_s=0.0)
 CHASSIS = BusReport("", WELL_HEALTH, replace(STATE, speed_mps=0.0))
-UP = ["ip link set can0 type can bitrate 500000 restart-ms 100", "ip link set can0 txqueuelen 10 up"]
 
 
-def test_an_interface_that_is_down_is_brought_up_to_listen_before_anything_is_written(
+def test_networkd_brings_the_interface_up_and_what_fails_is_said(
     systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Then come networkd, which fails here and is said to, and the services all the same."""
-    link = FakeLink(systemd)
-    written_before: list[bool] = []
-
-    def heard(*_: object) -> BusReport:
-        written_before.append((systemd.root / "etc").exists())
-        return CHASSIS
-
-    monkeypatch.setattr(setup, "listen", heard)
+    """The services are started all the same."""
+    bring_up(systemd)
+    monkeypatch.setattr(setup, "listen", lambda *_: CHASSIS)
     monkeypatch.setattr(setup, "READY_S", 0.0)
-    set_up(link.machine(has_systemd=True), "--defaults")
-    assert written_before == [False]
-    assert systemd.programs[:2] == UP
-    assert systemd.programs[2:6] == [
+    programs: list[str] = []
+
+    def program(words: Sequence[str]) -> str:
+        programs.append(" ".join(words))
+        return "systemd-networkd is not running" if words[0] == "networkctl" else ""
+
+    systemd.machine()
+    set_up(Machine(systemd.root, program), "--defaults")
+    assert programs[:4] == [
         "systemctl daemon-reload",
         "systemctl enable --now systemd-networkd.service",
         "networkctl reload",
         "networkctl reconfigure can0",
     ]
-    assert "systemctl restart cruiser-gateway.service" in systemd.programs
+    assert "systemctl restart cruiser-gateway.service" in programs
     assert "'networkctl reload' failed: systemd-networkd is not running" in capsys.readouterr().out
     network = systemd.root / "etc/systemd/network/80-cruiser-can0.network"
     assert "BitRate=500000" in network.read_text()
 
 
 @pytest.mark.parametrize(
-    ("report", "says", "code"),
+    ("report", "says"),
     [
-        (BusReport("", replace(DEAD, faults={"error_frame": 3})), "another bit rate", ExitCode.FAILURE),
-        (replace(CHASSIS, is_commanded=True), "another computer commands the chassis", ExitCode.REFUSED),
-        (replace(CHASSIS, state=replace(STATE, speed_mps=-0.4)), "moves at -0.40 m/s", ExitCode.REFUSED),
-        (BusReport("socketcan can0: Device busy"), "cannot be opened", ExitCode.UNREACHABLE),
+        (replace(CHASSIS, is_commanded=True), "another computer commands the chassis"),
+        (replace(CHASSIS, state=replace(STATE, speed_mps=-0.4)), "moves at -0.40 m/s"),
     ],
 )
-def test_an_interface_is_left_as_it_was_found_where_setup_refuses(
-    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, report: BusReport, says: str, code: ExitCode
+def test_nothing_is_changed_while_somebody_drives(
+    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, report: BusReport, says: str
 ) -> None:
-    """It was down: it is taken down again, and no file was written."""
-    link = FakeLink(systemd)
+    """Another bit rate, or another start of the gateway, would take the bus from who drives."""
+    bring_up(systemd)
     monkeypatch.setattr(setup, "listen", lambda *_: report)
     with pytest.raises(CommandError, match=says) as caught:
-        set_up(link.machine(), "--defaults")
-    assert caught.value.code is code
-    assert systemd.programs == [*UP, "ip link set can0 down"]
+        set_up(systemd.machine(), "--defaults", "--bitrate", "250000")
+    assert caught.value.code is ExitCode.REFUSED
+    assert systemd.programs == []
     assert not (systemd.root / "etc").exists()
 
 
-def test_another_bit_rate_is_tried_only_where_nobody_commands_and_given_back(
-    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("number", "words"), [(errno.EROFS, "read-only file system"), (errno.ENOSPC, "no space left")]
+)
+def test_a_disk_that_takes_nothing_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: int, words: str
 ) -> None:
-    """The interface is up at 250 kbit/s, and 500 is asked for."""
-    link = FakeLink(systemd)
-    link(["ip", "link", "set", "can0", "up"])
-    about = '[{"linkinfo": {"info_kind": "can", "info_data": {"bittiming": {"bitrate": 250000}}}}]'
-    monkeypatch.setattr(setup, "run_program", lambda _: about)
-    words = ["--defaults", "--bitrate", "500000"]
-    monkeypatch.setattr(setup, "listen", lambda *_: replace(CHASSIS, is_commanded=True))
-    systemd.programs.clear()
-    with pytest.raises(CommandError, match="commands the chassis"):
-        set_up(link.machine(), *words)
-    assert systemd.programs == []
-    monkeypatch.setattr(setup, "listen", lambda *_: replace(CHASSIS, health=DEAD))
-    with pytest.raises(CommandError):
-        set_up(link.machine(), *words)
-    was = [UP[0].replace("500000", "250000"), UP[1]]
-    assert systemd.programs == ["ip link set can0 down", *UP, "ip link set can0 down", *was]
+    """Read-only, or full: what was there stays."""
+    here = Machine(tmp_path)
+    here.write("/etc/cruiser.toml", "first\n")
+    here.write("/etc/cruiser.toml", "second\n")
+    [kept] = (tmp_path / "etc").glob("cruiser.toml.before-*")
+    assert kept.read_text() == "first\n"
+
+    def refuse(*_: object) -> int:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(CommandError, match=f"^/etc/cruiser.toml cannot be written: {words}"):
+        here.write("/etc/cruiser.toml", "third\n")
+    assert (tmp_path / "etc/cruiser.toml").read_text() == "second\n"
 
 
-def test_a_dry_run_touches_nothing(systemd: FakeSystemd, capsys: pytest.CaptureFixture[str]) -> None:
-    """Not even the interface."""
-    link = FakeLink(systemd)
-    assert set_up(link.machine(has_systemd=True, is_dry=True), "--defaults") is ExitCode.OK
-    assert systemd.programs == []
-    assert not (systemd.root / "etc").exists()
-    assert f"would run: {UP[0]}" in systemd.lines
-    assert "would listen to the bus\n" in capsys.readouterr().out
+def test_a_program_says_why_it_failed() -> None:
+    """In its last line; one that is not there, in the system's words."""
+    assert run_to_end(["true"]) == ""
+    assert run_to_end(["sh", "-c", "echo one >&2; echo two >&2; exit 3"]) == "two"
+    assert run_to_end(["sh", "-c", "exit 3"]) == "exit code 3"
+    assert run_to_end(["no-such-program"]) == "no such file or directory"
 
 
 def test_a_person_is_asked_what_no_flag_says(systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -404,9 +382,9 @@ def test_a_person_is_asked_what_no_flag_says(systemd: FakeSystemd, monkeypatch: 
 
     monkeypatch.setattr("builtins.input", answer)
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
-    link = FakeLink(systemd)
+    bring_up(systemd)
     monkeypatch.setattr(setup, "listen", lambda *_: CHASSIS)
-    set_up(link.machine())
+    set_up(systemd.machine(has_systemd=False))
     assert asked == [
         "the robot's name [cruiser-1]: ",
         "the robot's name [cruiser-1]: ",
