@@ -15,7 +15,7 @@ Its rooms, from the file upwards. Pure ones do no I/O: the time is an argument, 
 - ``loop``      joins ``record`` to ``zenoh`` and ``disk``, and never waits for the disk
 - ``reading``   a log as topics and messages
 - ``upload``    finished logs to an object store
-- ``replay``    a log published again on Zenoh, or put onto a CAN bus again
+- ``replay``    a log published again on Zenoh
 - ``view``      robots live in Foxglove and Lichtblick
 - ``serve``     the logs of a fleet in a browser
 - ``review``    turns logs into answers: a function for each question

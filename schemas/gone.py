@@ -27,6 +27,7 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "sim --fleet": "'cruiser demo --desk --robots N'",
     "sim --patrol": "'cruiser demo --desk', and 'cruiser drive' to drive one of its robots",
     "sim --endpoint": "'cruiser demo --desk --endpoint ENDPOINT'",
+    "review replay --interface": "put frames on a bus with 'cruiser review export --format candump' and canplayer",
 }
 """Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""
 

@@ -1,1 +1,1 @@
-"""A log played again, over Zenoh or onto a CAN bus."""
+"""A log published again over Zenoh."""

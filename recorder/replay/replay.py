@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final
 
 import msgspec
+
+from recorder.replay.samples import ReplaySample
 
 AS_FAST_AS_POSSIBLE: Final = 0.0
 """The speed that waits for nothing."""
@@ -28,18 +30,6 @@ SLIP_NS: Final = 1_000_000_000
 
 _BUCKET_NS: Final = 100_000
 _LAST_BUCKET: Final = 20_000
-
-
-class Timed(Protocol):
-    """An item of a replay."""
-
-    @property
-    def time_ns(self) -> int:
-        """Its time in the log, in nanoseconds since 1970."""
-        ...
-
-
-T = TypeVar("T", bound=Timed)
 
 
 class Pace:
@@ -118,18 +108,18 @@ class Lateness:
         return 0
 
 
-class Due(msgspec.Struct, Generic[T], frozen=True, gc=False):
-    """An item that is due, and its due time."""
+class Due(msgspec.Struct, frozen=True, gc=False):
+    """A sample that is due, and its due time."""
 
-    item: T
+    item: ReplaySample
     due_ns: int
 
 
-class ReplayScheduler(Generic[T]):
-    """Plays what a log holds, from its beginning or from a time in it, once or several times.
+class ReplayScheduler:
+    """Plays what a log holds, once or several times.
 
     Args:
-        read: returns the runs from a log time on; None is the beginning.
+        read: returns the samples from the beginning on.
         pace: when it is due.
         loops: number of times; FOR_EVER does not end.
 
@@ -137,45 +127,39 @@ class ReplayScheduler(Generic[T]):
         pace: as it was given.
         lateness: of what was handed out, if it is paced.
         slipped_ns: by how much the whole has been put off, as it could not keep up: see SLIP_NS.
-        time_ns: the log's time of what was handed out last; None before.
         loop: the number of the present loop, from 1.
         is_ended: nothing more will come.
-        is_paused: nothing is handed out.
     """
 
-    def __init__(self, read: Callable[[int | None], Iterator[T]], pace: Pace, loops: int = 1) -> None:
+    def __init__(self, read: Callable[[], Iterator[ReplaySample]], pace: Pace, loops: int = 1) -> None:
         self._read = read
         self.pace = pace
         self._loops = loops
-        self._items: Iterator[T] = iter(())
-        self._next: Due[T] | None = None
+        self._items: Iterator[ReplaySample] = iter(())
+        self._next: Due | None = None
         self._last_due_ns = 0
-        self._paused_ns: int | None = None
         self._has_played = False
         self.lateness = Lateness()
         self.slipped_ns = 0
-        self.time_ns: int | None = None
         self.loop = 1
         self.is_ended = False
 
     @property
-    def is_paused(self) -> bool:
-        """True if it stands still."""
-        return self._paused_ns is not None
-
-    @property
     def next_ns(self) -> int | None:
-        """The due time of the next item; None at the end, and while it is paused."""
-        return None if self._next is None or self.is_paused else self._next.due_ns
+        """The due time of the next sample; None at the end."""
+        return None if self._next is None else self._next.due_ns
 
     def start(self, now_ns: int) -> None:
         """Begin."""
-        self._begin(None, now_ns)
+        self._items = self._read()
+        self._last_due_ns = now_ns
+        self.pace.start(now_ns)
+        self._advance()
 
-    def take(self, now_ns: int) -> Due[T] | None:
+    def take(self, now_ns: int) -> Due | None:
         """The next one, if it is due."""
         due = self._next
-        if due is None or self.is_paused or due.due_ns > now_ns:
+        if due is None or due.due_ns > now_ns:
             return None
         if self.pace.is_paced:
             late_ns = now_ns - due.due_ns
@@ -184,23 +168,10 @@ class ReplayScheduler(Generic[T]):
                 due = Due(due.item, now_ns)
                 self.pace.delay(late_ns)
                 self.slipped_ns += late_ns
-        self.time_ns = due.item.time_ns
         self._last_due_ns = due.due_ns
         self._has_played = True
         self._advance()
         return due
-
-    def pause(self, now_ns: int) -> None:
-        """Stand still."""
-        if self._paused_ns is None:
-            self._paused_ns = now_ns
-
-    def resume(self, now_ns: int) -> None:
-        """Go on where it stood still."""
-        if self._paused_ns is None:
-            return
-        self.hold(now_ns - self._paused_ns)
-        self._paused_ns = None
 
     def hold(self, duration_ns: int) -> None:
         """All that is not due yet is due so much later."""
@@ -208,26 +179,12 @@ class ReplayScheduler(Generic[T]):
         if self._next is not None:
             self._next = Due(self._next.item, self._next.due_ns + duration_ns)
 
-    def seek(self, time_ns: int, now_ns: int) -> None:
-        """Go on at this time of the log, or at the first thing after it."""
-        if not self.is_ended:
-            self._begin(time_ns, now_ns)
-            self.time_ns = self._next.item.time_ns if self._next is not None else self.time_ns
-            if self._paused_ns is not None:
-                self._paused_ns = now_ns
-
-    def _begin(self, from_ns: int | None, now_ns: int) -> None:
-        self._items = self._read(from_ns)
-        self._last_due_ns = now_ns
-        self.pace.start(now_ns)
-        self._advance()
-
     def _advance(self) -> None:
         item = next(self._items, None)
         if item is None and self._has_played and (self._loops == FOR_EVER or self.loop < self._loops):
             self.loop += 1
             self._has_played = False
-            self._items = self._read(None)
+            self._items = self._read()
             # Not from now on: what was late does not make the next round late too.
             self.pace.start(self._last_due_ns)
             item = next(self._items, None)

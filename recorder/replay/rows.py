@@ -103,11 +103,6 @@ def runs(rows: Iterable[Row], by: By) -> Iterator[ReplayRun]:
     yield from _released(pending, by)
 
 
-def frames(rows: Iterable[Row]) -> Iterator[ReplayRun]:
-    """A run for each row: frames one by one, each at the time at which it was on the bus."""
-    return (ReplayRun(row.publish_ns, row.topic, [row]) for row in rows)
-
-
 def in_order(
     found: Iterable[ReplayRun], horizon_ns: int = HORIZON_NS, limit: int = SORTED_MAX
 ) -> Iterator[ReplayRun]:

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Final, Protocol, TypeVar
+from typing import Final, Protocol
 
 import msgspec
 
-from recorder.replay.controls import Order, ReplayControls
-from recorder.replay.replay import ReplayScheduler, Timed
+from recorder.replay.replay import ReplayScheduler
+from recorder.replay.samples import ReplaySample
 from schemas.exit_codes import ExitCode
 
 ATTEND_NS: Final = 20_000_000
-"""The period in which the outlet, the keyboard and the progress line are looked after."""
+"""The period in which the outlet is looked after."""
 
 MIN_SLEEP_NS: Final = 1_000
 """Looking after things may have taken until the next look."""
-
-SEEK_NS: Final = 10_000_000_000
-"""The step of an arrow key, in the log's time."""
-
-T_contra = TypeVar("T_contra", bound=Timed, contravariant=True)
-T = TypeVar("T", bound=Timed)
 
 
 class Halt(msgspec.Struct, frozen=True):
@@ -32,18 +26,18 @@ class Halt(msgspec.Struct, frozen=True):
     code: ExitCode
 
 
-class Outlet(Protocol[T_contra]):
+class Outlet(Protocol):
     """The destination of a replay.
 
     Attributes:
-        sent: number of items that were accepted...
+        sent: number of samples that were accepted...
         failed: ...and of those that were not. They are never sent later.
     """
 
     sent: int
     failed: int
 
-    def send(self, item: T_contra, shift_ns: int) -> None:
+    def send(self, item: ReplaySample, shift_ns: int) -> None:
         """Send one. Its time stamps become so much later. Never raises."""
         ...
 
@@ -73,10 +67,9 @@ class ReplayClock:
 
 
 def play(
-    player: ReplayScheduler[T],
-    outlet: Outlet[T],
+    player: ReplayScheduler,
+    outlet: Outlet,
     clock: ReplayClock,
-    controls: ReplayControls,
     stopped: Callable[[], bool],
     *,
     is_now: bool = False,
@@ -87,7 +80,6 @@ def play(
         player: plays the log.
         outlet: the destination.
         clock: the time.
-        controls: show where it is, and may interfere.
         stopped: end it.
         is_now: every time stamp is moved by what lies between the log's time and the present.
 
@@ -106,9 +98,6 @@ def play(
             halt = outlet.attend()
             if halt is not None:
                 return halt
-            if not _obey(player, controls.orders(), clock):
-                return None
-            controls.show(player.time_ns, is_paused=player.is_paused)
             now_ns = clock.monotonic_ns()
         due = player.take(now_ns)
         if due is not None:
@@ -118,22 +107,3 @@ def play(
         next_ns = player.next_ns
         clock.sleep(max(MIN_SLEEP_NS, min(attend_ns if next_ns is None else next_ns, attend_ns) - now_ns))
     return outlet.attend()
-
-
-def _obey(player: ReplayScheduler[T], orders: list[Order], clock: ReplayClock) -> bool:
-    """Do what was asked for. False if that is to end."""
-    for order in orders:
-        now_ns = clock.monotonic_ns()
-        match order:
-            case Order.QUIT:
-                return False
-            case Order.PAUSE:
-                if player.is_paused:
-                    player.resume(now_ns)
-                else:
-                    player.pause(now_ns)
-            case Order.BACK | Order.ON:
-                step_ns = SEEK_NS if order is Order.ON else -SEEK_NS
-                player.seek(max(0, (player.time_ns or 0) + step_ns), now_ns)
-                player.hold(clock.monotonic_ns() - now_ns)
-    return True

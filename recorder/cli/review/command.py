@@ -29,7 +29,7 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "rerun": ("recorder.cli.review.rerun", "recorded runs through today's arbiter, or with other settings"),
     "report": ("recorder.cli.review.report", "a drive as one HTML page, for people"),
     "layouts": ("recorder.cli.review.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
-    "replay": ("recorder.cli.review.replay", "publish a log again on Zenoh, or put its frames on a CAN bus"),
+    "replay": ("recorder.cli.review.replay", "publish a log again on Zenoh"),
     "export": ("recorder.cli.review.export", "logs as Parquet or CSV, raw frames for the tools of CAN"),
     "query": ("recorder.cli.review.query", "SQL over logs, or over an exported dataset"),
     "merge": ("recorder.cli.review.merge", "several logs in one"),

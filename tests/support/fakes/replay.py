@@ -1,13 +1,9 @@
-"""A replay's surroundings: a clock, an outlet and controls that do what a test says."""
+"""A replay's surroundings: a clock and an outlet that do what a test says."""
 
-from typing import Generic, TypeVar
-
-from recorder.replay.controls import Order, ReplayControls
 from recorder.replay.run import Halt, ReplayClock
+from recorder.replay.samples import ReplaySample
 from schemas.exit_codes import ExitCode
 from tests.support.messages import SECOND, WALL_NS
-
-T = TypeVar("T")
 
 HALT = Halt("it is over", ExitCode.UNREACHABLE)
 
@@ -31,20 +27,20 @@ class FakeClock(ReplayClock):
         self.now_ns += duration_ns
 
 
-class FakeOutlet(Generic[T]):
+class FakeOutlet:
     """Takes what is sent, with the time and the shift; refuses, and takes its time, on demand."""
 
     def __init__(self, clock: FakeClock) -> None:
         self._clock = clock
         self.sent = self.failed = 0
-        self.got: list[tuple[int, T, int]] = []
+        self.got: list[tuple[int, ReplaySample, int]] = []
         self.takes_ns = 0
         """How long a send takes."""
         self.halts_at_ns: int | None = None
         """When it cannot go on any more."""
         self.attended: list[int] = []
 
-    def send(self, item: T, shift_ns: int) -> None:
+    def send(self, item: ReplaySample, shift_ns: int) -> None:
         self.got.append((self._clock.now_ns, item, shift_ns))
         self._clock.now_ns += self.takes_ns
         self.sent += 1
@@ -57,20 +53,3 @@ class FakeOutlet(Generic[T]):
 
     def close(self) -> None:
         """Nothing to give back."""
-
-
-class FakeControls(ReplayControls):
-    """Gives orders at its times; remembers what it was shown."""
-
-    def __init__(self, clock: FakeClock, *orders: tuple[int, Order]) -> None:
-        self._clock = clock
-        self._orders = list(orders)
-        self.shown: list[tuple[int | None, bool]] = []
-
-    def orders(self) -> list[Order]:
-        due = [order for at_ns, order in self._orders if at_ns <= self._clock.now_ns]
-        self._orders = [(at_ns, order) for at_ns, order in self._orders if at_ns > self._clock.now_ns]
-        return due
-
-    def show(self, time_ns: int | None, *, is_paused: bool) -> None:
-        self.shown.append((time_ns, is_paused))

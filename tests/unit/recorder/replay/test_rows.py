@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from recorder.reading.rows import Row
 from recorder.reading.topics import Topic
-from recorder.replay.rows import By, ReplayRun, frames, in_order, once, runs, topics_of
+from recorder.replay.rows import By, ReplayRun, in_order, once, runs, topics_of
 from schemas.messages import CanFrame, RawSample
 from schemas.settings import BATCH_MAX_FRAMES
 from tests.support.drives import drive_samples, write_samples
@@ -80,14 +80,6 @@ def test_a_batch_was_published_when_its_last_frame_had_come() -> None:
     assert run.time_ns == WALL_NS + 3 * MS
 
 
-def test_frames_alone_are_due_when_they_were_on_the_bus() -> None:
-    """Not when their batch came."""
-    assert [run.time_ns for run in frames([frame_row(1, 7, 50), frame_row(3, 7, 50)])] == [
-        WALL_NS + MS,
-        WALL_NS + 3 * MS,
-    ]
-
-
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=200), st.integers(1, 20))
 def test_what_is_a_little_out_of_order_is_sorted(late_ms: list[int], every_ms: int) -> None:
     """Frames that reached the recorder up to the horizon late come in their order; nothing is lost."""
@@ -101,7 +93,7 @@ def test_what_is_a_little_out_of_order_is_sorted(late_ms: list[int], every_ms: i
         for number, late in enumerate(late_ms)
     ]
     rows.sort(key=lambda row: row.log_ns)
-    found = list(in_order(frames(rows), horizon_ns=60 * MS))
+    found = list(in_order(runs(rows, By.PUBLISH), horizon_ns=60 * MS))
     assert len(found) == len(rows)
     assert all(one.time_ns <= other.time_ns for one, other in pairwise(found))
 
@@ -111,13 +103,13 @@ def test_what_is_very_late_comes_late() -> None:
     rows = [frame_row(number, number, number) for number in range(0, 10_000, 10)]
     late = frame_row(5, 1, 5_000)
     rows.insert(501, late)
-    found = [run.rows[0] for run in in_order(frames(rows), horizon_ns=SECOND)]
+    found = [run.rows[0] for run in in_order(runs(rows, By.PUBLISH), horizon_ns=SECOND)]
     assert len(found) == len(rows)
     assert 300 < found.index(late) <= 501
     held: list[int] = []
 
     def counted() -> Iterator[ReplayRun]:
-        for number, run in enumerate(frames(rows)):
+        for number, run in enumerate(runs(rows, By.PUBLISH)):
             held.append(number)
             yield run
 

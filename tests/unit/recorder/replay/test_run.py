@@ -2,48 +2,35 @@
 
 from collections.abc import Iterator
 
-import msgspec
-
-from recorder.replay.controls import Order
 from recorder.replay.replay import FOR_EVER, Pace, ReplayScheduler
 from recorder.replay.run import ATTEND_NS, Halt, play
-from tests.support.fakes.replay import HALT, FakeClock, FakeControls, FakeOutlet
+from recorder.replay.samples import ReplaySample
+from tests.support.fakes.replay import HALT, FakeClock, FakeOutlet
 from tests.support.messages import MS, SECOND, WALL_NS
 
 
-class Mark(msgspec.Struct, frozen=True):
-    time_ns: int
-
-
 class Rig:
-    """A log of so many seconds with a mark every 0.1 s, a clock, an outlet and controls."""
+    """A log of so many seconds with a mark every 0.1 s, a clock and an outlet."""
 
     def __init__(self, length_s: float = 1, speed: float = 1, loops: int = 1) -> None:
         self.clock = FakeClock()
         self.begun_ns = self.clock.now_ns
-        self.outlet: FakeOutlet[Mark] = FakeOutlet(self.clock)
-        self.controls = FakeControls(self.clock)
+        self.outlet = FakeOutlet(self.clock)
         self.count = round(length_s * 10)
         self.reading_ns = 0
         """How long it takes to find the beginning."""
         self.player = ReplayScheduler(self._read, Pace(speed, 10**18), loops)
         self.stops_at_ns = 10**18
 
-    def _read(self, from_ns: int | None) -> Iterator[Mark]:
+    def _read(self) -> Iterator[ReplaySample]:
         self.clock.now_ns += self.reading_ns
-        times = (WALL_NS + number * 100 * MS for number in range(self.count))
-        return (Mark(time_ns) for time_ns in times if time_ns >= (from_ns or 0))
-
-    def order(self, *orders: tuple[float, Order]) -> None:
-        """Orders at seconds since the beginning."""
-        timed = [(self.begun_ns + round(at_s * SECOND), order) for at_s, order in orders]
-        self.controls = FakeControls(self.clock, *timed)
+        return (ReplaySample(WALL_NS + number * 100 * MS, "", "") for number in range(self.count))
 
     def play(self, *, is_now: bool = False) -> Halt | None:
         def stopped() -> bool:
             return self.clock.now_ns >= self.stops_at_ns
 
-        return play(self.player, self.outlet, self.clock, self.controls, stopped, is_now=is_now)
+        return play(self.player, self.outlet, self.clock, stopped, is_now=is_now)
 
     @property
     def sent(self) -> list[tuple[int, int]]:
@@ -119,40 +106,9 @@ def test_the_present_is_that_of_sending() -> None:
 
 
 def test_finding_the_beginning_makes_nothing_late() -> None:
-    """However long it takes, and after a step too."""
+    """However long it takes."""
     rig = Rig(length_s=30)
     rig.reading_ns = 500 * MS
-    rig.order((5, Order.ON))
     rig.play()
     assert rig.player.lateness.max_ns == 0
     assert rig.sent[0] == (500, 0)
-
-
-def test_a_person_can_make_it_stand_still() -> None:
-    """And go on; the terminal shows which."""
-    rig = Rig()
-    rig.order((0.25, Order.PAUSE), (5.25, Order.PAUSE))
-    rig.play()
-    before, after = rig.sent[:3], rig.sent[3:]
-    assert before == [(0, 0), (100, 100), (200, 200)]
-    assert all(at_ms == time_ms + 5000 for at_ms, time_ms in after)
-    assert (WALL_NS + 200 * MS, True) in rig.controls.shown
-
-
-def test_arrows_go_ten_seconds() -> None:
-    """On and back, but not before the beginning."""
-    rig = Rig(length_s=60)
-    rig.order((1.05, Order.ON), (2.05, Order.BACK), (3.05, Order.BACK))
-    rig.stops_at_ns = rig.begun_ns + 4 * SECOND
-    rig.play()
-    at = dict(rig.sent)
-    first_after = [min(ms for ms in at if ms > second * 1000 + 50) for second in (1, 2, 3)]
-    assert [at[ms] for ms in first_after] == [11_000, 1_900, 0]
-
-
-def test_q_ends_it() -> None:
-    """At once."""
-    rig = Rig(length_s=100)
-    rig.order((1, Order.QUIT))
-    assert rig.play() is None
-    assert rig.sent[-1][1] <= 1000

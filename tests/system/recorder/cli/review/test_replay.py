@@ -1,30 +1,23 @@
-"""``cruiser review replay``: logs to Zenoh and to CAN buses, and whoever listens there."""
+"""``cruiser review replay``: logs to Zenoh, and whoever listens there."""
 
 import argparse
 import json
 import random
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
-import can
 import msgspec
 import pytest
 import zenoh
 
-from gateway.can.socketcand_server import SocketcandServer
-from gateway.sim.faults import FaultTextError, parse
 from recorder.cli.review import command as review
 from recorder.cli.review import replay
-from recorder.replay.can import CanPlace
-from recorder.replay.frames import ReplayedFrame
+from recorder.replay.samples import ReplaySample
 from recorder.zenoh.session import open_session
 from schemas import codec, keys
-from schemas.can_word import EXTENDED
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import CanFrames, Gear, Message
 from schemas.settings import RobotSettings, Settings, ZenohSettings
@@ -32,8 +25,7 @@ from schemas.subjects import BY_TYPE
 from tests.support.commands import run_command
 from tests.support.drives import drive_samples, write_samples
 from tests.support.fakes.peer import Peer, free_endpoint
-from tests.support.messages import MS, WALL_NS, batch, can_frame, feedback, info, sample_of
-from tests.support.processes.gateway import Running
+from tests.support.messages import MS
 from tests.support.processes.recorder import CRUISER, counts, environment, readable, recording, whole
 from tests.support.reading import rows_of
 from tests.support.waiting import wait_until
@@ -293,15 +285,6 @@ def test_a_connection_alone_does_not_begin_it(log: str, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     "words",
     [
-        ["--tx"],
-        ["--channel", "vcan0"],
-        ["--force-real-bus"],
-        ["--interface", "virtual"],
-        ["--interface", "virtual", "--channel", "x", "--now"],
-        ["--interface", "virtual", "--channel", "x", "--root", "fleet"],
-        ["--interface", "virtual", "--channel", "x", "--force-command-frames"],
-        ["--interface", "pcan", "--channel", "x", "--force-real-bus", "--force-command-frames", "--loop", "2"],
-        ["--interface", "pcan", "--channel", "x", "--force-real-bus", "--force-command-frames", "--speed", "2"],
         ["--root", "fleet/**"],
         ["--root", ""],
         ["--keys", "a//b"],
@@ -324,178 +307,6 @@ def test_numbers_that_are_none_are_a_mistake(log: str, words: list[str]) -> None
         run(log, *words)
 
 
-@pytest.mark.parametrize("channel", ["can0", "vcan-none", "eth0"])
-def test_a_bus_that_is_not_virtual_is_refused(log: str, channel: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before it is opened; the text says what would happen."""
-
-    def opened(_place: CanPlace) -> None:
-        raise AssertionError("it was opened")
-
-    monkeypatch.setattr(replay, "CanOutlet", opened)
-    with pytest.raises(CommandError, match="obeys the last command for ever") as caught:
-        run(log, "--interface", "socketcan", "--channel", channel)
-    assert caught.value.code is ExitCode.REFUSED
-    with pytest.raises(CommandError) as caught:
-        run(log, "--interface", "udp_multicast", "--channel", "239.0.0.1", "--force-real-bus")
-    assert caught.value.code is ExitCode.REFUSED
-
-
-class Collector:
-    """A bus that collects what is sent to it."""
-
-    def __init__(self, place: CanPlace) -> None:
-        self.place = place
-        self.sent = self.failed = 0
-        self.identifiers: list[int] = []
-        COLLECTED.append(self)
-
-    def send(self, item: ReplayedFrame, _shift_ns: int) -> None:
-        self.identifiers.append(item.frame.identifier)
-        self.sent += 1
-
-    def attend(self) -> None:
-        """All is well."""
-
-    def close(self) -> None:
-        """Nothing to give back."""
-
-
-COLLECTED: list[Collector] = []
-COMMAND = 0x18C4D3D0
-FEEDBACK = 0x18C4D1EF
-
-
-def drive_with_commands(path: Path) -> str:
-    """A log with a command of another computer among what was received, and one of the gateway's own."""
-    heard = msgspec.structs.replace(
-        batch(0, [(WALL_NS, feedback(0)), (WALL_NS + MS, feedback(1))]),
-        can_id=[EXTENDED | FEEDBACK, EXTENDED | COMMAND],
-    )
-    own = msgspec.structs.replace(batch(0, [(WALL_NS + 2 * MS, feedback(0))]), can_id=[EXTENDED | COMMAND])
-    sent = sample_of(own)
-    sent = msgspec.structs.replace(sent, key="fleet/cruiser-1/can/can0/tx")  # type: ignore[type-var]
-    return str(write_samples(path, [sample_of(info()), sample_of(heard), sent]))
-
-
-@pytest.mark.parametrize(
-    ("words", "wanted"),
-    [
-        (["--interface", "virtual"], [FEEDBACK, COMMAND]),
-        (["--interface", "virtual", "--tx"], [FEEDBACK, COMMAND, COMMAND]),
-        (["--interface", "pcan", "--force-real-bus"], [FEEDBACK]),
-        (["--interface", "pcan", "--force-real-bus", "--tx"], [FEEDBACK]),
-        (["--interface", "pcan", "--force-real-bus", "--force-command-frames"], [FEEDBACK, COMMAND]),
-        (
-            ["--interface", "pcan", "--force-real-bus", "--force-command-frames", "--tx"],
-            [FEEDBACK, COMMAND, COMMAND],
-        ),
-    ],
-)
-def test_commands_reach_a_real_bus_by_two_flags_alone(
-    tmp_path: Path,
-    words: list[str],
-    wanted: list[int],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """And those that the gateway sent only if they are asked for; at the end it is told what the chassis does."""
-    monkeypatch.setattr(replay, "CanOutlet", Collector)
-    assert run(drive_with_commands(tmp_path / "log.mcap"), *words, "--channel", "x") == ExitCode.OK
-    assert COLLECTED[-1].identifiers == wanted
-    err = capsys.readouterr().err
-    assert ("NOT VIRTUAL" in err) is ("pcan" in words)
-    assert ("cruiser halt" in err) is ("--force-command-frames" in words)
-
-
-def test_frames_reach_a_virtual_bus_in_their_order(log: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every one, with the spacing of the bus, which is not that of the batches."""
-    with can.Bus(interface="virtual", channel="cli") as other:
-        assert run(log, "--interface", "virtual", "--channel", "cli", "--speed", "4") == ExitCode.OK
-        found = list(iter(lambda: other.recv(0), None))
-    assert [bytes(message.data) for message in found] == [feedback(number) for number in range(40)]
-    assert {message.arbitration_id for message in found} == {can_frame().identifier}
-    assert "virtual cli: 40 sent" in capsys.readouterr().out
-
-
-def test_two_buses_do_not_become_one(tmp_path: Path) -> None:
-    """One has to be chosen; the others' frames stay out."""
-    path = str(write_samples(tmp_path / "two.mcap", [*drive_samples(5), *drive_samples(5, robot="cruiser-2")]))
-    words = [path, "--interface", "virtual", "--channel", "two", "--speed", "max"]
-    with pytest.raises(CommandError, match="several buses") as caught:
-        run(*words)
-    assert caught.value.code is ExitCode.USAGE
-    with can.Bus(interface="virtual", channel="two") as other:
-        assert run(*words, "--keys", "fleet/cruiser-2/**") == ExitCode.OK
-        assert len(list(iter(lambda: other.recv(0), None))) == 10
-
-
-@contextmanager
-def silent_bus() -> Iterator[str]:
-    """The simulator's server without a chassis: a bus on which only its clients speak. Gives its address."""
-
-    def inject(text: str) -> str:
-        line = parse(text)
-        return line.reason if isinstance(line, FaultTextError) else ""
-
-    server = SocketcandServer("127.0.0.1", 0)
-    stop = threading.Event()
-
-    def serve() -> None:
-        while not stop.is_set():
-            server.wait(0.01)
-            server.read(time.monotonic_ns(), time.time_ns(), inject)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        yield "{}:{}".format(*server.address)
-    finally:
-        stop.set()
-        thread.join()
-        server.close()
-
-
-def test_a_gateway_on_the_replayed_bus_says_what_the_first_one_said(log: str) -> None:
-    """Its decoded messages are those of the recorded frames, one by one."""
-    endpoint = free_endpoint()
-    with silent_bus() as address:
-        host, _, port = address.partition(":")
-        bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint, "--variant", "coarse"]
-        with Running("gateway", *bus, "--listen-only", "--robot", "replayed") as gateway:
-            gateway.wait_says("^gateway: ")
-            config = zenoh.Config()
-            config.insert_json5("scouting/multicast/enabled", "false")
-            config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-            with zenoh.open(config) as session:
-                subscriber = session.declare_subscriber(
-                    "fleet/replayed/can/can0/rx", zenoh.handlers.FifoChannel(1000)
-                )
-                gears = session.declare_subscriber("fleet/replayed/chassis/gear", zenoh.handlers.FifoChannel(1000))
-                with can.Bus(interface="socketcand", host=host, port=int(port), channel="can0") as other:
-
-                    def is_heard() -> bool:
-                        other.send(can.Message(arbitration_id=0x555, is_extended_id=False))
-                        return subscriber.try_recv() is not None
-
-                    wait_until(is_heard)
-                assert run(log, "--interface", "socketcand", "--channel", address) == ExitCode.OK
-                raw: list[bytes] = []
-                counters: list[int] = []
-
-                def are_there() -> bool:
-                    while (sample := subscriber.try_recv()) is not None:
-                        frames = msgspec.msgpack.decode(sample.payload.to_bytes(), type=CanFrames)
-                        raw.extend(data for data in frames.data if data)
-                    while (sample := gears.try_recv()) is not None:
-                        counters.append(msgspec.msgpack.decode(sample.payload.to_bytes(), type=Gear).alive_counter)
-                    return len(raw) >= 40 and len(counters) >= 40
-
-                wait_until(are_there)
-            gateway.stop()
-    assert raw == [feedback(number) for number in range(40)]
-    assert counters == [number % 16 for number in range(40)]
-
-
 def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[Peer, str], log: str) -> None:
     """Exit code 1: no such keys, or another maker's log."""
     _, endpoint = peer
@@ -507,10 +318,34 @@ def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[
         run(str(tmp_path / "none.mcap"), endpoint=endpoint)
 
 
+class Taking:
+    """A network that takes all, with somebody who subscribes and no gateway."""
+
+    def __init__(self, *_given: object, waits: bool) -> None:
+        assert waits
+        self.sent = self.failed = 0
+        self.listen: list[str] = []
+        self.was_alone = False
+
+    def wait_for_link(self, *_given: object) -> bool:
+        return True
+
+    wait_for_subscriber = wait_for_link
+
+    def find_gateway(self) -> None:
+        """There is none."""
+
+    attend = close = find_gateway
+
+    def send(self, _item: ReplaySample, _shift_ns: int) -> None:
+        self.sent += 1
+
+
 def test_of_a_damaged_log_what_can_be_read_is_replayed(
-    tmp_path: Path, log: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Cut off, or with wrong bytes anywhere: never a traceback, and exit code 3 where something is missing."""
+    monkeypatch.setattr(replay, "ZenohOutlet", Taking)
     whole_log = Path(log).read_bytes()
     dice = random.Random(7)  # noqa: S311 - bytes to break, no secret
     path = tmp_path / "damaged.mcap"
@@ -523,7 +358,7 @@ def test_of_a_damaged_log_what_can_be_read_is_replayed(
             damaged[dice.randrange(len(damaged))] = dice.randrange(256)
         path.write_bytes(damaged)
         try:
-            codes.add(run(str(path), "--interface", "virtual", "--channel", "damaged", "--speed", "max"))
+            codes.add(run(str(path), "--speed", "max"))
         except CommandError as error:
             codes.add(int(error.code))
     assert ExitCode.PARTIAL in codes
