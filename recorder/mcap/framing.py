@@ -178,7 +178,8 @@ class RecordFile:
             return None
         _, length, channel_id, entries_length = INDEX_HEADER.unpack(head)
         end: int = offset + RECORD_HEADER.size + length
-        is_true = end == offset + INDEX_HEADER.size + entries_length and entries_length % 16 == 0
+        # Behind the entries there may be fields of a later version.
+        is_true = end >= offset + INDEX_HEADER.size + entries_length and entries_length % 16 == 0
         if not is_true or end > self.size:
             return None
         entries = array("Q")
@@ -188,9 +189,9 @@ class RecordFile:
         return channel_id, entries, end
 
 
-def is_no_opcode(opcode: int) -> bool:
-    """True of those that neither MCAP nor an application uses."""
-    return opcode == 0 or LAST_OPCODE < opcode < CHECK_OPCODE
+def is_reserved(opcode: int) -> bool:
+    """True of those that a later version of MCAP may use: readers pass over such records."""
+    return LAST_OPCODE < opcode < CHECK_OPCODE
 
 
 def parse(opcode: int, body: bytes) -> Any:  # noqa: ANN401 - by the opcode
@@ -264,4 +265,7 @@ def checked(data: bytes) -> bytes:
 
 def has_wrong_crc(attachment: bytes) -> bool:
     """True of an attachment's body with a checksum that is not its own; 0 is none."""
-    return int.from_bytes(attachment[-4:], "little") not in {0, zlib.crc32(attachment[:-4])}
+    at = 16
+    for size in (4, 4, 8):  # Name, media type and data, each behind its length.
+        at += size + int.from_bytes(attachment[at : at + size], "little")
+    return int.from_bytes(attachment[at : at + 4], "little") not in {0, zlib.crc32(attachment[:at])}

@@ -6,7 +6,6 @@ chunks; a block is read message by message, by its index, or as columns (``colum
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 import zlib
 from array import array
@@ -20,7 +19,6 @@ import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap import records
 from mcap.opcode import Opcode
-from mcap.stream_reader import get_chunk_data_stream
 
 from recorder.mcap.columns import Messages, unpack_at, unpack_indexed
 from recorder.mcap.framing import (
@@ -43,9 +41,6 @@ NO_RECORD: Final = "a chunk holds what is no record"
 HALF_RECORD: Final = "a chunk holds half a record"
 TOO_MANY_RECORDS: Final = f"a chunk holds more than {RECORDS_MAX} records"
 TOO_MUCH_DECLARED: Final = f"schemas and channels in chunks are longer than {DECLARED_MAX} bytes"
-
-_COMPRESSIONS: Final = frozenset({"", "lz4", "zstd"})
-"""All that MCAP's registry names; the mcap package takes any other name for none."""
 
 _CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """A chunk's record up to the name of its compression: two times, size and checksum unpacked, the name's length."""
@@ -306,31 +301,44 @@ def content_of(chunk: records.Chunk) -> bytes:
     Raises:
         what ``framing.BROKEN`` lists.
     """
-    if chunk.compression not in _COMPRESSIONS:
+    if chunk.compression not in _UNPACKERS:
         raise DamagedError(f"its compression {chunk.compression!r} is not known here")
     if chunk.uncompressed_size > (UNPACKED_MAX if chunk.compression else RECORD_MAX):
         raise DamagedError(f"a chunk of {chunk.uncompressed_size} bytes is too large")
-    if has_wrong_size(chunk):
+    content = _UNPACKERS[chunk.compression](chunk.data, chunk.uncompressed_size)
+    if len(content) != chunk.uncompressed_size:
         raise DamagedError("a chunk's sizes differ")
-    if chunk.compression == "lz4":
-        chunk = _unpacked_lz4(chunk)
-    content, length = get_chunk_data_stream(chunk, validate_crc=True)
-    return bytes(content.read(length))
+    if chunk.uncompressed_crc not in {0, zlib.crc32(content)}:
+        raise DamagedError("its checksum is wrong")
+    return content
 
 
-def _unpacked_lz4(chunk: records.Chunk) -> records.Chunk:
-    """The chunk without compression. The mcap package would unpack lz4 to all of the memory."""
-    unpacking = LZ4FrameDecompressor()
-    data = unpacking.decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
-    if not unpacking.eof or len(data) != chunk.uncompressed_size:
-        raise DamagedError("a chunk's sizes differ")
-    return dataclasses.replace(chunk, compression="", data=data)
+def _from_lz4(data: bytes, size: int) -> bytes:
+    """The content of all frames, or one byte more than it should have."""
+    content = b""
+    while data and len(content) <= size:
+        unpacking = LZ4FrameDecompressor()
+        content += unpacking.decompress(data, max_length=size + 1 - len(content))
+        if not unpacking.eof:
+            raise DamagedError("a chunk's sizes differ")
+        data = unpacking.unused_data or b""
+    return content
 
 
-def has_wrong_size(chunk: records.Chunk) -> bool:
-    """True if zstd will unpack to another size than the chunk says."""
-    promised = zstandard.frame_content_size(chunk.data) if chunk.compression == "zstd" else -1
-    return promised not in {-1, chunk.uncompressed_size}
+def _from_zstd(data: bytes, size: int) -> bytes:
+    """The content of all frames, or one byte more than it should have."""
+    try:
+        return zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(size + 1)
+    except zstandard.ZstdError as error:
+        raise DamagedError(f"decompression error: {str(error).rpartition(': ')[2]}") from error
+
+
+_UNPACKERS: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {
+    "": lambda data, _: data,
+    "lz4": _from_lz4,
+    "zstd": _from_zstd,
+}
+"""All that MCAP's registry names."""
 
 
 def _content(body: bytes) -> bytes:

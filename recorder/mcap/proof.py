@@ -7,9 +7,11 @@ outside of chunks is taken as it is.
 
 from __future__ import annotations
 
+import re
 import zlib
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import BinaryIO, Final
 
 import msgspec
@@ -32,12 +34,10 @@ from recorder.mcap.framing import (
     RECORD_MAX,
     RecordFile,
     check_of,
-    encode,
-    encode_indexes,
     has_wrong_crc,
     parse,
 )
-from recorder.mcap.pieces import Declared, DeclaredRoom, Fault, Index, content_of, has_wrong_size, index_content
+from recorder.mcap.pieces import Declared, DeclaredRoom, Fault, Index, content_of, index_content
 
 SEARCH_BYTES: Final = 1 << 20
 """The search for the next whole piece reads this much at once."""
@@ -46,6 +46,9 @@ LOOK_FOR_CHECKS: Final = 4096
 """A file is one of ours if there is a check within so many bytes of its beginning, where we have several."""
 
 _COMPRESSION_MARKS: Final = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+
+_PLAIN_CHUNK: Final = re.compile(rb"\x06[\s\S]{5}\0\0\0[\s\S]{28}\0\0\0\0")
+"""The head of a chunk without compression that is not longer than any may be."""
 
 _PARSED: Final = frozenset({Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT})
 _WRITTEN: Final = _PARSED | {
@@ -68,8 +71,10 @@ class ProvenChunk(msgspec.Struct, frozen=True):
         content: its records, not compressed.
         declared: the schemas and channels within.
         index: as in ``recorder.mcap.chunk.Chunk``, found anew.
-        as_written: the chunk's head, and every message index behind it, say what is there.
-        has_true_head: the chunk's head does.
+        raw: the bytes of the chunk and of its message indexes, as they are in the file.
+        has_true_head: the chunk's head says what is there.
+        places: where in ``raw`` the message index of each channel stands, if they say what is there; else None.
+            A file need not have any.
     """
 
     offset: int
@@ -79,8 +84,9 @@ class ProvenChunk(msgspec.Struct, frozen=True):
     content: bytes
     declared: list[Declared]
     index: Index
-    as_written: bool
+    raw: bytes
     has_true_head: bool
+    places: Mapping[int, int] | None
 
 
 class ProvenRecord(msgspec.Struct, frozen=True):
@@ -102,6 +108,7 @@ class DataEnd(msgspec.Struct, frozen=True):
     """The data ends here; what follows can be made anew. ``crc`` is what it says of all data, 0 if nothing."""
 
     offset: int
+    end: int
     crc: int
 
 
@@ -117,14 +124,25 @@ class Scanner:
 
     Attributes:
         file: the file's records.
-        has_checks: a recorder of ours wrote it, with a check behind each record that has no checksum.
     """
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.file = RecordFile(stream, size)
         self._size = size
         self._room = DeclaredRoom()
-        self.has_checks = CHECK_MARK in self.file.read(0, LOOK_FOR_CHECKS)
+
+    @cached_property
+    def has_checks(self) -> bool:
+        """True if a recorder of ours wrote it: other applications may have records of the check's opcode."""
+        begin = self.file.read(0, LOOK_FOR_CHECKS)
+        at = begin.find(CHECK_MARK)
+        while at >= 0:
+            found = begin[at : at + CHECK.size]
+            length = int.from_bytes(found[len(CHECK_MARK) : len(CHECK_MARK) + 4], "little")
+            if 0 < length <= at and found == check_of(length, zlib.crc32(begin[at - length : at])):
+                return True
+            at = begin.find(CHECK_MARK, at + 1)
+        return False
 
     def scan(self) -> Iterator[Found]:
         """Yield the pieces and faults of the file, in its order."""
@@ -139,10 +157,10 @@ class Scanner:
                 return
             offset = self.next_piece(offset) if isinstance(found, Fault) else found.end
 
-    def is_closed(self, data_end: int) -> bool:
+    def is_closed(self, data_end: DataEnd) -> bool:
         """Report whether the file, whose data ends there, has a proper summary and footer and then ends."""
         start = self._size - len(MAGIC) - FOOTER.size
-        behind = data_end + RECORD_HEADER.size + 4
+        behind = data_end.end
         if start < behind or self._size - behind > RECORD_MAX:
             return False
         rest = self.file.read(behind, self._size - behind)
@@ -188,9 +206,12 @@ class Scanner:
 
     def _data_end(self, offset: int, raw: bytes) -> Found:
         behind = self.file.read(offset + len(raw), 1)
-        if len(raw) != RECORD_HEADER.size + 4 or (behind and behind[0] > LAST_OPCODE):
-            return Fault(offset, "a record cannot be read")
-        return DataEnd(offset, int.from_bytes(raw[RECORD_HEADER.size :], "little"))
+        crc = int.from_bytes(raw[RECORD_HEADER.size :][:4], "little")
+        found = DataEnd(offset, offset + len(raw), crc)
+        is_plain = len(raw) == RECORD_HEADER.size + 4 and not (behind and behind[0] > LAST_OPCODE)
+        # Another one counts where the whole file bears it out: else damage could end the data too early.
+        is_other = len(raw) >= RECORD_HEADER.size + 4 and self.is_closed(found)
+        return found if is_plain or is_other else Fault(offset, "a record cannot be read")
 
     def _other(self, offset: int, opcode: int, raw: bytes) -> Found:
         end = offset + len(raw)
@@ -216,8 +237,6 @@ class Scanner:
         chunk: records.Chunk = parse(Opcode.CHUNK, raw[RECORD_HEADER.size :])
         if self.has_checks and not chunk.uncompressed_crc:
             return Fault(offset, "a chunk's checksum is missing")
-        if has_wrong_size(chunk):
-            return Fault(offset, "a chunk's sizes differ")
         content = content_of(chunk)
         index, declared = index_content(content, self._room)
         times = [entries[::2] for entries in index.values()]
@@ -229,30 +248,37 @@ class Scanner:
             uncompressed_crc=chunk.uncompressed_crc,
             uncompressed_size=len(content),
         )
-        has_true_head = encode(true) == raw
         chunk_end = offset + len(raw)
-        is_indexed, end = self._message_indexes(chunk_end, index)
-        as_written = has_true_head and is_indexed
-        return ProvenChunk(offset, chunk_end, end, true, content, declared, index, as_written, has_true_head)
+        places, end = self._message_indexes(offset, chunk_end, index)
+        said = chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size
+        has_true_head = said == (true.message_start_time, true.message_end_time, len(content))
+        both = self.file.read(offset, end - offset)
+        return ProvenChunk(offset, chunk_end, end, true, content, declared, index, both, has_true_head, places)
 
-    def _message_indexes(self, offset: int, index: Index) -> tuple[bool, int]:
-        """Return True if the message indexes there agree with the chunk before, and the offset of their end."""
-        expected = encode_indexes(index)
-        if self.file.read(offset, len(expected)) == expected:
-            return True, offset + len(expected)
-        # Others may put them in another order.
+    def _message_indexes(self, chunk: int, offset: int, index: Index) -> tuple[dict[int, int] | None, int]:
+        """Return the places of a chunk's message indexes, as in ``ProvenChunk``, and their end in the file."""
+        # Others may put them in another order, or leave them out.
         found: dict[int, array[int]] = {}
-        while (one := self.file.message_index(offset)) is not None and one[0] not in found:
-            channel_id, found[channel_id], offset = one
-        header = self.file.header(offset)
+        places: dict[int, int] = {}
+        at = offset
+        while (one := self.file.message_index(at)) is not None and one[0] not in found:
+            places[one[0]] = at - chunk
+            channel_id, found[channel_id], at = one
+        header = self.file.header(at)
+        if not found and not self.has_checks and header is not None and header[1] <= self._size:
+            return (None if header[0] == Opcode.MESSAGE_INDEX else {}), at
         is_all = header is None or header[0] != Opcode.MESSAGE_INDEX
-        return is_all and _in_order(found) == _in_order(index), offset
+        return (places if is_all and _in_order(found) == _in_order(index) else None), at
 
     def next_piece(self, damaged: int) -> int | None:
         """Return the offset of the next proven piece behind a damaged one; None if there is none."""
         record = self.file.record(damaged)
-        if record is not None and self._is_proven(damaged + len(record[1])):
-            return damaged + len(record[1])
+        if record is not None:
+            behind = damaged + len(record[1])
+            while (index := self.file.message_index(behind)) is not None:
+                behind = index[2]
+            if self._is_proven(behind):
+                return behind
         at = damaged + 1
         while (candidate := self._find(at)) is not None:
             mark, start = candidate
@@ -268,7 +294,7 @@ class Scanner:
         if isinstance(found, ProvenChunk):
             return found.record.uncompressed_crc != 0
         if isinstance(found, DataEnd):
-            return self.is_closed(offset)
+            return self.is_closed(found)
         return isinstance(found, ProvenRecord) and (self.has_checks or found.parsed is not None)
 
     def _find(self, start: int) -> tuple[int, int] | None:
@@ -281,6 +307,8 @@ class Scanner:
                 at = block.find(pattern)
                 if at >= 0:
                     marks.append((at, pattern))
+            if plain := _PLAIN_CHUNK.search(block):
+                marks.append((plain.start() + CHUNK_NAME_AT, b""))
             if marks:
                 at, pattern = min(marks)
                 mark = start + at

@@ -41,7 +41,7 @@ from recorder.mcap.framing import (
     RecordFile,
     check_of,
     has_wrong_crc,
-    is_no_opcode,
+    is_reserved,
     parse,
     record_at,
 )
@@ -66,6 +66,7 @@ __all__ = [
     "LoggedMessage",
     "MessageBlock",
     "PackedChunk",
+    "PassedOver",
     "Piece",
     "SummaryStart",
     "Walked",
@@ -89,6 +90,13 @@ class End(msgspec.Struct, frozen=True):
     """The footer and the closing magic: the file is whole, but for the faults before."""
 
 
+class PassedOver(msgspec.Struct, frozen=True):
+    """A record of a later version of MCAP, which is not read."""
+
+    offset: int
+    opcode: int
+
+
 class SummaryStart(msgspec.Struct, frozen=True):
     """The data ends here; what follows repeats some of it."""
 
@@ -103,7 +111,7 @@ Around = (
     | Fault
     | End
 )
-Piece = Around | MessageBlock | PackedChunk | SummaryStart
+Piece = Around | MessageBlock | PackedChunk | PassedOver | SummaryStart
 Walked = Around | LoggedMessage
 
 
@@ -140,7 +148,7 @@ def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
         match piece:
             case PackedChunk() | MessageBlock():
                 yield from piece.messages()
-            case SummaryStart():
+            case SummaryStart() | PassedOver():
                 pass
             case _:
                 yield piece
@@ -150,6 +158,7 @@ class _Reading:
     def __init__(self, stream: BinaryIO, size: int, *, is_verifying: bool) -> None:
         self._stream = stream
         self._file = RecordFile(stream, size, _BLOCK_BYTES if is_verifying else _GLANCE_BYTES)
+        self._scanner = Scanner(stream, size)
         self._room = DeclaredRoom()
         self._is_verifying = is_verifying
         # Of the data section up to its end, then of the summary; None once bytes were passed over.
@@ -165,7 +174,7 @@ class _Reading:
             opcode, end = self._file.header(offset) or (0, size + 1)
             if end > size:
                 behind = yield from self._pass_over(offset, "the file is cut off within a record")
-            elif is_no_opcode(opcode):
+            elif not opcode or (is_reserved(opcode) and not self._is_record(end)):
                 behind = yield from self._pass_over(offset, "this is no record")
             elif opcode == Opcode.FOOTER:
                 yield from self._end(offset, end)
@@ -177,9 +186,14 @@ class _Reading:
             offset = behind
         yield Fault(size, "the file ends without a footer", cuts=True)
 
+    def _is_record(self, offset: int) -> bool:
+        """Return True if a record is there that fits into the file, or the magic at its end."""
+        opcode, end = self._file.header(offset) or (0, 0)
+        return (bool(opcode) and end <= self._file.size) or self._file.read(offset, len(MAGIC) + 1) == MAGIC
+
     def _pass_over(self, offset: int, detail: str) -> Generator[Piece, None, int | None]:
         """Looks for the next piece. Returns, at the end of the iteration, where it is; None if there is none."""
-        behind = Scanner(self._stream, self._file.size).next_piece(offset)
+        behind = self._scanner.next_piece(offset)
         self._crc = None
         yield Fault(offset, detail, cuts=behind is None)
         return behind
@@ -192,13 +206,16 @@ class _Reading:
         before, self._last = self._last, (offset, end)
         self._take(offset, end)
         if opcode == CHECK_OPCODE:
-            is_ours = end - offset == CHECK.size
-            if self._is_verifying and is_ours and self._file.read(offset, CHECK.size) != self._check_of(*before):
+            is_wrong = self._is_verifying and self._file.read(offset, end - offset) != self._check_of(*before)
+            # Records of other applications may have this opcode too.
+            if is_wrong and end - offset == CHECK.size and self._scanner.has_checks:
                 yield Fault(offset, "the check of the record before is wrong")
         elif opcode == Opcode.CHUNK:
             end = yield from self._chunk(offset, end)
         elif opcode == Opcode.MESSAGE:
             yield MessageBlock(offset, self._file.read(offset, end - offset))
+        elif is_reserved(opcode):
+            yield PassedOver(offset, opcode)
         elif opcode in _YIELDED:
             yield from self._other(offset, opcode, self._body(offset, end))
         return end
@@ -223,7 +240,7 @@ class _Reading:
 
     def _data_end(self, offset: int, end: int) -> Iterator[Piece]:
         expected = int.from_bytes(self._file.read(offset + RECORD_HEADER.size, 4), "little")
-        if end - offset != RECORD_HEADER.size + 4:
+        if end - offset < RECORD_HEADER.size + 4:
             yield Fault(offset, "the end of the data cannot be read")
         elif self._is_verifying and self._crc is not None and expected not in {0, self._crc}:
             yield Fault(offset, "the data's checksum is wrong")
@@ -254,8 +271,8 @@ class _Reading:
 
     def _is_other(self, offset: int) -> bool:
         """Return True if a whole record of another kind follows. Else a message index may be missing."""
-        opcode, end = self._file.header(offset) or (0, 0)
-        return not is_no_opcode(opcode) and opcode != Opcode.MESSAGE_INDEX and end <= self._file.size
+        opcode, _ = self._file.header(offset) or (0, 0)
+        return opcode != Opcode.MESSAGE_INDEX and self._is_record(offset)
 
     def _other(self, offset: int, opcode: int, body: bytes) -> Iterator[Piece]:
         try:

@@ -28,6 +28,7 @@ from recorder.mcap.framing import (
 from recorder.mcap.pieces import Index, index_content, split
 from recorder.mcap.proof import DataEnd, Parsed, ProvenChunk, ProvenRecord, Scanner
 from recorder.mcap.summary import Summary
+from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL, FileDigest
 
 _NO_SCHEMA: Final = records.Schema(id=0, data=b"", encoding="", name="")
@@ -70,7 +71,7 @@ class FileSurvey(msgspec.Struct, frozen=True):
 def survey(stream: BinaryIO, size: int, digest: FileDigest | None = None) -> FileSurvey:
     """Read a file and judge it; nothing in it raises. A digest is what the end of the file shall repeat."""
     scanner = Scanner(stream, size)
-    rebuild = _Rebuild(None, digest, has_checks=scanner.has_checks)
+    rebuild = _Rebuild(None, digest, read_summary(stream), has_checks=scanner.has_checks)
     data_end: DataEnd | None = None
     end = 0
     pending: list[str] = []
@@ -80,7 +81,7 @@ def survey(stream: BinaryIO, size: int, digest: FileDigest | None = None) -> Fil
                 # What was wrong is damage only if something good comes behind it; else it is the torn end.
                 rebuild.faults += pending
                 pending = []
-                if isinstance(found, ProvenChunk) and not found.as_written:
+                if isinstance(found, ProvenChunk) and (found.places is None or not found.has_true_head):
                     pending.append(f"byte {found.offset}: the indexes of a chunk are wrong")
                     end = found.chunk_end
                 else:
@@ -95,7 +96,7 @@ def survey(stream: BinaryIO, size: int, digest: FileDigest | None = None) -> Fil
         if data_end.crc not in {0, rebuild.crc} and not (rebuild.faults or scanner.has_checks):
             rebuild.faults.append(f"byte {data_end.offset}: the data's checksum is wrong, and nothing tells where")
     short_ending, ending = rebuild.endings()
-    is_closed = data_end is not None and scanner.is_closed(data_end.offset) and data_end.crc in {0, rebuild.crc}
+    is_closed = data_end is not None and scanner.is_closed(data_end) and data_end.crc in {0, rebuild.crc}
     return FileSurvey(
         is_whole=is_closed and not rebuild.faults,
         end=end,
@@ -112,8 +113,11 @@ def survey(stream: BinaryIO, size: int, digest: FileDigest | None = None) -> Fil
 def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str, digest: FileDigest | None = None) -> None:
     """Write a whole file with all that is good in a damaged one, and the digest of that."""
     scanner = Scanner(stream, size)
-    rebuild = _Rebuild(sink, digest, has_checks=scanner.has_checks)
-    header = encode(records.Header(profile="", library=library))
+    rebuild = _Rebuild(sink, digest, read_summary(stream), has_checks=scanner.has_checks)
+    first = scanner.piece(FIRST_RECORD)
+    parsed = first.parsed if isinstance(first, ProvenRecord) else None
+    profile = parsed.profile if isinstance(parsed, records.Header) else ""
+    header = encode(records.Header(profile=profile, library=library))
     # A check behind one record says that all have one: so all of the copy have it, or none.
     rebuild.put(MAGIC + (checked(header) if scanner.has_checks else header))
     for found in scanner.scan():
@@ -125,7 +129,9 @@ def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str, digest: Fil
 class _Rebuild:
     """Follows the good pieces of a file, into a copy if there is one."""
 
-    def __init__(self, sink: Sink | None, digest: FileDigest | None, *, has_checks: bool) -> None:
+    def __init__(
+        self, sink: Sink | None, digest: FileDigest | None, repeated: LogSummary | None, *, has_checks: bool
+    ) -> None:
         self.summary = Summary()
         self.faults: list[str] = []
         self.trailing = b""
@@ -136,6 +142,8 @@ class _Rebuild:
         self._digest = digest
         """None also where the file has parts of one that do not fit: it is then read whole."""
         self._has_checks = has_checks
+        self._repeated = repeated
+        """The end of the file, which repeats schemas and channels."""
         self._schemas: dict[int, records.Schema] = {0: _NO_SCHEMA}
         self._channels: set[int] = set()
 
@@ -219,7 +227,7 @@ class _Rebuild:
 
     def _take_message(self, piece: ProvenRecord) -> None:
         _, _, channel_id, _, log_ns, _ = MESSAGE_HEADER.unpack_from(piece.raw)
-        if channel_id not in self._channels:
+        if not self._knows(channel_id):
             self.faults.append(f"byte {piece.offset}: the channel of a message is lost")
             return
         # A digest is of chunks alone.
@@ -227,11 +235,23 @@ class _Rebuild:
         self.put(piece.raw)
         self.summary.add_messages({channel_id: 1}, log_ns, log_ns)
 
+    def _knows(self, channel_id: int) -> bool:
+        """Return True if the data holds the channel, or the summary repeats it: a copy takes it from there."""
+        if channel_id not in self._channels and self._repeated and channel_id in self._repeated.channels:
+            channel = self._repeated.channels[channel_id]
+            schema = self._repeated.schemas.get(channel.schema_id)
+            for record in (channel,) if schema is None else (schema, channel):
+                encoded = encode(record)
+                self.put(checked(encoded) if self._has_checks else encoded)
+                self._declare(record)
+            self.faults.append(f"the data holds the channel of {channel.topic} no more")
+        return channel_id in self._channels
+
     def _take_chunk(self, piece: ProvenChunk) -> None:
         for parsed in piece.declared:
             self._declare(parsed)
         content, index = piece.content, piece.index
-        lost = sum(len(entries) // 2 for channel_id, entries in index.items() if channel_id not in self._channels)
+        lost = sum(len(entries) // 2 for channel_id, entries in index.items() if not self._knows(channel_id))
         chunk = piece.record
         if lost:
             self.faults.append(f"byte {piece.offset}: the channels of {lost} messages are lost")
@@ -241,14 +261,20 @@ class _Rebuild:
                 return
             index, _ = index_content(content)
             chunk = _chunk_of(content, index)
-        elif not piece.has_true_head:
-            self.faults.append(f"byte {piece.offset}: the times of a chunk were wrong")
         self._put_part()
-        data, offset = encode(chunk), self._size
-        indexes = encode_indexes(index)
-        self.put(data + indexes)
-        self.summary.add_chunk(chunk, offset, len(data), index)
-        self.trailing = b"" if piece.as_written else indexes
+        offset, places = self._size, piece.places
+        data = encode(chunk)
+        if not lost and piece.has_true_head:
+            data = piece.raw[: piece.chunk_end - piece.offset]
+        elif not lost:
+            self.faults.append(f"byte {piece.offset}: the times of a chunk were wrong")
+        if not lost and piece.has_true_head and places is not None:
+            self.put(piece.raw)
+            self.summary.add_chunk(chunk, offset, len(data), index, places, len(piece.raw) - len(data))
+        else:
+            self.trailing = encode_indexes(index)
+            self.put(data + self.trailing)
+            self.summary.add_chunk(chunk, offset, len(data), index)
         if self._digest is not None:
             start_ns, end_ns = chunk.message_start_time, chunk.message_end_time
             self._digest.add_chunk(Chunk(bytearray(content), dict(index), start_ns, end_ns), offset)

@@ -69,13 +69,32 @@ class Summary:
         self._start_ns = start_ns if self._start_ns is None else min(self._start_ns, start_ns)
         self._end_ns = max(self._end_ns, end_ns)
 
-    def add_chunk(self, chunk: records.Chunk, offset: int, length: int, index: Mapping[int, array[int]]) -> None:
-        """A chunk at this offset of the file, its message indexes right behind it."""
-        places: dict[int, int] = {}
-        end = offset + length
-        for channel_id, entries in index.items():
-            places[channel_id] = end
-            end += INDEX_HEADER.size + entries.itemsize * len(entries)
+    def add_chunk(
+        self,
+        chunk: records.Chunk,
+        offset: int,
+        length: int,
+        index: Mapping[int, array[int]],
+        places: Mapping[int, int] | None = None,
+        indexes_length: int = 0,
+    ) -> None:
+        """A chunk at this offset of the file, its message indexes right behind it.
+
+        Args:
+            chunk: its head.
+            offset: of its record, and ``length`` of that.
+            length: in bytes.
+            index: the log time and place of each message, by channel.
+            places: how far behind the offset each message index stands, and ``indexes_length`` their bytes;
+                None: as ``framing.encode_indexes`` puts them.
+            indexes_length: in bytes.
+        """
+        if places is None:
+            places, end = {}, length
+            for channel_id, entries in index.items():
+                places[channel_id] = end
+                end += INDEX_HEADER.size + entries.itemsize * len(entries)
+            indexes_length = end - length
         if index:
             counts = {channel_id: len(entries) // 2 for channel_id, entries in index.items()}
             self.add_messages(counts, chunk.message_start_time, chunk.message_end_time)
@@ -85,8 +104,8 @@ class Summary:
             compression=chunk.compression,
             compressed_size=len(chunk.data),
             message_end_time=chunk.message_end_time,
-            message_index_length=end - offset - length,
-            message_index_offsets=places,
+            message_index_length=indexes_length,
+            message_index_offsets={channel_id: offset + place for channel_id, place in places.items()},
             message_start_time=chunk.message_start_time,
             uncompressed_size=chunk.uncompressed_size,
         )

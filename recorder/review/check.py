@@ -20,6 +20,7 @@ from recorder.mcap.reader import (
     Index,
     MessageBlock,
     PackedChunk,
+    PassedOver,
     Piece,
     SummaryStart,
     read_pieces,
@@ -49,7 +50,8 @@ class LogCheck(msgspec.Struct, frozen=True):
         missed: samples missed on all channels.
         frames_lost: raw frames that never came, by their alive counters; see ``alive.AliveCount``.
         frames: the alive counters of each identifier.
-        findings: the faults, those of the file first; ``untold`` more are about the file, too.
+        findings: the faults, those of the file first; ``untold`` more are about the file, too. Last is what is no
+            fault, and worth knowing.
     """
 
     path: str
@@ -67,7 +69,7 @@ class LogCheck(msgspec.Struct, frozen=True):
     @property
     def is_sound(self) -> bool:
         """Nothing is wrong with the file, and nothing is missing in it."""
-        return not self.findings
+        return all(one.about is About.ALLOWED for one in self.findings)
 
 
 def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
@@ -158,6 +160,9 @@ class _Check:
                 self._declare(piece)
             case records.Statistics():
                 self._statistics = piece
+            case PassedOver():
+                what = f"a record of a later version of MCAP (opcode {piece.opcode:#04x}) is not read"
+                self._findings.allowed(what, piece.offset)
             case SummaryStart():
                 self._is_in_summary = True
             case End():

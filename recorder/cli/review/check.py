@@ -87,6 +87,10 @@ def describe(found: LogCheck) -> Iterator[str]:
     else:
         yield "  the data: nothing is missing that could be told"
     yield from (f"    {line}" for line in _alike(about_data))
+    allowed = [one for one in found.findings if one.about is About.ALLOWED]
+    if allowed:
+        yield "  allowed, and worth knowing:"
+    yield from (f"    {line}" for line in _alike(allowed))
     unread = [one.encoding or "no encoding" for one in found.channels if one.messages and not one.is_read]
     if unread:
         encodings = ", ".join(sorted(set(unread)))

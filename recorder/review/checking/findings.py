@@ -16,6 +16,8 @@ class About(Enum):
 
     FILE = "file"
     DATA = "data"
+    ALLOWED = "allowed"
+    """MCAP allows it, and it is worth knowing: it is no fault, and changes no exit code."""
 
 
 class Finding(msgspec.Struct):
@@ -23,7 +25,8 @@ class Finding(msgspec.Struct):
 
     Attributes:
         path: the file.
-        about: the file itself (its structure, its checksums, its schemas), or what it lacks of what was said.
+        about: the file itself (its structure, its checksums, its schemas), what it lacks of what was said, or
+            what is allowed and worth knowing.
         what: in words.
         count: number of times; of samples and frames, their number.
         topic: the channel that it is about; empty if it is about none.
@@ -58,10 +61,11 @@ class Findings:
 
     @property
     def told(self) -> list[Finding]:
-        """The findings about the file first, by their places; then those about the data."""
+        """The findings about the file first, by their places; then those about the data, then what is allowed."""
+        order = list(About)
         return sorted(
             self._by_kind.values(),
-            key=lambda one: (one.about is About.DATA, one.offset or 0, one.topic, one.time_ns or 0),
+            key=lambda one: (order.index(one.about), one.offset or 0, one.topic, one.time_ns or 0),
         )
 
     def file(self, what: str, offset: int | None = None, *, topic: str = "", count: int = 1) -> None:
@@ -71,6 +75,10 @@ class Findings:
     def data(self, what: str, topic: str, count: int, time_ns: int | None = None) -> None:
         """Something that the file lacks."""
         self._add(About.DATA, what, topic, count, None, time_ns)
+
+    def allowed(self, what: str, offset: int | None = None, *, topic: str = "", count: int = 1) -> None:
+        """Something that is worth knowing, and no fault."""
+        self._add(About.ALLOWED, what, topic, count, offset, None)
 
     def has(self, about: About) -> bool:
         """Return True if there is any of this kind; those that are not listed are about the file."""
@@ -84,7 +92,7 @@ class Findings:
         same = self._by_kind.get((what, topic))
         if same is not None:
             same.count += count
-        elif about is About.FILE and len(self._by_kind) >= FINDINGS_MAX:
-            self.untold += count
+        elif about is not About.DATA and len(self._by_kind) >= FINDINGS_MAX:
+            self.untold += count if about is About.FILE else 0
         else:
             self._by_kind[what, topic] = Finding(self._path, about, what, count, topic, offset, time_ns)

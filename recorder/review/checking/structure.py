@@ -67,8 +67,10 @@ class Structure:
         if before is not None and vars(before) != vars(channel):
             self._findings.file("the channel has the id of another one", topic=channel.topic)
         elif before is None and channel.schema_id not in self._schemas:
-            what = "its schema is missing" if channel.schema_id else "the channel has no schema"
-            self._findings.file(what, topic=channel.topic)
+            if channel.schema_id:
+                self._findings.file("its schema is missing", topic=channel.topic)
+            else:
+                self._findings.allowed("the channel has no schema", topic=channel.topic)
         self._channels.setdefault(channel.id, channel)
         if RECORDER_CHUNK in channel.topic.split("/"):
             self._own.add(channel.id)
@@ -88,7 +90,7 @@ class Structure:
         if times:
             backwards = sum(after < before for before, after in pairwise((self._newest_ns, *times)))
             if backwards:
-                self._findings.file("the log time goes backwards", offset, count=backwards)
+                self._findings.allowed("the log time goes backwards", offset, count=backwards)
             self._newest_ns = times[-1]
 
     def _receipts(self, found: Messages) -> Sequence[int]:
@@ -115,6 +117,8 @@ class Structure:
         times = (0, 0) if found is None else (found.start_ns, found.end_ns)
         if (chunk.start_ns, chunk.end_ns) != times:
             self._findings.file("a chunk's times are not those of its messages", piece.offset)
+        if found is not None and not piece.places:
+            self._findings.allowed("a chunk has no message indexes", piece.offset)
         if piece.index is not None and not (
             found.is_indexed(piece.index) if found else not any(piece.index.values())
         ):
@@ -140,17 +144,20 @@ class Structure:
         for name, (said, found) in counted.items():
             if said != found:
                 self._findings.file(f"the file says that it holds {said} {name}; {found} were found")
-        said_of = {channel_id: count for channel_id, count in statistics.channel_message_counts.items() if count}
-        for channel_id in said_of.keys() | self.messages.keys():
+        times = (self._start_ns or 0, self._end_ns)
+        if (statistics.message_start_time, statistics.message_end_time) != times:
+            self._findings.file("the file's first and last time are not those of its messages")
+        said_of = statistics.channel_message_counts
+        if statistics.message_count and not said_of:
+            self._findings.allowed("the file does not say how many messages each channel has")
+            return
+        for channel_id in sorted(said_of.keys() | self.messages.keys()):
             said, found = said_of.get(channel_id, 0), self.messages[channel_id]
             if said != found:
                 topic = self._channels[channel_id].topic if channel_id in self._channels else str(channel_id)
                 self._findings.file(
                     f"the file says that it holds {said} messages; {found} were found", topic=topic
                 )
-        times = (self._start_ns or 0, self._end_ns)
-        if (statistics.message_start_time, statistics.message_end_time) != times:
-            self._findings.file("the file's first and last time are not those of its messages")
 
     def compare_summary(self, stream: BinaryIO) -> None:
         """The indexes of the summary; one with a wrong checksum has been reported."""

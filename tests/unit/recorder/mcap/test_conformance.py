@@ -1,0 +1,195 @@
+"""What MCAP's specification allows is read, and is no damage; of damage a copy has all that can be read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+import zlib
+from collections import Counter
+from io import BytesIO
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
+
+from recorder.mcap.reader import Fault, LoggedMessage, walk
+from recorder.mcap.recovery import copy_good, survey
+from schemas.exit_codes import ExitCode
+from tests.support.commands import review
+from tests.support.mcap_conformance import hashes, make
+
+CASES = {
+    "NoData": 0,
+    "OneAttachment": 0,
+    "OneMetadata": 0,
+    "OneMessage": 1,
+    "OneSchemalessMessage": 1,
+    "TenMessages": 10,
+}
+VARIANTS = hashes()
+
+
+def messages(data: bytes) -> list[LoggedMessage]:
+    """Read what can be read."""
+    return [one for one in walk(BytesIO(data), len(data)) if isinstance(one, LoggedMessage)]
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, object]:
+    """Ask, and let the exit code be 0."""
+    code = review(*words, "--json")
+    assert code == ExitCode.OK, (words, capsys.readouterr())
+    found: dict[str, object] = json.loads(capsys.readouterr().out.splitlines()[0])
+    return found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_variant_of_the_conformance_suite_is_sound(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """``info``, ``check`` and ``recover`` find nothing wrong, and each message."""
+    names = [name for name in VARIANTS if name.partition("-")[0] == case]
+    for name in names:
+        data = make(name)
+        assert hashlib.sha256(data).hexdigest() == VARIANTS[name], name
+        log = tmp_path / f"{name}.mcap"
+        log.write_bytes(data)
+        info, check = (answer(capsys, question, log) for question in ("info", "check"))
+        assert (info["messages"], info["fault_count"], info["whole"]) == (CASES[case], 0, True), name
+        assert (check["messages"], check["whole"]) == (CASES[case], True), name
+        part = log.rename(tmp_path / f"{name}.mcap.part")
+        recovered = answer(capsys, "recover", part)
+        assert (recovered["outcome"], recovered["messages"]) == ("whole", CASES[case]), name
+        assert log.read_bytes() == data
+    assert len(names) > 5
+
+
+@pytest.mark.parametrize("case", ["OneMessage", "OneSchemalessMessage", "TenMessages"])
+def test_each_message_of_the_conformance_suite_is_exported(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever a file repeats and indexes. Of an encoding that is not known the data is a column of bytes."""
+    for name in [name for name in VARIANTS if name.partition("-")[0] == case][::9]:
+        log = tmp_path / f"{name}.mcap"
+        log.write_bytes(make(name))
+        assert review("export", "-o", tmp_path / name, log) == ExitCode.OK
+        assert f": {CASES[case]} rows" in capsys.readouterr().out
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    """Make a record."""
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def text(words: str) -> bytes:
+    """Make a text, behind its length."""
+    return struct.pack("<I", len(words)) + words.encode()
+
+
+def message(number: int, time_ns: int | None = None) -> bytes:
+    """Make a message of channel 1."""
+    time_ns = 10**9 * number if time_ns is None else time_ns
+    return record(5, struct.pack("<HIQQ", 1, number, time_ns, time_ns) + b'{"x":1}')
+
+
+def chunk(records: bytes, compression: str, packed: bytes) -> bytes:
+    """Make a chunk of three messages."""
+    head = struct.pack("<QQQI", 0, 2 * 10**9, len(records), zlib.crc32(records))
+    return record(6, head + text(compression) + struct.pack("<Q", len(packed)) + packed)
+
+
+def whole(data: bytes, summary: bytes = b"") -> bytes:
+    """Make a file without checksums, of the profile ``ros2``."""
+    body = b"\x89MCAP0\r\n" + record(1, text("ros2") + text("other")) + data + record(15, bytes(4))
+    return body + summary + record(2, struct.pack("<QQI", len(body) if summary else 0, 0, 0)) + body[:8]
+
+
+SCHEMA = record(3, struct.pack("<H", 1) + text("S") + text("jsonschema") + text('{"type":"object"}'))
+CHANNEL = record(4, struct.pack("<HH", 1, 1) + text("/a") + text("json") + bytes(4))
+MESSAGES = [message(number) for number in range(3)]
+CONTENT = SCHEMA + CHANNEL + b"".join(MESSAGES)
+COUNTS = struct.pack("<QHIIIIQQI", 3, 1, 1, 0, 0, 0, 0, 2 * 10**9, 0)
+FRAMES = {
+    "zstd": b"".join(map(zstandard.compress, (CONTENT[:50], CONTENT[50:]))),
+    "lz4": b"".join(map(lz4.frame.compress, (CONTENT[:50], CONTENT[50:]))),
+}
+LEGAL = {
+    "a record of a later version": whole(SCHEMA + CHANNEL + record(0x20, b"later") + b"".join(MESSAGES)),
+    "a later record in the summary": whole(CONTENT, SCHEMA + CHANNEL + record(0x30, b"x") + record(11, COUNTS)),
+    "a later record first in the summary": whole(CONTENT, record(0x30, b"x") + SCHEMA + CHANNEL),
+    "a private record like our check": whole(SCHEMA + CHANNEL + record(0x80, b"12345678") + b"".join(MESSAGES)),
+    "a longer end of the data": whole(CONTENT).replace(record(15, bytes(4)), record(15, bytes(7))),
+    "no counts of the channels": whole(CONTENT, SCHEMA + CHANNEL + record(11, COUNTS)),
+    "no message index": whole(chunk(CONTENT, "", CONTENT)),
+    "several frames of zstd": whole(chunk(CONTENT, "zstd", FRAMES["zstd"])),
+    "several frames of lz4": whole(chunk(CONTENT, "lz4", FRAMES["lz4"])),
+    "a later record in a chunk": whole(chunk(CONTENT + record(0x21, b"x"), "", CONTENT + record(0x21, b"x"))),
+    "times that go backwards": whole(SCHEMA + CHANNEL + MESSAGES[0] + MESSAGES[2] + MESSAGES[1]),
+}
+
+
+@pytest.mark.parametrize("name", LEGAL)
+def test_what_is_allowed_is_no_damage(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All three messages are read, exported, and left where they are by a recovery."""
+    log = tmp_path / "log.mcap"
+    log.write_bytes(LEGAL[name])
+    assert answer(capsys, "info", log)["messages"] == 3
+    assert answer(capsys, "check", log)["messages"] == 3
+    assert review("export", "-o", tmp_path / "out", log) == ExitCode.OK
+    assert ": 3 rows" in capsys.readouterr().out
+    recovered = answer(capsys, "recover", log.rename(tmp_path / "log.mcap.part"))
+    assert (recovered["outcome"], recovered["messages"]) == ("whole", 3)
+
+
+def foreign(compression: CompressionType) -> bytes:
+    """Make a file as the mcap package does: channels within chunks, and in the summary."""
+    stream = BytesIO()
+    writer = Writer(stream, chunk_size=400, compression=compression)
+    writer.start("ros2")
+    channel = writer.register_channel("/a", "json", 0)
+    for number in range(40):
+        writer.add_message(channel, number, b'{"i":%d,"pad":"%s"}' % (number, b"x" * 30), number, number)
+    writer.finish()
+    return stream.getvalue()
+
+
+FOREIGN = [foreign(one) for one in (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)]
+
+
+def kept(data: bytes) -> bytes:
+    """Return a copy of what is good in a file."""
+    copy = BytesIO()
+    copy_good(BytesIO(data), len(data), copy, "test")
+    return copy.getvalue()
+
+
+@given(st.sampled_from(FOREIGN), st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), min_size=1, max_size=3))
+def test_a_copy_keeps_at_least_what_an_export_reads(data: bytes, damage: list[tuple[float, int]]) -> None:
+    """Bytes are damaged anywhere behind the file's magic."""
+    damaged = bytearray(data)
+    for place, bits in damage:
+        damaged[8 + int(place * (len(data) - 9))] ^= bits
+    read = Counter(one.data for one in messages(bytes(damaged)) if not survey_is_whole(damaged))
+    assert not read - Counter(one.data for one in messages(kept(bytes(damaged))))
+
+
+def survey_is_whole(data: bytearray) -> bool:
+    """Return True if a recovery leaves the file as it is."""
+    found = survey(BytesIO(data), len(data))
+    return found.is_whole
+
+
+@pytest.mark.parametrize("data", FOREIGN)
+def test_a_chunk_that_is_damaged_costs_its_own_messages_alone(data: bytes) -> None:
+    """Whatever it declared: the summary repeats it. The profile stays."""
+    second = data.index(b'"i":', len(data) // 8) if data is FOREIGN[0] else len(data) // 4
+    damaged = data[:second] + bytes([data[second] ^ 1]) + data[second + 1 :]
+    copy = kept(damaged)
+    assert sorted(one.data for one in messages(copy)) == sorted(one.data for one in messages(damaged))
+    assert 20 < len(messages(copy)) < 40
+    assert copy[17:25] == data[17:25]
+    assert not [one for one in walk(BytesIO(copy), len(copy)) if isinstance(one, Fault)]
