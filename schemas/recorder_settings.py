@@ -102,8 +102,7 @@ class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             file:///DIRECTORY; empty: nothing is uploaded
         options: of that store, by obstore's names, such as endpoint and region; credentials are the environment's
         logs: incidents and logs, or incidents alone
-        rate_bytes_s: bytes/s that it takes of the link, each way, at most; 0 is no limit
-        hours: HH:MM-HH:MM, by the machine's own time, in which a log may be begun; empty: at any time
+        rate_bytes_s: bytes/s that it takes of the link, each way, in the mean of parts of 5 MiB; 0 is no limit
         read_back: read each log back, and compare; else the store's own checksum is enough, where it has one
         catalog: put each log's row of the catalog beside it, for which it is read once more when no log waits
     """
@@ -112,6 +111,5 @@ class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     options: dict[str, str | int | float | bool] = {}
     logs: Literal["all", "incidents"] = "all"
     rate_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 250_000
-    hours: Annotated[str, Meta(pattern=r"^(([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d)?\Z")] = ""
     read_back: bool = True
     catalog: bool = True

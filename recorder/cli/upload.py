@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
-import time
 from collections.abc import Callable
-from contextlib import AsyncExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,9 +13,6 @@ from typing import TYPE_CHECKING, Final
 from recorder.cli.show import show
 from recorder.disk.upload_note import UploadNote
 from recorder.objects.address import shown_url
-from recorder.upload.background import enter_background
-from recorder.upload.hours import is_within
-from recorder.upload.relay import paced_way
 from recorder.upload.row import row_maker
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.missing_extra import missing_extra
@@ -60,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate",
         dest="upload.rate_bytes_s",
         metavar="N",
-        help="bytes/s that it takes of the link (250000); 0: no limit",
+        help="bytes/s that it takes of the link in the mean, in parts of 5 MiB (250000); 0: no limit",
     )
     parser.add_argument("--once", action="store_true", help="end when all that is finished now has been tried")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -88,7 +83,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         if (error.name or "").partition(".")[0] != "obstore":
             raise
         raise missing_extra("obstore", "upload") from None
-    enter_background()
     with UploadNote(directory) as note:
         totals, is_there = asyncio.run(_upload(upload, directory, note, stopped, is_once=arguments.once))
     show(totals, _lines(totals), as_json=arguments.json)
@@ -103,49 +97,31 @@ async def _upload(
     upload: UploadSettings, directory: Path, note: UploadNote, stopped: Callable[[], bool], *, is_once: bool
 ) -> tuple[UploadTotals, bool]:
     """Return what became of the logs, and whether the store is there."""
-    from recorder.upload.store import LOCAL, ObstoreLogs  # noqa: PLC0415 - not before the package is known
+    from recorder.upload.store import ObstoreLogs  # noqa: PLC0415 - not before the package is known
     from recorder.upload.uploader import Uploader, UploadPlan  # noqa: PLC0415 - the same
 
-    is_local = upload.store.startswith(LOCAL)
-    async with AsyncExitStack() as stack:
-        way = ""
-        if upload.rate_bytes_s and not is_local:
-            way = await stack.enter_async_context(paced_way(upload.rate_bytes_s))
-        store = ObstoreLogs(upload.store, upload.options, upload.rate_bytes_s, way)
-        plan = UploadPlan(
-            directory,
-            shown_url(upload.store),
-            upload.logs == "incidents",
-            upload.read_back,
-            version("cruiser-gateway"),
-        )
-        # The way over the network has its own.
-        pace = RateLimit(upload.rate_bytes_s if is_local else 0)
-        uploader = Uploader(
-            plan, store, note, pace, row_maker("recorder.review.catalog") if upload.catalog else None
-        )
-        log.info("finished logs of %s go to %s", plain(str(directory)), shown_url(upload.store))
-        work = asyncio.create_task(_work(uploader, upload.hours, stopped, is_once=is_once))
-        while not work.done():
-            await asyncio.wait([work], timeout=POLL_S)
-            if stopped():
-                # What is under way appears whole in the store, or not at all.
-                work.cancel()
-                await asyncio.wait([work])
-        return uploader.totals, work.cancelled() or work.result()
+    store = ObstoreLogs(upload.store, upload.options)
+    url, release = shown_url(upload.store), version("cruiser-gateway")
+    plan = UploadPlan(directory, url, upload.logs == "incidents", upload.read_back, release)
+    rows = row_maker("recorder.review.catalog") if upload.catalog else None
+    uploader = Uploader(plan, store, note, RateLimit(upload.rate_bytes_s), rows)
+    log.info("finished logs of %s go to %s", plain(str(directory)), url)
+    work = asyncio.create_task(_work(uploader, stopped, is_once=is_once))
+    while not work.done():
+        await asyncio.wait([work], timeout=POLL_S)
+        if stopped():
+            # What is under way appears whole in the store, or not at all.
+            work.cancel()
+            await asyncio.wait([work])
+    return uploader.totals, work.cancelled() or work.result()
 
 
-async def _work(uploader: Uploader, hours: str, stopped: Callable[[], bool], *, is_once: bool) -> bool:
+async def _work(uploader: Uploader, stopped: Callable[[], bool], *, is_once: bool) -> bool:
     pause_s = LOOK_S
-
-    def may_begin() -> bool:
-        now = time.localtime()
-        return not stopped() and is_within(hours, now.tm_hour * 60 + now.tm_min)
-
     while True:
         is_there = True
         try:
-            is_there = await uploader.upload_all(may_begin)
+            is_there = await uploader.upload_all(lambda: not stopped())
         except OSError as error:
             if is_once:
                 raise CommandError(f"cannot read the logs: {error.strerror or error}") from error

@@ -31,7 +31,6 @@ def row_maker(module: str) -> Summarize:
     async def summarize(path: Path) -> bytes:
         size = path.stat().st_size  # noqa: ASYNC240 - nothing else runs here, and a log was just read there
         budget_s = ROW_S + ROW_S_PER_BYTE * size
-        # It inherits this process's place behind all others.
         process = await asyncio.create_subprocess_exec(
             *module_command(module, str(path)), stdout=PIPE, stderr=PIPE
         )

@@ -16,20 +16,17 @@ from recorder.objects.store import line_of, open_store
 from recorder.upload.finished import PART_BYTES
 from schemas.printable import plain
 
-READ_BACK_BYTES: Final = 4 * 1024 * 1024
-"""A log is read back in ranges of this length: of a link that breaks no more is asked again."""
+READ_BACK_BYTES: Final = 1024 * 1024
+"""A log is read back in ranges of this length, each at once: of a link that breaks no more is asked again."""
 
 SMALL_MAX_BYTES: Final = 4 * 1024 * 1024
 """A manifest is no larger: whatever else a store answers would fill the robot's memory."""
 
-SILENCE_S: Final = 60.0
-"""A request may take so long, and what it carries as long again as its rate says."""
+PART_S: Final = timedelta(minutes=5)
+"""A request may take so long: a part over a link of 18 kB/s."""
 
 REQUEST_S: Final = timedelta(minutes=3)
 """A link may be away for so long, and a part that was begun goes on."""
-
-LOCAL: Final = ("file://", "memory://")
-"""Stores that no network is between."""
 
 
 class LogStore(Protocol):
@@ -60,19 +57,15 @@ class ObstoreLogs:
     Args:
         url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY.
         options: of this store, by obstore's names; credentials come from the environment.
-        bytes_per_s: the rate of the way there; 0 if it is not bounded.
-        proxy: URL of the way there; empty is straight.
 
     Raises:
         CommandError: no store is called so, or an option is none of it.
     """
 
-    def __init__(self, url: str, options: Mapping[str, Any], bytes_per_s: int, proxy: str) -> None:
-        slowest_s = PART_BYTES / bytes_per_s if bytes_per_s else 0.0
-        client: dict[str, Any] = {"timeout": timedelta(seconds=SILENCE_S + 2 * slowest_s)}
-        if proxy:
-            client["proxy_url"] = proxy
-        self._store: ObjectStore = open_store(url, options, client, {"retry_timeout": REQUEST_S}, may_make=True)
+    def __init__(self, url: str, options: Mapping[str, Any]) -> None:
+        self._store: ObjectStore = open_store(
+            url, options, {"timeout": PART_S}, {"retry_timeout": REQUEST_S}, may_make=True
+        )
 
     async def create(self, name: str, data: bytes) -> bool:
         """Put a small object where none is. False if there is one."""

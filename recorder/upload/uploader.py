@@ -114,7 +114,7 @@ class Uploader:
         plan: what, and how.
         store: the place.
         note: what is safe already.
-        pace: the rate at which a log is read while it is sent.
+        pace: the rate at which a log is read while it is sent, and while it is read back.
         summarize: makes a log's row for the catalog; None makes none.
     """
 
@@ -330,6 +330,7 @@ class Uploader:
         async for piece in self._store.read_back(name, found.bytes):
             whole.update(piece)
             size += len(piece)
+            await asyncio.sleep(self._pace.delay_s(len(piece), time.monotonic()))
         return READ_BACK if (size, whole.hexdigest()) == (found.bytes, found.sha256) else ""
 
 

@@ -178,7 +178,7 @@ def test_an_answer_without_an_end_fills_no_memory() -> None:
     with served(endless) as (objects, _), pytest.raises(StoreError, match="sent more where 1000 were asked for"):
         objects.read("a.mcap", 0, 1000, "one")
     with served(endless) as (objects, _):
-        logs = ObstoreLogs(objects._place.url, {"allow_http": True}, 0, "")
+        logs = ObstoreLogs(objects._place.url, {"allow_http": True})
 
         async def read_back() -> int:
             return len(b"".join([piece async for piece in logs.read_back("a.mcap", 1000)]))

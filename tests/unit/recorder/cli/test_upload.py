@@ -21,9 +21,8 @@ LOG = "cruiser-1-20270115T080000Z.mcap"
 
 
 @pytest.fixture(autouse=True)
-def _as_urgent_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What runs the tests stays so, and starts no process."""
-    monkeypatch.setattr(command, "enter_background", lambda: None)
+def _rows_without_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command starts none."""
 
     def row_maker(_module: str) -> Summarize:
         """One that needs no process."""
@@ -86,9 +85,9 @@ def test_a_store_that_cannot_be_written_is_not_there(tmp_path: Path, capsys: pyt
     ("upload", "fault"),
     [
         ({"store": ""}, "no store is named"),
-        ({"store": "nonsense", "rate_bytes_s": 0}, "a store is one of"),
+        ({"store": "nonsense"}, "a store is one of"),
         ({"store": "memory:///"}, "a store is one of"),
-        ({"store": "s3://logs", "options": {"colour": "red"}, "rate_bytes_s": 0}, "cannot use the store"),
+        ({"store": "s3://logs", "options": {"colour": "red"}}, "cannot use the store"),
     ],
 )
 def test_settings_that_cannot_work_are_said_at_once(tmp_path: Path, upload: dict[str, object], fault: str) -> None:

@@ -298,7 +298,7 @@ def test_a_store_that_answers_with_very_much_fills_no_memory(
 ) -> None:
     """A manifest that is no manifest is read up to a bound."""
     monkeypatch.setattr(stores, "SMALL_MAX_BYTES", 1000)
-    logs = ObstoreLogs(f"file://{tmp_path}/store", {}, 0, "")
+    logs = ObstoreLogs(f"file://{tmp_path}/store", {})
     for size in (1000, 1001):
         asyncio.run(logs.replace(f"r/{size}.json", bytes(size)))
     assert asyncio.run(logs.read("r/1000.json")) == bytes(1000)
@@ -350,6 +350,23 @@ def test_two_machines_that_upload_the_same_log_at_once_make_one_of_it(tmp_path: 
     assert set(store.objects) == {f"cruiser-1/{LOG}", f"cruiser-1/{LOG}.json"}
     assert store.objects[f"cruiser-1/{LOG}"] == data
     assert safe(tmp_path / "a") == safe(tmp_path / "b") == {LOG}
+
+
+def test_sending_and_reading_back_keep_to_the_rate(tmp_path: Path, store: FakeLogStore) -> None:
+    """Each byte of a log counts, both ways."""
+    counted: list[float] = []
+
+    class CountedPace(RateLimit):
+        def delay_s(self, count: float, now_s: float) -> float:
+            counted.append(count)
+            return super().delay_s(count, now_s)
+
+    data = log_of()
+    saved(tmp_path / LOG, data)
+    with UploadNote(tmp_path) as note:
+        asyncio.run(Uploader(plan_of(tmp_path), store, note, CountedPace(0)).upload_all(lambda: True))
+    assert safe(tmp_path) == {LOG}
+    assert sum(counted) == 2 * len(data)
 
 
 def test_a_second_upload_from_one_directory_is_refused(tmp_path: Path) -> None:
@@ -439,7 +456,7 @@ def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, coun
         log_of(3) if count == 3 else own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(11_000_000))])
     )
     saved(tmp_path / "logs" / LOG, data)
-    store = ObstoreLogs(place.format(tmp_path), {}, 0, "")
+    store = ObstoreLogs(place.format(tmp_path), {})
     assert upload(tmp_path / "logs", store).uploaded == 1
 
     async def look() -> bytes:
@@ -455,7 +472,7 @@ def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, coun
 
 def test_a_write_that_is_broken_off_shows_nothing_in_a_directory(tmp_path: Path) -> None:
     """Whoever looks into it finds whole logs, or none."""
-    store = ObstoreLogs(f"file://{tmp_path}/store", {}, 0, "")
+    store = ObstoreLogs(f"file://{tmp_path}/store", {})
 
     async def broken() -> AsyncIterator[bytes]:
         for _ in range(100):
@@ -471,7 +488,7 @@ def test_a_write_that_is_broken_off_shows_nothing_in_a_directory(tmp_path: Path)
 def test_a_store_that_nothing_is_called_is_a_clear_error(url: str) -> None:
     """It is said at the start, not with the first log."""
     with pytest.raises(CommandError, match="cannot use the store") as error:
-        ObstoreLogs(url, {}, 0, "")
+        ObstoreLogs(url, {})
     assert error.value.code is ExitCode.USAGE
 
 
