@@ -18,6 +18,8 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "record split": "'systemctl reload cruiser-recorder', or SIGHUP, begins new files",
     "review merge --fill": "'cruiser review rerun LOG' gives the journal to the arbiter",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
+    "provision site": "the authority signs each person's request itself ('cruiser provision sign')",
+    "provision sign --delegate": "no grant stands below another",
     "provision time": "a robot goes by its clock, and by no earlier time than its authority signed last",
     "demo-fleet": "'make demo-fleet' in a checkout; docs/examples/fleet.sh has its commands",
     "demo --browser": "it is opened, unless --no-browser",

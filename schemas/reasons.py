@@ -294,7 +294,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.GRANT_UNKNOWN: Text(
         "the grant, or its authority, is not known there", "show it the grant with its chain (query @auth)"
     ),
-    Reason.GRANT_EXPIRED: Text("the grant is over, or has not begun", "get a new grant from the site"),
+    Reason.GRANT_EXPIRED: Text("the grant is over, or has not begun", "get a new grant from the authority"),
     Reason.GRANT_REVOKED: Text("the grant was revoked", "ask the fleet's authority"),
     Reason.NOT_GRANTED: Text("the grant does not allow it", "get a grant that does"),
     Reason.STOPPED_BY_OTHER: Text(

@@ -121,21 +121,18 @@ class SignedAdmission:
         """Somebody shows a grant with its chain. From anyone: what counts are the signatures.
 
         Returns:
-            The grant as it is known from now on: the same object if nothing is new. Of two chains that end with
-            the same grant the one that holds for longer is kept, so nobody goes back by showing an old one.
+            The grant as it is known from now on: the same object if nothing is new.
         """
         known = self._grants.get(chain[0].id)
         if known is not None and self.trust.objection(known, self.now_s) is not None:
             known = None
-        if known is not None and known.chain == tuple(chain):
+        if known is not None and [known.signed] == chain:
             return known
         held = self.trust.judge(chain, self.now_s)
         if isinstance(held, Objection):
             return held
         if not held.grant.covers(self._robot):
             return Objection(Reason.NOT_GRANTED, f"it is not for {self._robot}")
-        if known is not None and known.not_after >= held.not_after:
-            return known
         self._grants[held.id] = held
         if len(self._grants) > GRANTS_KEPT:
             self._grants.popitem(last=False)
@@ -315,7 +312,7 @@ def _credentials(held: HeldGrant | Objection) -> Credentials:
         serial=held.grant.serial,
         role=ROLES[held.grant.role],
         override=held.grant.override,
-        speed_limit_mps=held.speed_limit_mps,
+        speed_limit_mps=held.grant.speed_limit_mps,
     )
 
 

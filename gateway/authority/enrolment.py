@@ -36,7 +36,6 @@ TEXT_MAX_BYTES: Final = 65_536
 class EnrolmentRole(Enum):
     """The role that an applicant asks for."""
 
-    SITE = "site"
     ROBOT = "robot"
     OPERATOR = "operator"
     VIEWER = "viewer"
@@ -45,9 +44,9 @@ class EnrolmentRole(Enum):
     DESK = "desk"
 
     @property
-    def transport(self) -> TransportRole | None:
-        """The role on the network; None for a site, which makes certificates and does not connect."""
-        return None if self is EnrolmentRole.SITE else TransportRole(self.value)
+    def transport(self) -> TransportRole:
+        """The role on the network."""
+        return TransportRole(self.value)
 
     @property
     def is_granted(self) -> bool:
@@ -57,15 +56,15 @@ class EnrolmentRole(Enum):
 
 _NAMED_AS_ROBOTS: Final = {EnrolmentRole.ROBOT, EnrolmentRole.RECORDER}
 _GRANTED: Final = {
-    EnrolmentRole.SITE: {GrantRole.SITE},
     EnrolmentRole.ROBOT: {GrantRole.ROBOT},
     EnrolmentRole.OPERATOR: {GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR},
     EnrolmentRole.RECORDER: {GrantRole.RECORDER},
 }
 """The roles of a grant that each role of an applicant may get; all other roles get none."""
 
-BY_SITES: Final = frozenset({EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER})
-"""Whom a site lets in: people."""
+SITES_ARE_GONE: Final = (
+    "sites are gone: the authority signs each person's request itself ('cruiser provision sign')"
+)
 
 REQUEST_VERSION: Final = 2
 """Requests of before name none: neither their signature nor their fingerprint covers the key for the grant."""
@@ -131,8 +130,8 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         certificate: for the TLS key, and of who signed it, PEM; empty where none was asked for.
         shut_out: the same of the role ``nothing``, by which a robot tests its network; empty for all others.
         ca: the network's authority, PEM.
-        chain: the grant, and those of its signers; empty where none is wanted.
-        signer: the chain of the site that made the bundle; empty if the authority did.
+        chain: the grant; empty where none is wanted.
+        signer: of earlier versions: the site that made the bundle. It is refused.
     """
 
     role: EnrolmentRole
@@ -259,12 +258,10 @@ def read_bundle(text: bytes, now_s: int) -> Bundle:
     if not fits(signer, signature, _signed(body)):
         raise EnrolmentError("it was changed after it was signed")
     trust = bundle.authority.trust
-    if not bundle.signer and signer != trust.active:
-        raise EnrolmentError("it is not signed by the authority that it names")
     if bundle.signer:
-        site = _judged(trust, bundle.signer, now_s, "the grant of the site that made it")
-        if site.key != signer or site.grant.role is not GrantRole.SITE or bundle.role not in BY_SITES:
-            raise EnrolmentError("it is signed by nobody who may make one")
+        raise EnrolmentError(f"a site made it, and {SITES_ARE_GONE}")
+    if signer != trust.active:
+        raise EnrolmentError("it is not signed by the authority that it names")
     if bundle.role.is_granted:
         held = _judged(trust, bundle.chain, now_s, "its grant")
         if held.grant.name != bundle.name or held.grant.role not in _GRANTED[bundle.role]:
@@ -324,11 +321,13 @@ def _decoded(text: bytes, kind: type[_T], what: str) -> _T:
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise EnrolmentError(f"it is no {what}: {str(error)[:200]}") from error
+        why = SITES_ARE_GONE if _OF_SITE.search(text) else str(error)[:200]
+        raise EnrolmentError(f"it is no {what}: {why}") from error
 
 
 def _signed(body: bytes) -> bytes:
     return signed_bytes(ProofKind.STATEMENT, b"bundle", body)
 
 
+_OF_SITE: Final = re.compile(rb'"role": *"site"')
 _PROOF: Final = re.compile(rb"ed25519 ([0-9a-f]{64}) ([0-9a-f]{128})")

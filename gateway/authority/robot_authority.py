@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.floor import TimeFloor, Word
+from gateway.authority.floor import TimeFloor
 from gateway.authority.name_proof import NameProof
 from gateway.authority.signer import RobotSigner
 from gateway.authority.unmet import life_of
@@ -52,8 +52,7 @@ class Kept(msgspec.Struct, frozen=True):
         revocations: the newest list, signed; empty if there was none under the authority that is active now.
         rotations: all that were taken over, signed, in their order.
         epoch: no grant of a lower one counts, whatever the newest list says.
-        floor_s: the floor of time as the authority attested it, seconds since 1970.
-        words: the times that sites attested, if later.
+        floor_s: the floor of time, seconds since 1970.
         since: the authority that was provisioned when the first of it was learnt.
         last_heads: the heads of the chains that the robot signed last, as far as it was saved since, hexadecimal:
             those of the next run name them. They are no secret, and nobody is let in by them.
@@ -64,14 +63,8 @@ class Kept(msgspec.Struct, frozen=True):
     rotations: list[str] = []
     epoch: int = 0
     floor_s: int = 0
-    words: list[Word] = []
     since: AuthorityKeys | None = None
     last_heads: str = ""
-
-    @property
-    def newest_s(self) -> int:
-        """The floor of time, seconds since 1970."""
-        return max([self.floor_s, *(word.at_s for word in self.words)])
 
 
 def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
@@ -203,7 +196,6 @@ class RobotAuthority:
         self.name_proof = NameProof(settings, signer, admission, lambda: self._own)
         self._key = keys.authority(settings.robot.root, settings.robot.name)
         self._floor = floor
-        floor.forget(admission.trust)
         self._own = own
         self._own_held: HeldGrant | None = None
         self._kept = kept
@@ -240,7 +232,7 @@ class RobotAuthority:
 
     @property
     def grant_ends_s(self) -> int | None:
-        """The earliest end in the robot's own chain of grants, seconds since 1970; None if it has none."""
+        """The end of the robot's own grant, seconds since 1970; None if it has none."""
         return min(
             (one.statement.not_after for one in self._own if isinstance(one.statement, Grant)), default=None
         )
@@ -280,9 +272,8 @@ class RobotAuthority:
 
     def to_keep(self, boot_ns: int) -> Kept:
         """The state to be kept across a restart as of now, the heads that were signed last with it."""
-        floor_s, words = self._floor.kept(boot_ns)
         self._kept = msgspec.structs.replace(
-            self._kept, floor_s=floor_s, words=words, last_heads=self.signer.last_heads.hex()
+            self._kept, floor_s=self._floor.least_s(boot_ns), last_heads=self.signer.last_heads.hex()
         )
         return self._kept
 
@@ -296,13 +287,13 @@ class RobotAuthority:
         if isinstance(held, Objection):
             return held
         if held is not known:
-            self._floor.lift_by_grants(held.chain, boot_ns)
-            self._new.append(chain_text(held.chain))
+            self._floor.lift(held.grant.not_before, boot_ns)
+            self._new.append(held.signed.text())
         if held.key == self.signer.public_key and held.grant.role is GrantRole.ROBOT:
             own = self._own_grant()
-            if isinstance(own, Objection) or held.not_after > own.not_after:
-                self._own, self._own_held, self._is_changed = list(held.chain), held, True
-                self._kept = msgspec.structs.replace(self._kept, own=chain_text(held.chain))
+            if isinstance(own, Objection) or held.grant.not_after > own.grant.not_after:
+                self._own, self._own_held, self._is_changed = [held.signed], held, True
+                self._kept = msgspec.structs.replace(self._kept, own=held.signed.text())
         return None
 
     def _own_grant(self) -> HeldGrant | Objection:
@@ -334,7 +325,6 @@ class RobotAuthority:
         else:
             self._kept = msgspec.structs.replace(self._kept, revocations=text)
         self._new.append(text)
-        self._floor.forget(newer)
         self._floor.lift(statement.at, boot_ns)
         self._is_changed = True
         return None
@@ -357,7 +347,7 @@ class RobotAuthority:
         if isinstance(own, Objection):
             bars[own.reason] = f"the robot's own {self._own_words(own)}"
         else:
-            self._floor.lift_by_grants(own.chain, boot_ns)
+            self._floor.lift(own.grant.not_before, boot_ns)
         return bars
 
     def _own_words(self, objection: Objection) -> str:
@@ -372,7 +362,7 @@ class RobotAuthority:
         if now_ns >= self._repeat_due_ns:
             self._repeat_due_ns = now_ns + REPEAT_NS
             lease = self.admission.lease
-            in_use = "" if lease is None else chain_text(lease.holder.chain)
+            in_use = "" if lease is None else lease.holder.signed.text()
             # A note of a former version may hold a list that a rotation has ended.
             revocations = self._kept.revocations if self.admission.trust.list_serial else ""
             repeated = (*self._kept.rotations, chain_text(self._own), in_use, revocations)

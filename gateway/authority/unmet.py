@@ -50,7 +50,7 @@ UNSIGNED: Final = Unmet(
 """A robot that was met, and whose answer does not fit its key."""
 
 
-NEW_GRANT: Final = "'cruiser provision renew operator', 'sign' at the site or the authority, 'install --replace'"
+NEW_GRANT: Final = "'cruiser provision renew operator', 'sign' at the authority, 'install --replace'"
 
 _CURES: Final = {
     Reason.GRANT_EXPIRED: f"set the clock that is wrong, if one is; if not, get a new grant: {NEW_GRANT}",

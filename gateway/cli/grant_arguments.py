@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable
 from typing import Final
 
-from gateway.authority.enrolment import BY_SITES, EnrolmentRequest, EnrolmentRole
+from gateway.authority.enrolment import EnrolmentRequest, EnrolmentRole
 from gateway.provisioning.issuer import Wanted
-from schemas.authority.statement import STATEMENTS_MAX, Grant, GrantRole
+from schemas.authority.statement import Grant, GrantRole
 from schemas.authority.trust import in_utc
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.subjects import BY_VERB, STOP_VERB
@@ -27,7 +27,7 @@ PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
 _SPEED_MAX_MPS: Final = 100
 _LIFE_MAX_S: Final = 3653 * DAY_S
 
-_GRANT_FLAGS: Final = ("robots", "verbs", "role", "override", "speed_limit", "delegate")
+_GRANT_FLAGS: Final = ("robots", "verbs", "role", "override", "speed_limit")
 _FOR_ALL: Final = {"robots"}
 
 
@@ -55,13 +55,6 @@ def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
     lasts = grant.add_mutually_exclusive_group()
     lasts.add_argument("--hours", dest="lasts", type=_times(HOUR_S), metavar="H", help="a person's life (12)")
     lasts.add_argument("--days", dest="lasts", type=_times(DAY_S), metavar="D", help="all others' (90)")
-    grant.add_argument(
-        "--delegate",
-        type=int,
-        choices=range(1, STATEMENTS_MAX),
-        metavar="N",
-        help="of a site: how many grants may stand below it (1)",
-    )
 
 
 def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
@@ -76,11 +69,10 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
         CommandError: a flag does not fit the applicant's role.
     """
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
-    if request.role not in {EnrolmentRole.OPERATOR, EnrolmentRole.SITE} and set(given) - _FOR_ALL:
+    if request.role is not EnrolmentRole.OPERATOR and set(given) - _FOR_ALL:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
         raise CommandError(f"{flags}: nothing of that is for a {request.role.value}", ExitCode.USAGE)
-    is_site = request.role is EnrolmentRole.SITE
-    usual_s = PERSON_S if request.role in BY_SITES else OTHERS_S
+    usual_s = PERSON_S if request.role in {EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER} else OTHERS_S
     usual = [] if request.role is EnrolmentRole.RECORDER else ROBOT_VERBS
     last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
     return Wanted(
@@ -90,7 +82,6 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
         role=GrantRole(arguments.role) if arguments.role else last_role,
         override=arguments.override or (last is not None and last.override),
         speed_limit_mps=arguments.speed_limit or (last.speed_limit_mps if last else None),
-        may_delegate=(arguments.delegate or (last.may_delegate if last else 0) or 1) if is_site else 0,
     )
 
 
@@ -100,7 +91,7 @@ def unlimited_warning(arguments: argparse.Namespace, request: EnrolmentRequest, 
     The list of who was let in is the authority's own: a new authority knows none of the former's limits.
     """
     is_limited = arguments.robots or arguments.verbs or arguments.speed_limit is not None
-    if last is not None or is_limited or request.role not in {EnrolmentRole.OPERATOR, EnrolmentRole.SITE}:
+    if last is not None or is_limited or request.role is not EnrolmentRole.OPERATOR:
         return ""
     return (
         "nothing is known of this key here: all robots, all verbs, no speed limit; --robots and --speed-limit "

@@ -59,7 +59,6 @@ docs/authority.md begins a fleet, and says what to do about what was lost or sto
 TIMEOUT_S: Final = 3.0
 
 ABOUT: Final = {
-    EnrolmentRole.SITE: "a place that lets people in for up to 12 h, without the authority",
     EnrolmentRole.ROBOT: "a robot",
     EnrolmentRole.OPERATOR: "a person, or a program, that commands robots",
     EnrolmentRole.VIEWER: "somebody who sees robots, and may stop one",
@@ -122,7 +121,7 @@ def _add_makers(add: Add) -> None:
 
     for role, about in ABOUT.items():
         action = add(role.value, about)
-        if role.transport is not None and role in _HOSTS:
+        if role in _HOSTS:
             action.add_argument("names", nargs="+", metavar="HOST", help="by which it is reached: name or address")
         else:
             action.add_argument("names", nargs=1, metavar="NAME", help="under which it is known")
@@ -136,7 +135,7 @@ def _add_makers(add: Add) -> None:
 
 def _add_signers(add: Add) -> None:
     """Add the actions that admit applicants."""
-    sign = add("sign", "let somebody in, at the authority or at a site: a bundle answers the request")
+    sign = add("sign", "let somebody in, at the authority: a bundle answers the request")
     sign.add_argument("request", metavar="REQUEST", help="the file")
     sign.add_argument("--fingerprint", metavar="F", help="refuse a request of another one")
     add_grant_arguments(sign)
@@ -321,11 +320,10 @@ def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
     issued, keys = issuer.issued(), list(arguments.key)
     revoked: list[str] = []
     for name in arguments.names:
-        found = {one.holder.hex(): one.role.value for one in issued if one.name == name and one.key}
+        found = {one.holder.hex(): one.role for one in issued if one.name == name and one.key}
         if not found:
             raise CommandError(
-                f"nobody called {name!a} was granted anything here: {store.path(ISSUED_FILE)} has all names. "
-                "Who was let in by a site is in the site's: --key says whom",
+                f"nobody called {name!a} was granted anything here: {store.path(ISSUED_FILE)} has all names",
                 ExitCode.USAGE,
             )
         keys += sorted(found)
@@ -367,7 +365,6 @@ def _add_passphrase(parser: argparse.ArgumentParser, *, makes_keys: bool = False
 
 _HOSTS: Final = {EnrolmentRole.ROUTER, EnrolmentRole.DESK}
 _AFTER: Final = {
-    EnrolmentRole.SITE: "'cruiser provision sign' lets people in",
     EnrolmentRole.ROBOT: "cruiser gateway --config {}/robot.toml",
     EnrolmentRole.RECORDER: "cruiser record --config {}/recorder.toml",
     EnrolmentRole.ROUTER: "cruiser router --directory {}",

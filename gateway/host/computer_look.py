@@ -87,7 +87,7 @@ def earliest_s(settings: Settings) -> float:
     with owning(note.path):
         kept = note.read()
     note.close()
-    return max(installed_s, kept.newest_s if isinstance(kept, Kept) else 0.0)
+    return max(installed_s, kept.floor_s if isinstance(kept, Kept) else 0.0)
 
 
 def look_at_disk(directory: Path) -> LogDisk:
@@ -205,9 +205,9 @@ def _grant(directory: Path, now_s: float) -> Credential:
     held = identity.trust.judge(identity.chain, int(now_s))
     if isinstance(held, Objection):
         return Credential(name, f"{name}: {TEXTS[held.reason].means}; {cure}")
-    left_s = held.not_after - now_s
+    left_s = held.grant.not_after - now_s
     soon = f"{name} ends in {left_s / 86_400:.1f} days; {cure}" if left_s < GRANT_ENDS_SOON_S else ""
-    return Credential(name, "", soon, held.not_after)
+    return Credential(name, "", soon, held.grant.not_after)
 
 
 @contextmanager

@@ -57,7 +57,7 @@ class SignedMode:
         if isinstance(resumed, Objection):
             raise CommandError(f"{self._note.path}: {resumed.text}; {CURE}", ExitCode.USAGE)
         trust, kept = resumed
-        ahead_s = kept.newest_s - int(time.time())
+        ahead_s = kept.floor_s - int(time.time())
         if ahead_s > AHEAD_S:
             log.warning(
                 "%s: the newest time in it is %.1f days after this computer's clock, and grants are judged by it. "
@@ -72,7 +72,7 @@ class SignedMode:
             settings,
             SignedAdmission(settings, trust, signer, core.challenge_age_ns),
             signer,
-            TimeFloor(kept.floor_s, boot_ns, kept.words),
+            TimeFloor(kept.floor_s, boot_ns),
             _own(identity.chain, kept, trust, settings),
             kept,
         )
@@ -108,7 +108,7 @@ def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings
 
     def worth(chain: list[Signed]) -> tuple[bool, int]:
         held = trust.judge(chain, now_s)
-        return (False, 0) if isinstance(held, Objection) else (True, held.not_after)
+        return (False, 0) if isinstance(held, Objection) else (True, held.grant.not_after)
 
     chain = max(renewed, provisioned, key=worth) if isinstance(renewed, list) else provisioned
     grant = chain[0].statement

@@ -35,9 +35,6 @@ CA_DAYS: Final = 3653
 BACKDATED: Final = timedelta(minutes=5)
 """A certificate is valid from a little earlier: no two clocks agree."""
 
-SITE: Final = "site"
-"""Common name of a site's own authority, which makes certificates for people alone."""
-
 NAME_PATTERN: Final = r"[A-Za-z0-9_.:-]{1,64}"
 
 _CLIENT, _SERVER = ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH
@@ -73,8 +70,7 @@ def new_authority(key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
     """The certificate of a new authority, self-signed, PEM."""
     name = _name("cruiser transport authority")
     builder = _builder(name, name, key.public_key(), now_s, now_s + CA_DAYS * 86_400)
-    made = _as_authority(builder, 1).sign(key, SHA256())
-    return _pem(made)
+    return _pem(_as_authority(builder).sign(key, SHA256()))
 
 
 def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]) -> str:
@@ -93,39 +89,27 @@ def read_request(text: str) -> Applicant:
 
 
 def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
-    """The certificate that is asked for, followed by those of the authorities between it and the CA, PEM.
+    """The certificate that is asked for, PEM.
 
     Args:
         text: the request. Its names and its key are taken over; what else it wants is not.
         role: that of the node.
-        certificates: of the authority that signs, and of those above it.
+        certificates: of the authority that signs first; while two count, that of the former one too.
         key: of the authority that signs.
         now_s: seconds since 1970.
 
     Raises:
         CertificateError: the request, or the authority's certificate, cannot be used.
     """
-    request, above = _request(text), read_certificates(certificates)
+    request, authority = _request(text), read_certificates(certificates)[0]
     usage = [_SERVER, _CLIENT] if role in LISTENING else [_CLIENT]
-    builder = _below(above, key, request, role.value, now_s, now_s + LEAF_DAYS * 86_400)
     builder = (
-        builder.add_extension(_alternatives(_applicant(request).names), critical=False)
+        _below(authority, key, request, role.value, now_s)
+        .add_extension(_alternatives(_applicant(request).names), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.ExtendedKeyUsage(usage), critical=False)
     )
-    return _chain(builder, above, key)
-
-
-def issue_site(text: str, certificates: str, key: ec.EllipticCurvePrivateKey, now_s: int, until_s: int) -> str:
-    """The certificate of a site's authority, PEM: it may make certificates that are a client's, no further CA.
-
-    Raises:
-        CertificateError: see ``issue``.
-    """
-    request, above = _request(text), read_certificates(certificates)
-    builder = _below(above, key, request, f"{SITE} {_applicant(request).names[0]}", now_s, until_s)
-    builder = _as_authority(builder, 0).add_extension(x509.ExtendedKeyUsage([_CLIENT]), critical=False)
-    return _chain(builder, above, key)
+    return _pem(builder.sign(key, SHA256()))
 
 
 def read_certificates(text: str) -> list[x509.Certificate]:
@@ -258,7 +242,7 @@ def _builder(
     )
 
 
-def _as_authority(builder: x509.CertificateBuilder, path_length: int) -> x509.CertificateBuilder:
+def _as_authority(builder: x509.CertificateBuilder) -> x509.CertificateBuilder:
     usage = x509.KeyUsage(
         digital_signature=False,
         content_commitment=False,
@@ -270,34 +254,26 @@ def _as_authority(builder: x509.CertificateBuilder, path_length: int) -> x509.Ce
         encipher_only=False,
         decipher_only=False,
     )
-    constraints = x509.BasicConstraints(ca=True, path_length=path_length)
+    constraints = x509.BasicConstraints(ca=True, path_length=0)
     return builder.add_extension(constraints, critical=True).add_extension(usage, critical=True)
 
 
 def _below(
-    above: list[x509.Certificate],
+    above: x509.Certificate,
     signer: ec.EllipticCurvePrivateKey,
     request: x509.CertificateSigningRequest,
     common: str,
     now_s: int,
-    until_s: int,
 ) -> x509.CertificateBuilder:
-    """A certificate that is signed by the first of those above it, and lasts no longer."""
-    if not fits(above[0], signer):
+    """A certificate that the authority signs, and that lasts no longer than its own."""
+    if not fits(above, signer):
         raise CertificateError("the authority's key is not that of its certificate")
     key = _public_key(request)
-    builder = _builder(_name(common), above[0].subject, key, now_s, min(until_s, expires_s(above[0])))
+    until_s = min(now_s + LEAF_DAYS * 86_400, expires_s(above))
+    builder = _builder(_name(common), above.subject, key, now_s, until_s)
     own = x509.SubjectKeyIdentifier.from_public_key(key)
     authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key())
     return builder.add_extension(own, critical=False).add_extension(authority, critical=False)
-
-
-def _chain(
-    builder: x509.CertificateBuilder, above: list[x509.Certificate], signer: ec.EllipticCurvePrivateKey
-) -> str:
-    """The certificate and those above it, but for the root: who checks them has that, and nothing below it."""
-    between = [one for one in above if one.subject != one.issuer]
-    return "".join(map(_pem, (builder.sign(signer, SHA256()), *between)))
 
 
 def _raw(key: object) -> bytes:

@@ -1,16 +1,13 @@
-"""Issuers: the authority of a fleet, or a site. They sign bundles, revocations and rotations."""
+"""The issuer: the authority of a fleet. It signs bundles, revocations and rotations."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final, Self
 
 import msgspec
-from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import (
-    BY_SITES,
     Bundle,
     EnrolmentRequest,
     EnrolmentRole,
@@ -22,14 +19,13 @@ from gateway.authority.transport import CA_FILE, TransportRole
 from gateway.provisioning.certificates import (
     CertificateError,
     issue,
-    issue_site,
     new_authority,
     new_key,
     read_request,
 )
 from gateway.provisioning.key_store import STANDBY_FILE, KeyStore
-from gateway.provisioning.machine_keys import FLEET_FILE, SITE_CA_FILE, SITE_CA_KEY
-from schemas.authority.identity import AUTHORITY_FILE, INSTALLED, installed, remade
+from gateway.provisioning.machine_keys import FLEET_FILE
+from schemas.authority.identity import AUTHORITY_FILE, remade
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import (
     TEXT_MAX_BYTES,
@@ -41,30 +37,24 @@ from schemas.authority.statement import (
     Statement,
     StatementFault,
     body_of,
-    chain_text,
     read_chain,
 )
 from schemas.authority.trust import AuthorityKeys, Objection, in_utc
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
-AUTHORITY_KEY, CA_KEY, SITE_KEY, SITE_GRANT = "authority.key", "ca.key", "site.key", "site.grant"
+AUTHORITY_KEY, CA_KEY = "authority.key", "ca.key"
 STANDBY_KEY: Final = "standby.key"
 SERIALS_FILE, ISSUED_FILE, REVOCATIONS_FILE = "serials.json", "issued.jsonl", "revocations.statement"
 
 BACKDATED_S: Final = 300
 """A grant is valid from a little earlier: no two clocks agree."""
 
-SITE_MAX_S: Final = 12 * 3600
-"""A site lets nobody in for longer."""
-
 _ROLES: Final = {
-    EnrolmentRole.SITE: GrantRole.SITE,
     EnrolmentRole.ROBOT: GrantRole.ROBOT,
     EnrolmentRole.RECORDER: GrantRole.RECORDER,
 }
 _AUTHORITY_CURE: Final = "'cruiser provision authority' makes it"
-_SITE_CURE: Final = remade("site")
 
 
 class Serials(msgspec.Struct, frozen=True):
@@ -85,11 +75,12 @@ class Issued(msgspec.Struct, frozen=True):
     """A line of ``issued.jsonl``: who was let in.
 
     Attributes:
+        role: of the request; those of before have sites.
         tls: fingerprint of the certificate's key; empty in lines of before it was kept.
     """
 
     at: int
-    role: EnrolmentRole
+    role: str
     name: str
     key: str = ""
     grant: str = ""
@@ -115,7 +106,7 @@ class Wanted(msgspec.Struct, frozen=True):
     """The terms of a grant to be issued.
 
     Attributes:
-        verbs, robots, override, speed_limit_mps, may_delegate: as in a grant.
+        verbs, robots, override, speed_limit_mps: as in a grant.
         role: of a person.
         lasts_s: seconds.
     """
@@ -126,63 +117,46 @@ class Wanted(msgspec.Struct, frozen=True):
     role: GrantRole = GrantRole.OPERATOR
     override: bool = False
     speed_limit_mps: float | None = None
-    may_delegate: int = 0
 
 
 class Issuer:
-    """An authority or a site, with its keys.
+    """An authority with its keys.
 
     Attributes:
         store: the place of its files.
-        chain: of a site; empty for the authority.
     """
 
-    def __init__(self, store: KeyStore, private: Ed25519PrivateKey, chain: list[Signed]) -> None:
+    def __init__(self, store: KeyStore, private: Ed25519PrivateKey) -> None:
         self.store = store
-        self.chain = chain
         self._private = private
 
     @classmethod
     def open(cls, store: KeyStore) -> Self:
-        """The authority whose keys are here, or else the site.
+        """The authority whose keys are here.
 
         Raises:
-            CommandError: neither is here, or a file of it is wrong.
+            CommandError: they are not here, or a file of it is wrong.
         """
-        if store.has(AUTHORITY_KEY):
-            return cls(store, store.ed25519(AUTHORITY_KEY, _AUTHORITY_CURE), [])
-        if not store.has(SITE_KEY):
+        if not store.has(AUTHORITY_KEY):
             raise CommandError(
-                f"neither an authority's key nor a site's is in {store.directory}: --directory says where it is",
-                ExitCode.USAGE,
+                f"no authority's key is in {store.directory}: --directory says where it is", ExitCode.USAGE
             )
-        chain = store.chain(SITE_GRANT, INSTALLED)
-        return cls(store, store.ed25519(SITE_KEY, _SITE_CURE), chain)
-
-    @property
-    def is_site(self) -> bool:
-        """True if it is a site."""
-        return bool(self.chain)
-
-    @property
-    def _cure(self) -> str:
-        """The cure for what the authority made."""
-        return installed("site") if self.is_site else _AUTHORITY_CURE
+        return cls(store, store.ed25519(AUTHORITY_KEY, _AUTHORITY_CURE))
 
     @property
     def authority(self) -> AuthorityKeys:
         """The fleet's authority."""
-        return self.store.read_as(AUTHORITY_FILE, AuthorityKeys, self._cure)
+        return self.store.read_as(AUTHORITY_FILE, AuthorityKeys, _AUTHORITY_CURE)
 
     @property
     def fleet(self) -> FleetPlace:
         """The fleet's place on Zenoh."""
-        return self.store.read_as(FLEET_FILE, FleetPlace, self._cure)
+        return self.store.read_as(FLEET_FILE, FleetPlace, _AUTHORITY_CURE)
 
     @property
     def ca(self) -> str:
         """The network's authority, PEM."""
-        return self.store.read(CA_FILE, self._cure).decode()
+        return self.store.read(CA_FILE, _AUTHORITY_CURE).decode()
 
     @property
     def fingerprint(self) -> str:
@@ -193,39 +167,33 @@ class Issuer:
         """Let somebody in. Returns the bundle and the grant that is in it.
 
         Raises:
-            CommandError: the request contradicts itself, is of a key that was revoked, or asks a site for what it
-                may not give.
+            CommandError: the request contradicts itself, or is of a key that was revoked.
         """
         name, role = request.names[0], request.role
         applicant = read_request(request.csr) if request.csr else None
         if applicant and (applicant.role != role.value or sorted(applicant.names) != sorted(request.names)):
             raise CertificateError("the request and its certificate's request name different people")
-        if self.is_site and role not in BY_SITES:
-            raise CommandError(f"the authority alone lets a {role.value} in", ExitCode.USAGE)
-        if self.is_site and wanted.lasts_s > SITE_MAX_S:
-            raise CommandError(f"a site lets nobody in for more than {SITE_MAX_S // 3600} h", ExitCode.USAGE)
         self._refuse_revoked(request)
-        chain = self._grant(request, wanted, now_s) if role.is_granted else []
+        signed = self._grant(request, wanted, now_s) if role.is_granted else None
         bundle = Bundle(
             role=role,
             name=name,
             authority=self.authority,
             fleet=self.fleet,
-            certificate=self._certify(request, now_s, wanted) if request.csr else "",
-            shut_out=self._shut_out(request, now_s),
+            certificate=self._certify(request, role.transport, now_s) if request.csr else "",
+            shut_out=self._certify(request, TransportRole.NOTHING, now_s) if role is EnrolmentRole.ROBOT else "",
             ca=self.ca,
-            chain=chain_text(chain),
-            signer=chain_text(self.chain),
+            chain=signed.text() if signed else "",
         )
-        grant = chain[0].statement if chain else None
+        grant = signed.statement if signed else None
         entry = Issued(
             now_s,
-            role,
+            role.value,
             name,
             request.key or "",
-            chain[0].id.hex() if chain else "",
+            signed.id.hex() if signed else "",
             getattr(grant, "not_after", 0),
-            chain[0].body.decode() if chain else "",
+            signed.body.decode() if signed else "",
             applicant.key if applicant else "",
         )
         self.store.append(ISSUED_FILE, msgspec.json.encode(entry).decode())
@@ -245,7 +213,9 @@ class Issuer:
     def last_grant(self, request: EnrolmentRequest) -> Grant | None:
         """Return the last grant to the same key in the same role and name; None if there is none."""
         holder = _holder(request)
-        found = [one for one in self.issued() if one.holder == holder and one.role is request.role and one.body]
+        found = [
+            one for one in self.issued() if one.holder == holder and one.role == request.role.value and one.body
+        ]
         if not found or found[-1].name != request.names[0]:
             return None
         return msgspec.json.decode(found[-1].body, type=Grant)
@@ -258,17 +228,17 @@ class Issuer:
         Raises:
             CommandError: a file of the authority is damaged, or the request for a certificate is.
         """
-        role, name, holder = request.role, request.names[0], _holder(request)
+        role, name, holder = request.role.value, request.names[0], _holder(request)
         revoked = set(map(bytes.fromhex, self._revoked().keys))
-        let_in = [one for one in self.issued() if one.role is role and one.holder and one.holder not in revoked]
+        let_in = [one for one in self.issued() if one.role == role and one.holder and one.holder not in revoked]
         if any(one.name == name and one.holder == holder for one in let_in):
             return ""
         for one in reversed(let_in):
             if one.holder == holder:
-                return f"its key was let in as {role.value} {plain(one.name)}"
+                return f"its key was let in as {role} {plain(one.name)}"
             if one.name == name:
                 ends = f" ('cruiser provision revoke --key {one.holder.hex()}' ends it)" if one.key else ""
-                return f"{role.value} {name} has another key already, let in {in_utc(one.at)}{ends}"
+                return f"{role} {name} has another key already, let in {in_utc(one.at)}{ends}"
         return ""
 
     def issued(self) -> list[Issued]:
@@ -290,10 +260,8 @@ class Issuer:
         """A new list of all that is revoked: what was, and this. With a raised epoch the list begins anew.
 
         Raises:
-            CommandError: it is a site, a file is missing or damaged, or the list is longer than a robot takes.
+            CommandError: a file is missing or damaged, or the list is longer than a robot takes.
         """
-        if self.is_site:
-            raise CommandError("the authority alone revokes; a site's grants end by themselves", ExitCode.USAGE)
         before, serials = self._revoked(), serials_of(self.store)
         path = self.store.path(REVOCATIONS_FILE)
         if serials.revocations > before.serial and not raise_epoch:
@@ -323,10 +291,9 @@ class Issuer:
         self.store.write({REVOCATIONS_FILE: signed.text()}, replace=True)
         return signed
 
-    def _grant(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> list[Signed]:
+    def _grant(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> Signed:
         serials, name = serials_of(self.store), request.names[0]
         is_robot = request.role is EnrolmentRole.ROBOT
-        site_grant = self.chain[0].statement if self.chain else None
         grant = Grant(
             serial=serials.grant + 1,
             name=name,
@@ -338,42 +305,22 @@ class Issuer:
             speed_limit_mps=wanted.speed_limit_mps,
             not_before=now_s - BACKDATED_S,
             not_after=now_s + wanted.lasts_s,
-            epoch=site_grant.epoch if isinstance(site_grant, Grant) else serials.epoch,
-            may_delegate=wanted.may_delegate,
+            epoch=serials.epoch,
         )
-        chain = [state(self._private, grant), *self.chain]
-        held = self.authority.trust.judge(chain, now_s)
+        signed = state(self._private, grant)
+        held = self.authority.trust.judge([signed], now_s)
         if isinstance(held, Objection):
             raise CommandError(f"this cannot be granted here: {held.text}", ExitCode.USAGE)
         save_serials(self.store, msgspec.structs.replace(serials, grant=grant.serial))
-        return chain
+        return signed
 
-    def _certify(self, request: EnrolmentRequest, now_s: int, wanted: Wanted) -> str:
-        transport = request.role.transport
-        key, certificates, path = self._network()
+    def _certify(self, request: EnrolmentRequest, role: TransportRole, now_s: int) -> str:
+        """A certificate of a role; a robot also gets one without any right, for the same key, to test with."""
+        key, ca = self.store.p256(CA_KEY, _AUTHORITY_CURE), self.ca
         try:
-            if transport is None:
-                return issue_site(request.csr, certificates, key, now_s, now_s + wanted.lasts_s)
-            return issue(request.csr, transport, certificates, key, now_s)
+            return issue(request.csr, role, ca, key, now_s)
         except CertificateError as error:
-            raise CommandError(f"{path}: {error}", ExitCode.USAGE) from error
-
-    def _shut_out(self, request: EnrolmentRequest, now_s: int) -> str:
-        """A robot's certificate without any right, for the same key: it tests the network with it."""
-        if request.role is not EnrolmentRole.ROBOT:
-            return ""
-        key, certificates, _ = self._network()
-        return issue(request.csr, TransportRole.NOTHING, certificates, key, now_s)
-
-    def _network(self) -> tuple[EllipticCurvePrivateKey, str, Path]:
-        """The key that signs certificates, its own certificates, and where these are."""
-        names = (SITE_CA_KEY, SITE_CA_FILE, self._cure) if self.is_site else (CA_KEY, CA_FILE, _AUTHORITY_CURE)
-        key_name, certificate_name, cure = names
-        return (
-            self.store.p256(key_name, cure),
-            self.store.read(certificate_name, cure).decode(),
-            self.store.path(certificate_name),
-        )
+            raise CommandError(f"{self.store.path(CA_FILE)}: {error}", ExitCode.USAGE) from error
 
     def _revoked(self) -> Revocations:
         if not self.store.has(REVOCATIONS_FILE):

@@ -43,10 +43,9 @@ from schemas.printable import plain
 
 FLEET_FILE: Final = "fleet.json"
 ZENOH_FILE, SETTINGS_FILE = "{who}.json5", "{who}.toml"
-SITE_CA_KEY, SITE_CA_FILE = "site-ca.key", "site-ca.pem"
 
 SHARED: Final = (AUTHORITY_FILE, CA_FILE, FLEET_FILE)
-"""Files that are the same for all of a fleet. One machine may be several: a desk, and a site."""
+"""Files that are the same for all of a fleet. One machine may be several: a desk, and a recorder."""
 
 
 def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace: bool) -> EnrolmentRequest:
@@ -83,10 +82,9 @@ def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
         try:
             return [_granted_name(store, role)]
         except CommandError:
-            # A grant that is lost or damaged is what a renewal cures. A site's certificate has no names.
-            if not store.has(_certificate_name(role)) or not (names := _certified_names(store, role)):
+            # A grant that is lost or damaged is what a renewal cures.
+            if not store.has(CERTIFICATE_FILE.format(who=role.value)):
                 raise
-            return names
     return _certified_names(store, role)
 
 
@@ -99,7 +97,7 @@ def _granted_name(store: KeyStore, role: EnrolmentRole) -> str:
 
 
 def _certified_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
-    name = _certificate_name(role)
+    name = CERTIFICATE_FILE.format(who=role.value)
     text = store.read(name, INSTALLED).decode(errors="replace")
     with naming(plain(str(store.path(name))), remade(role.value)):
         return names_of(read_certificates(text)[0])
@@ -137,7 +135,7 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
         bundle: was checked against the authority that it names.
         replace: over what is there.
         is_compared: somebody compared the authority's fingerprint. Without that no other authority takes the
-            place of the one that is here, whoever carried the bundle, and a site brings nothing of it.
+            place of the one that is here, whoever carried the bundle.
 
     Raises:
         CommandError: it is for other keys, of another authority, or something is there already.
@@ -152,8 +150,6 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
     if AUTHORITY_FILE in changed and not (replace and is_compared):
         shown = plain(str(store.path(AUTHORITY_FILE)))
         raise CommandError(f"{shown} is another authority's; --replace with {cure}", ExitCode.USAGE)
-    if unknown and bundle.signer and not is_compared:
-        raise CommandError(f"a site made it, and it brings {unknown[0]}: {cure}", ExitCode.USAGE)
     if changed and not replace:
         raise CommandError(
             f"{plain(str(store.path(changed[0])))} is different; --replace changes over to that of the bundle",
@@ -181,11 +177,7 @@ def _shared(bundle: Bundle) -> dict[str, str]:
 
 def tls_key_name(role: EnrolmentRole) -> str:
     """The file of the key of its certificate."""
-    return SITE_CA_KEY if role is EnrolmentRole.SITE else TLS_KEY_FILE.format(who=role.value)
-
-
-def _certificate_name(role: EnrolmentRole) -> str:
-    return SITE_CA_FILE if role is EnrolmentRole.SITE else CERTIFICATE_FILE.format(who=role.value)
+    return TLS_KEY_FILE.format(who=role.value)
 
 
 def _check_certificate(store: KeyStore, bundle: Bundle) -> int:
@@ -227,15 +219,12 @@ def _holder(bundle: Bundle) -> str:
 
 def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:
     role, who = bundle.role, bundle.role.value
-    files = {_certificate_name(role): bundle.certificate}
+    files = {CERTIFICATE_FILE.format(who=who): bundle.certificate}
     if role is EnrolmentRole.ROBOT:
         files[SHUT_OUT_FILE] = bundle.shut_out
     if role.is_granted:
         files[GRANT_FILE.format(who=who)] = bundle.chain
-    transport = role.transport
-    if transport is None:
-        return files
-    endpoints = bundle.fleet.routers
+    transport, endpoints = role.transport, bundle.fleet.routers
     if transport is TransportRole.ROUTER:
         endpoints = _listening(endpoints, names_of(read_certificates(bundle.certificate)[0]))
     robot = bundle.name if role is EnrolmentRole.ROBOT else ""

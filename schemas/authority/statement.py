@@ -1,7 +1,7 @@
 """Statements of an authority: grants, revocations, new authorities. JSON under a detached signature.
 
-A signed statement is two lines of text: the JSON, and the signature over exactly these bytes. A grant that is not
-signed by the fleet's authority itself is followed by the grant of who signed it, and so on: its chain.
+A signed statement is two lines of text: the JSON, and the signature over exactly these bytes. Earlier versions let
+sites grant as well: their grants are followed by the site's own. Such a chain is read, to be refused in words.
 
     {"kind":"grant","serial":17,"operator":"desk-1",...}
     ed25519 KEY_OF_THE_SIGNER SIGNATURE
@@ -22,7 +22,7 @@ from schemas import keys
 from schemas.authority.proof import ProofKind, signed_bytes, statement_id
 
 STATEMENTS_MAX: Final = 3
-"""Statements of a chain: the fleet's authority grants a site, which grants a group, which grants a person."""
+"""Statements of the longest chain of earlier versions: of a person, a group, and a site."""
 
 TEXT_MAX_BYTES: Final = 16_384
 """No statement with its chain is longer."""
@@ -40,7 +40,7 @@ Verb = Annotated[str, Meta(pattern=r"^[a-z_]+\Z", max_length=32)]
 
 
 class GrantRole(Enum):
-    """The role of a grant's holder. The first three are the roles of a lease's holder."""
+    """The role of a grant's holder. The first three are those of a lease's holder; ``site`` was one."""
 
     PROGRAM = "program"
     OPERATOR = "operator"
@@ -59,7 +59,7 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
 
     Attributes:
         serial: rises with each grant of its signer; for people.
-        name: the holder: an operator's chunk of the command keys, a robot's, a site's.
+        name: the holder: an operator's chunk of the command keys, or a robot's.
         key: the holder's.
         robots: patterns of robots' names, ``*`` for any letters.
         verbs: those that the holder may ask of robots.
@@ -67,7 +67,7 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
         speed_limit_mps: the robot drives no faster for this holder; none if absent.
         not_before, not_after: it holds from the first to the second, both included.
         epoch: authorities raise it to end all grants of before at once.
-        may_delegate: number of further grants that may stand below it in a chain.
+        may_delegate: of earlier versions, read and without effect.
     """
 
     serial: Serial
@@ -95,8 +95,8 @@ class Revocations(_Statement, frozen=True, forbid_unknown_fields=True, tag="revo
 
     Attributes:
         at: when it was signed.
-        grants: identifiers of grants; what was signed by their holders ends with them.
-        keys: no grant of these holders counts, and nothing that they signed.
+        grants: identifiers of grants.
+        keys: no grant of these holders counts.
         epoch: no grant of a lower epoch counts.
     """
 

@@ -1,14 +1,12 @@
 """Verification of grants against the fleet's authority and its revocations.
 
-A grant holds where the signatures of its chain hold up to the authority's active key, where no grant is wider than
-the one above it, and where nothing of the chain is over, revoked or of an old epoch.
+A grant holds where the authority's active key signed it, and where it is not over, revoked or of an old epoch.
 """
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 from functools import lru_cache
-from math import inf
 from typing import Final
 
 import msgspec
@@ -17,15 +15,16 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from schemas.authority.fingerprint import fingerprint
 from schemas.authority.proof import ProofKind, signed_bytes
-from schemas.authority.statement import Grant, GrantRole, KeyHex, Revocations, Rotation, Signed
+from schemas.authority.statement import Grant, KeyHex, Revocations, Rotation, Signed
 from schemas.reasons import TEXTS, Reason
 
 KEYS_KEPT: Final = 512
 """Public keys that are kept as objects; to make one takes 20 us."""
 
-BY_AUTHORITY_ALONE: Final = frozenset({GrantRole.ROBOT, GrantRole.RECORDER})
-"""No site grants these: who can make a robot can pass for one."""
-
+BY_SITE: Final = (
+    "a site granted it, and the authority alone grants: sign the request there ('cruiser provision sign')"
+)
+"""Of a grant of an earlier version that no authority signed itself."""
 
 _LAST_S: Final = 253_402_300_799
 """The end of the year 9999, seconds since 1970: a statement may name any time, and no calendar goes further."""
@@ -45,28 +44,19 @@ class Objection(msgspec.Struct, frozen=True):
 
 
 class HeldGrant(msgspec.Struct, frozen=True):
-    """A grant whose chain was verified: what it allows, all that stands above it considered.
+    """A grant whose signature was verified.
 
     Attributes:
         id: the grant's identifier.
         grant: itself.
         key: the holder's public key.
-        speed_limit_mps: the lowest of the chain; none if no grant has one.
-        not_before, not_after: when all of the chain holds, seconds since 1970.
-        chain: the grants as they were verified, this one first.
-        revocable: identifiers and holders' keys of all of them.
-        root: the authority's key that the chain ends at.
+        signed: the grant as it was shown.
     """
 
     id: bytes
     grant: Grant
     key: bytes
-    speed_limit_mps: float | None
-    not_before: int
-    not_after: int
-    chain: tuple[Signed, ...]
-    revocable: frozenset[bytes]
-    root: bytes
+    signed: Signed
 
 
 class Trust(msgspec.Struct, frozen=True):
@@ -92,38 +82,45 @@ class Trust(msgspec.Struct, frozen=True):
         """The grant that begins a chain, if it holds.
 
         Args:
-            chain: the grant, that of its signer, and so on; the last one is signed by the authority.
+            chain: the grant.
             now_s: seconds since 1970.
         """
-        refusal = self._structure(chain) if chain else Objection(Reason.GRANT_UNKNOWN)
-        if refusal is not None:
-            return refusal
-        held = _held(chain, self.active)
+        if not chain:
+            return Objection(Reason.GRANT_UNKNOWN)
+        signed, grant = chain[0], chain[0].statement
+        if not isinstance(grant, Grant):
+            return Objection(Reason.MALFORMED, "it is no grant")
+        if len(chain) > 1:
+            return Objection(Reason.NOT_GRANTED, BY_SITE)
+        if signed.signer != self.active:
+            return Objection(Reason.GRANT_UNKNOWN, "it is not signed by the authority that is known here")
+        if not is_signed(signed):
+            return Objection(Reason.PROOF_WRONG, "the signature of the grant does not fit")
+        held = HeldGrant(signed.id, grant, bytes.fromhex(grant.key), signed)
         return self.objection(held, now_s) or held
 
     def has_signed(self, chain: list[Signed]) -> bool:
-        """Return True if a statement is this authority's, or of whom it let in; it may be over."""
-        match chain[0].statement:
-            case Revocations() | Rotation():
-                return chain[0].signer in {self.active, self.standby} and is_signed(chain[0])
-            case _:
-                return self._structure(chain) is None
+        """Return True if a statement is this authority's; it may be over."""
+        first = chain[0]
+        signers = {self.active} if isinstance(first.statement, Grant) else {self.active, self.standby}
+        return len(chain) == 1 and first.signer in signers and is_signed(first)
 
     def objection(self, held: HeldGrant, now_s: int) -> Objection | None:
         """Return why a grant that was verified once does not hold now; None if it does."""
-        if held.root != self.active:
+        grant = held.grant
+        if held.signed.signer != self.active:
             return Objection(Reason.GRANT_REVOKED, "its authority was replaced")
-        if held.grant.epoch < self.epoch:
-            return Objection(Reason.GRANT_REVOKED, f"epoch {held.grant.epoch} is over")
-        if not self.revoked.isdisjoint(held.revocable):
+        if grant.epoch < self.epoch:
+            return Objection(Reason.GRANT_REVOKED, f"epoch {grant.epoch} is over")
+        if not self.revoked.isdisjoint({held.id, held.key}):
             return Objection(Reason.GRANT_REVOKED, f"by list {self.list_serial}")
-        if now_s > held.not_after:
+        if now_s > grant.not_after:
             return Objection(
-                Reason.GRANT_EXPIRED, f"it ended {in_utc(held.not_after)}, and here it is {in_utc(now_s)}"
+                Reason.GRANT_EXPIRED, f"it ended {in_utc(grant.not_after)}, and here it is {in_utc(now_s)}"
             )
-        if now_s < held.not_before:
+        if now_s < grant.not_before:
             return Objection(
-                Reason.GRANT_EXPIRED, f"it begins {in_utc(held.not_before)}, and here it is {in_utc(now_s)}"
+                Reason.GRANT_EXPIRED, f"it begins {in_utc(grant.not_before)}, and here it is {in_utc(now_s)}"
             )
         return None
 
@@ -168,29 +165,6 @@ class Trust(msgspec.Struct, frozen=True):
             rotation=new.serial,
             epoch=new.epoch if is_former else max(self.epoch, new.epoch),
         )
-
-    def _structure(self, chain: list[Signed]) -> Objection | None:
-        """Return the first fault in a chain that does not depend on the time; None if it has none.
-
-        It checks from the authority downwards, so that no grant is used before all above it are verified.
-        """
-        above: Grant | None = None
-        for depth, one in reversed(list(enumerate(chain))):
-            grant = one.statement
-            if not isinstance(grant, Grant):
-                return Objection(Reason.MALFORMED, "a chain is of grants alone")
-            if above is None and one.signer != self.active:
-                return Objection(
-                    Reason.GRANT_UNKNOWN, "its chain does not end at the authority that is known here"
-                )
-            if above is not None and bytes.fromhex(above.key) != one.signer:
-                return Objection(Reason.PROOF_WRONG, "the next grant of the chain is not its signer's")
-            if not is_signed(one):
-                return Objection(Reason.PROOF_WRONG, "the signature of a grant does not fit")
-            if above is not None and (detail := _widening(grant, above, depth)) is not None:
-                return Objection(Reason.NOT_GRANTED, detail)
-            above = grant
-        return None
 
 
 class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -258,42 +232,3 @@ def in_utc(time_s: int) -> str:
     An age would be another text in every second, and logged as often; this is one in every minute.
     """
     return datetime.fromtimestamp(min(max(time_s, 0), _LAST_S), UTC).strftime("%Y-%m-%d %H:%M UTC")
-
-
-def _held(chain: list[Signed], root: bytes) -> HeldGrant:
-    grants = [one.statement for one in chain if isinstance(one.statement, Grant)]
-    limits = [grant.speed_limit_mps for grant in grants if grant.speed_limit_mps is not None]
-    return HeldGrant(
-        id=chain[0].id,
-        grant=msgspec.structs.replace(grants[0], epoch=min(grant.epoch for grant in grants)),
-        key=bytes.fromhex(grants[0].key),
-        speed_limit_mps=min(limits) if limits else None,
-        not_before=max(grant.not_before for grant in grants),
-        not_after=min(grant.not_after for grant in grants),
-        chain=tuple(chain),
-        revocable=frozenset({one.id for one in chain} | {bytes.fromhex(grant.key) for grant in grants}),
-        root=root,
-    )
-
-
-def _widening(grant: Grant, above: Grant, depth: int) -> str | None:
-    """Return in which way a grant is wider than its signer's own grant; None if it is not.
-
-    A pattern is compared with the pattern above it letter for letter, and ``*`` counts as a letter: so ``*`` above
-    allows ``a*``, and ``a*`` above does not allow ``*``.
-    """
-    if above.role is not GrantRole.SITE or above.may_delegate <= depth:
-        return f"{above.name} may not grant"
-    if grant.role in BY_AUTHORITY_ALONE:
-        return f"the authority alone grants a {grant.role.value}"
-    if not all(above.covers(pattern) for pattern in grant.robots):
-        return "it names robots that its signer was not granted"
-    if not set(grant.verbs) <= set(above.verbs):
-        return "it names verbs that its signer was not granted"
-    if grant.override and not above.override:
-        return "its signer may not override"
-    if (grant.speed_limit_mps or inf) > (above.speed_limit_mps or inf):
-        return "its speed limit is above its signer's"
-    if grant.may_delegate >= above.may_delegate:
-        return "it may delegate as far as its signer"
-    return None

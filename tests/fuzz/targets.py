@@ -111,9 +111,8 @@ def _fleet() -> Fleet:
 
 
 FLEET: Final = _fleet()
-SITE, ANN, ROBOT_PARTY = _known(Party("depot")), _known(Party("ann")), _known(Party(ROBOT))
-FLEET.authority.grant(SITE, role=GrantRole.SITE, may_delegate=1, speed_limit_mps=1.0)
-SITE.grant(ANN, speed_limit_mps=0.5)
+ANN, ROBOT_PARTY = _known(Party("ann")), _known(Party(ROBOT))
+FLEET.authority.grant(ANN, speed_limit_mps=0.5)
 FLEET.authority.grant(ROBOT_PARTY, role=GrantRole.ROBOT, robots=[ROBOT])
 SIGNED: Final = {
     one.body: one
@@ -143,7 +142,7 @@ def statements(data: bytes) -> None:
     held = FLEET.trust.judge(chain, NOW_S)
     if isinstance(held, HeldGrant):
         assert all(one.body in SIGNED for one in chain)
-        assert held.speed_limit_mps == (0.5 if held.key == ANN.key else 1.0 if held.key == SITE.key else None)
+        assert held.grant.speed_limit_mps == (0.5 if held.key == ANN.key else None)
     for change in (FLEET.trust.revoke, FLEET.trust.rotate):
         if isinstance(change(chain[0]), Trust):
             assert chain[0].body in SIGNED

@@ -1,4 +1,4 @@
-"""Authorities, sites and people of a test, with keys that are drawn for it."""
+"""Authorities and people of a test, with keys that are drawn for it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ VERBS = [verb for verb in BY_VERB if verb != "stop"]
 
 
 class Party:
-    """Somebody with a key: an authority, a site, an operator, a robot."""
+    """Somebody with a key: an authority, an operator, a robot."""
 
     def __init__(self, name: str = "somebody") -> None:
         self.name = name
@@ -93,6 +93,7 @@ class Fleet:
         self.trust = Trust(self.authority.key, self.standby.key)
 
     def site(self, **changes: Any) -> Party:  # noqa: ANN401 - fields of a grant
+        """Somebody who grants, as an earlier version let sites do."""
         site = Party("depot")
         self.authority.grant(site, **({"role": GrantRole.SITE, "may_delegate": 1, "override": True} | changes))
         return site
@@ -122,7 +123,7 @@ class AuthorityBench:
         given = Settings(authority=AuthoritySettings(mode="signed", **settings))
         admission = SignedAdmission(given, self.fleet.trust, self.signer, self._age)
         kept = kept or Kept()
-        floor = TimeFloor(kept.floor_s, boot_ns, kept.words)
+        floor = TimeFloor(kept.floor_s, boot_ns)
         own = self.robot.chain
         self.authority = RobotAuthority(given, admission, self.signer, floor, own, kept)
         self.now_ns = boot_ns

@@ -41,7 +41,6 @@ REPEATS: Final = {
 
 SAYS: Final = {
     "cruiser list": "cruiser-1 +connected",
-    "cruiser list --config ~/.config/cruiser/operator.toml": "cruiser-1 +connected",
     "cruiser stop cruiser-1": "cruiser-1: stops",
     "cruiser provision sign operator-ann.request --speed-limit 0.8 --hours 12": "at most 0.8 m/s",
     "cruiser provision show revocations.statement --all": "cruiser-1: taken over",

@@ -37,7 +37,7 @@ export class Operator {
     private readonly grant: Bytes,
     /** The operator's chunk in the keys of its commands. */
     readonly name: string,
-    /** The text of its grant with its chain, to be shown to robots. */
+    /** The text of its grant, to be shown to robots. */
     readonly statement: string,
     /** The authority's active public key, hexadecimal. */
     readonly authority: string,
@@ -60,12 +60,8 @@ export class Operator {
 export class Robot {
   private constructor(private readonly key: string) {}
 
-  /**
-   * The robot that proves by the chain of its own grant (`own` of its reply) that it has this name. The authority alone
-   * grants a robot, so that its chain is one statement.
-   */
+  /** The robot that proves by its own grant (`own` of its reply) that it has this name. */
   static async ofChain(own: string, name: string, authority: string, nowS = Date.now() / 1000): Promise<Robot> {
-    statementOf(own, "the robot's grant is not one statement of the authority");
     const grant = await grantOf(own, authority, nowS);
     if (grant.role !== "robot" || grant.name !== name) {
       throw new Error(`the grant is of ${grant.role} ${grant.name}, not of robot ${name}`);
@@ -126,13 +122,13 @@ export function authorityText({ authority, fleet, ca }: Authority): Bytes {
   return signedText("A", utf8("authority"), ...keys, utf8(ca), utf8(fleet.root), ...fleet.routers.map(utf8));
 }
 
-/** A bundle for an operator, which its authority, or a site of that, has signed. */
+/** A bundle for an operator, which its authority has signed. */
 export class Bundle {
   private constructor(
     readonly name: string,
     /** The key that the grant is for, hexadecimal. */
     readonly key: string,
-    /** The text of the grant with its chain. */
+    /** The text of the grant. */
     readonly statement: string,
     /** The authority's active public key, hexadecimal. */
     readonly authority: string,
@@ -140,20 +136,16 @@ export class Bundle {
     readonly fingerprint: string,
   ) {}
 
-  /** Whether the grant allows more than those above it is left to the robots, which judge by it. */
   static async read(text: string, nowS = Date.now() / 1000): Promise<Bundle> {
     const [body, signer, signature] = statementOf(text, "the bundle is not signed");
     if (!(await fits(signer, hexBytes(signature), signedText("A", utf8("bundle"), utf8(body))))) {
       throw new Error("the bundle was changed after it was signed");
     }
-    const said = JSON.parse(body) as Authority & { role: string; name: string; chain: string; signer: string };
+    const said = JSON.parse(body) as Authority & { role: string; name: string; chain: string };
     const { active, standby } = said.authority;
     if (said.role !== "operator" || !said.chain) throw new Error("this is no bundle of an operator");
     if (![active, standby].every((key) => KEY.test(key))) throw new Error("the bundle names no authority");
-    const site = said.signer ? await grantOf(said.signer, active, nowS) : undefined;
-    if (site === undefined ? signer !== active : site.role !== "site" || site.key !== signer) {
-      throw new Error("the bundle is not signed by the authority that it names");
-    }
+    if (signer !== active) throw new Error("the bundle is not signed by the authority that it names");
     const grant = await grantOf(said.chain, active, nowS);
     if (grant.name !== said.name || !["program", "operator", "supervisor"].includes(grant.role)) {
       throw new Error(`the grant is of ${grant.role} ${grant.name}`);
@@ -171,22 +163,17 @@ interface Grant {
   not_after: number;
 }
 
-/** The grant that begins a chain, whose signatures hold up to the authority's key, and which holds now. */
-async function grantOf(chain: string, authority: string, nowS: number): Promise<Grant> {
-  const pairs = chain.match(/[^\n]+\n[^\n]+\n/g) ?? [];
-  if (pairs.length === 0 || pairs.join("") !== chain) throw new Error("the grant cannot be read");
-  let grant = { key: authority } as Grant;
-  for (const pair of pairs.reverse()) {
-    const [body, signer, signature] = statementOf(pair, "the grant cannot be read");
-    if (signer !== grant.key) throw new Error("the grant is of another authority");
-    if (!(await fits(signer, hexBytes(signature), signedText("A", utf8(body))))) {
-      throw new Error("the signature of the grant does not fit");
-    }
-    grant = JSON.parse(body) as Grant;
-    if (grant.kind !== "grant" || !KEY.test(grant.key)) throw new Error("the grant cannot be read");
-    if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
-      throw new Error("the grant is over, or has not begun");
-    }
+/** The grant in a text, if the authority signed it, and it holds now. */
+async function grantOf(text: string, authority: string, nowS: number): Promise<Grant> {
+  const [body, signer, signature] = statementOf(text, "the grant cannot be read");
+  if (signer !== authority) throw new Error("the grant is of another authority");
+  if (!(await fits(signer, hexBytes(signature), signedText("A", utf8(body))))) {
+    throw new Error("the signature of the grant does not fit");
+  }
+  const grant = JSON.parse(body) as Grant;
+  if (grant.kind !== "grant" || !KEY.test(grant.key)) throw new Error("the grant cannot be read");
+  if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
+    throw new Error("the grant is over, or has not begun");
   }
   return grant;
 }

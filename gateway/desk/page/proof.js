@@ -27,7 +27,7 @@ export class Operator {
     constructor(key, grant, 
     /** The operator's chunk in the keys of its commands. */
     name, 
-    /** The text of its grant with its chain, to be shown to robots. */
+    /** The text of its grant, to be shown to robots. */
     statement, 
     /** The authority's active public key, hexadecimal. */
     authority) {
@@ -54,12 +54,8 @@ export class Robot {
     constructor(key) {
         this.key = key;
     }
-    /**
-     * The robot that proves by the chain of its own grant (`own` of its reply) that it has this name. The authority alone
-     * grants a robot, so that its chain is one statement.
-     */
+    /** The robot that proves by its own grant (`own` of its reply) that it has this name. */
     static async ofChain(own, name, authority, nowS = Date.now() / 1000) {
-        statementOf(own, "the robot's grant is not one statement of the authority");
         const grant = await grantOf(own, authority, nowS);
         if (grant.role !== "robot" || grant.name !== name) {
             throw new Error(`the grant is of ${grant.role} ${grant.name}, not of robot ${name}`);
@@ -105,7 +101,7 @@ export function authorityText({ authority, fleet, ca }) {
     const keys = [hexBytes(authority.active), hexBytes(authority.standby)];
     return signedText("A", utf8("authority"), ...keys, utf8(ca), utf8(fleet.root), ...fleet.routers.map(utf8));
 }
-/** A bundle for an operator, which its authority, or a site of that, has signed. */
+/** A bundle for an operator, which its authority has signed. */
 export class Bundle {
     name;
     key;
@@ -115,7 +111,7 @@ export class Bundle {
     constructor(name, 
     /** The key that the grant is for, hexadecimal. */
     key, 
-    /** The text of the grant with its chain. */
+    /** The text of the grant. */
     statement, 
     /** The authority's active public key, hexadecimal. */
     authority, 
@@ -127,7 +123,6 @@ export class Bundle {
         this.authority = authority;
         this.fingerprint = fingerprint;
     }
-    /** Whether the grant allows more than those above it is left to the robots, which judge by it. */
     static async read(text, nowS = Date.now() / 1000) {
         const [body, signer, signature] = statementOf(text, "the bundle is not signed");
         if (!(await fits(signer, hexBytes(signature), signedText("A", utf8("bundle"), utf8(body))))) {
@@ -139,10 +134,8 @@ export class Bundle {
             throw new Error("this is no bundle of an operator");
         if (![active, standby].every((key) => KEY.test(key)))
             throw new Error("the bundle names no authority");
-        const site = said.signer ? await grantOf(said.signer, active, nowS) : undefined;
-        if (site === undefined ? signer !== active : site.role !== "site" || site.key !== signer) {
+        if (signer !== active)
             throw new Error("the bundle is not signed by the authority that it names");
-        }
         const grant = await grantOf(said.chain, active, nowS);
         if (grant.name !== said.name || !["program", "operator", "supervisor"].includes(grant.role)) {
             throw new Error(`the grant is of ${grant.role} ${grant.name}`);
@@ -150,25 +143,19 @@ export class Bundle {
         return new Bundle(grant.name, grant.key, said.chain, active, await fingerprint(authorityText(said)));
     }
 }
-/** The grant that begins a chain, whose signatures hold up to the authority's key, and which holds now. */
-async function grantOf(chain, authority, nowS) {
-    const pairs = chain.match(/[^\n]+\n[^\n]+\n/g) ?? [];
-    if (pairs.length === 0 || pairs.join("") !== chain)
+/** The grant in a text, if the authority signed it, and it holds now. */
+async function grantOf(text, authority, nowS) {
+    const [body, signer, signature] = statementOf(text, "the grant cannot be read");
+    if (signer !== authority)
+        throw new Error("the grant is of another authority");
+    if (!(await fits(signer, hexBytes(signature), signedText("A", utf8(body))))) {
+        throw new Error("the signature of the grant does not fit");
+    }
+    const grant = JSON.parse(body);
+    if (grant.kind !== "grant" || !KEY.test(grant.key))
         throw new Error("the grant cannot be read");
-    let grant = { key: authority };
-    for (const pair of pairs.reverse()) {
-        const [body, signer, signature] = statementOf(pair, "the grant cannot be read");
-        if (signer !== grant.key)
-            throw new Error("the grant is of another authority");
-        if (!(await fits(signer, hexBytes(signature), signedText("A", utf8(body))))) {
-            throw new Error("the signature of the grant does not fit");
-        }
-        grant = JSON.parse(body);
-        if (grant.kind !== "grant" || !KEY.test(grant.key))
-            throw new Error("the grant cannot be read");
-        if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
-            throw new Error("the grant is over, or has not begun");
-        }
+    if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
+        throw new Error("the grant is over, or has not begun");
     }
     return grant;
 }

@@ -24,7 +24,7 @@ from schemas.authority.statement import (
     StatementFault,
     read_chain,
 )
-from schemas.authority.trust import HeldGrant, Objection, Trust, is_signed
+from schemas.authority.trust import BY_SITE, HeldGrant, Objection, Trust, is_signed
 from schemas.reasons import TEXTS, Reason
 
 _NOBODY: Final = bytes(32)
@@ -205,7 +205,9 @@ class LogAuthority:
                 "authority.json of before it too (--authority FILE for each)"
             )
             return ProofFinding(ProofFault.UNPROVEN, f"{what}: {why}", at_ns)
-        return ProofFinding(ProofFault.NOT_GRANTED, f"{what}: {_cause(objection)}", at_ns)
+        is_by_site = objection.detail == BY_SITE
+        fault = ProofFault.UNPROVEN if is_by_site else ProofFault.NOT_GRANTED
+        return ProofFinding(fault, f"{what}: {_cause(objection)}", at_ns)
 
     def _other_authority(self) -> str:
         """Return that the whole log is under an authority that was not given, in words; empty if it is not.

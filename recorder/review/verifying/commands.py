@@ -299,7 +299,7 @@ class CommandRecord:
             return f"the grant is not for {self._robot}"
         if verb != STOP_VERB and verb not in grant.verbs:
             return f"{verb} is not among the verbs of the grant"
-        allowed = [grant.serial, grant.role.value, grant.override, held.speed_limit_mps]
+        allowed = [grant.serial, grant.role.value, grant.override, grant.speed_limit_mps]
         return "" if list(credentials[2:6]) == allowed else "the robot took the grant for another one"
 
 

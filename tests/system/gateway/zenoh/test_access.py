@@ -19,7 +19,7 @@ import zenoh
 from zenoh import ext
 
 from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
-from gateway.provisioning.certificates import LEAF_DAYS, issue, issue_site, new_key, new_request
+from gateway.provisioning.certificates import LEAF_DAYS
 from gateway.zenoh.client import open_session
 from schemas.exit_codes import CommandError
 from schemas.settings import ZenohSettings
@@ -47,7 +47,7 @@ from tests.support.access import (
 )
 from tests.support.fakes.peer import free_endpoint
 from tests.support.routers import EVERYTHING, WatchedRouter, routing
-from tests.support.secured import Network, pem, write
+from tests.support.secured import Network
 from tests.support.waiting import wait_until
 
 MODES: Final = ("client", "peer")
@@ -613,25 +613,6 @@ def test_a_certificate_that_only_dials_out_serves_nobody(tmp_path: Path, role: T
         assert not opens(configuration(network, TransportRole.ROBOT, "cruiser-1"))
     with routing(router / "router.json5"):
         assert opens(configuration(network, TransportRole.ROBOT, "cruiser-2"))
-
-
-def test_what_a_site_certifies_serves_nobody(tmp_path: Path) -> None:
-    """Who has a site's key makes certificates of clients: its own limits all below it, whatever they say."""
-    network = Network(tmp_path, free_endpoint("tls"))
-    router = network.node(TransportRole.ROUTER, "127.0.0.1")
-    now_s, site, key = int(time.time()), new_key(), new_key()
-    above = issue_site(new_request(site, "site", ["depot"]), network.certificate, network.key, now_s, now_s + 3600)
-    operator = network.node(TransportRole.OPERATOR, "bea")
-    request = new_request(key, "operator", ["bea"])
-    write(operator / "operator-tls.key", pem(key))
-    write(operator / "operator-tls.pem", issue(request, TransportRole.OPERATOR, above, site, now_s))
-    with routing(router / "router.json5"):
-        assert opens(zenoh.Config.from_file(str(operator / "operator.json5")))
-    request = new_request(key, "router", ["127.0.0.1"])
-    write(router / "router-tls.key", pem(key))
-    write(router / "router-tls.pem", issue(request, TransportRole.ROUTER, above, site, now_s))
-    with routing(router / "router.json5"):
-        assert not opens(configuration(network, TransportRole.ROBOT, "cruiser-1"))
 
 
 def test_a_desk_that_plays_the_router_commands_nobody(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.authority.enrolment import (
+    SITES_ARE_GONE,
     TEXT_MAX_BYTES,
     Bundle,
     EnrolmentError,
@@ -32,11 +33,10 @@ from gateway.provisioning.certificates import new_request as new_csr
 from schemas.authority.fingerprint import key_fingerprint
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.statement import GrantRole, chain_text
-from schemas.authority.trust import AuthorityKeys, fits, keys_fingerprint
+from schemas.authority.trust import BY_SITE, AuthorityKeys, fits, keys_fingerprint
 from tests.support.authority import NOW_S, Fleet, Party
 
 GRANTED = {
-    EnrolmentRole.SITE: GrantRole.SITE,
     EnrolmentRole.ROBOT: GrantRole.ROBOT,
     EnrolmentRole.OPERATOR: GrantRole.OPERATOR,
     EnrolmentRole.RECORDER: GrantRole.RECORDER,
@@ -98,7 +98,7 @@ def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
         (EnrolmentRole.RECORDER, ["depot.1"]),
         (EnrolmentRole.OPERATOR, ["::1"]),
         (EnrolmentRole.OPERATOR, ["ann", "bea"]),
-        (EnrolmentRole.SITE, []),
+        (EnrolmentRole.OPERATOR, []),
     ],
 )
 def test_a_name_is_of_the_form_that_keys_have(role: EnrolmentRole, names: list[str]) -> None:
@@ -111,7 +111,7 @@ ANNS, OTHER_TLS = Ed25519PrivateKey.generate(), new_key()
 OTHER = asked(EnrolmentRole.OPERATOR, ["ann"], Ed25519PrivateKey.generate(), OTHER_TLS)
 CHANGES: dict[str, list[object]] = {
     "version": [1, 3],
-    "role": [EnrolmentRole.SITE, EnrolmentRole.ROBOT, EnrolmentRole.VIEWER],
+    "role": [EnrolmentRole.RECORDER, EnrolmentRole.ROBOT, EnrolmentRole.VIEWER],
     "names": [["bea"], ["ann", "bea"], [], ["ann\n"]],
     "csr": [OTHER.csr, new_csr(TLS, "operator", ["ann"]), "another", ""],
     "key": [OTHER.key, None],
@@ -236,25 +236,19 @@ def test_a_bundle_of_the_authority_holds(role: EnrolmentRole) -> None:
     assert "its grant does not hold" in over
 
 
-def test_a_site_makes_bundles_for_people_alone() -> None:
-    """Under a grant that holds. Nobody else does."""
-    fleet = Fleet()
+def test_what_a_site_made_or_asks_for_is_refused_with_the_cure() -> None:
+    """The bundle of an earlier version's site, the bundle and the request of a site, a person whom one granted."""
+    fleet, ann = Fleet(), Party("ann")
     site = fleet.site()
-    viewer = msgspec.structs.replace(bundle_for(fleet, Party("hall"), EnrolmentRole.VIEWER, site), chain="")
-    assert read_bundle(bundle_text(viewer, site.private), NOW_S) == viewer
-    for role in (EnrolmentRole.ROUTER, EnrolmentRole.DESK):
-        text = bundle_text(msgspec.structs.replace(viewer, role=role), site.private)
-        assert refusal(text) == "it is signed by nobody who may make one"
-    ann = fleet.operator()
-    person = msgspec.structs.replace(viewer, signer=chain_text(ann.chain))
-    assert refusal(bundle_text(person, ann.private)) == "it is signed by nobody who may make one"
-    assert refusal(bundle_text(viewer, ann.private)) == "it is signed by nobody who may make one"
-    late = refusal(bundle_text(viewer, site.private), NOW_S + 10 * 86_400)
-    assert "the grant of the site that made it does not hold" in late
-    foreign = msgspec.structs.replace(viewer, signer="x")
-    assert "cannot be read" in refusal(bundle_text(foreign, site.private))
-    unsigned = msgspec.structs.replace(viewer, signer="")
-    assert refusal(bundle_text(unsigned, site.private)) == "it is not signed by the authority that it names"
+    site.grant(ann)
+    by_site = bundle_for(fleet, ann, EnrolmentRole.OPERATOR, site)
+    assert refusal(bundle_text(by_site, site.private)) == f"a site made it, and {SITES_ARE_GONE}"
+    granted = bundle_for(fleet, ann, EnrolmentRole.OPERATOR)
+    assert BY_SITE in refusal(bundle_text(granted, fleet.authority.private))
+    text = bundle_text(granted, fleet.authority.private).replace(b'"role":"operator"', b'"role":"site"')
+    assert refusal(text) == f"it is no bundle: {SITES_ARE_GONE}"
+    with pytest.raises(EnrolmentError, match=r"it is no request: sites are gone"):
+        read_request(b'{"version": 2, "role": "site", "names": ["depot"], "csr": ""}')
 
 
 def test_a_bundle_that_was_changed_holds_no_more() -> None:
@@ -322,7 +316,7 @@ def test_a_person_alone_asks_for_a_grant_without_a_certificate() -> None:
     private = Ed25519PrivateKey.generate()
     request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", private, None)
     assert read_request(msgspec.json.encode(request)).csr == ""
-    for role in (EnrolmentRole.ROBOT, EnrolmentRole.RECORDER, EnrolmentRole.SITE):
+    for role in (EnrolmentRole.ROBOT, EnrolmentRole.RECORDER):
         with pytest.raises(EnrolmentError, match="needs a certificate"):
             new_request(role, ["ann"], "", private, None)
     for role in (EnrolmentRole.VIEWER, EnrolmentRole.ROUTER, EnrolmentRole.DESK):

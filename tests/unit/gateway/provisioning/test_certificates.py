@@ -20,7 +20,6 @@ from gateway.provisioning.certificates import (
     expires_s,
     is_issued,
     issue,
-    issue_site,
     names_of,
     new_authority,
     new_key,
@@ -66,24 +65,6 @@ def test_a_certificate_does_not_outlive_its_authority() -> None:
     assert expires_s(read_certificates(late)[0]) == end_s
     with pytest.raises(CertificateError, match="is over"):
         issue(request, TransportRole.VIEWER, authority, ca, end_s)
-
-
-def test_a_sites_certificates_are_clients() -> None:
-    """Its own may sign no further authority, and is for clients alone, which binds all below it."""
-    ca, site, key = new_key(), new_key(), new_key()
-    authority = new_authority(ca, NOW_S)
-    made = issue_site(new_request(site, "site", ["depot"]), authority, ca, NOW_S, NOW_S + 90 * DAY_S)
-    certificate = read_certificates(made)[0]
-    constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
-    assert (constraints.ca, constraints.path_length) == (True, 0)
-    assert list(certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value) == [
-        ExtendedKeyUsageOID.CLIENT_AUTH
-    ]
-    leaf, above = read_certificates(
-        issue(new_request(key, "operator", ["bea"]), TransportRole.OPERATOR, made, site, NOW_S)
-    )
-    leaf.verify_directly_issued_by(above)
-    above.verify_directly_issued_by(read_certificates(authority)[0])
 
 
 def test_a_key_that_is_not_the_authoritys_signs_nothing() -> None:
@@ -205,18 +186,13 @@ def test_a_certificate_of_another_network_is_named(file: Path, tmp_path: Path) -
 
 
 def test_a_chain_ends_at_a_root() -> None:
-    """A site's certificate stands between; without it, or below another site's, nothing holds."""
-    ca, site, other, ann = (new_key() for _ in range(4))
+    """With or without the root behind it."""
+    ca, ann = new_key(), new_key()
     root = new_authority(ca, NOW_S)
-    sites = [
-        issue_site(new_request(key, "site", ["depot"]), root, ca, NOW_S, NOW_S + DAY_S) for key in (site, other)
-    ]
-    text = issue(new_request(ann, "viewer", ["ann"]), TransportRole.VIEWER, sites[0], site, NOW_S)
+    text = issue(new_request(ann, "viewer", ["ann"]), TransportRole.VIEWER, root, ca, NOW_S)
     roots, chain = read_certificates(root), read_certificates(text)
     assert is_issued(chain, roots)
     assert is_issued([*chain, *roots], roots)
-    assert not is_issued(chain[:1], roots)
-    assert not is_issued([chain[0], *read_certificates(sites[1])], roots)
     assert not is_issued(chain, read_certificates(new_authority(new_key(), NOW_S)))
 
 
