@@ -11,18 +11,16 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Selection
 from recorder.reading.topics import typed_decoder
-from recorder.review.columns.reader import Batch, ColumnReader, Sift
+from recorder.review.columns.reader import Batch, ColumnReader
 from recorder.review.export.cells import values
 
 
-def batches_of(
-    data: bytes, faults: Faults | None = None, selection: Selection | None = None, sift: Sift | None = None
-) -> list[Batch]:
+def batches_of(data: bytes, faults: Faults | None = None, selection: Selection | None = None) -> list[Batch]:
     """The batches of a file's bytes."""
     stream = BytesIO(data)
     taken = Faults() if faults is None else faults
     reader = ColumnReader(stream, LogFile(Path("log"), len(data), 0, 0), selection or Selection(), taken)
-    found = list(reader.batches(lambda _: None, sift))
+    found = list(reader.batches(lambda _: None))
     if faults is None:
         assert not taken, taken.told
     return found

@@ -142,7 +142,7 @@ def export(*logs: str) -> dict[str, Any]:
             name: digest(column) for name, column in values.items() if any(one is not None for one in column)
         }
         tables[topic] = {"rows": len(rows), "columns": columns}
-    inputs = [{"path": one["path"], "rows": one["rows"], "repeats": one["repeats"]} for one in said[0]["inputs"]]
+    inputs = [{"path": one["path"], "rows": one["rows"]} for one in said[0]["inputs"]]
     ask("export", "--format", "candump", "-o", "frames", *logs)
     frames = {
         path.name: [len(lines := path.read_bytes().splitlines()), hashlib.sha256(b"\n".join(lines)).hexdigest()]

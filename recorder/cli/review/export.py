@@ -29,13 +29,12 @@ from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review export -o dataset logs
-  cruiser review export -o dataset --add logs/cruiser-1-20260102T030405Z.mcap
   cruiser review export --format csv --topic 'chassis/*' -o tables logs
   cruiser review export --format blf -o frames logs"""
 DESCRIPTION: Final = (
     "Writes logs as a dataset of Parquet files (by topic, robot and date, with a manifest), as CSV, one file a "
     "topic, or their raw frames as candump log, ASC or BLF, one file a robot. Nothing that is there is "
-    "overwritten. What several logs hold is written once. Exit code 3 if not all of a log could be read."
+    "overwritten. Exit code 3 if not all of a log could be read."
 )
 
 PARQUET, CSV = "parquet", "csv"
@@ -50,7 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_logs(parser, json_help="print what was written as JSON, an object a line")
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="where it goes")
     parser.add_argument("--format", choices=FORMATS, default=PARQUET, help=f"default {PARQUET}")
-    parser.add_argument("--add", action="store_true", help="add to a dataset that is there what it has not")
     parser.add_argument(
         "--topic",
         action="append",
@@ -64,8 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Export."""
-    if arguments.format != PARQUET and (arguments.add or arguments.ray or arguments.processes):
-        raise CommandError("--add, --processes and --ray are of --format parquet", ExitCode.USAGE)
+    if arguments.format != PARQUET and (arguments.ray or arguments.processes):
+        raise CommandError("--processes and --ray are of --format parquet", ExitCode.USAGE)
     if _SCHEME.match(str(arguments.out)):
         raise CommandError(
             f"{plain(str(arguments.out))} is no directory: export to one, and copy it with the store's own tool "
@@ -92,15 +90,9 @@ def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported la
         return f"{about['path']}: {about['frames']} frames{late}"
     if "topic" in about:
         return f"{about['path']}: {about['rows']} rows"
-    repeats = sum(one["repeats"] for one in about["inputs"])
     rows = sum(one["rows"] for one in about["inputs"])
     size = sum(part["bytes"] for part in about["files"])
-    parts = [f"{about['directory']}: {rows} rows in {len(about['files'])} files, {size / 1e6:.1f} MB"]
-    if repeats:
-        parts.append(f"{repeats} messages left out that were there already")
-    if about["known"]:
-        parts.append(f"{len(about['known'])} logs were in it already")
-    return "; ".join(parts)
+    return f"{about['directory']}: {rows} rows in {len(about['files'])} files, {size / 1e6:.1f} MB"
 
 
 def _dataset(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
@@ -112,7 +104,6 @@ def _dataset(arguments: argparse.Namespace, asked: Asked, progress: Progress) ->
             arguments.out,
             _wanted(arguments, asked),
             asked.faults,
-            is_adding=arguments.add,
             run=task_runner(arguments, asked),
             progress=progress,
         )

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from itertools import groupby
 from typing import BinaryIO, Final
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from recorder.mcap.arrays import PADDING, Bytes, Indexed, Places, joined, proven_places, walked_places
 from recorder.mcap.reader import Index, MessageBlock
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, BlockReader, Progress, Selection
-from recorder.reading.topics import Topic
 from recorder.review.columns.decoder import Decoder
 from recorder.review.columns.tables import Columns, columns_of
 
 BATCH_BYTES: Final = 4_000_000
 """So much is unpacked at once: enough that the work on a batch is more than that around it."""
-
-
-Sift = Callable[[Topic, NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint32]], NDArray[np.bool_] | None]
-"""Says by log times, publish times and sequences which messages of a topic are to be read; None is all."""
 
 
 class Batch(msgspec.Struct, frozen=True, eq=False):
@@ -45,7 +39,6 @@ def read_batches(
     selection: Selection,
     faults: Faults,
     progress: Progress = lambda _: None,
-    sift: Sift | None = None,
     wanted: Collection[str] | None = None,
 ) -> Iterator[Batch]:
     """The batches of a log, each of one topic in the order of the file.
@@ -55,12 +48,11 @@ def read_batches(
         selection: topics and time.
         faults: takes what cannot be read; the rest is read all the same.
         progress: receives the number of bytes that were read or passed over.
-        sift: says of each message by its head whether it is read; None reads all.
         wanted: names of the columns that are wanted; None is all.
     """
     try:
         with log.path.open("rb") as stream:
-            yield from ColumnReader(stream, log, selection, faults, wanted).batches(progress, sift)
+            yield from ColumnReader(stream, log, selection, faults, wanted).batches(progress)
     except OSError as error:
         faults.add(f"{log.path}: {error.strerror or error}")
 
@@ -119,20 +111,20 @@ class ColumnReader(BlockReader):
         self._columns = columns
         self._decoders: dict[int, Decoder] = {}
 
-    def batches(self, progress: Progress, sift: Sift | None) -> Iterator[Batch]:
+    def batches(self, progress: Progress) -> Iterator[Batch]:
         """The wanted batches."""
         pending = _Pending()
         for block, index in self.blocks(progress):
             pending.add(block, index)
             if pending.size >= BATCH_BYTES:
-                yield from self._read(pending, sift)
+                yield from self._read(pending)
                 pending = _Pending()
-        yield from self._read(pending, sift)
+        yield from self._read(pending)
         for channel_id, decoder in self._decoders.items():
             if decoder.broken:
                 self.fault(f"{decoder.broken} messages of {self.topics[channel_id].name} cannot be read")
 
-    def _read(self, pending: _Pending, sift: Sift | None) -> Iterator[Batch]:
+    def _read(self, pending: _Pending) -> Iterator[Batch]:
         if not pending.size:
             return
         content = np.frombuffer(pending.content, np.uint8)
@@ -146,24 +138,20 @@ class ColumnReader(BlockReader):
             places = self._places_one_by_one(pending)
         for channel, found in places.items():
             if channel in self.wanted:
-                yield from self._batch(self._decoder(channel), content, found, sift)
+                yield from self._batch(self._decoder(channel), content, found)
 
     def _decoder(self, channel: int) -> Decoder:
         if channel not in self._decoders:
             self._decoders[channel] = Decoder(columns_of(self.wanted[channel]), self._columns)
         return self._decoders[channel]
 
-    def _batch(self, decoder: Decoder, content: Bytes, places: Places, sift: Sift | None) -> Iterator[Batch]:
+    def _batch(self, decoder: Decoder, content: Bytes, places: Places) -> Iterator[Batch]:
         from_ns, to_ns = self.selection.from_ns, self.selection.to_ns
         if from_ns > 0 or to_ns < END_OF_TIME_NS:
             log_ns = places.log_ns(content)
             first, last = max(from_ns, 0), min(max(to_ns, 0), END_OF_TIME_NS) - 1
             is_within = (log_ns >= np.uint64(min(first, END_OF_TIME_NS - 1))) & (log_ns <= np.uint64(max(last, 0)))
             places = places.only(is_within & (last >= first))
-        if sift is not None:
-            log_ns, publish_ns = places.log_ns(content), places.publish_ns(content)
-            is_new = sift(decoder.columns.topic, log_ns, publish_ns, places.sequences(content))
-            places = places if is_new is None else places.only(is_new)
         if len(places.offsets):
             batch = decoder.batch(content, places)
             if batch.num_rows:

@@ -1,9 +1,7 @@
 """Logs in other forms, for tools that do not know MCAP.
 
 - ``manifest``     what a dataset holds, and what it was made of
-- ``partitions``   where in a dataset the rows of a topic are: topic, robot, date
 - ``parts``        the Parquet files of one log, written while it is read, in bounded memory
-- ``known_rows``   what earlier logs hold already
 - ``one_log``      one log into a dataset: a function of its own, which may run anywhere
 - ``dataset``      many logs into a dataset
 - ``cells``        Arrow columns as text and as JSON

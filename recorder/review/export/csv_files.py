@@ -19,7 +19,6 @@ from recorder.reading.topic_names import file_name
 from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import Columns
 from recorder.review.export.cells import cells
-from recorder.review.export.known_rows import KnownRows, TopicNames, overlapping
 from recorder.review.export.manifest import described
 from recorder.review.export.one_log import ExportRange
 from schemas.exit_codes import CommandError
@@ -50,12 +49,10 @@ def export_csv(
         CommandError: one of the files is there already, or the disk does not take it.
     """
     files = _Files(directory)
-    selection, names = wanted.selection, TopicNames()
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        for place, log in enumerate(logs):
-            known = KnownRows(log, overlapping(log, logs[:place], names), selection)
-            for batch in read_batches(log, selection, faults, progress, known.sift):
+        for log in logs:
+            for batch in read_batches(log, wanted.selection, faults, progress):
                 files.add(batch.columns, batch.rows)
         files.close()
     except OSError as error:

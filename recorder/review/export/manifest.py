@@ -44,7 +44,6 @@ class Input(msgspec.Struct, frozen=True):
         path: as it was given; with escapes where it cannot be printed.
         sha256: of the whole file, in hexadecimal.
         rows: of it that are in the dataset.
-        repeats: messages that were left out, because a log before it holds them.
         faults: parts that could not be read; ``fault_count`` of them, the first ones listed.
     """
 
@@ -52,7 +51,6 @@ class Input(msgspec.Struct, frozen=True):
     bytes: int
     sha256: str
     rows: int
-    repeats: int
     faults: list[str]
     fault_count: int
 

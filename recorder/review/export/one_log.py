@@ -11,7 +11,6 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.topic_names import wants_of
 from recorder.review.columns.reader import read_batches
-from recorder.review.export.known_rows import KnownRows
 from recorder.review.export.manifest import Column, Input, Part
 from recorder.review.export.parts import Parts
 from schemas.printable import plain
@@ -42,14 +41,12 @@ class ExportTask(msgspec.Struct, frozen=True):
     Attributes:
         log: the log.
         sha256: of it.
-        earlier: logs before it that may hold the same messages.
         directory: the place of the parts.
         wanted: the part of it.
     """
 
     log: LogFile
     sha256: str
-    earlier: list[LogFile]
     directory: Path
     wanted: ExportRange
 
@@ -74,15 +71,9 @@ def export_log(task: ExportTask, progress: Progress) -> ExportOutcome:
         OSError: the disk does not take them.
     """
     faults = Faults()
-    selection = task.wanted.selection
-    known = KnownRows(task.log, task.earlier, selection)
-    if known.is_full:
-        faults.add(
-            f"{task.log.path}: not all that logs before it hold could be remembered: messages may be there twice"
-        )
-    parts = Parts(task.directory, f"part-{task.sha256[:16]}", task.sha256)
+    parts = Parts(task.directory, task.sha256)
     try:
-        for batch in read_batches(task.log, selection, faults, progress, known.sift if task.earlier else None):
+        for batch in read_batches(task.log, task.wanted.selection, faults, progress):
             parts.add(batch.columns, batch.rows)
         parts.close()
     finally:
@@ -93,7 +84,6 @@ def export_log(task: ExportTask, progress: Progress) -> ExportOutcome:
             bytes=task.log.bytes,
             sha256=task.sha256,
             rows=sum(part.rows for part in parts.closed),
-            repeats=known.repeats,
             faults=list(map(plain, faults.told)),
             fault_count=faults.count,
         ),

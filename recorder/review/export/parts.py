@@ -1,62 +1,43 @@
-"""The Parquet files of one log, written while it is read, in bounded memory."""
+"""The Parquet files of one log, written while it is read, in bounded memory.
+
+Rows are below ``topic=.../robot=.../date=YYYY-MM-DD``, as Hive names directories. Of a key of ours the topic is
+what follows the robot, so that all robots' rows of one kind are below one directory.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
+from urllib.parse import quote
 
-import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from recorder.review.columns.tables import Columns
+from recorder.review.columns.tables import LOG_TIME, Columns
 from recorder.review.export.manifest import Column, Part, described
-from recorder.review.export.partitions import bounds_ns, by_date, directory_of
 
-GROUP_BYTES: Final = 8_000_000
-"""Bytes of columns at which a row group is written."""
+FILE_BYTES: Final = 16_000_000
+"""Bytes of columns at which a topic's rows become a file."""
 
-HELD_BYTES: Final = 32_000_000
-"""Bytes of all columns held at which the largest row group is written."""
-
-GROUPS_MAX: Final = 32
-"""After so many row groups a file is ended, and continued in another part: their metadata is held until then."""
-
-OPEN_MAX: Final = 64
-"""Files that are open at once; one that is closed continues in another part."""
+HELD_BYTES: Final = 40_000_000
+"""Bytes of all columns held at which those of the largest topic become a file."""
 
 WAITING_MAX: Final = 1
-"""Row groups that wait to be written."""
+"""Files that wait to be written."""
+
+NAME_MAX: Final = 200
+"""A directory's name may have 255 bytes on most file systems. One that is longer is cut, and ends in a hash."""
+
+NOBODY: Final = "__HIVE_DEFAULT_PARTITION__"
+"""Hive's name for no value."""
 
 COMPRESSION: Final = "zstd"
 COMPRESSION_LEVEL: Final = 1
-
-
-class _Open(msgspec.Struct):
-    """A file that is being written."""
-
-    writer: pq.ParquetWriter
-    path: str
-    start_ns: int
-    end_ns: int
-    rows: int = 0
-    groups: int = 0
-
-
-class _Partition:
-    """The rows of one topic and day."""
-
-    def __init__(self, columns: Columns, date: str) -> None:
-        self.columns = columns
-        self.date = date
-        self.directory = directory_of(columns, date)
-        self.batches: list[pa.RecordBatch] = []
-        self.held_bytes = 0
-        self.open: _Open | None = None
 
 
 class Parts:
@@ -64,7 +45,6 @@ class Parts:
 
     Args:
         root: the directory.
-        stem: the files' name before their number: the same for no two logs.
         sha256: of the log.
 
     Attributes:
@@ -72,13 +52,12 @@ class Parts:
         schemas: their columns.
     """
 
-    def __init__(self, root: Path, stem: str, sha256: str) -> None:
+    def __init__(self, root: Path, sha256: str) -> None:
         self._root = root
-        self._stem = stem
         self._sha256 = sha256
-        self._partitions: dict[tuple[Columns, str], _Partition] = {}
-        self._numbers: dict[str, int] = {}
-        self._held_bytes = 0
+        self._held: dict[Columns, list[pa.RecordBatch]] = {}
+        self._bytes: dict[Columns, int] = {}
+        self._count = 0
         # Writing is half of the work, and none of it Python's: it goes on while the next batch is read.
         self._worker = ThreadPoolExecutor(1, "parquet")
         self._jobs: deque[Future[None]] = deque()
@@ -91,113 +70,91 @@ class Parts:
         Raises:
             OSError: the disk does not take them.
         """
-        for date, of_day in by_date(rows):
-            key = columns, date
-            partition = self._partitions.get(key)
-            if partition is None:
-                partition = self._partitions[key] = _Partition(columns, date)
-            size = of_day.nbytes
-            partition.batches.append(of_day)
-            partition.held_bytes += size
-            self._held_bytes += size
-            if partition.held_bytes >= GROUP_BYTES:
-                self._flush(partition)
-        while self._held_bytes >= HELD_BYTES:
-            self._flush(max(self._partitions.values(), key=lambda one: one.held_bytes))
+        self._held.setdefault(columns, []).append(rows)
+        self._bytes[columns] = self._bytes.get(columns, 0) + rows.nbytes
+        if self._bytes[columns] >= FILE_BYTES:
+            self._flush(columns)
+        while sum(self._bytes.values()) >= HELD_BYTES:
+            self._flush(max(self._bytes, key=lambda one: self._bytes[one]))
 
     def close(self) -> None:
-        """Write what is held, and end all files.
+        """Write what is held.
 
         Raises:
             OSError: the disk does not take it.
         """
-        for partition in self._partitions.values():
-            self._flush(partition)
-            self._submit(self._end, partition)
+        for columns in list(self._held):
+            self._flush(columns)
         self._wait(0)
+        self.closed.sort(key=lambda part: part.path)
 
     def abandon(self) -> None:
-        """Let go of what is still open, as it is."""
+        """Let go of what is not written."""
         self._worker.shutdown(cancel_futures=True)
-        for partition in self._partitions.values():
-            if partition.open is not None:
-                with suppress(OSError):
-                    partition.open.writer.close()
 
-    def _flush(self, partition: _Partition) -> None:
-        if partition.batches:
-            batches, partition.batches = partition.batches, []
-            self._held_bytes -= partition.held_bytes
-            partition.held_bytes = 0
-            self._submit(self._write, partition, batches)
-
-    def _submit(self, job: Callable[..., None], *arguments: object) -> None:
-        """Have it done by the thread that writes, behind what that has to do already."""
+    def _flush(self, columns: Columns) -> None:
+        batches = self._held.pop(columns)
+        del self._bytes[columns]
+        self._count += 1
         self._wait(WAITING_MAX)
-        self._jobs.append(self._worker.submit(job, *arguments))
+        self._jobs.append(self._worker.submit(self._write, columns, batches, self._count))
 
     def _wait(self, left: int) -> None:
         while len(self._jobs) > left:
             self._jobs.popleft().result()
 
-    def _write(self, partition: _Partition, batches: list[pa.RecordBatch]) -> None:
+    def _write(self, columns: Columns, batches: list[pa.RecordBatch], number: int) -> None:
         table = pa.Table.from_batches(batches).unify_dictionaries()
-        spans = [bounds_ns(batch) for batch in batches]
-        file = partition.open or self._begin(partition, table.schema)
-        file.start_ns = min([file.start_ns, *(start for start, _ in spans)])
-        file.end_ns = max([file.end_ns, *(end for _, end in spans)])
-        file.rows += table.num_rows
-        file.groups += 1
-        file.writer.write_table(table, row_group_size=table.num_rows)
-        if file.groups >= GROUPS_MAX:
-            self._end(partition)
-
-    def _begin(self, partition: _Partition, schema: pa.Schema) -> _Open:
-        # The one that was begun first is the one that is most likely done: days go by.
-        opened = [one for one in self._partitions.values() if one.open is not None]
-        if len(opened) >= OPEN_MAX:
-            self._end(opened[0])
-        number = self._numbers[partition.directory] = self._numbers.get(partition.directory, -1) + 1
-        path = f"{partition.directory}/{self._stem}-{number}.parquet"
-        (self._root / partition.directory).mkdir(parents=True, exist_ok=True)
-        about = {"topic": partition.columns.topic.name, "log_sha256": self._sha256}
-        writer = pq.ParquetWriter(
-            self._root / path,
-            schema.with_metadata(about),
-            compression=COMPRESSION,
-            compression_level=COMPRESSION_LEVEL,
-            use_dictionary=[field.name for field in schema if _is_text(field.type)],
-            column_encoding={
-                field.name: "DELTA_BINARY_PACKED" for field in schema if _is_whole_number(field.type)
-            },
-        )
-        partition.open = _Open(writer, path, 2**63, 0)
-        return partition.open
-
-    def _end(self, partition: _Partition) -> None:
-        file = partition.open
-        if file is None:
-            return
-        partition.open = None
-        file.writer.close()
-        columns = partition.columns
-        key, described_columns = described(columns.schema)
-        self.schemas[key] = described_columns
-        self.closed.append(
-            Part(
-                path=file.path,
-                table=columns.table,
-                topic=columns.topic.name,
-                robot=columns.robot,
-                date=partition.date,
-                rows=file.rows,
-                bytes=(self._root / file.path).stat().st_size,
-                start_ns=file.start_ns,
-                end_ns=file.end_ns,
-                columns=key,
-                sha256=self._sha256,
+        key, self.schemas[key] = described(columns.schema)
+        kinds = {field.name: field.type for field in table.schema}
+        for date, rows in _by_date(table):
+            directory = f"topic={_escaped(columns.place)}/robot={_escaped(columns.robot)}/date={date}"
+            path = self._root / directory / f"part-{self._sha256[:16]}-{number}.parquet"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pq.write_table(
+                rows,
+                path,
+                row_group_size=rows.num_rows,
+                compression=COMPRESSION,
+                compression_level=COMPRESSION_LEVEL,
+                use_dictionary=[name for name, kind in kinds.items() if _is_text(kind)],
+                column_encoding={
+                    name: "DELTA_BINARY_PACKED" for name, kind in kinds.items() if _is_whole_number(kind)
+                },
             )
-        )
+            span = pc.min_max(rows[LOG_TIME].cast(pa.int64()))
+            self.closed.append(
+                Part(
+                    path=f"{directory}/{path.name}",
+                    table=columns.table,
+                    topic=columns.topic.name,
+                    robot=columns.robot,
+                    date=date,
+                    rows=rows.num_rows,
+                    bytes=path.stat().st_size,
+                    start_ns=span["min"].as_py(),
+                    end_ns=span["max"].as_py(),
+                    columns=key,
+                    sha256=self._sha256,
+                )
+            )
+
+
+def _by_date(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+    """The rows of each day, by their log times."""
+    days = table[LOG_TIME].cast(pa.date32(), safe=False)
+    for day in sorted(pc.unique(days).to_pylist()):
+        of_day = pc.equal(days, pa.scalar(day, pa.date32()))
+        yield str(day), table if pc.all(of_day).as_py() else table.filter(of_day)
+
+
+def _escaped(text: str) -> str:
+    """A text as a part of a directory's name: as in a URL, so that it comes back when it is read."""
+    name = quote(text, safe="@ ", errors="replace")
+    if len(name) > NAME_MAX:
+        digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
+        name = f"{name[:NAME_MAX].rpartition('%')[0] or name[:NAME_MAX]}~{digest}"
+    return name or NOBODY
 
 
 def _is_text(kind: pa.DataType) -> bool:

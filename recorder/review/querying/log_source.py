@@ -16,7 +16,6 @@ from recorder.reading.rows import BlockReader, Progress, Selection, no_topic
 from recorder.reading.topics import Topic
 from recorder.review.columns.reader import read_batches
 from recorder.review.columns.tables import LOG_TIME, ROBOT, TOPIC, Columns, columns_of
-from recorder.review.export.known_rows import KnownRows, TopicNames, overlapping
 from recorder.review.export.manifest import described
 from recorder.review.querying.tables import WHOSE, TableInfo, free_name, own_columns, shown
 
@@ -89,7 +88,6 @@ class LogSource:
         self._selection = selection
         self._faults = faults
         self._told: set[str] = set()
-        self._names = TopicNames()
         self._progress = progress
         self._tables = tables_of(logs, selection, faults)
 
@@ -126,9 +124,8 @@ class LogSource:
                 self._selection, wants=lambda topic, names=names: topic.name in names
             )
             faults = Faults()
-            known = KnownRows(log, overlapping(log, self._logs[:place], self._names), selection)
             # Without any column of the log nothing would say how many rows there are.
-            for batch in read_batches(log, selection, faults, self._progress, known.sift, {*wanted, LOG_TIME}):
+            for batch in read_batches(log, selection, faults, self._progress, {*wanted, LOG_TIME}):
                 if batch.columns.schema == own:
                     whose = {ROBOT: batch.columns.robot or None, TOPIC: batch.columns.place}
                     columns = [

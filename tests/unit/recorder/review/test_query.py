@@ -25,10 +25,10 @@ from tests.unit.recorder.review.columns.test_tables import ALL, ALL_SCHEMA, chan
 
 
 def logs_in(tmp_path: Path) -> list[Path]:
-    """Two robots; of the first a log that holds half of it again."""
+    """Two robots; of the first two logs."""
     return [
         saved(tmp_path / "1.mcap", drive_log()),
-        saved(tmp_path / "2.mcap", drive_log(first=10)),
+        saved(tmp_path / "2.mcap", drive_log(first=20, count=10)),
         saved(tmp_path / "3.mcap", drive_log("cruiser-2", count=5)),
     ]
 
@@ -94,7 +94,7 @@ def ask(source: Source, sql: str) -> list[dict[str, Any]]:
     ],
 )
 def test_subjects_are_tables(source: Source, sql: str, expected: list[dict[str, Any]]) -> None:
-    """Each message once, whatever the statement does with them; both sources answer the same."""
+    """Whatever the statement does with them; both sources answer the same."""
     assert ask(source, sql) == expected
 
 
@@ -254,37 +254,6 @@ def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
             {"robot": "depot/cruiser-1", "n": 4},
             {"robot": "fleet/cruiser-1", "n": 3},
         ]
-
-
-def test_a_robot_that_is_added_is_called_as_before_or_refused(tmp_path: Path) -> None:
-    """Whatever was exported first."""
-    data = [
-        drive_log(count=3),
-        drive_log(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1"),
-        drive_log(count=5),
-    ]
-    paths = [saved(tmp_path / f"{place}.mcap", one) for place, one in enumerate(data)]
-    export_dataset(find_logs(paths[:2], Faults()), tmp_path / "both", ExportRange(), Faults())
-    export_dataset(find_logs(paths[2:], Faults()), tmp_path / "both", ExportRange(), Faults(), is_adding=True)
-    manifest = read_manifest(tmp_path / "both")
-    assert manifest is not None
-    assert {part.robot for part in manifest.files} - {""} == {"depot/cruiser-1", "fleet/cruiser-1"}
-    export_dataset(find_logs(paths[:1], Faults()), tmp_path / "one", ExportRange(), Faults())
-    with pytest.raises(CommandError, match="holds fleet/cruiser-1 by its name alone"):
-        export_dataset(find_logs(paths[1:2], Faults()), tmp_path / "one", ExportRange(), Faults(), is_adding=True)
-
-
-def test_of_several_robots_that_are_refused_the_first_by_name_is_named(tmp_path: Path) -> None:
-    """A set has another order in each process."""
-    names = [f"cruiser-{number}" for number in range(1, 9)]
-    ours = [saved(tmp_path / f"{name}.mcap", drive_log(name, count=2)) for name in names]
-    theirs = [
-        saved(tmp_path / "depot" / f"{name}.mcap", path.read_bytes().replace(b"fleet/c", b"depot/c"))
-        for name, path in zip(names, ours, strict=True)
-    ]
-    export_dataset(find_logs(ours, Faults()), tmp_path / "out", ExportRange(), Faults())
-    with pytest.raises(CommandError, match="holds fleet/cruiser-1 by its name alone"):
-        export_dataset(find_logs(theirs, Faults()), tmp_path / "out", ExportRange(), Faults(), is_adding=True)
 
 
 def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:

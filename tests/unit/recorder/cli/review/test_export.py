@@ -39,8 +39,6 @@ def test_a_dataset_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert run("-o", tmp_path / "out", log) == ExitCode.OK
     out = capsys.readouterr().out
     assert out.startswith(f"{tmp_path / 'out'}: 29 rows in 6 files, 0.")
-    assert run("--add", "-o", tmp_path / "out", log) == ExitCode.OK
-    assert "1 logs were in it already" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("form", ["parquet", "csv", "blf"])
@@ -52,20 +50,6 @@ def test_a_place_on_a_network_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
         run("--format", form, "-o", "s3://bucket/logs", log)
     assert caught.value.code == ExitCode.USAGE
     assert list(tmp_path.iterdir()) == [log]
-
-
-def test_what_was_left_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What another log holds already."""
-    assert (
-        run(
-            "-o",
-            tmp_path / "out",
-            saved(tmp_path / "1.mcap", drive_log()),
-            saved(tmp_path / "2.mcap", drive_log(count=10)),
-        )
-        == 0
-    )
-    assert "messages left out that were there already" in capsys.readouterr().out
 
 
 def test_json_says_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -80,11 +64,9 @@ def test_a_name_that_is_not_utf_8_is_escaped(tmp_path: Path, capsys: pytest.Capt
     log = saved(Path(os.fsdecode(bytes(tmp_path) + b"/\xff.mcap")), drive_log())
     cut = saved(Path(os.fsdecode(bytes(tmp_path) + b"/\xfe.mcap")), drive_log(count=10)[:-100])
     assert run("--json", "-o", tmp_path / "out", log, cut) == ExitCode.PARTIAL
-    assert run("--json", "--add", "-o", tmp_path / "out", log) == ExitCode.OK
-    first, again = map(json.loads, capsys.readouterr().out.splitlines())
+    first = json.loads(capsys.readouterr().out)
     escaped = str(tmp_path / r"\udcff.mcap")
     assert escaped in {one["path"] for one in first["inputs"]}
-    assert again["known"] == [escaped]
     manifest = json.loads((tmp_path / "out" / "manifest.json").read_bytes())
     assert escaped in {one["path"] for one in manifest["inputs"]}
 
@@ -110,7 +92,7 @@ def test_csv_is_one_file_a_topic(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out == f"{tmp_path / 'out' / 'fleet.cruiser-1.chassis.gear.csv'}: 20 rows\n"
 
 
-@pytest.mark.parametrize("words", [["--add"], ["--processes", "2"], ["--ray", "auto"]])
+@pytest.mark.parametrize("words", [["--processes", "2"], ["--ray", "auto"]])
 def test_what_only_a_dataset_has_is_refused_elsewhere(tmp_path: Path, words: list[str]) -> None:
     """Exit code 2."""
     with pytest.raises(CommandError, match="--format parquet") as caught:

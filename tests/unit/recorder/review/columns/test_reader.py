@@ -159,16 +159,6 @@ def test_only_what_is_wanted_is_read() -> None:
     assert not batches_of(data, None, Selection(from_ns=-5, to_ns=-1))
 
 
-def test_a_sift_says_by_the_heads_what_is_read() -> None:
-    """Log time, publish time and sequence are known before a message is read."""
-    data = numbered_log([channel_of(Gear)], [[(1, encoded(gear(number))) for number in range(40)]])
-    found = batches_of(
-        data, None, None, lambda _topic, _log_ns, _publish_ns, sequence: np.asarray(sequence % 10 == 3)
-    )
-    assert [row["sequence"] for row in rows_of(found)] == [3, 13, 23, 33]
-    assert not batches_of(data, None, None, lambda _topic, log_ns, _publish_ns, _sequence: log_ns < 0)
-
-
 def test_frames_with_other_lengths_stand_in_their_places() -> None:
     """A batch of layouts by length comes out in the order of the file."""
     frames = [can_frame(number, number, bytes(number % 9), is_fd=number % 3 == 0) for number in range(300)]

@@ -4,8 +4,9 @@ import json
 import random
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
@@ -13,19 +14,18 @@ import pytest
 from mcap.reader import make_reader
 
 from recorder.mcap.framing import MAGIC
-from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Progress
-from recorder.review.export import known_rows, partitions, parts
+from recorder.review.export import parts
 from recorder.review.export.dataset import Exported, Runner, export_dataset
 from recorder.review.export.manifest import MANIFEST_NAME, Manifest, read_manifest, sha256_of
 from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask
 from recorder.review.tasks import HERE, Act
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
-from tests.support.drives import FRAMES, drive_log
-from tests.support.logs import channel_of, encoded, numbered_log, saved, small_log
+from tests.support.drives import drive_log
+from tests.support.logs import channel_of, encoded, mcap_log, numbered_log, saved, small_log
 from tests.support.messages import SECOND, WALL_NS, gear
 
 
@@ -35,13 +35,11 @@ def export(
     faults: Faults | None = None,
     wanted: ExportRange | None = None,
     run: Runner = HERE,
-    *,
-    is_adding: bool = False,
 ) -> Exported:
     """Export files."""
     taken = Faults() if faults is None else faults
     found = find_logs(logs, taken, with_covered=True)
-    done = export_dataset(found, out, wanted or ExportRange(), taken, is_adding=is_adding, run=run)
+    done = export_dataset(found, out, wanted or ExportRange(), taken, run=run)
     if faults is None:
         assert not taken, taken.told
     return done
@@ -125,45 +123,8 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     other.mkdir()
     (other / "letter.txt").write_text("dear")
     with pytest.raises(CommandError, match="is not empty, and no dataset"):
-        export([log], other, is_adding=True)
+        export([log], other)
     assert contents(other) == {"letter.txt": b"dear"}
-
-
-def test_what_is_not_there_can_be_added(tmp_path: Path) -> None:
-    """A log that is in it already adds nothing, whatever it is called."""
-    first, second = saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log(first=20))
-    export([first], tmp_path / "out")
-    before = contents(tmp_path / "out")
-    again = saved(tmp_path / "again.mcap", first.read_bytes())
-    done = export([again, second], tmp_path / "out", is_adding=True)
-    assert done.known == [str(again)]
-    assert rows_by_topic(tmp_path / "out")["fleet/cruiser-1/chassis/gear"] == 40
-    assert len(manifest_of(tmp_path / "out").inputs) == 2
-    after = contents(tmp_path / "out")
-    assert {name: after[name] for name in before if name != MANIFEST_NAME} == {
-        name: data for name, data in before.items() if name != MANIFEST_NAME
-    }
-
-
-def test_what_two_logs_hold_is_there_once(tmp_path: Path) -> None:
-    """An incident beside its log, another recorder that heard half of it later: topic, time and sequence tell."""
-    logs = [
-        saved(tmp_path / "log.mcap", drive_log(count=20)),
-        saved(tmp_path / "heard-later.mcap", drive_log(first=10, count=20, late_ns=3 * SECOND)),
-    ]
-    done = export(logs, tmp_path / "out")
-    counts = rows_by_topic(tmp_path / "out")
-    assert counts["fleet/cruiser-1/chassis/gear"] == 30
-    assert counts["fleet/cruiser-1/can/can0/rx"] == 2 * FRAMES
-    assert [one.repeats for one in done.inputs][1] > 10
-    gears = ds.dataset(tmp_path / "out" / "topic=chassis%2Fgear").to_table().column("sequence").to_pylist()
-    assert sorted(gears) == list(range(30))
-
-
-def test_two_robots_never_say_the_same(tmp_path: Path) -> None:
-    """At one time, with one sequence: they are of two topics."""
-    logs = [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2"))]
-    assert [one.repeats for one in export(logs, tmp_path / "out").inputs] == [0, 0]
 
 
 class FailingRunner:
@@ -176,35 +137,15 @@ class FailingRunner:
         raise OSError(28, "No space left on device")
 
 
-def test_an_export_that_fails_leaves_the_dataset_as_it_was(tmp_path: Path) -> None:
-    """Not a file more; and nothing at all where there was none."""
+def test_an_export_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    """The next one finds an empty directory; what a killed one left in it is in nobody's way."""
     first, second = saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log(first=20))
     with pytest.raises(CommandError, match="No space left"):
         export([first, second], tmp_path / "out", run=FailingRunner())
     assert contents(tmp_path / "out") == {}
-    export([first], tmp_path / "out")
-    before = contents(tmp_path / "out")
-    with pytest.raises(CommandError, match="No space left"):
-        export([second], tmp_path / "out", run=FailingRunner(), is_adding=True)
-    assert contents(tmp_path / "out") == before
-
-
-def test_what_a_killed_export_left_is_in_nobodys_way(tmp_path: Path) -> None:
-    """Its hidden directory, or a file that it had moved and not named: it is neither overwritten nor counted."""
-    log = saved(tmp_path / "log.mcap", drive_log())
-    export([log], tmp_path / "out")
-    manifest = tmp_path / "out" / MANIFEST_NAME
-    text = json.loads(manifest.read_text())
     (tmp_path / "out" / ".export-dead").mkdir()
-    manifest.write_text(json.dumps({**text, "inputs": [], "files": []}))
-    for part in text["files"]:
-        (tmp_path / "out" / part["path"]).write_bytes(b"half a file")
-    before = contents(tmp_path / "out")
-    export([log], tmp_path / "out", is_adding=True)
-    after = contents(tmp_path / "out")
-    assert all(after[name] == data for name, data in before.items() if name != MANIFEST_NAME)
-    assert rows_by_topic(tmp_path / "out")["fleet/cruiser-1/chassis/gear"] == 20
-    assert all((tmp_path / "out" / part.path).is_file() for part in manifest_of(tmp_path / "out").files)
+    export([first, second], tmp_path / "out")
+    assert rows_by_topic(tmp_path / "out")["fleet/cruiser-1/chassis/gear"] == 40
 
 
 def test_two_exports_do_not_write_at_once(tmp_path: Path) -> None:
@@ -215,7 +156,7 @@ def test_two_exports_do_not_write_at_once(tmp_path: Path) -> None:
         act: Act[ExportTask, ExportOutcome], tasks: Sequence[ExportTask], progress: Progress
     ) -> Iterator[ExportOutcome]:
         with pytest.raises(CommandError, match="another export writes"):
-            export([log], tmp_path / "out", is_adding=True)
+            export([log], tmp_path / "out")
         yield from HERE(act, tasks, progress)
 
     assert export([log], tmp_path / "out", run=run).rows
@@ -230,35 +171,36 @@ def test_a_day_is_a_directory(tmp_path: Path) -> None:
     assert {part.date: part.rows for part in gears} == {"2027-01-15": 5, "2027-01-16": 5}
 
 
-@pytest.mark.parametrize("limit", ["GROUP_BYTES", "HELD_BYTES"])
+@pytest.mark.parametrize("limit", ["FILE_BYTES", "HELD_BYTES"])
 def test_rows_are_written_as_they_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
-    """In groups, in the order of the log; no more is held than the limits say."""
+    """File by file, in the order of the log; no more is held than the limits say."""
     monkeypatch.setattr(parts, limit, 1)
     monkeypatch.setattr("recorder.review.columns.reader.BATCH_BYTES", 1)
     export([saved(tmp_path / "log.mcap", drive_log(count=200))], tmp_path / "out")
-    (gears,) = [part for part in manifest_of(tmp_path / "out").files if part.table == "chassis_gear"]
-    file = pq.ParquetFile(tmp_path / "out" / gears.path)
-    assert file.metadata.num_row_groups > 3
-    assert file.read().column("sequence").to_pylist() == list(range(200))
+    gears = [part for part in manifest_of(tmp_path / "out").files if part.table == "chassis_gear"]
+    assert len(gears) > 3
+    gears.sort(key=lambda part: part.start_ns)
+    rows = [pq.ParquetFile(tmp_path / "out" / part.path).read().column("sequence").to_pylist() for part in gears]
+    assert list(chain.from_iterable(rows)) == list(range(200))
 
 
-@pytest.mark.parametrize("limit", ["OPEN_MAX", "GROUPS_MAX"])
-def test_a_file_that_is_ended_goes_on_in_another_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str
-) -> None:
-    """To make room for others, or because of its length: no row is lost."""
-    chunk = [(1, encoded(gear(number))) for number in range(5)] + [(2, encoded(gear(9)))]
-    log = saved(
-        tmp_path / "log.mcap", numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [chunk] * 3)
-    )
-    export([log], tmp_path / "all")
-    for one in ("GROUP_BYTES", limit):
-        monkeypatch.setattr(parts, one, 1)
-    monkeypatch.setattr("recorder.review.columns.reader.BATCH_BYTES", 1)
-    export([log], tmp_path / "few")
-    assert rows_by_topic(tmp_path / "few") == rows_by_topic(tmp_path / "all")
-    assert len(manifest_of(tmp_path / "all").files) == 2
-    assert len(manifest_of(tmp_path / "few").files) > 2
+def test_a_topic_of_any_name_has_a_directory(tmp_path: Path) -> None:
+    """Slashes and signs are escaped as in a URL; a long one is cut, and still tells itself from others."""
+    names = ["/../x=*?[%", "", *("/" * 500 + end for end in "ab"), "\u00e9" * 200]
+    channels = [channel_of(Gear, number, name) for number, name in enumerate(names, 1)]
+    chunk = [(number, encoded(gear(number))) for number in range(1, len(names) + 1)]
+    export([saved(tmp_path / "log.mcap", numbered_log(channels, [chunk]))], tmp_path / "out")
+    assert rows_by_topic(tmp_path / "out") == dict.fromkeys(names, 1)
+    directories = {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()}
+    assert len(directories) == len(names)
+    assert directories >= {"topic=%2F..%2Fx%3D%2A%3F%5B%25", "topic=__HIVE_DEFAULT_PARTITION__"}
+
+
+def test_rows_of_any_number_of_days_are_written(tmp_path: Path) -> None:
+    """Whatever times somebody's log holds."""
+    rows = [(1, n, WALL_NS + n * 24 * 3600 * SECOND, WALL_NS, encoded(gear(n))) for n in range(1100)]
+    export([saved(tmp_path / "log.mcap", mcap_log([channel_of(Gear)], [rows]))], tmp_path / "out")
+    assert len(manifest_of(tmp_path / "out").files) == 1100
 
 
 @pytest.mark.parametrize("pattern", ["fleet/cruiser-1/chassis/gear", "chassis/*", "chassis_gear"])
@@ -297,29 +239,3 @@ def test_a_manifest_that_cannot_be_read_is_told(tmp_path: Path) -> None:
 def _manifest(**others: Any) -> dict[str, Any]:  # noqa: ANN401
     empty: dict[str, Any] = {"inputs": [], "files": [], "schemas": {}}
     return {"format": "cruiser-dataset", "version": 1, "product": "", **empty, **others}
-
-
-def test_any_topic_is_one_directory_name() -> None:
-    """Slashes and signs are escaped as in a URL; a long one is cut, and still tells itself from others."""
-    assert partitions.escaped("can/can0/rx") == "can%2Fcan0%2Frx"
-    assert partitions.escaped("../x=*?[%\n") == "..%2Fx%3D%2A%3F%5B%25%0A"
-    assert partitions.escaped("") == partitions.NOBODY
-    long = [partitions.escaped("/" * 500 + end) for end in "ab"]
-    assert long[0] != long[1]
-    assert all(len(name) < 240 for name in long)
-
-
-def test_the_summary_of_a_log_is_read_once_for_all_that_come_after_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Among ten thousand logs each has hundreds beside it that may hold the same."""
-    logs = [saved(tmp_path / f"{number}.mcap", drive_log(f"cruiser-{number}")) for number in range(5)]
-    read: list[str] = []
-
-    def reading(stream: BinaryIO) -> Any:  # noqa: ANN401 - as the function
-        read.append(Path(stream.name).name)
-        return read_summary(stream)
-
-    monkeypatch.setattr(known_rows, "read_summary", reading)
-    export(logs, tmp_path / "dataset")
-    assert sorted(read) == [log.name for log in logs]
