@@ -30,7 +30,7 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust
+from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, is_signed
 from schemas.decisions import SignedStatement, StatementReply
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import TEXTS, Reason
@@ -96,52 +96,26 @@ def _led_to(rotations: list[str]) -> set[tuple[bytes, bytes]]:
 
 
 def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
-    """The trust that a robot was provisioned with, after all that it has taken over since.
-
-    The list is of the authority that is active now, or of one of the standby keys beside it. One that the same key
-    signed before it was replaced for a while ended with that: so it is applied after the last change alone.
-    """
-    steps: list[Signed] = []
-    for text in (*kept.rotations, *filter(None, [kept.revocations])):
+    """The trust that a robot was provisioned with, after all that it has taken over since."""
+    former: set[bytes] = set()
+    for text in kept.rotations:
         chain = read_chain(text.encode())
+        rotated = chain if isinstance(chain, StatementFault) else trust.rotate(chain[0])
+        if not isinstance(rotated, Trust):
+            return rotated if isinstance(rotated, Objection) else Objection(Reason.MALFORMED, rotated.detail)
+        former |= {trust.active, trust.standby}
+        trust = rotated
+    if kept.revocations:
+        chain = read_chain(kept.revocations.encode())
         if isinstance(chain, StatementFault):
             return Objection(Reason.MALFORMED, chain.detail)
-        steps.append(chain[0])
-    revocations = steps.pop() if kept.revocations else None
-    former: list[Trust] = []
-    current = [trust]
-    for rotation in steps:
-        newer = current[-1].rotate(rotation)
-        if isinstance(newer, Objection):
-            return newer
-        if newer.active != current[-1].active:
-            former, current = [*former, *current], []
-        current.append(newer)
-    trust = current[-1]
-    if revocations is not None:
-        revoked = _revoked(current, revocations)
-        if not isinstance(revoked, Objection):
-            trust = msgspec.structs.replace(
-                trust,
-                list_serial=revoked.list_serial,
-                revoked=revoked.revoked,
-                epoch=max(trust.epoch, revoked.epoch),
-            )
-        elif isinstance(_revoked(former, revocations), Objection):
+        revoked = trust.revoke(chain[0])
+        if isinstance(revoked, Trust):
+            trust = revoked
+        elif chain[0].signer not in former or not is_signed(chain[0]):
             # Else the note is of a version that kept a list which a rotation had ended.
             return revoked
     return msgspec.structs.replace(trust, epoch=max(trust.epoch, kept.epoch))
-
-
-def _revoked(trusts: list[Trust], revocations: Signed) -> Trust | Objection:
-    """The first of the trusts that accepts a list, with it; a refusal if none does."""
-    refusal = Objection(Reason.PROOF_WRONG)
-    for trust in trusts:
-        revoked = trust.revoke(revocations)
-        if not isinstance(revoked, Objection):
-            return revoked
-        refusal = revoked
-    return refusal
 
 
 class AuthorityEffects(msgspec.Struct):
@@ -315,17 +289,17 @@ class RobotAuthority:
         if isinstance(newer, Objection):
             return newer
         self.admission.trust = newer
-        self._kept = msgspec.structs.replace(self._kept, epoch=newer.epoch)
-        if newer.active != trust.active:
+        if is_rotation:
             self._floor.restart(statement.at, boot_ns)
             # What the former authority revoked ended with it: after the next rotation its key may be active again.
-            self._kept = msgspec.structs.replace(self._kept, revocations="")
-        if is_rotation:
-            self._kept = msgspec.structs.replace(self._kept, rotations=[*self._kept.rotations, text])
+            rotations = [*self._kept.rotations, text]
+            self._kept = msgspec.structs.replace(
+                self._kept, epoch=newer.epoch, rotations=rotations, revocations=""
+            )
         else:
-            self._kept = msgspec.structs.replace(self._kept, revocations=text)
+            self._floor.lift(statement.at, boot_ns)
+            self._kept = msgspec.structs.replace(self._kept, epoch=newer.epoch, revocations=text)
         self._new.append(text)
-        self._floor.lift(statement.at, boot_ns)
         self._is_changed = True
         return None
 

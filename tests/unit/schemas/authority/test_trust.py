@@ -12,7 +12,7 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import BY_SITE, SMALL_ORDER, HeldGrant, Objection, fits
+from schemas.authority.trust import BY_SITE, SAME_AUTHORITY, SMALL_ORDER, HeldGrant, Objection, fits
 from schemas.reasons import Reason
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party
 
@@ -159,16 +159,11 @@ def test_a_thief_of_the_authority_bars_nobody_from_the_next_one() -> None:
     assert reason_of(revoked.revoke(fleet.authority.revoke(highest))) is Reason.PROOF_WRONG
 
 
-def test_a_new_standby_ends_nothing() -> None:
-    """Where the authority stays, so does what it revoked, and its epoch."""
-    fleet, standby = Fleet(), Party("standby")
-    ann = fleet.operator()
-    revoked = fleet.trust.revoke(fleet.authority.revoke(7, keys=(ann.key,), epoch=3))
-    assert not isinstance(revoked, Objection)
-    trust = revoked.rotate(fleet.standby.rotate(1, fleet.authority, standby))
-    assert not isinstance(trust, Objection)
-    assert (trust.list_serial, trust.epoch, trust.standby) == (7, 3, standby.key)
-    assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.GRANT_REVOKED
+def test_the_standby_is_replaced_with_the_authority_alone() -> None:
+    """A rotation that keeps the authority's key changes nothing, and says what to do."""
+    fleet = Fleet()
+    rotation = fleet.standby.rotate(1, fleet.authority, Party("standby"))
+    assert fleet.trust.rotate(rotation) == Objection(Reason.MALFORMED, SAME_AUTHORITY)
 
 
 def test_statements_of_another_kind_do_nothing() -> None:
