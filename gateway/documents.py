@@ -19,7 +19,7 @@ from gateway.command import gate
 from gateway.command.causes import STOPS
 from gateway.command.states import diagram
 from gateway.doctor.checks import CHECKS
-from gateway.metrics.measures import PREFIXES, measures
+from gateway.metrics.measures import MEASURES
 from schemas import documents
 from schemas.documents import Part
 from schemas.messages import Variant
@@ -177,9 +177,9 @@ def _speeds() -> str:
 def metric_table() -> str:
     """Every metric that is made of a field of a message."""
     rows = [
-        (f"`{measure.shown_name}`", measure.label and f"`{measure.label}`", f"`{kind.__name__}.{measure.field}`")
-        for kind, prefix in PREFIXES.items()
-        for measure in measures(kind, prefix)
+        (f"`{measure.name}`", measure.label and f"`{measure.label}`", f"`{kind.__name__}.{measure.field}`")
+        for kind, measures in MEASURES.items()
+        for measure in measures
     ]
     return documents.table(("metric", "label", "field"), rows)
 

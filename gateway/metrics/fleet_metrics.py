@@ -12,7 +12,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 
 from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS
 from gateway.client.payloads import read_sample
-from gateway.metrics.measures import LABELS_MAX, PREFIXES, Measure, info_about, info_labels, label_text, measures
+from gateway.metrics.measures import COUNTER, INFO, LABELS_MAX, MEASURES, Measure, label_text
 from gateway.telemetry.received import Arrival, Missed, Received
 from schemas import keys
 from schemas.codec import PayloadFault
@@ -46,8 +46,6 @@ GAP_MAX: Final = 100_000
 DAMAGED: Final = "damaged"
 UNREADABLE: Final = ("newer", "older", DAMAGED)
 """Why a sample cannot be read: its schema is of a newer or an older version than here, or it is damaged."""
-
-_MEASURES: Final = {kind: measures(kind, prefix) for kind, prefix in PREFIXES.items()}
 
 
 class _Source:
@@ -177,9 +175,9 @@ class FleetMetrics:
             for kind in sources.kinds:
                 found = ((name, source.fresh(kind, now_ns)) for name, source in sources.all())
                 messages = [(name, message) for name, message in found if message is not None]
-                if fields := info_labels(kind):
-                    yield _info(kind, sources.label, fields, messages)
-                yield from (_family(measure, [sources.label], messages) for measure in _MEASURES[kind])
+                if kind in INFO:
+                    yield _info(*INFO[kind], sources.label, messages)
+                yield from (_family(measure, [sources.label], messages) for measure in MEASURES[kind])
                 if kind is GatewayHealth:
                     yield from _frames(messages)
 
@@ -263,10 +261,10 @@ def _presence(sources: _Sources, now_ns: int) -> Iterator[Metric]:
 
 
 def _info(
-    kind: type[Message], label: str, fields: dict[str, str], messages: Iterable[tuple[str, Message]]
+    prefix: str, about: str, fields: dict[str, str], label: str, messages: Iterable[tuple[str, Message]]
 ) -> Metric:
     """The texts of messages, as labels."""
-    family = InfoMetricFamily(PREFIXES[kind], info_about(kind), labels=[label])
+    family = InfoMetricFamily(prefix, about, labels=[label])
     for name, message in messages:
         family.add_metric([name], {key: label_text(getattr(message, field)) for key, field in fields.items()})
     return family
@@ -280,15 +278,16 @@ def _frames(messages: Iterable[tuple[str, Message]]) -> Iterator[Metric]:
         if isinstance(health, GatewayHealth)
         for frame, row in {label_text(row.name): row for row in health.feedback[:LABELS_MAX]}.items()
     ]
-    for measure in _MEASURES[FrameHealth]:
+    for measure in MEASURES[FrameHealth]:
         yield _family(measure, ["robot", "frame"], rows)
 
 
 def _family(measure: Measure, labels: list[str], rows: Iterable[tuple[object, ...]]) -> Metric:
     """One measure of many: rows of the values of the labels, and last what is measured."""
     make = CounterMetricFamily if measure.is_counter else GaugeMetricFamily
-    family = make(measure.name, measure.about, labels=[*labels, measure.label] if measure.label else labels)
+    name = measure.name.removesuffix(COUNTER)
+    family = make(name, measure.about, labels=[*labels, measure.label] if measure.label else labels)
     for *whose, record in rows:
-        for label, value in measure.values(getattr(record, measure.field)):
+        for label, value in measure.values(record):
             family.add_metric([*map(str, whose), *([label] if measure.label else [])], value)
     return family

@@ -1,22 +1,16 @@
-"""The measures of a message, from its class: which fields, under which names, in which base units.
+"""The metrics of messages: names, fields, help.
 
-A field's unit is that of its schema, so a field that is added to a message becomes a metric by itself:
+    ("cpu_ratio", "cpu_percent", "Processor time over the last second; 1 is one core.", 100)
 
-    speed_mps: SpeedMps                 cruiser_chassis_speed_meters_per_second        gauge
-    tick_lateness_max_ms: DurationMs    cruiser_gateway_tick_lateness_max_seconds      gauge
-    certificate_ends_ns: TimeNs | None  cruiser_gateway_certificate_ends_timestamp_seconds
-    bus_up: bool                        cruiser_gateway_bus_up                         0 or 1
-    state: ArbiterState                 cruiser_safety_state{state="engaged"}          1 for the value that it has
-    latched: list[Reason]               cruiser_safety_latched{reason="guard"}         1 for each that is in it
-    bus_drops: Count                    cruiser_gateway_bus_drops_total                counter, see COUNTERS
-    faults: dict[str, Count]            cruiser_gateway_faults_total{kind="checksum"}  counter, see COUNTED_BY
-
-Text and bytes are left out, and so is what is null.
+is ``cruiser_gateway_cpu_ratio``, the field ``cpu_percent`` of ``GatewayHealth`` divided by 100. A name that ends
+in ``_total`` is a counter, any other a gauge. A word in the divisor's place is a label: an enumeration is 1 under
+its value, a list of words 1 under each, and a map of counts has a value for each key. A text is a person's name,
+and is 1 where there is one. What is null, and what is no finite number, is left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from enum import Enum
 from math import isfinite
 from typing import Any, Final
@@ -24,86 +18,9 @@ from typing import Any, Final
 import msgspec
 
 from schemas.decisions import SafetyState
-from schemas.docstrings import attribute_texts, plain_text, summary
-from schemas.messages import UNIT_KEYWORD, FrameHealth, GatewayHealth, RobotState
+from schemas.messages import FrameHealth, GatewayHealth, RobotState
 from schemas.printable import plain
 from schemas.recording import RecorderHealth
-from schemas.snake_case import snake_case
-
-PREFIXES: Final[dict[type[msgspec.Struct], str]] = {
-    GatewayHealth: "cruiser_gateway",
-    FrameHealth: "cruiser_feedback",
-    SafetyState: "cruiser_safety",
-    RobotState: "cruiser_chassis",
-    RecorderHealth: "cruiser_recorder",
-}
-"""The messages that become metrics, and the records within them, with the beginning of the metrics' names."""
-
-UNITS: Final = {
-    "m/s": ("_mps", "_meters_per_second", 1),
-    "m/s2": ("_mps2", "_meters_per_second_squared", 1),
-    "deg": ("_deg", "_degrees", 1),
-    "deg/s": ("_degps", "_degrees_per_second", 1),
-    "rad/s": ("_radps", "_radians_per_second", 1),
-    "km": ("_km", "_meters", 1e-3),
-    "m": ("_m", "_meters", 1),
-    "s": ("_s", "_seconds", 1),
-    "ms": ("_ms", "_seconds", 1e3),
-    "ns": ("_ns", "_timestamp_seconds", 1e9),
-    "B": ("_bytes", "_bytes", 1),
-    "%": ("_percent", "_ratio", 100),
-}
-"""By a schema's unit: the end of a field's name, that of a metric's in its place, and the divisor."""
-
-COUNTERS: Final = frozenset(
-    {
-        "bus_drops",
-        "bus_losses",
-        "checksum_faults",
-        "dropped",
-        "ended_bytes",
-        "faults",
-        "files_ended",
-        "frames",
-        "implausible",
-        "inbox_drops",
-        "incidents",
-        "lost",
-        "missed",
-        "publish_failures",
-        "received",
-        "unknown_identifiers",
-        "valid",
-        "withheld",
-        "written",
-    }
-)
-"""Fields that count since their sender's start; any other number is one of the moment."""
-
-COUNTED_BY: Final = {"faults": "kind", "unknown_identifiers": "identifier", "dropped": "reason"}
-"""The label of the keys of a field that is a map of counts."""
-
-OMITTED: Final = frozenset(
-    {
-        # Of every message.
-        "time_ns",
-        "sequence",
-        # What commands refer to.
-        "tick",
-        "accepted_seq",
-        # Counts that wrap, a pedal that is never pressed.
-        "rear_left_pulses",
-        "rear_right_pulses",
-        "brake_pedal_percent",
-    }
-)
-"""Fields that nobody wants to see over time. Rates are left out too: PromQL makes them of the counters."""
-
-INFO: Final = {"gateway_version": "version", "recorder_version": "version", "bus": "bus"}
-"""Texts that are labels of ``..._info``."""
-
-HELD: Final = {"lease_holder": "lease_held"}
-"""Names of people, who are no labels: 1 where there is one."""
 
 LABELS_MAX: Final = 80
 """Values of one label that one message can bring; the rest is counted as OTHER."""
@@ -112,55 +29,47 @@ LABEL_LENGTH_MAX: Final = 64
 
 OTHER: Final = "other"
 
-Values = Iterable[tuple[str, float]]
-"""Values of a measure, each with that of its label; '' where it has none."""
+COUNTER: Final = "_total"
 
 
 class Measure(msgspec.Struct, frozen=True):
     """One metric of a message.
 
     Attributes:
-        name: as Prometheus has it, without ``_total``.
+        name: as PromQL has it.
+        field: of the message.
         about: its help.
         label: besides those that say of whom it is; empty if there is none.
-        is_counter: it only rises, until its sender starts anew.
-        field: of the message.
-        values: of the field's value.
+        divisor: of the field's value, for base units.
     """
 
     name: str
+    field: str
     about: str
     label: str
-    is_counter: bool
-    field: str
-    values: Callable[[Any], Values]
+    divisor: float
 
     @property
-    def shown_name(self) -> str:
-        """The name as PromQL has it."""
-        return f"{self.name}_total" if self.is_counter else self.name
+    def is_counter(self) -> bool:
+        """True if it only rises, until its sender starts again."""
+        return self.name.endswith(COUNTER)
 
-
-def measures(kind: type[msgspec.Struct], prefix: str) -> list[Measure]:
-    """Return the measures of a class of messages, or of a record within one; its ``info`` is not among them."""
-    texts = attribute_texts(kind)
-    made = []
-    for field in _fields(kind):
-        about = f"{kind.__name__}.{field.name}: {plain_text(texts.get(field.name, 'see docs/messages.md.'))}"
-        measure = _measure(field.name, field.type, prefix, about)
-        if measure is not None and field.name not in OMITTED:
-            made.append(measure)
-    return made
-
-
-def info_labels(kind: type[msgspec.Struct]) -> dict[str, str]:
-    """The labels of a message's ``info``, each with its field."""
-    return {INFO[field.name]: field.name for field in _fields(kind) if field.name in INFO}
-
-
-def info_about(kind: type[msgspec.Struct]) -> str:
-    """The help of a message's ``info``."""
-    return summary(kind)
+    def values(self, message: object) -> Iterable[tuple[str, float]]:
+        """Values in a message, each with that of its label; empty where it has none."""
+        value: Any = getattr(message, self.field)
+        match value:
+            case None:
+                return ()
+            case Mapping():
+                return bounded(value)
+            case list():
+                return [(str(word.value), 1.0) for word in dict.fromkeys(value)]
+            case Enum():
+                return ((str(value.value), 1.0),)
+            case str():
+                return (("", float(bool(value))),)
+            case _:
+                return (("", value / self.divisor),) if isfinite(value) else ()
 
 
 def label_text(text: str) -> str:
@@ -179,68 +88,143 @@ def bounded(counts: Mapping[str, int]) -> Iterator[tuple[str, float]]:
     yield from kept.items()
 
 
-def _fields(kind: type[msgspec.Struct]) -> tuple[msgspec.inspect.Field, ...]:
-    found = msgspec.inspect.type_info(kind)
-    return found.fields if isinstance(found, msgspec.inspect.StructType) else ()
+_Row = tuple[str, str, str] | tuple[str, str, str, str | float]
 
 
-def _measure(field: str, wrapped: msgspec.inspect.Type, prefix: str, about: str) -> Measure | None:
-    """The measure of a field; None if it has none."""
-    kind, unit = _unwrapped(wrapped)
-    name, is_counter = f"{prefix}_{field}", field in COUNTERS
-    match kind:
-        case msgspec.inspect.StrType() if field in HELD:
-            return Measure(f"{prefix}_{HELD[field]}", about, "", is_counter, field, _presence)
-        case msgspec.inspect.BoolType():
-            return Measure(name, about, "", is_counter, field, _number(1))
-        case msgspec.inspect.IntType() | msgspec.inspect.FloatType() if not unit:
-            return Measure(name, about, "", is_counter, field, _number(1))
-        case msgspec.inspect.IntType() | msgspec.inspect.FloatType() if unit in UNITS:
-            end, base, divisor = UNITS[unit]
-            return Measure(f"{name.removesuffix(end)}{base}", about, "", is_counter, field, _number(divisor))
-        case msgspec.inspect.DictType() if field in COUNTED_BY:
-            return Measure(name, about, COUNTED_BY[field], is_counter, field, bounded)
-        case msgspec.inspect.EnumType(cls):
-            return Measure(name, about, _word_label(cls), is_counter, field, _word)
-        case msgspec.inspect.ListType(item_type=msgspec.inspect.EnumType(cls)):
-            return Measure(name, about, _word_label(cls), is_counter, field, _words)
-        case _:
-            return None
+def _rows(prefix: str, *rows: _Row) -> list[Measure]:
+    measures = []
+    for name, field, about, *more in rows:
+        per = more[0] if more else 1
+        label, divisor = (per, 1.0) if isinstance(per, str) else ("", per)
+        measures.append(Measure(f"{prefix}_{name}", field, about, label, divisor))
+    return measures
 
 
-def _unwrapped(kind: msgspec.inspect.Type) -> tuple[msgspec.inspect.Type, str]:
-    """The type without null and metadata, and its unit."""
-    unit = ""
-    while True:
-        match kind:
-            case msgspec.inspect.Metadata(inner, extra_json_schema):
-                unit = unit or (extra_json_schema or {}).get(UNIT_KEYWORD, "")
-                kind = inner
-            case msgspec.inspect.UnionType(types):
-                kind = next(one for one in types if not isinstance(one, msgspec.inspect.NoneType))
-            case _:
-                return kind, unit
+MEASURES: Final[dict[type[msgspec.Struct], list[Measure]]] = {
+    GatewayHealth: _rows(
+        "cruiser_gateway",
+        ("uptime_seconds", "uptime_s", "Time since the gateway started."),
+        ("bus_up", "bus_up", "The gateway has the CAN bus open."),
+        ("bus_losses_total", "bus_losses", "Losses of the bus since the start."),
+        ("bus_drops_total", "bus_drops", "Frames dropped since the start: not read in time, or unreadable."),
+        ("controller", "controller", "State of the CAN controller, by the last error frame.", "state"),
+        ("zenoh_peers", "zenoh_peers", "Zenoh nodes connected directly to this one."),
+        ("publish_failures_total", "publish_failures", "Samples that Zenoh did not accept."),
+        ("inbox_drops_total", "inbox_drops", "Requests dropped unread since the start, because too many came."),
+        ("variant", "variant", "The firmware variant in force.", "variant"),
+        ("frames_total", "frames", "CAN frames received since the start, whatever they were."),
+        ("faults_total", "faults", "Faults since the start.", "kind"),
+        ("unknown_identifiers_total", "unknown_identifiers", "Frames that are not in the DBC.", "identifier"),
+        ("tick_lateness_p50_seconds", "tick_lateness_p50_ms", "Delay of the last second's ticks, p50.", 1000),
+        ("tick_lateness_p99_seconds", "tick_lateness_p99_ms", "Delay of the last second's ticks, p99.", 1000),
+        ("tick_lateness_max_seconds", "tick_lateness_max_ms", "Delay of the last second's ticks, greatest.", 1000),
+        ("tick_lateness_worst_seconds", "tick_lateness_worst_ms", "Greatest delay since the start.", 1000),
+        ("cpu_ratio", "cpu_percent", "Processor time of the process over the last second; 1 is one core.", 100),
+        ("realtime", "realtime", "The loop runs with real-time priority."),
+        ("certificate_ends_timestamp_seconds", "certificate_ends_ns", "End of the certificate of its link.", 1e9),
+        ("grant_ends_timestamp_seconds", "grant_ends_ns", "End of the robot's own grant.", 1e9),
+    ),
+    FrameHealth: _rows(
+        "cruiser_feedback",
+        ("valid_total", "valid", "Valid frames since the start."),
+        ("lost_total", "lost", "Valid frames that should have come since the start, by the alive counter."),
+        ("withheld_total", "withheld", "Valid frames not published, as the scale of their speeds was not known."),
+        ("checksum_faults_total", "checksum_faults", "Frames with a wrong checksum since the start."),
+        ("implausible_total", "implausible", "Frames with values that this chassis cannot have, since the start."),
+        ("silent", "silent", "The frame is missing or overdue."),
+        ("alive_faults", "alive_faults", "Fault count of the alive counter: up by a fault, down by a good frame."),
+    ),
+    SafetyState: _rows(
+        "cruiser_safety",
+        ("state", "state", "State of the arbiter.", "state"),
+        ("engaged", "engaged", "Drive commands are executed."),
+        ("stop_reason", "stop_reason", "Cause of the stop that is under way, or of the last one.", "reason"),
+        ("stop_phase", "stop_phase", "Phase of the stop.", "phase"),
+        ("lease_held", "lease_holder", "An operator holds the lease."),
+        ("lease_role", "lease_role", "Role in which the lease is held; program if it is not.", "role"),
+        ("lease_expires_seconds", "lease_expires_s", "Time until the lease expires; 0 if it is not held."),
+        ("latched", "latched", "Causes that must be reset before the robot can be engaged.", "reason"),
+        ("blocked_by", "blocked_by", "Causes for which the robot stands, or cannot be engaged, now.", "reason"),
+        ("guarded", "guarded", "A second process watches the gateway."),
+        ("speed_limit_meters_per_second", "speed_limit_mps", "Speed limit in force."),
+        ("acceleration_limit_meters_per_second_squared", "acceleration_limit_mps2", "Limit in force."),
+        ("deceleration_limit_meters_per_second_squared", "deceleration_limit_mps2", "Limit in force."),
+        (
+            "emergency_deceleration_meters_per_second_squared",
+            "emergency_deceleration_mps2",
+            "Deceleration of an emergency stop.",
+        ),
+        ("steering_limit_degrees", "steering_limit_deg", "Limit of the steering angle in force."),
+        ("steering_rate_limit_degrees_per_second", "steering_rate_limit_degps", "Steering rate limit."),
+        (
+            "lateral_acceleration_limit_meters_per_second_squared",
+            "lateral_acceleration_limit_mps2",
+            "Lateral acceleration limit in force.",
+        ),
+        ("target_speed_meters_per_second", "target_speed_mps", "Speed of the last acceptable drive command."),
+        ("target_angle_degrees", "target_angle_deg", "Steering angle of the last acceptable drive command."),
+        ("output_speed_meters_per_second", "output_speed_mps", "Speed commanded to the chassis."),
+        ("output_angle_degrees", "output_angle_deg", "Steering angle commanded to the chassis."),
+        ("output_gear", "output_gear", "Gear commanded; undefined while nothing is sent.", "position"),
+        ("parking", "parking", "The parking brake is commanded."),
+        ("link_age_seconds", "link_age_s", "Age of the holder's drive commands by which the speed is bounded."),
+        ("link_age_last_seconds", "link_age_last_s", "Age of the last accepted drive command."),
+        ("link_age_p50_seconds", "link_age_p50_s", "Age of drive commands over ten seconds, p50."),
+        ("link_age_p99_seconds", "link_age_p99_s", "Age of drive commands over ten seconds, p99."),
+        ("travel_delay_meters", "travel_delay_m", "Distance until an engaged robot can react to its operator."),
+        ("travel_speed_limit_meters_per_second", "travel_speed_limit_mps", "Limit by command.travel_delay_m."),
+        ("deadman_seconds", "deadman_s", "Time without an acceptable drive command after which it is stopped."),
+        ("rest_confirmed", "rest_confirmed", "Feedback has answered since a speed was last commanded."),
+    ),
+    RobotState: _rows(
+        "cruiser_chassis",
+        ("bus_up", "bus_up", "The gateway has the CAN bus open."),
+        ("variant", "variant", "Firmware variant of the chassis.", "variant"),
+        ("mode", "mode", "Mode that the chassis reports.", "mode"),
+        ("gear_position", "gear_position", "Gear that the chassis reports.", "position"),
+        ("speed_meters_per_second", "speed_mps", "Speed by the drive feedback; forward is positive."),
+        ("angle_degrees", "angle_deg", "Steering angle."),
+        ("yaw_rate_radians_per_second", "yaw_rate_radps", "Yaw rate by the bicycle model."),
+        ("rear_left_speed_meters_per_second", "rear_left_speed_mps", "Speed of the rear left wheel."),
+        ("rear_right_speed_meters_per_second", "rear_right_speed_mps", "Speed of the rear right wheel."),
+        ("braking_status", "braking_status", "Status of the brakes.", "status"),
+        ("parking_status", "parking_status", "Status of the parking brake.", "status"),
+        ("total_mileage_meters", "total_mileage_km", "Total mileage.", 1e-3),
+        ("front_bumper", "front_bumper", "The front bumper is hit."),
+        ("rear_bumper", "rear_bumper", "The rear bumper is hit."),
+        ("headlamp", "headlamp", "The headlamp is on."),
+        ("right_indicator", "right_indicator", "The right indicator is on."),
+        ("left_indicator", "left_indicator", "The left indicator is on."),
+        ("horn", "horn", "The horn sounds."),
+    ),
+    RecorderHealth: _rows(
+        "cruiser_recorder",
+        ("uptime_seconds", "uptime_s", "Time since the recorder started."),
+        ("state", "state", "State of the recorder.", "state"),
+        ("state_since_seconds", "state_since_s", "Time in that state."),
+        ("files", "files", "Logs that are being written now, incidents among them."),
+        ("files_ended_total", "files_ended", "Logs ended since the start."),
+        ("ended_bytes_total", "ended_bytes", "Bytes of the logs ended since the start."),
+        ("robots", "robots", "Robots that it has received from."),
+        ("keys", "keys", "Keys that it has received."),
+        ("received_total", "received", "Samples that reached it since the start."),
+        ("written_total", "written", "Messages given to logs since the start; a batch of raw frames is many."),
+        ("missed_total", "missed", "Samples that never reached it since the start, by gaps in sequences."),
+        ("dropped_total", "dropped", "Samples or messages that it could not keep since the start.", "reason"),
+        ("queue_bytes", "queue_bytes", "Samples that wait to be recorded."),
+        ("disk_queue_bytes", "disk_queue_bytes", "Messages that wait for the disk, before compression."),
+        ("ring_bytes", "ring_bytes", "Messages held for an incident, before compression."),
+        ("incidents_total", "incidents", "Incident logs that were begun since the start."),
+        ("disk_free_bytes", "disk_free_bytes", "Free bytes of the directory's file system."),
+        ("disk_used_bytes", "disk_used_bytes", "Bytes of this directory's logs, incidents among them."),
+        ("incident_bytes", "incident_bytes", "Bytes of this directory's incidents."),
+        ("cpu_ratio", "cpu_percent", "Processor time of the process over the last second; 1 is one core.", 100),
+    ),
+}
+"""The messages that become metrics, and the records within them."""
 
-
-def _word_label(enumeration: type[Enum]) -> str:
-    """``StopPhase`` to ``phase``."""
-    return snake_case(enumeration.__name__).rpartition("_")[2]
-
-
-def _number(divisor: float) -> Callable[[float | None], Values]:
-    def values(value: float | None) -> Values:
-        return () if value is None or not isfinite(value) else (("", value / divisor),)
-
-    return values
-
-
-def _presence(text: str) -> Values:
-    return (("", float(bool(text))),)
-
-
-def _word(value: Enum) -> Values:
-    return ((str(value.value), 1.0),)
-
-
-def _words(values: Iterable[Enum]) -> Values:
-    return [(str(value.value), 1.0) for value in dict.fromkeys(values)]
+INFO: Final[dict[type[msgspec.Struct], tuple[str, str, dict[str, str]]]] = {
+    GatewayHealth: ("cruiser_gateway", "The gateway.", {"version": "gateway_version", "bus": "bus"}),
+    RecorderHealth: ("cruiser_recorder", "The recorder.", {"version": "recorder_version"}),
+}
+"""Of the metrics ``..._info`` the beginning of the name, the help, and the labels, each with its field."""
