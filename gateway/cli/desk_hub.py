@@ -205,8 +205,10 @@ class Hub:
                     raise ValueError(f"there is no verb {said.verb!a}")
                 key = keys.command(self._root, said.robot, said.operator, said.verb)
                 self._ask(browser, said.number, key, BY_VERB[said.verb].encoding, said.payload, said.attachment)
-            case words.BrowserRequest() | words.BrowserAnswer() | words.BrowserAcknowledge():
-                self._pass_on(said)
+            case words.BrowserAcknowledge():
+                if not self._view.shows(said.robot):
+                    raise ValueError(f"no robot {said.robot} is heard")
+                self._view.acknowledge(said.robot, said.word, said.operator)
             case words.BrowserShow():
                 key = keys.authority(self._root, said.robot)
                 self._ask(browser, said.number, key, "text/plain", said.statement, said.question)
@@ -230,21 +232,6 @@ class Hub:
         question = PendingQuery()
         browser.questions[number] = question
         self._port.query(key, question, payload, encoding, attachment, ASK_S)
-
-    def _pass_on(self, said: words.BrowserRequest | words.BrowserAnswer | words.BrowserAcknowledge) -> None:
-        """Pass on what people say to each other: in rows, and an answer to all who look at the robot."""
-        if not self._view.shows(said.robot):
-            raise ValueError(f"no robot {said.robot} is heard")
-        people = self._view.people
-        if isinstance(said, words.BrowserRequest):
-            people.ask(said.robot, said.operator, time.monotonic_ns())
-        elif isinstance(said, words.BrowserAcknowledge):
-            people.acknowledge(said.robot, said.word, said.operator)
-        elif people.answer(said.robot, said.asker):
-            answer = words.DeskAnswer(said.robot, said.operator, said.asker, said.granted)
-            for browser in self._browsers:
-                if browser.outbox.robot == said.robot:
-                    browser.tell(answer)
 
     def _stop(self, browser: Browser, said: words.BrowserStop) -> None:
         """Say it at once on the session that is open; what came of it is looked for on sessions of its own.

@@ -14,7 +14,6 @@ from gateway.client.payloads import read_sample
 from gateway.client.robot_word import OFFLINE
 from gateway.desk.history import PERIOD_NS, Histories
 from gateway.desk.overview import recorder_row, row_of, why_not
-from gateway.desk.people import People
 from gateway.desk.words import DeskWhy, RecorderRow, RobotRow
 from gateway.telemetry.received import Arrival, Missed, Received
 from schemas.decisions import SafetyEvent, Severity
@@ -49,14 +48,13 @@ class FleetView:
 
     Attributes:
         histories: the last minutes of each robot.
-        people: who asks for a robot, and who sees to an alarm.
         is_full: there are more than are shown.
     """
 
     def __init__(self, root: str, sites: Sequence[tuple[str, str]] = ()) -> None:
         """Look at the keys below a root; a robot belongs to the first site whose pattern its name matches."""
         self.histories = Histories()
-        self.people = People()
+        self._acknowledged: dict[str, tuple[str, str]] = {}
         self.is_full = False
         self._sites = sites
         self._root = f"{root}/"
@@ -106,7 +104,7 @@ class FleetView:
         self._newest.clear()
         # One that is lost stays until somebody has seen it, or until another robot needs its room.
         robots = self._names = self._fleet.robots(
-            now_ns, lambda robot: self._is_refused or self.people.acknowledged(robot, OFFLINE)
+            now_ns, lambda robot: self._is_refused or self._seen_to_by(robot, OFFLINE)
         )
         # A name of which nothing could be read takes no room.
         self._robots, self._recorder_names = set(robots), set(self._recorders)
@@ -116,7 +114,7 @@ class FleetView:
             del self._last_events[gone]
             self._events.pop(gone, None)
         for gone in self._rows.keys() - set(robots):
-            self.people.forget(gone)
+            self._acknowledged.pop(gone, None)
         if now_ns - self._history_ns >= PERIOD_NS:
             self._history_ns = now_ns
             self.histories.keep(robots)
@@ -172,9 +170,19 @@ class FleetView:
         return msgspec.structs.replace(
             row,
             site=next((site for site, pattern in self._sites if fnmatchcase(robot, pattern)), ""),
-            acknowledged=self.people.acknowledged(robot, row.word),
-            asked_by=self.people.requests(robot, row.driver, now_ns),
+            acknowledged=self._seen_to_by(robot, row.word),
         )
+
+    def acknowledge(self, robot: str, word: str, operator: str) -> None:
+        """Note who sees to an alarm. It holds for as long as the robot's word is this one."""
+        self._acknowledged[robot] = word, operator
+
+    def _seen_to_by(self, robot: str, word: str) -> str:
+        known, operator = self._acknowledged.get(robot, ("", ""))
+        if known == word:
+            return operator
+        self._acknowledged.pop(robot, None)
+        return ""
 
     def _has_room(self, key: str) -> bool:
         """A sender that is known already, or for which there is room: those that came first stay."""

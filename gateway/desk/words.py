@@ -89,32 +89,6 @@ class BrowserStop(_Said, frozen=True):
     operator: _Operator
 
 
-class BrowserRequest(_Said, frozen=True):
-    """Ask whoever holds the robot's lease to hand it over.
-
-    Attributes:
-        operator: who asks.
-    """
-
-    robot: _Robot
-    operator: _Operator
-
-
-class BrowserAnswer(_Said, frozen=True):
-    """Answer such a request. Whoever hands over gives the lease back by a verb of its own.
-
-    Attributes:
-        operator: who holds the lease.
-        asker: who asked.
-        granted: the lease is handed over.
-    """
-
-    robot: _Robot
-    operator: _Operator
-    asker: _Operator
-    granted: bool
-
-
 class BrowserAcknowledge(_Said, frozen=True):
     """Say that somebody sees to what a robot suffers.
 
@@ -128,16 +102,7 @@ class BrowserAcknowledge(_Said, frozen=True):
     operator: _Operator
 
 
-FromBrowser = (
-    BrowserLook
-    | BrowserAsk
-    | BrowserDrive
-    | BrowserShow
-    | BrowserStop
-    | BrowserRequest
-    | BrowserAnswer
-    | BrowserAcknowledge
-)
+FromBrowser = BrowserLook | BrowserAsk | BrowserDrive | BrowserShow | BrowserStop | BrowserAcknowledge
 
 
 class _Told(msgspec.Struct, frozen=True, tag_field="is", tag=_tag):
@@ -197,7 +162,6 @@ class RobotRow(msgspec.Struct, frozen=True):
         event: the last thing that a person should know, in English; ``event_ns`` its time by the robot's clock.
         site: where it belongs, as the desk's settings say; empty if they do not.
         acknowledged: who sees to what it suffers; empty if nobody does.
-        asked_by: who asks its driver to hand it over.
         reasons: why it has this word, for pages in other languages; empty where nothing is wrong.
     """
 
@@ -213,7 +177,6 @@ class RobotRow(msgspec.Struct, frozen=True):
     event_ns: int
     site: str = ""
     acknowledged: str = ""
-    asked_by: list[str] = []
     reasons: list[str] = []
 
 
@@ -296,15 +259,6 @@ class DeskStopped(_Told, frozen=True):
     counted: bool
 
 
-class DeskAnswer(_Told, frozen=True):
-    """The answer of a robot's driver to somebody who asked for it."""
-
-    robot: str
-    operator: str
-    asker: str
-    granted: bool
-
-
 class DeskRefused(_Told, frozen=True):
     """Why a message of the browser was not obeyed.
 
@@ -316,9 +270,7 @@ class DeskRefused(_Told, frozen=True):
     stop: str | None = None
 
 
-ToBrowser = (
-    DeskHello | DeskRows | DeskSample | DeskWhy | DeskHistory | DeskReply | DeskStopped | DeskAnswer | DeskRefused
-)
+ToBrowser = DeskHello | DeskRows | DeskSample | DeskWhy | DeskHistory | DeskReply | DeskStopped | DeskRefused
 
 decode: Final[Callable[[bytes], FromBrowser]] = msgspec.msgpack.Decoder(FromBrowser).decode
 """A browser's message. Raises ``msgspec.DecodeError`` or ``msgspec.ValidationError``, and nothing else."""

@@ -27,14 +27,12 @@ export class DrivePanel {
     this.lit = this.left = false;
     const button = (text, act) => h("button", { type: "button", onclick: () => this.attempt(act) }, text);
     this.take = button(t("take_control"), () => this.begin("acquire"));
-    this.askFor = button(t("ask_for"), () => this.request());
     this.takeOver = button(t("take_over"), () => this.begin("take", this.may("override") ? { override: true } : {}));
     this.giveBack = button(t("give_back"), () => this.control.release());
     this.reset = button(t("reset"), () => this.clear());
-    this.buttons = h("div", { class: "tools" }, this.reset, this.take, this.askFor, this.takeOver, this.giveBack); // for the band above all
+    this.buttons = h("div", { class: "tools" }, this.reset, this.take, this.takeOver, this.giveBack); // for the band above all
     this.lights = button(t("lights"), () => this.light(!this.lit));
     this.horn = button(t("sound_horn"), () => this.sound());
-    this.asked = h("div", { class: "asked", role: "alert" });
     this.speed = h("input", { type: "range", ...SPEEDS, value: localStorage.getItem("speed") ?? "0.5", "aria-label": t("top_speed"), oninput: () => this.showSpeed() });
     this.speedText = h("output", { class: "number" });
     this.padText = h("span");
@@ -47,7 +45,7 @@ export class DrivePanel {
     this.element = h("section", { class: "card wide drive" }, h("h2", {}, t("control")),
       h("div", { class: "tools" }, this.who, this.named, this.lights, this.horn,
         h("label", {}, `${t("top_speed")} `, this.speed, " ", this.speedText), this.keys),
-      this.note, h("div", { class: "hands" }, this.pad, h("p", { class: "soft" }, t("hold"))), this.asked);
+      this.note, h("div", { class: "hands" }, this.pad, h("p", { class: "soft" }, t("hold"))));
     this.showSpeed();
     this.showWho();
     this.update(null);
@@ -98,33 +96,6 @@ export class DrivePanel {
 
   get isDriver() {
     return this.may("drive") && this.may("engage");
-  }
-
-  /** Ask whoever drives to hand over. People answer; the robot hears nothing of it. */
-  request() {
-    this.link.send({ is: "request", robot: this.robot, operator: this.ownName });
-    setText(this.note, `${t("asked_for")} ${this.safety?.lease_holder ?? ""}`);
-  }
-
-  /** The answer of whoever drives. */
-  receiveAnswer({ operator, asker, granted }) {
-    if (asker === this.ownName) setText(this.note, `${operator} ${t(granted ? "handed_over" : "kept")}`);
-  }
-
-  /** Answer who asks; before the lease is given back, since with the lease the question ends. */
-  answer(asker, granted) {
-    this.link.send({ is: "answer", robot: this.robot, operator: this.ownName, asker, granted });
-    if (granted) this.control?.release();
-  }
-
-  /** Those who ask for the robot that is driven here. Below the pad: nothing above it may move it. */
-  showAskers(askers) {
-    const text = this.driving ? askers.join() : "";
-    if (text === this.askersText) return;
-    this.askersText = text;
-    const button = (name, asker, granted) => h("button", { type: "button", onclick: () => this.answer(asker, granted) }, t(name));
-    const line = (asker) => h("p", {}, `${asker} ${t("asks_for")} `, button("hand_over", asker, true), " ", button("keep", asker, false));
-    this.asked.replaceChildren(...(text ? askers.map(line) : []));
   }
 
   /** Reset what is latched: the stop of whom the button names, and no other's that comes meanwhile. */
@@ -230,8 +201,6 @@ export class DrivePanel {
     this.takeOver.hidden = driving || holder === "" || !this.may("take");
     this.takeOver.disabled = !idle;
     setText(this.takeOver, `${t("take_over")} ${holder}`);
-    this.askFor.hidden = driving || holder === "" || holder === this.ownName || !this.isDriver;
-    setText(this.askFor, `${t("ask_for")} ${holder}`);
     this.giveBack.disabled = this.lights.disabled = this.horn.disabled = !driving || this.working;
     this.giveBack.hidden = this.lights.hidden = this.horn.hidden = !driving;
     this.lights.setAttribute("aria-pressed", String(this.lit));

@@ -10,7 +10,7 @@ import { Stops } from "./stops.js";
 import { changeLanguage, language, learnReasons, t } from "./words.js";
 
 const LOOK_MS = 100;
-const LOST = { isOwn: true, level: 2, word: "offline", text: "", driver: "", speed_mps: null, limit_mps: null, link_age_s: null, lost: null, event: "", acknowledged: "", asked_by: [], reasons: [] };
+const LOST = { isOwn: true, level: 2, word: "offline", text: "", driver: "", speed_mps: null, limit_mps: null, link_age_s: null, lost: null, event: "", acknowledged: "", reasons: [] };
 
 const byId = (id) => document.getElementById(id);
 const fleet = { rows: new Map(), recorders: [], linked: false };
@@ -97,7 +97,6 @@ const ofShown = (handle) => (message) => view instanceof RobotPage && view.name 
 link.on("sample", ofShown((sample) => sample.key.endsWith(`/${view.name}/${sample.subject}`) && view.receiveSample(sample)));
 link.on("history", ofShown((history) => view.receiveHistory(history, hello)));
 link.on("why", ofShown((why) => view.receiveWhy(why)));
-link.on("answer", ofShown((answer) => view.driver.receiveAnswer(answer)));
 link.on("refused", ({ fault }) => console.warn(fault));
 link.on("closed", loseRows);
 setInterval(showLink, LOOK_MS);

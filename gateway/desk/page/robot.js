@@ -203,7 +203,6 @@ export class RobotPage {
     this.gauge.style.width = `${100 * share}%`;
     this.updateFacts(state);
     this.driver.update(safety);
-    this.driver.showAskers(row?.asked_by ?? []);
     // Nothing whose size changes stands above the pad while it may be held.
     this.element.classList.toggle("driving", this.driver.driving);
     this.path.draw();

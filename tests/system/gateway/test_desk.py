@@ -362,34 +362,6 @@ def test_two_browsers_have_two_names_and_are_asked_for_them_once(
         wait_until(lambda: is_driven(first))
 
 
-def test_a_robot_is_asked_for_and_handed_over(scene: DeskScene, context: BrowserContext) -> None:
-    """The driver keeps it, and drives on; or hands it over: it stops, and whoever takes it has it."""
-    first, second = open_robot(context, scene), open_robot(context, scene)
-    name_page(first, "ann")
-    name_page(second, "bob")
-    drive(scene, first)
-    second.get_by_role("button", name="Ask ann").click()
-    second.get_by_text("asked; waiting for the answer of ann").wait_for()
-    first.get_by_text("bob asks for this robot").wait_for()
-    # The page that is held does not move under the finger.
-    assert scene.is_told_to_move
-    first.mouse.up()
-    first.get_by_role("button", name="Keep it").click()
-    second.get_by_text("ann keeps it").wait_for()
-    first.get_by_text("bob asks for this robot").wait_for(state="detached")
-    assert is_driven(first)
-    second.get_by_role("button", name="Ask ann").click()
-    first.get_by_role("button", name="Hand over").click()
-    second.get_by_text("ann hands it over: take control").wait_for()
-    wait_until(lambda: not is_driven(first))
-    scene.wait_told_zero()
-    drive(scene, second)
-    second.mouse.up()
-    scene.wait_told_zero()
-    second.get_by_role("button", name="Give back").click()
-    wait_ready(second)
-
-
 def test_lamps_and_horn_are_the_driver_s(scene: DeskScene, context: BrowserContext) -> None:
     """As the chassis says; without control there is no button."""
     page = open_robot(context, scene)

@@ -132,42 +132,24 @@ def test_what_is_signed_goes_out_as_it_is() -> None:
     assert scene.port.questions[-1] == ("fleet/cruiser-1/@auth", "text/plain", b"s", b"r")
 
 
-def test_people_ask_each_other_for_a_robot() -> None:
-    """All see who asks; all who look at the robot see the answer. An answer to nobody goes to nobody."""
+def test_all_see_who_sees_to_an_alarm() -> None:
+    """In the robot's row."""
     scene = Scene()
     near, far = scene.hub.join(), scene.hub.join()
-    scene.say(near, **{"is": "look"}, robot="cruiser-1")
     scene.step(STATE, HEALTH)
-    scene.say(far, **{"is": "request"}, robot="cruiser-1", operator="bob")
     for browser in (near, far):
         browser.outbox.take()
-    scene.step(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
-    for browser in (near, far):
-        assert told(browser, words.DeskRows)[0].rows["cruiser-1"].asked_by == ["bob"]
-    answer = {"is": "answer", "robot": "cruiser-1", "operator": "ann", "asker": "bob", "granted": True}
-    for _ in range(2):
-        scene.say(near, **answer)
-    assert told(near, words.DeskAnswer) == [words.DeskAnswer("cruiser-1", "ann", "bob", granted=True)]
-    assert told(far, words.DeskAnswer) == []
     scene.say(far, **{"is": "acknowledge"}, robot="cruiser-1", word="in_control", operator="cat")
     scene.step(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
-    row = told(far, words.DeskRows)[0].rows["cruiser-1"]
-    assert (row.asked_by, row.acknowledged) == ([], "cat")
+    for browser in (near, far):
+        assert told(browser, words.DeskRows)[0].rows["cruiser-1"].acknowledged == "cat"
 
 
-@pytest.mark.parametrize(
-    "said",
-    [
-        {"is": "request", "operator": "bob"},
-        {"is": "acknowledge", "word": "needs_reset", "operator": "bob"},
-        {"is": "answer", "operator": "ann", "asker": "bob", "granted": True},
-    ],
-)
-def test_of_a_robot_that_is_not_there_nothing_is_kept(said: dict[str, object]) -> None:
+def test_of_a_robot_that_is_not_there_nothing_is_kept() -> None:
     """Whoever makes names up fills no memory, and takes the room of no robot that is there."""
     scene = Scene()
     browser = scene.hub.join()
-    scene.say(browser, robot="made-up", **said)
+    scene.say(browser, **{"is": "acknowledge"}, robot="made-up", word="needs_reset", operator="bob")
     assert [one.fault for one in told(browser, words.DeskRefused)] == ["no robot made-up is heard"]
 
 

@@ -57,7 +57,7 @@ def test_a_robot_that_is_lost_stays_until_somebody_has_seen_it() -> None:
     (row,) = scene.step(5000).values()
     assert row is not None
     assert (row.word, row.text) == ("offline", "no contact for 83 min; its gateway is not connected")
-    scene.view.people.acknowledge("cruiser-1", row.word, "ann")
+    scene.view.acknowledge("cruiser-1", row.word, "ann")
     assert scene.step() == {"cruiser-1": None}
     assert scene.view.all_rows()[0] == {}
 
@@ -123,21 +123,25 @@ def test_what_is_of_another_fleet_is_no_robot() -> None:
 
 
 def test_a_row_says_where_a_robot_belongs_and_who_sees_to_it() -> None:
-    """The first site whose pattern matches; what people have said through the desk, as long as it holds."""
+    """The first site whose pattern matches; who has acknowledged its word, as long as that holds."""
     scene = Scene()
     scene.view = FleetView("fleet", [("hall 1", "cruiser-[12]"), ("yard", "*")])
     scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
     (row,) = scene.step().values()
     assert row is not None
-    assert (row.site, row.acknowledged, row.asked_by) == ("hall 1", "", [])
-    scene.view.people.ask("cruiser-1", "bob", scene.now_ns)
-    scene.view.people.acknowledge("cruiser-1", row.word, "cat")
+    assert (row.site, row.acknowledged) == ("hall 1", "")
+    scene.view.acknowledge("cruiser-1", row.word, "cat")
     (row,) = scene.step().values()
     assert row is not None
-    assert (row.acknowledged, row.asked_by) == ("cat", ["bob"])
+    assert row.acknowledged == "cat"
     (row,) = scene.step(2).values()
     assert row is not None
-    assert (row.word, row.acknowledged, row.asked_by) == ("offline", "", [])
+    assert (row.word, row.acknowledged) == ("offline", "")
+    # Another alarm is not seen to, nor the first one when it comes back.
+    scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
+    (row,) = scene.step().values()
+    assert row is not None
+    assert row.acknowledged == ""
 
 
 def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
