@@ -8,7 +8,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE, Frame
+from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, Frame
 from gateway.sim.faults import (
     ALL_MESSAGES,
     Bumper,
@@ -87,7 +87,7 @@ class Disturbances:
         for (_, can_id), active in self._active.items():
             if active.next_ns <= now_ns and isinstance(active.fault, Foreign) and isinstance(can_id, int):
                 active.next_ns = max(active.next_ns + active.fault.period_ns, now_ns + 1)
-                frames.append(_foreign_frame(active.fault, can_id, wall_ns))
+                frames.append(Frame(can_id | active.fault.can_id & ERROR, active.fault.data, wall_ns))
         return frames
 
     def strike(self, disturbance: Disturbance, message: str) -> int:
@@ -153,11 +153,6 @@ class Disturbances:
         changed = {fault.field: fault.value for fault in faults if isinstance(fault, Condition)}
         return msgspec.structs.replace(start, **changed) if changed else start
 
-    def transmitter_lost_for_ns(self, now_ns: int) -> int:
-        """Return the time since the remote control was lost; 0 if it is not lost."""
-        active = self._active.get(("lost", ""))
-        return now_ns - active.since_ns if active is not None else 0
-
     def _begin(self, line: FaultLine, now_ns: int) -> None:
         if isinstance(line.fault, Clear):
             self._active.clear()
@@ -177,8 +172,8 @@ class Disturbances:
             case MessageFault(disturbance, message):
                 names = self._messages if message == ALL_MESSAGES else (message,)
                 return [(disturbance.value, name) for name in names]
-            case Foreign(can_ids):
-                return [("foreign", can_id & (EXTENDED | IDENTIFIER_MASK)) for can_id in can_ids]
+            case Foreign(can_id):
+                return [("foreign", can_id & (EXTENDED | IDENTIFIER_MASK))]
             case Bumper(sides):
                 return [("bumper", side) for side in sides]
             case Toggle(name):
@@ -198,9 +193,3 @@ class Disturbances:
         changes = [end_ns for end_ns in accumulate(BOUNCE_NS) if end_ns > since_ns] if active.fault.bounces else []
         # After an even number of changes it rests, so one that is still to come out even is in the new state.
         return active.fault.hit is (len(changes) % 2 == 0)
-
-
-def _foreign_frame(fault: Foreign, can_id: int, wall_ns: int) -> Frame:
-    kind = fault.can_ids[0] & (REMOTE | ERROR)
-    data = b"" if kind & REMOTE else fault.data
-    return Frame(can_id | kind, data, wall_ns, remote_length=len(fault.data) if kind & REMOTE else 0)

@@ -14,8 +14,8 @@ from typing import Final, Literal
 
 import msgspec
 
-from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE, STANDARD_MASK
-from gateway.sim.parameters import CONDITION_BOUNDS, FOREIGN_PERIOD_NS, SIBLING_PERIOD_NS
+from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, STANDARD_MASK
+from gateway.sim.parameters import CONDITION_BOUNDS, FOREIGN_PERIOD_NS
 from schemas.messages import Variant
 from schemas.subjects import BY_DBC_MESSAGE
 
@@ -27,13 +27,11 @@ GRAMMAR: Final = """\
   drop MESSAGE every N         each N-th is lost on the way: the counter goes on
   drop MESSAGE next N          the next N are lost on the way
   freeze MESSAGE               its values stay as they are; its counter goes on and its checksum is right
-  foreign ID [HEX|remote|error] [every DURATION]
+  foreign ID [HEX|error] [every DURATION]
                                frames of another identifier: 3 digits standard, 8 extended
-  foreign siblings             the battery frames 200, 201 and 202 of a sibling chassis
   bumper front|rear|both on|off [bounce]
                                hit, or free again; with 'bounce' the contact chatters first
   transmitter remote|command   the remote control takes over, or gives back
-  transmitter lost|found       its radio link
   sticks SPEED_MPS ANGLE_DEG   what the remote control asks for in remote mode
   scale wrong|right            drive command and feedback in the other variant's scale, wheel speeds not
   variant coarse|fine          another firmware
@@ -85,10 +83,10 @@ class Foreign(msgspec.Struct, frozen=True):
     """Frames that are not of this chassis, or not sent by it.
 
     Attributes:
-        can_ids: with flags, as in Frame.
+        can_id: with flags, as in Frame.
     """
 
-    can_ids: tuple[int, ...]
+    can_id: int
     data: bytes = bytes(8)
     period_ns: int = FOREIGN_PERIOD_NS
     ended: bool = False
@@ -106,11 +104,11 @@ class Toggle(msgspec.Struct, frozen=True):
     """A condition switched on or off.
 
     Attributes:
-        name: ``remote``: the remote control's SA switch is on remote, not on command control. ``lost``: its radio
-            link is. ``wrong_scale``: the drive command and feedback have the other variant's scale.
+        name: ``remote``: the remote control's SA switch is on remote, not on command control. ``wrong_scale``: the
+            drive command and feedback have the other variant's scale.
     """
 
-    name: Literal["remote", "lost", "wrong_scale"]
+    name: Literal["remote", "wrong_scale"]
     on: bool
 
 
@@ -315,24 +313,18 @@ def _message_fault(disturbance: Disturbance) -> Callable[[_Words], _Parsed]:
 
 
 def _foreign(words: _Words) -> _Parsed:
-    word = words.take("an identifier")
-    if word.lower() == "siblings":
-        can_ids: tuple[int, ...] = (0x200, 0x201, 0x202)
-        period_ns = SIBLING_PERIOD_NS
-    else:
-        can_ids = (_can_id(word),)
-        period_ns = FOREIGN_PERIOD_NS
+    can_id = _can_id(words.take("an identifier"))
+    period_ns = FOREIGN_PERIOD_NS
     if words.take_if("off"):
-        return Foreign(can_ids, ended=True), 0
+        return Foreign(can_id, ended=True), 0
     data = bytes(8)
-    if words.next in {"remote", "error"}:
-        flag = REMOTE if words.take("a kind").lower() == "remote" else ERROR
-        can_ids = tuple(can_id | flag for can_id in can_ids)
+    if words.take_if("error"):
+        can_id |= ERROR
     elif words.next not in {"", "every", "for"}:
         data = _data(words.take("data"))
     if words.take_if("every"):
         period_ns = max(_duration_ns(words.take("a duration such as 2s")), _UNITS_NS["ms"])
-    return Foreign(can_ids, data, period_ns), 0
+    return Foreign(can_id, data, period_ns), 0
 
 
 def _can_id(word: str) -> int:
@@ -346,7 +338,7 @@ def _can_id(word: str) -> int:
 
 def _data(word: str) -> bytes:
     if re.fullmatch(r"([0-9A-Fa-f]{2}){1,8}", word) is None:
-        raise _WrongWordError(f"{_shown(word)} is not 1 to 8 bytes in hex digits, 'remote', 'error' or 'every'")
+        raise _WrongWordError(f"{_shown(word)} is not 1 to 8 bytes in hex digits, 'error' or 'every'")
     return bytes.fromhex(word)
 
 
@@ -362,8 +354,7 @@ def _bumper(words: _Words) -> _Parsed:
 
 
 def _transmitter(words: _Words) -> _Parsed:
-    word = _choice(words, "remote", "command", "lost", "found")
-    return Toggle("remote" if word in {"remote", "command"} else "lost", word in {"remote", "lost"}), 0
+    return Toggle("remote", _choice(words, "remote", "command") == "remote"), 0
 
 
 def _sticks(words: _Words) -> _Parsed:

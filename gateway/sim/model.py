@@ -21,7 +21,7 @@ from gateway.sim.disturbances import Disturbances
 from gateway.sim.faults import FaultLine
 from gateway.sim.feedback import FeedbackSender, Values
 from gateway.sim.motion import Demand, Motion
-from gateway.sim.parameters import FULL_PEDAL_PERCENT, NOMINAL, TRANSMITTER_LOSS_NS, Conditions, StopMode
+from gateway.sim.parameters import FULL_PEDAL_PERCENT, NOMINAL, Conditions, StopMode
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
 
 _FIVE: Final = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd")
@@ -176,7 +176,7 @@ class VirtualChassis:
         if wanted is not self._layout:
             self._use_firmware(wanted)
         self._motion.conditions = self._disturbances.conditions(self._conditions)
-        demand = self._demand(instant_ns)
+        demand = self._demand()
         self._park_wanted = demand.parked
         self._pedal_percent = demand.pedal_percent
         self._motion.step(demand, (instant_ns - self._last_ns) / _NS_PER_S)
@@ -184,16 +184,14 @@ class VirtualChassis:
         if self._flag("Auto_OdometerCmd", "Enable") and self._flag("Auto_OdometerCmd", "ClearMileage"):
             self._motion.mileage_m = 0.0
 
-    def _demand(self, now_ns: int) -> Demand:
+    def _demand(self) -> Demand:
         if self._disturbances.rebooting:
             self._commands.clear()
             self._mode = Mode.STOP
             return Demand(GearPosition.NEUTRAL, 0.0, None, 0.0, self._motion.parked)
         if self._disturbances.remote:
             self._mode = Mode.REMOTE
-            # The mode stays remote: with the transmitter back, driving goes on (manual V2.0, 6.4).
-            lost = self._disturbances.transmitter_lost_for_ns(now_ns) >= TRANSMITTER_LOSS_NS
-            return self._standstill(parked=False) if lost else self._remote_demand()
+            return self._remote_demand()
         if all(self._flag(name, "Enable") for name in _FIVE):
             self._mode = Mode.AUTO
             return self._auto_demand()

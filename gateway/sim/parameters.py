@@ -70,9 +70,6 @@ SHIFT_SPEED_MPS: Final = 0.01
 SPEED_RESOLUTION_MPS: Final = 0.0005
 """Nearer than this to its target, the lagging speed is at it: half of the finest bit on the wire."""
 
-TRANSMITTER_LOSS_NS: Final = 3_000_000_000
-"""In remote mode the chassis stops when the remote control is lost for 3 s (manual V2.0, 6.4)."""
-
 REBOOT_NS: Final = 2_000_000_000
 """The default time that the chassis's control unit takes to reboot. Chosen."""
 
@@ -84,9 +81,6 @@ START_MILEAGE_M: Final = 12_345.0
 
 FOREIGN_PERIOD_NS: Final = 100_000_000
 """The default period of a foreign frame."""
-
-SIBLING_PERIOD_NS: Final = 1_000_000_000
-"""A sibling chassis's battery frames come once a second."""
 
 MAX_RATE_MULTIPLIER: Final = 100.0
 """The feedback's rate may be raised to this multiple; 11.9 saturates a 1 Mbit/s bus (7,500 frames/s)."""

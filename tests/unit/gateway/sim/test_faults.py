@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.frame import EXTENDED, REMOTE
+from gateway.chassis.frame import ERROR, EXTENDED
 from gateway.sim.faults import (
     GRAMMAR,
     Bumper,
@@ -41,19 +41,16 @@ RIGHT = {
     f"drop {GEAR} next 4": FaultLine(MessageFault(Disturbance.DROP, GEAR), 0, 4),
     "silence all off": FaultLine(MessageFault(Disturbance.SILENCE, "all", ended=True)),
     f"freeze {GEAR} for 3 frames": FaultLine(MessageFault(Disturbance.FREEZE, GEAR), 0, 3),
-    "foreign 123": FaultLine(Foreign((0x123,))),
-    "foreign 0x18C4D6EF 00ff every 1.5s": FaultLine(Foreign((0x18C4D6EF | EXTENDED,), b"\x00\xff", 3 * S // 2)),
-    "foreign 7ff remote": FaultLine(Foreign((0x7FF | REMOTE,))),
-    "foreign siblings": FaultLine(Foreign((0x200, 0x201, 0x202), period_ns=S)),
-    "foreign siblings off": FaultLine(Foreign((0x200, 0x201, 0x202), ended=True)),
+    "foreign 123": FaultLine(Foreign(0x123)),
+    "foreign 0x18C4D6EF 00ff every 1.5s": FaultLine(Foreign(0x18C4D6EF | EXTENDED, b"\x00\xff", 3 * S // 2)),
+    "foreign 7ff error": FaultLine(Foreign(0x7FF | ERROR)),
+    "foreign 200 off": FaultLine(Foreign(0x200, ended=True)),
     "bumper front on": FaultLine(Bumper(("front",), hit=True)),
     "Bumper BOTH off": FaultLine(Bumper(("front", "rear"), hit=False)),
     "bumper rear on bounce for 2s": FaultLine(Bumper(("rear",), hit=True, bounces=True), 2 * S),
     "bumper rear off bounce": FaultLine(Bumper(("rear",), hit=False, bounces=True)),
     "transmitter remote": FaultLine(Toggle("remote", on=True)),
     "transmitter command": FaultLine(Toggle("remote", on=False)),
-    "transmitter lost for 4s": FaultLine(Toggle("lost", on=True), 4 * S),
-    "transmitter found": FaultLine(Toggle("lost", on=False)),
     "sticks -0.5 +10": FaultLine(Sticks(-0.5, 10.0)),
     "scale wrong": FaultLine(Toggle("wrong_scale", on=True)),
     "scale right": FaultLine(Toggle("wrong_scale", on=False)),
@@ -155,13 +152,12 @@ def test_a_wrong_schedule_is_an_error(text: str) -> None:
 
 
 def test_what_ends_a_fault_is_known() -> None:
-    """Off, command, found and right end; the rest begins."""
+    """Off, command and right end; the rest begins."""
     ends = {text for text, line in RIGHT.items() if is_end(line.fault)}
     assert ends == {
         "silence all off",
-        "foreign siblings off",
+        "foreign 200 off",
         "Bumper BOTH off",
         "transmitter command",
-        "transmitter found",
         "scale right",
     }
