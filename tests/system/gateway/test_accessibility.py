@@ -73,7 +73,7 @@ def robot(page: Page, address: str) -> None:
 def kiosk(page: Page, address: str) -> None:
     """One that moves, for itself."""
     page.goto(f"{address}#/kiosk/driving")
-    page.locator(".band .word", has_text="driving").wait_for()
+    page.locator(".band .word", has_text=re.compile("driving|行驶中")).wait_for()
 
 
 def report(page: Page, address: str) -> None:
