@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import radians, sqrt, tan
+from math import inf, radians, sqrt, tan
 from typing import Any, Final
 
 import msgspec
@@ -135,15 +135,18 @@ class Since:
 class Trust:
     """Notices that the rules leave a robot to its parking brake, be it one that does not hold.
 
-    They do in three cases: it was parked for as long as it is commanded, its stop began in standby, or it was
-    given back to its motor and was faster 300 ms later. In any other its motor gets it.
+    They do in four cases: it was parked for as long as it is commanded, its stop began in standby, it moved when
+    its brake was asked for, so its motor had not brought it to rest, or it was given back to its motor and was
+    faster 300 ms later. In any other its motor gets it.
 
     Attributes:
         is_left: the last burst has the parking request, and one of these is the case.
+        is_lost: it is left to a brake that does not hold it, and the motor is off behind that; until it rests.
     """
 
     def __init__(self) -> None:
-        self.is_left = self._is_stray = self._is_unreleased = self._is_for_good = False
+        self.is_lost = False
+        self.is_left = self._is_stray = self._is_unreleased = self._is_for_good = self._is_caught = False
         self._before: Told | None = None
         self._given_back_s: float | None = None
 
@@ -152,8 +155,15 @@ class Trust:
         self._is_stray = self._is_unreleased = not is_kept
         self._before = None
 
+    @property
+    def is_given_back(self) -> bool:
+        """In the stop that is under way the robot was given back to its motor, and to nothing else since."""
+        return self._given_back_s is not None
+
     def tell(self, order: Told, now_s: float, *, is_permitted: bool, is_moving: bool) -> None:
         """This is told now."""
+        if order.parking and (self._before is None or not self._before.parking):
+            self._is_caught = is_moving and not self.is_given_back
         self._is_stray &= not is_permitted
         self._is_unreleased &= order.parking
         if is_permitted:
@@ -163,8 +173,15 @@ class Trust:
         elif order.parking and self._given_back_s is not None:
             self._is_for_good |= is_moving and now_s - self._given_back_s > MOTOR_HOLDS_S - TICK_S
             self._given_back_s = None
-        self.is_left = order.parking and (self._is_stray or self._is_unreleased or self._is_for_good)
+        is_untried = self._is_stray or self._is_unreleased or self._is_caught
+        self.is_left = order.parking and (is_untried or self._is_for_good)
         self._before = order
+
+    def look(self, plant: Plant) -> None:
+        """So the robot is now."""
+        is_off = plant.build.parks_motor or plant.gear not in SIGN
+        rolls_on = self.is_lost and plant.speed_mps != 0
+        self.is_lost = self.is_left and is_off and (rolls_on or not plant.brake_holds)
 
 
 class Oracle:
@@ -214,7 +231,7 @@ class Oracle:
         self._yields, self._begins_unknown = 0, False
         self._was_cut: bool | None = False
         self._lately: deque[tuple[float, float]] = deque([(0.0, 0.0)] * 100, round(1 / TICK_S))
-        self._counted_m, self._latched_s, self._told_range = 0.0, 0.0, (0.0, 0.0)
+        self._counted_m, self._latched_s, self._latched_m, self._told_range = 0.0, 0.0, inf, (0.0, 0.0)
         self._disturbed_until_s = self._frozen_wheels_s = -9.0
         self._left_mps: float | None = None
         self._remote = Since()
@@ -327,6 +344,7 @@ class Oracle:
         if not plant.can_hold and not plant.brake_holds:
             # Nothing can.
             self._excused_until_s = max(self._excused_until_s, now_s + RETURNS_S)
+        self._trust.look(plant)
         self._expect_deadman(now_s)
         if self._is_permitted and self._idle_s(now_s) > SEEING_S:
             self._fail("idle_engaged", now_s, f"engaged, and asked for nothing since {self._zero_since_s:.1f} s")
@@ -357,7 +375,7 @@ class Oracle:
 
     def blind(self, now_s: float, lasts_s: float) -> None:
         """The bus loses so many frames that nothing is seen in time and nothing is heard, for this long."""
-        self._blind_until_s = now_s + lasts_s
+        self._blind_until_s = max(self._blind_until_s, now_s + lasts_s)
         self._excused_until_s = max(self._excused_until_s, self._blind_until_s + RETURNS_S)
 
     @staticmethod
@@ -423,10 +441,10 @@ class Oracle:
         self._trust.tell(order, now_s, is_permitted=self._is_permitted, is_moving=is_moving)
         self._order, self._order_s, self._was_auto = order, now_s, is_auto
 
-    def _is_lost(self, plant: Plant) -> bool:
-        """Its parking brake does not hold it, the motor is off behind that, and the rules leave it so."""
-        is_off = plant.build.parks_motor or plant.gear not in SIGN
-        return self._trust.is_left and is_off and not plant.brake_holds
+    @property
+    def _is_kept_by_motor(self) -> bool:
+        """The motor alone holds it, for its parking brake slips: that is not asked for, whoever takes it over."""
+        return "brake_slips" in self._latched and self._trust.is_given_back
 
     def _judge_yield(self, order: Told, last: Told, now_s: float, *, begins: bool) -> None:
         """To the remote control nothing is told but a few times zero speed with the parking brake."""
@@ -445,7 +463,8 @@ class Oracle:
         self._yields += 1
         if self._yields > YIELDS:
             self._fail("talks_to_remote", now_s, f"burst {self._yields} since the remote control has the robot")
-        if order.speed_mps or not order.parking or (order.enabled and order.gear != last.gear):
+        is_held = order.parking or self._is_kept_by_motor
+        if order.speed_mps or not is_held or (order.enabled and order.gear != last.gear):
             self._fail("commands_remote", now_s, f"{_brief(order)}; before {_brief(last)}")
 
     def _judge_speed(self, order: Told, before: Told | None, gap_s: float, now_s: float) -> None:
@@ -504,7 +523,8 @@ class Oracle:
             return
         self._left_mps = order.speed_mps
         is_yielded = self._heard.remote_s != NOT_YET_S and not self.is_damaged()
-        if is_yielded and order.enabled and (order.speed_mps or not order.parking):
+        is_held = order.parking or self._is_kept_by_motor
+        if is_yielded and order.enabled and (order.speed_mps or not is_held):
             self._fail("left_to_remote", now_s, f"the last word is {_brief(order)}")
         is_true = self._is_reachable(now_s) and not self.is_damaged()
         if plant.mode == AUTO and order.enabled and not order.parking and is_true:
@@ -676,6 +696,7 @@ class Oracle:
             self._cause_stop("taken over", now_s, at_once=False)
         # Given back while it obeys an old command: told to stop at once.
         is_left = self._mode(plant) == AUTO and self._left_mps is not None and now_s - self._order_s > 1.0
+        is_left = is_left and now_s >= self._blind_until_s
         moving_s = self._timer("left").lasts(now_s, holds=is_left and abs(plant.speed_mps) > MOVES_MPS)
         if moving_s > 0.2 + SEEING_S + 0.2 and self._gateway_lives:
             self._fail("left_moving", now_s, f"{plant.speed_mps:.2f} m/s in auto, nobody tells it to stop")
@@ -709,14 +730,17 @@ class Oracle:
         else:
             self.worst_release_m = max(self.worst_release_m, rolled_m)
         is_stop = self._rest_is_stop or not plant.brake_holds
-        self._rest_bound_m = max(self._rest_bound_m, rolled_m * self._is_lost(plant))
+        self._rest_bound_m = max(self._rest_bound_m, rolled_m * self._trust.is_lost)
         self._expect_notice(plant, rolled_m, now_s)
         if rolled_m > (STOP_M if is_stop else RELEASE_M) + self._rest_bound_m:
             kind = "roll_back_at_stop" if self._rest_is_stop else "roll_back_at_release"
             self._fail(kind, now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg, {speed_mps:.2f} m/s")
 
     def _expect_notice(self, plant: Plant, rolled_m: float, now_s: float) -> None:
-        """That a parking brake does not hold is noticed and latched."""
+        """That a parking brake does not hold is noticed and latched; after a reset, once more."""
+        if self._latched:
+            self._latched_m = plant.x_m
+        rolled_m = min(rolled_m, abs(plant.x_m - self._latched_m))
         if not plant.brake_holds and rolled_m > STOP_M / 2 and not self._latched and self._gateway_lives:
             self._fail("brake_unnoticed", now_s, f"{rolled_m:.2f} m, {'braked' if plant.braked else 'released'}")
 
@@ -746,7 +770,7 @@ class Oracle:
         if not self._is_reachable(now_s):
             self._stop_record = None
             return
-        if self._hides_mode(plant) or self._is_lost(plant):
+        if self._hides_mode(plant) or self._trust.is_lost:
             # The stop begins when it can be known, or something holds the robot again.
             self._stop_record = (now_s, plant.x_m, plant.speed_mps, plant.slope_deg)
             return

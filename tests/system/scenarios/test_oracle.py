@@ -169,8 +169,54 @@ def fails_parked(stage: Stage, slope_deg: float = 5.0) -> None:
     stage.run(3.0, lambda: stage.burst(GEAR_N, parking=1))
 
 
-def given_back(stage: Stage, after_s: float, hand: tuple[float, float] | None) -> None:
-    """A brake that slips gives the robot back to its motor; after this time it is braked again."""
+def lost_until_it_rests(stage: Stage) -> None:
+    """The same, and the hill ends: nothing but rolling resistance is left to bring it to rest."""
+    fails_parked(stage)
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 0.0
+    stage.run(12.0, lambda: stage.burst(GEAR_N, parking=1))
+
+
+def reset_after_it_rolled(stage: Stage) -> None:
+    """The same, and it was chocked and reset: what it rolled before was noticed."""
+    fails_parked(stage)
+    stage.plant.blocked = True
+    stage.run(1.0, lambda: stage.burst(GEAR_N, parking=1))
+    stage.state = {**stage.state, "latched": []}
+    stage.run(0.5, lambda: stage.burst(GEAR_N, parking=1))
+
+
+def caught_by_its_brake(stage: Stage) -> None:
+    """It is parked while it moves, and then its brake fails: its motor has not brought it to rest."""
+    stage.plant.build = replace(stage.plant.build, parks_motor=True)
+    stage.accelerate()
+    stage.asked_mps = 0.0
+    stage.run(0.4, lambda: stage.burst(GEAR_D, parking=1))
+    fails_parked(stage)
+
+
+def bus_away(stage: Stage) -> None:
+    """The bus is away, and the robot obeys what it was told last: nobody can tell it to stop before it is back."""
+    stage.accelerate()
+    stage.oracle.blind(stage.now_s, 2.0)
+    stage.oracle.disturb(stage.now_s, 9.0)
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "bus_down"}
+    stage.run(2.1, stage.silence)
+    stage.run(2.0, lambda: stage.burst(GEAR_D, parking=1))
+
+
+def lamps_are_cut_off(stage: Stage) -> None:
+    """For half a second the bus takes a part of each burst, now of this length, then of that: never the lamps."""
+    stage.oracle._bytes[LIGHT_CMD] = bytes(8)
+    stage.oracle.blind(stage.now_s, 0.5)
+    stage.oracle.requests("stop", {}, stage.now_s)
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "remote_stop", "latched": ["remote_stop"]}
+    stage.run(0.1, lambda: stage.burst(GEAR_D, parking=1))
+    stage.oracle.blind(stage.now_s, 0.0)
+    stage.run(0.4, lambda: stage.burst(GEAR_D, parking=1))
+
+
+def slips(stage: Stage) -> None:
+    """A brake that slips gives the robot back to its motor."""
     stage.plant.build = replace(stage.plant.build, parks_motor=True)
     stage.run(0.5, lambda: stage.burst(GEAR_D))
     stage.plant.brake_grip = 0.0
@@ -178,6 +224,20 @@ def given_back(stage: Stage, after_s: float, hand: tuple[float, float] | None) -
     stage.oracle.disturb(stage.now_s, 9.0)
     stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
     stage.state = {**stage.state, "engaged": False, "stop_reason": "brake_slips", "latched": ["brake_slips"]}
+
+
+def yields_held_by_its_motor(stage: Stage) -> None:
+    """The remote control takes it meanwhile: the brake that slips would let it roll once it is given back."""
+    slips(stage)
+    stage.run(1.0, lambda: stage.burst(GEAR_D))
+    stage.plant.sticks = (0.0, 0.0)
+    stage.run(0.11, lambda: stage.burst(GEAR_D))
+    stage.run(0.3, stage.silence)
+
+
+def given_back(stage: Stage, after_s: float, hand: tuple[float, float] | None) -> None:
+    """A brake that slips gives the robot back to its motor; after this time it is braked again."""
+    slips(stage)
     stage.run(after_s, lambda: stage.burst(GEAR_D))
     stage.plant.hand = hand
     stage.run(0.05, lambda: stage.burst(GEAR_D))
@@ -506,6 +566,13 @@ def brake_unnoticed(stage: Stage) -> None:
     stage.run(1.2, lambda: stage.burst(GEAR_N, parking=1))
 
 
+def yields_unbraked(stage: Stage) -> None:
+    """The remote control takes a robot whose brake is as good as any, and is left without it."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    stage.plant.sticks = (0.0, 0.0)
+    stage.run(0.11, lambda: stage.burst(GEAR_D))
+
+
 def brake_slips(stage: Stage) -> None:
     """It stood by its motor, creeps, is latched, and goes on."""
     stage.run(0.2, lambda: stage.burst(GEAR_D))
@@ -608,6 +675,7 @@ BREAKS: dict[Callable[[Stage], None], str] = {
     idle_engaged: "idle_engaged",
     unwarned: "unwarned",
     commands_remote: "commands_remote",
+    yields_unbraked: "commands_remote",
     left_to_remote: "left_to_remote",
     speed_from_standby: "speed_from_standby",
     not_moving_unnoticed: "not_moving_unnoticed",
@@ -637,6 +705,12 @@ KEEPS: list[Callable[[Stage], None]] = [
     too_fast_unseen,
     fails_parked,
     pushed_for_good,
+    lost_until_it_rests,
+    reset_after_it_rolled,
+    caught_by_its_brake,
+    bus_away,
+    lamps_are_cut_off,
+    yields_held_by_its_motor,
 ]
 
 
