@@ -33,14 +33,12 @@ class OperatorRequest(msgspec.Struct, frozen=True):
     Attributes:
         operator: the sender, by its own word.
         request: the request, or the fault of the payload.
-        reply: sends the reply.
-        done: reports that it was sent; the one that answers must call it.
+        reply: sends the reply, of which there must be one.
     """
 
     operator: str
     request: Request | PayloadFault
     reply: Callable[[RecorderReply], None]
-    done: Callable[[], None]
 
 
 class _Pending(msgspec.Struct):
@@ -118,7 +116,6 @@ class Orders:
 
     def _answer(self, asked: OperatorRequest, detail: str, files: list[str], *, ok: bool = True) -> None:
         asked.reply(RecorderReply(ok=ok, detail=detail, files=files, health=self._health()))
-        asked.done()
 
 
 _STATES: Final = {

@@ -85,15 +85,22 @@ class RecorderClient:
             request: what is asked.
             timeout_s: how long to wait for replies.
         """
-        for sample in self._query(
-            recorder,
-            verb,
-            request,
-            target=zenoh.QueryTarget.ALL,
-            # The replies have it too: a recorder must not wait for the link to a client that does not read.
-            congestion_control=zenoh.CongestionControl.DROP,
-            timeout=min(timeout_s, LONGEST_S),
-        ):
+        try:
+            replies: Any = self._session.get(
+                keys.recorder_command(self._root, recorder, self._operator, verb),
+                zenoh.handlers.FifoChannel(REPLIES_WAITING),
+                payload=codec.encode(request),
+                encoding=RECORDER_BY_VERB[verb].encoding,
+                target=zenoh.QueryTarget.ALL,
+                # Two recorders on different hosts may have one name, and so one key.
+                consolidation=zenoh.ConsolidationMode.NONE,
+                # The replies have it too: a recorder must not wait for the link to a client that does not read.
+                congestion_control=zenoh.CongestionControl.DROP,
+                timeout=min(timeout_s, LONGEST_S),
+            )
+        except zenoh.ZError as error:
+            raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        for sample in self._samples(replies):
             name = self._name.fullmatch(str(sample.key_expr))
             if name is None:
                 continue  # Whoever answered so is no recorder of ours.
@@ -115,24 +122,6 @@ class RecorderClient:
     def close(self) -> None:
         """Leave Zenoh."""
         self._session.close()
-
-    def _key(self, recorder: str, verb: str) -> str:
-        return keys.recorder_command(self._root, recorder, self._operator, verb)
-
-    def _query(self, recorder: str, verb: str, request: Request, **how: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - the options of Zenoh's get
-        try:
-            replies: Any = self._session.get(
-                self._key(recorder, verb),
-                zenoh.handlers.FifoChannel(REPLIES_WAITING),
-                payload=codec.encode(request),
-                encoding=RECORDER_BY_VERB[verb].encoding,
-                # Two recorders on different hosts may have one name, and so one key.
-                consolidation=zenoh.ConsolidationMode.NONE,
-                **how,
-            )
-        except zenoh.ZError as error:
-            raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-        return self._samples(replies)
 
     def _samples(self, replies: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - Zenoh's handlers have no common type
         """Yield the replies until the query is over."""

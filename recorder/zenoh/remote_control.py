@@ -138,25 +138,16 @@ class RemoteControl:
                 query.reply(key, msgspec.msgpack.encode(answer), encoding=verb.reply_encoding)
             except zenoh.ZError as error:
                 log.debug("nobody waits for the reply any more: %s", error)
+            query.drop()
 
-        def reply(answer: RecorderReply) -> None:
-            self._off_the_loop(partial(send, answer))
-
-        done = partial(self._off_the_loop, query.drop)
-        return OperatorRequest(operator, request, reply, done)
+        return OperatorRequest(operator, request, lambda answer: self._off_the_loop(partial(send, answer)))
 
     def _off_the_loop(self, work: Callable[[], None]) -> None:
         """Do what may wait for somebody's link on a thread that may."""
         if self._replies_waiting.acquire(blocking=False):
-            self._replier.submit(self._reply, work)
+            self._replier.submit(work).add_done_callback(lambda _: self._replies_waiting.release())
         else:
             log.warning("nobody takes the replies; the newest ones are dropped")
-
-    def _reply(self, work: Callable[[], None]) -> None:
-        try:
-            work()
-        finally:
-            self._replies_waiting.release()
 
     def _free_name(self, wanted: str) -> str:
         taken: set[str] = set()
