@@ -4,7 +4,7 @@
 - ``server``     HTTP, and the headers that keep other pages out
 - ``jobs``       questions to logs as processes of their own, bounded in time, memory and number
 - ``log_files``  the logs of a directory: the file itself, and its report
-- ``page``       files that the pages load: elements, words in English and Chinese, the look
+- ``page``       files that the pages load: elements, words in English and Chinese, the look, scripts of others
 
-All but ``address`` need the extra 'desk'.
+All but ``address`` and ``page`` need the extra 'desk'.
 """

@@ -52,7 +52,6 @@ def test_a_package_has_what_its_units_run(package: Path, listed: Callable[[Path]
         "starlette",
         "uvicorn",
         "websockets",
-        "plotly",
         "prometheus_client",
     ):
         assert [name for name in files if f"/site-packages/{module}" in name], module

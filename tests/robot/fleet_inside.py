@@ -56,7 +56,7 @@ def log() -> str:
         if name.endswith(".part"):
             continue
         content, report = get(f"http://{DESK}/logs/{name}"), get(f"http://{DESK}/reports/{name}")
-        if content.startswith(b"\x89MCAP") and b"Plotly" in report:
+        if content.startswith(b"\x89MCAP") and b"uPlot" in report:
             return f"log of {len(content)} bytes, report of {len(report)}"
     return ""
 

@@ -25,7 +25,6 @@ from recorder.review.report.survey import read_report
 from recorder.review.report.words import headline, summary_lines
 from recorder.review.why import Explainer
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.missing_extra import missing_extra
 from schemas.printable import plain
 from schemas.settings import Settings
 
@@ -62,7 +61,6 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     out = arguments.out or (None if arguments.json else Path(DEFAULT_FILE))
     if out is not None and out.suffix != ".html":
         raise CommandError(f"{plain(str(out))} does not end with .html", ExitCode.USAGE)
-    plotly = _plotly() if out is not None else ""
     asked = find(arguments)
     with progress_bar("report", asked.bytes, stopped) as progress:
         report = read_report(
@@ -81,7 +79,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
     if out is not None:
         with progress_bar("why", asked.bytes, stopped) as progress:
             whys = reasons(report, asked.logs, progress)
-        _write(out, page(report, plotly, whys, shlex.join(map(str, arguments.logs))).encode())
+        _write(out, page(report, whys, shlex.join(map(str, arguments.logs))).encode())
     show(summary(report), describe(report, out), as_json=arguments.json)
     return end_with(asked.faults)
 
@@ -137,19 +135,6 @@ def describe(report: Report, out: Path | None) -> Iterator[str]:
         yield from (f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot.summary, report))
     if out is not None:
         yield f"written: {out}"
-
-
-def _plotly() -> str:
-    """The script that draws the charts, loaded before the reading: it may be missing.
-
-    Raises:
-        CommandError: it is.
-    """
-    try:
-        from plotly.offline import get_plotlyjs  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise missing_extra("plotly", "review") from error
-    return str(get_plotlyjs())
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -11,7 +11,7 @@
 - ``findings``    what the report says, as data
 - ``survey``      reads logs, and finds it
 - ``words``       the summary in plain words
-- ``figures``     the charts, as plotly wants them
+- ``figures``     the charts, as data
 - ``markup``      pieces of the page, in which all of a log is escaped
 - ``links``       the ways through the page
 - ``overview``    its beginning, where there are several drives

@@ -14,6 +14,7 @@ from recorder.review.report.words import headline, moment_words, reason_words, w
 MOMENTS_SHOWN: Final = 300
 """Rows of the table of events; the chart has all."""
 
+_ZOOM: Final = "Drag to zoom, with shift to pan; click twice to go back."
 _RANKS: Final = {"error": -2, "warning": -1}
 
 
@@ -33,15 +34,14 @@ def drawn(number: int, robot: RobotReport, links: PageLinks, level: int = 3) -> 
     about = f"Map of the path of {summary.name}: {headline(summary)}"
     marks = '<path class="robot"/><path class="ghost"/>'
     caption = (
-        "By odometry: speed and steering angle. Left is up. The robot has its own size, unless that is too small."
+        "By odometry: speed and steering angle. Left is up. The robot has its own size, unless that is too small. "
+        f"Click to go to a place. {_ZOOM}"
     )
     yield from card("Path", _chart(f"map-{number}", "map", about, caption, marks), level)
     about = f"Speed, steering angle, mode, arbiter state, lease and events of {summary.name} over time"
-    caption = (
-        "Point at a time to see the place on the map, click to go there; "
-        "drag to zoom all charts, click twice to go back."
-    )
-    yield from card("Over time", _chart(f"time-{number}", "time", about, caption, '<path class="now"/>'), level)
+    caption = f"Point at a time to see the place on the map, click to go there. {_ZOOM}"
+    marks = '<path class="outage"/><path class="stop"/><path class="now"/>'
+    yield from card("Over time", _chart(f"time-{number}", "time", about, caption, marks), level)
     stops = [moment for moment in charts.moments if moment.is_stop]
     if stops:
         yield from card("Stops", _stops(summary, stops, links), level)

@@ -1,25 +1,22 @@
-"""The charts of a robot, as plotly wants them: plain dictionaries, which a test holds to plotly's own rules.
+"""The charts of a robot as data, which ``page.js`` draws: lines by uPlot, path, bands and marks as SVG.
 
-Their layouts stand in ``charts.json``; ``page.js`` sets the colours of light and dark. Texts from the log are
-escaped: plotly reads tags in them.
+Times are whole milliseconds, each since the one before it: a chart has thousands of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from html import escape
-from importlib.resources import files
+from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
 
-from recorder.review.report.findings import Moment, RobotCharts
+from recorder.review.report.findings import Moment, RobotCharts, RobotReport
 from recorder.review.report.odometry import Place
+from recorder.review.report.series import Point
 from recorder.review.report.words import moment_words, reason_words
 from schemas.printable import plain
-
-Figure = dict[str, Any]
 
 BLUE: Final = "#3987e5"
 ORANGE: Final = "#e08a1e"
@@ -42,47 +39,122 @@ COLOURS: Final = {
 
 PALETTE: Final = (BLUE, ORANGE, VIOLET, OLIVE, GREEN)
 
-MARKS: Final = {
-    "stop": ("square", RED),
-    "latch": ("diamond-open", RED),
-    "fault": ("x", ORANGE),
-    "guard": ("star", RED),
-    "takeover": ("triangle-up", VIOLET),
-    "lease": ("circle-open", BLUE),
-    "engaged": ("circle", GREEN),
-    "stopped": ("square-open", GREY),
-    "end": ("square", GREY),
-    "reset": ("diamond-open", BLUE),
-    "gateway": ("cross", RED),
-    "gap": ("line-ns", RED),
-    "clock": ("diamond-tall", ORANGE),
-    "recorder": ("pentagon-open", GREY),
-}
-"""Symbol and colour of each kind of event; the symbols differ too, for people who cannot distinguish colours."""
-
-ON_MAP: Final = frozenset({"stop", "latch", "fault", "guard", "takeover", "gateway", "gap"})
+BANDS: Final = ("mode", "arbiter", "lease")
+"""The rows below the events, from above."""
 
 STOP_LINES_MAX: Final = 40
 """More lines across the charts would hide them: then there are none."""
 
+
+class EventLook(msgspec.Struct, frozen=True):
+    """The look of a kind of event.
+
+    Attributes:
+        path: its outline, as SVG has it, between -1 and 1.
+        is_open: the outline alone is drawn.
+        is_on_map: it is shown on the path, too.
+        radius: in pixels.
+    """
+
+    path: str
+    colour: str
+    is_open: bool = False
+    is_on_map: bool = False
+    radius: float = 5.5
+
+
+SQUARE: Final = "M-1-1H1V1H-1Z"
+DIAMOND: Final = "M0-1 1 0 0 1-1 0Z"
+CIRCLE: Final = "M-1 0A1 1 0 1 1 1 0 1 1 0 1 1-1 0Z"
+
+MARKS: Final = {
+    "stop": EventLook(SQUARE, RED, is_on_map=True),
+    # It comes with a stop, and is drawn around it.
+    "latch": EventLook(DIAMOND, RED, is_open=True, is_on_map=True, radius=10),
+    "fault": EventLook("M-1-1 1 1M1-1-1 1", ORANGE, is_open=True, is_on_map=True),
+    "guard": EventLook("M0-1.2.3-.4 1.2-.4.5.2.7 1.1 0 .6-.7 1.1-.5.2-1.2-.4-.3-.4Z", RED, is_on_map=True),
+    "takeover": EventLook("M0-1 1 1H-1Z", VIOLET, is_on_map=True),
+    "lease": EventLook(CIRCLE, BLUE, is_open=True),
+    "engaged": EventLook(CIRCLE, GREEN),
+    "stopped": EventLook(SQUARE, GREY, is_open=True),
+    "end": EventLook(SQUARE, GREY),
+    "reset": EventLook(DIAMOND, BLUE, is_open=True),
+    "gateway": EventLook("M0-1V1M-1 0H1", RED, is_open=True, is_on_map=True),
+    "gap": EventLook("M0-1V1", RED, is_open=True, is_on_map=True),
+    "clock": EventLook("M0-1.3.6 0 0 1.3-.6 0Z", ORANGE),
+    "recorder": EventLook("M0-1 1-.2.6 1H-.6L-1-.2Z", GREY, is_open=True),
+}
+"""The look of each kind of event; the outlines differ too, for people who cannot distinguish colours."""
+
+OTHER_MARK: Final = EventLook(CIRCLE, GREY)
+
+ENDS: Final = {
+    "begin": EventLook(CIRCLE, GREEN, is_on_map=True, radius=6.5),
+    "end": EventLook(CIRCLE, GREEN, is_open=True, is_on_map=True, radius=6.5),
+}
+"""The look of both ends of the path."""
+
+
+class Line(msgspec.Struct, frozen=True):
+    """A line of a chart: 0 of speed, 1 of angle.
+
+    Attributes:
+        key: its name in ``RobotCharts``.
+        name: in the legend.
+        dash: lengths of dashes and of what is between them, in pixels.
+        is_stepped: each value holds until the next one; else the line goes straight from one to the next.
+        is_mirrored: it holds to both sides.
+    """
+
+    chart: int
+    key: str
+    name: str
+    colour: str
+    dash: tuple[int, ...] = ()
+    is_stepped: bool = True
+    is_mirrored: bool = False
+
+
 LINES: Final = (
-    ("y", "m/s", "speed_limit_mps", "limit", GREY, "dot"),
-    ("y", "m/s", "target_speed_mps", "asked for", ORANGE, "dash"),
-    ("y", "m/s", "output_speed_mps", "told to the chassis", GREEN, "solid"),
-    ("y", "m/s", "speed_mps", "measured", BLUE, "solid"),
-    ("y2", "deg", "steering_limit_deg", "limit", GREY, "dot"),
-    ("y2", "deg", "target_angle_deg", "asked for", ORANGE, "dash"),
-    ("y2", "deg", "output_angle_deg", "told to the chassis", GREEN, "solid"),
-    ("y2", "deg", "angle_deg", "measured", BLUE, "solid"),
+    Line(0, "speed_limit_mps", "limit", GREY, (2, 4)),
+    Line(0, "target_speed_mps", "asked for", ORANGE, (8, 4)),
+    Line(0, "output_speed_mps", "told to the chassis", GREEN),
+    Line(0, "speed_mps", "measured", BLUE, is_stepped=False),
+    Line(1, "steering_limit_deg", "limit", GREY, (2, 4), is_mirrored=True),
+    Line(1, "target_angle_deg", "asked for", ORANGE, (8, 4)),
+    Line(1, "output_angle_deg", "told to the chassis", GREEN),
+    Line(1, "angle_deg", "measured", BLUE, is_stepped=False),
 )
-"""Axis, unit, name in the charts, name in the legend, colour and dashes of each line."""
-
-_LAYOUTS: Final[dict[str, Figure]] = msgspec.json.decode((files(__package__) / "charts.json").read_bytes())
 
 
-def shown(text: str) -> str:
-    """A text of the log as plotly shows it: tags as text, no character that rules the page."""
-    return escape(plain(text), quote=False)
+def looks() -> dict[str, Any]:
+    """Return what all charts have in common."""
+    return {
+        "lines": LINES,
+        "bands": BANDS,
+        "marks": MARKS,
+        "other_mark": OTHER_MARK,
+        "ends": ENDS,
+        "path": BLUE,
+        "outage": RED,
+    }
+
+
+def figures(robot: RobotReport) -> dict[str, Any]:
+    """Return the charts of a robot, or of one of its drives."""
+    charts, summary = robot.charts, robot.summary
+    stops = [moment.time_ns for moment in charts.moments if moment.kind == "stop"]
+    return {
+        "robot": summary.name,
+        "from_ms": _ms(summary.start_ns),
+        "to_ms": -(-summary.end_ns // 1_000_000),
+        "lines": [_line(charts.lines.get(line.key, [])) for line in LINES],
+        "bands": [_band(charts, row) for row in BANDS],
+        "outages": [(_ms(begin), _ms(end)) for begin, end in _few(charts.outages)],
+        "stops": [_ms(time_ns) for time_ns in _few(stops)],
+        "moments": [_moment(one) for one in charts.moments],
+        "path": _path(charts.places),
+    }
 
 
 def clock(time_ns: int) -> str:
@@ -93,87 +165,6 @@ def clock(time_ns: int) -> str:
         return f"{time_ns} ns"
 
 
-def over_time(charts: RobotCharts) -> Figure:
-    """Speed, angle, bands and events over one time axis; stops and outages of the gateway across all of it."""
-    stops = [(moment.time_ns, moment.time_ns) for moment in charts.moments if moment.kind == "stop"]
-    shaded = {"type": "rect", "fillcolor": RED, "opacity": 0.15, "line": {"width": 0}}
-    dotted = {"type": "line", "line": {"color": RED, "width": 1, "dash": "dot"}}
-    shapes = [
-        {
-            "xref": "x",
-            "yref": "paper",
-            "x0": _ms(from_ns),
-            "x1": _ms(to_ns),
-            "y0": 0,
-            "y1": 1,
-            **look,
-            "layer": "below",
-        }
-        for spans, look in ((charts.outages, shaded), (stops, dotted))
-        for from_ns, to_ns in (spans if len(spans) <= STOP_LINES_MAX else [])
-    ]
-    data = [*_lines(charts), *_bands(charts), *_events(charts.moments)]
-    return {"data": data, "layout": {**_LAYOUTS["time"], "shapes": shapes}}
-
-
-def on_map(charts: RobotCharts) -> Figure:
-    """The path, where it began and ended, and what happened on it."""
-    places = charts.places
-    x: list[float | None] = []
-    y: list[float | None] = []
-    text: list[str] = []
-    for place in places:
-        if place.begins and x:
-            x.append(None)
-            y.append(None)
-            text.append("")
-        x.append(round(place.x_m, 3))
-        y.append(round(place.y_m, 3))
-        text.append(clock(place.time_ns))
-    path = {
-        "type": "scatter",
-        "mode": "lines",
-        "name": "path",
-        "x": x,
-        "y": y,
-        "text": text,
-        "hovertemplate": "%{text}<br>x %{x:.2f} m, y %{y:.2f} m<extra></extra>",
-        "line": {"color": BLUE, "width": 3},
-    }
-    ends = (
-        [
-            _marks(
-                name,
-                [round(place.x_m, 3)],
-                [round(place.y_m, 3)],
-                {"symbol": symbol, "color": GREEN, "size": 13, "line": {"width": 2, "color": GREEN}},
-                hovertemplate=f"{name} {clock(place.time_ns)}<extra></extra>",
-            )
-            for name, symbol, place in (("begin", "circle", places[0]), ("end", "circle-open", places[-1]))
-        ]
-        if places
-        else []
-    )
-    events = []
-    for kind in sorted({moment.kind for moment in charts.moments} & ON_MAP):
-        known = [one for one in charts.moments if one.kind == kind and one.x_m is not None and one.y_m is not None]
-        x_m, y_m = ([round(getattr(one, axis), 3) for one in known] for axis in ("x_m", "y_m"))
-        events.append(_marks_of(kind, known, x_m, y_m))
-    return {"data": [path, *ends, *events], "layout": _LAYOUTS["map"]}
-
-
-def placed(places: Sequence[Place]) -> dict[str, Sequence[float]]:
-    """The places by time, for the page to find one; before those of the numbers ``begins`` the path breaks off."""
-    ordered = sorted(places, key=lambda place: place.time_ns)
-    return {
-        "time_ms": [_ms(place.time_ns) for place in ordered],
-        "x_m": [round(place.x_m, 3) for place in ordered],
-        "y_m": [round(place.y_m, 3) for place in ordered],
-        "heading_deg": [round(place.heading_deg, 1) for place in ordered],
-        "begins": [number for number, place in enumerate(ordered) if place.begins],
-    }
-
-
 def band_colours(values: Iterable[str]) -> dict[str, str]:
     """A colour for each value of a band."""
     others = [value for value in dict.fromkeys(values) if value not in COLOURS]
@@ -181,101 +172,63 @@ def band_colours(values: Iterable[str]) -> dict[str, str]:
 
 
 def hover_text(moment: Moment) -> str:
-    """An event in words, in plotly's lines."""
-    parts = [f"<b>{shown(moment.kind)}</b> {clock(moment.time_ns)}", shown(moment_words(moment))]
+    """An event in words, in lines."""
+    parts = [f"{plain(moment.kind)} {clock(moment.time_ns)}", plain(moment_words(moment))]
     if moment.reason != "none":
-        parts.append(f"reason: {shown(reason_words(moment.reason))}")
+        parts.append(f"reason: {plain(reason_words(moment.reason))}")
     if moment.operator:
-        parts.append(f"operator: {shown(moment.operator)}")
+        parts.append(f"operator: {plain(moment.operator)}")
     elif moment.holder:
-        parts.append(f"holder of the lease: {shown(moment.holder)}")
-    return "<br>".join(parts)
+        parts.append(f"holder of the lease: {plain(moment.holder)}")
+    return "\n".join(parts)
 
 
-def _ms(time_ns: int) -> float:
-    return round(time_ns / 1e6, 1)
+def _ms(time_ns: int) -> int:
+    return time_ns // 1_000_000
 
 
-def _lines(charts: RobotCharts) -> list[Figure]:
-    """One trace for each of LINES, named in the legend once; a limit holds to both sides of an angle."""
-    found: list[Figure] = []
-    for axis, unit, line, name, colour, dash in LINES:
-        points = charts.lines.get(line, [])
-        is_measured = name == "measured"
-        shape = "linear" if is_measured else "hv"
-        trace: Figure = {
-            "type": "scatter",
-            "mode": "lines",
-            "name": name,
-            "legendgroup": name,
-            "showlegend": axis == "y",
-            "xaxis": "x",
-            "yaxis": axis,
-            "x": [None if point is None else _ms(point[0]) for point in points],
-            "y": [None if point is None else round(point[1], 4) for point in points],
-            "connectgaps": False,
-            "line": {"color": colour, "dash": dash, "width": 2 if is_measured else 1.5, "shape": shape},
-        }
-        found.append({**trace, "hovertemplate": f"%{{y:.2f}} {unit}"})
-        if line == "steering_limit_deg":
-            right = [None if value is None else -value for value in trace["y"]]
-            found.append({**trace, "y": right, "showlegend": False, "hoverinfo": "skip"})
-    return found
+def _steps(times_ms: Sequence[int]) -> list[int]:
+    """The first time, and from each one to the next."""
+    return [*times_ms[:1], *(after - before for before, after in pairwise(times_ms))]
 
 
-def _bands(charts: RobotCharts) -> list[Figure]:
-    """One trace for each value of each band."""
-    found = []
-    for row, spans in charts.bands.items():
-        colours = band_colours(span.value for span in spans)
-        for value in dict.fromkeys(span.value for span in spans):
-            of_value = [span for span in spans if span.value == value]
-            found.append(
-                {
-                    "type": "bar",
-                    "orientation": "h",
-                    "name": f"{row}: {shown(value)}",
-                    "showlegend": False,
-                    "xaxis": "x",
-                    "yaxis": "y3",
-                    "y": [row] * len(of_value),
-                    "base": [_ms(span.start_ns) for span in of_value],
-                    "x": [_ms(span.end_ns - span.start_ns) for span in of_value],
-                    "text": [shown(value)] * len(of_value),
-                    "textposition": "inside",
-                    "insidetextanchor": "middle",
-                    "textangle": 0,
-                    "textfont": {"color": "#ffffff", "size": 11},
-                    "marker": {"color": colours[value], "line": {"width": 0}},
-                    # A template would be filled in; what it is filled with is not.
-                    "hovertext": [f"{row}: {shown(value)}"] * len(of_value),
-                    "hovertemplate": "%{hovertext}<extra></extra>",
-                }
-            )
-    return found
+def _few(found: Sequence[Any]) -> Sequence[Any]:
+    return found if len(found) <= STOP_LINES_MAX else ()
 
 
-def _events(moments: Sequence[Moment]) -> list[Figure]:
-    """One trace for each kind of event, in the row of the events."""
-    found = []
-    for kind in dict.fromkeys(moment.kind for moment in moments):
-        of_kind = [moment for moment in moments if moment.kind == kind]
-        x = [_ms(moment.time_ns) for moment in of_kind]
-        place = {"legend": "legend2", "showlegend": True, "xaxis": "x", "yaxis": "y3"}
-        found.append(_marks_of(kind, of_kind, x, ["events"] * len(of_kind), **place))
-    return found
+def _line(points: Sequence[Point | None]) -> tuple[list[int], list[float | None]]:
+    """Times and values; where the line breaks off there is no value right behind the last one."""
+    times_ms: list[int] = []
+    values: list[float | None] = []
+    for point in points:
+        times_ms.append(times_ms[-1] + 1 if point is None else _ms(point[0]))
+        values.append(None if point is None else round(point[1], 3))
+    return _steps(times_ms), values
 
 
-def _marks_of(
-    kind: str, moments: Sequence[Moment], x: Sequence[float], y: Sequence[float | str], **more: object
-) -> Figure:
-    """Events of a kind. A latch comes with a stop, and is drawn around it."""
-    symbol, colour = MARKS.get(kind, ("circle", GREY))
-    size = 18 if kind == "latch" else 11
-    mark = {"symbol": symbol, "color": colour, "size": size, "line": {"width": 2, "color": colour}}
-    text = [hover_text(moment) for moment in moments]
-    return _marks(kind, x, y, mark, text=text, hovertemplate="%{text}<extra></extra>", **more)
+def _band(charts: RobotCharts, row: str) -> list[tuple[int, int, str, str]]:
+    """Beginning, end, value and colour of each span."""
+    spans = charts.bands.get(row, [])
+    colours = band_colours(span.value for span in spans)
+    return [(_ms(span.start_ns), _ms(span.end_ns), plain(span.value), colours[span.value]) for span in spans]
 
 
-def _marks(name: str, x: Sequence[float], y: Sequence[float | str], mark: Figure, **more: object) -> Figure:
-    return {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": y, "marker": mark, **more}
+def _moment(moment: Moment) -> dict[str, Any]:
+    is_known = moment.x_m is not None and moment.y_m is not None
+    return {
+        "ms": _ms(moment.time_ns),
+        "kind": moment.kind,
+        "text": hover_text(moment),
+        "at": (round(moment.x_m or 0.0, 3), round(moment.y_m or 0.0, 3)) if is_known else None,
+    }
+
+
+def _path(places: Sequence[Place]) -> dict[str, Sequence[float]]:
+    """The places as they were passed; before those of the numbers ``begins`` the path breaks off."""
+    return {
+        "time_ms": _steps([_ms(place.time_ns) for place in places]),
+        "x_m": [round(place.x_m, 3) for place in places],
+        "y_m": [round(place.y_m, 3) for place in places],
+        "heading_deg": [round(place.heading_deg, 1) for place in places],
+        "begins": [number for number, place in enumerate(places) if place.begins],
+    }

@@ -2,11 +2,11 @@
 // Draws the charts in the colours of the page, plays the drives on them, and shows the moment of the address:
 // report.html#t=2026-01-02T03:04:05.678Z, with &robot=NAME where there are several.
 (function () {
-  const drives = JSON.parse(document.getElementById("charts").textContent);
+  const { looks, drives } = JSON.parse(document.getElementById("charts").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const phone = window.matchMedia("(max-width: 40rem)");
   const note = document.getElementById("note");
-  const drawn = [];
+  let drawn = 0;
   const EAGER = 4; // more drives than these are drawn when they come near
   const REACH_MS = 2000; // a robot that stood between two places left the first one so long before it came to the other
   const SILENT_MS = 500; // a value that is older is not shown
@@ -14,32 +14,46 @@
   const OUTLINE_M = [[0.75, 0.3], [0.9, 0], [0.75, -0.3], [-0.15, -0.3], [-0.15, 0.3]]; // from the rear axle; as the desk has it
   const OUTLINE_PX = 26; // where it would be smaller it is not to scale
   const STEP_MS = { ArrowLeft: -1000, ArrowDown: -1000, ArrowRight: 1000, ArrowUp: 1000, PageUp: 10000, PageDown: -10000 };
+  const [LEFT, RIGHT, BOTTOM, ROW] = [58, 12, 44, 30]; // pixels around what is drawn, and the height of a band's row
+  const CHARTS = [{ name: "speed, m/s", unit: " m/s", digits: 2 }, { name: "angle, deg", unit: "°", digits: 1 }];
+  const ZOOM_MS = 20; // the shortest time that fills the charts
+  const ZOOM_M = 0.5; // and the shortest way
+  const DRAG_PX = 4; // a shorter drag is a click
+  const MARGIN = 0.02; // part of its time by which the whole reaches beyond it
 
-  function colours() {
-    const style = getComputedStyle(document.documentElement);
-    const of = (name) => style.getPropertyValue(name).trim();
-    return { ink: of("--ink"), soft: of("--soft"), grid: of("--grid"), card: of("--card"), line: of("--line") };
+  const colourOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const isPrinting = () => document.documentElement.hasAttribute("data-printing");
+
+  function svg(name, attributes = {}, parent = null, text = "") {
+    const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+    for (const [key, value] of Object.entries(attributes)) { element.setAttribute(key, value); }
+    if (text) { element.textContent = text; }
+    if (parent) { parent.append(element); }
+    return element;
   }
 
-  function dressed(layout) {
-    const now = colours();
-    const dress = {
-      ...layout,
-      paper_bgcolor: "rgba(0,0,0,0)",
-      plot_bgcolor: "rgba(0,0,0,0)",
-      font: { family: getComputedStyle(document.body).fontFamily, color: now.ink, size: 12 },
-      hoverlabel: { bgcolor: now.card, bordercolor: now.line, font: { color: now.ink }, align: "left", namelength: -1 },
-      modebar: { bgcolor: "rgba(0,0,0,0)", color: now.soft, activecolor: now.ink },
-      dragmode: phone.matches ? false : "zoom",
-    };
-    if (document.documentElement.hasAttribute("data-printing")) { dress.width = 660; dress.autosize = false; }
-    for (const name of Object.keys(layout)) {
-      if (/^[xy]axis\d*$/.test(name)) {
-        dress[name] = { ...layout[name], gridcolor: now.grid, zerolinecolor: now.line, linecolor: now.line,
-          tickcolor: now.line, spikecolor: now.soft, nticks: phone.matches && layout[name].type === "date" ? 4 : 0 };
-      }
+  function html(name, kind, parent) {
+    const element = document.createElement(name);
+    element.className = kind;
+    parent.append(element);
+    return element;
+  }
+
+  // An event as its symbol, with its words where one points at it.
+  function markOf(look, x, y, text, parent) {
+    const mark = svg("path", { d: look.path, class: "mark", stroke: look.colour, fill: look.is_open ? "none" : look.colour,
+      transform: `translate(${x.toFixed(1)},${y.toFixed(1)}) scale(${look.radius})`, "pointer-events": "all" }, parent);
+    svg("title", {}, mark, text);
+    return mark;
+  }
+
+  function explain(element, kinds) {
+    for (const [kind, look] of kinds) {
+      const item = html("li", "", element);
+      const picture = svg("svg", { width: 22, height: 22, "aria-hidden": "true" }, item);
+      markOf(look, 11, 11, "", picture);
+      item.append(kind);
     }
-    return dress;
   }
 
   // Paper is white, and as wide as A4; the browser lays it out only when this is over.
@@ -49,35 +63,20 @@
     dressAgain();
   }
 
-  function options() {
-    return { responsive: true, displaylogo: false, displayModeBar: phone.matches ? false : "hover",
-      modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"], scrollZoom: false };
-  }
+  function dressAgain() { all.forEach((drive) => drive.dress()); }
 
-  function draw(element, figure) {
-    drawn.push({ element, figure });
-    return Plotly.newPlot(element, figure.data, dressed(figure.layout), options());
-  }
-
-  function dressAgain() {
-    for (const { element, figure } of drawn) {
-      // What was zoomed in on stays.
-      const layout = dressed(figure.layout);
-      for (const name of Object.keys(figure.layout)) {
-        const axis = element.layout[name];
-        if (/^[xy]axis\d*$/.test(name) && axis && axis.range && axis.autorange === false) {
-          layout[name] = { ...layout[name], range: axis.range.slice(), autorange: false };
-        }
-      }
-      Plotly.react(element, element.data, layout, options());
-    }
-  }
+  const widthOf = (element) => (isPrinting() ? 660 : element.clientWidth);
 
   // What would be shown as minus nothing is nothing.
   const fixed = (value, digits) => value.toFixed(digits).replace(/^-(?=[0.]+$)/, "");
   const isoOf = (timeMs) => new Date(Math.round(timeMs)).toISOString();
   const clockOf = (timeMs) => isoOf(timeMs).slice(11, 23);
-  const msOf = (date) => (typeof date === "number" ? date : Date.parse(String(date).replace(" ", "T") + "Z"));
+
+  // Times from the steps between them.
+  function sums(steps) {
+    let sum = 0;
+    return steps.map((step) => (sum += step));
+  }
 
   // The number of the newest that is not after the time; -1 if all are.
   function newest(times, timeMs) {
@@ -93,29 +92,334 @@
   const reached = (firstMs, timeMs) => (firstMs - timeMs <= SILENT_MS ? Math.max(firstMs, timeMs) : timeMs);
 
   // A line by its samples, and by where it breaks off.
-  function lineOf(trace) {
-    const times = [], values = [], isLast = [];
-    ((trace && trace.x) || []).forEach((x, at) => {
-      if (x === null) { isLast[times.length - 1] = true; } else { times.push(x); values.push(trace.y[at]); isLast.push(false); }
-    });
+  function lineOf([times, values]) {
     return (askedMs) => {
       const timeMs = reached(times[0], askedMs);
-      const at = newest(times, timeMs);
-      return at < 0 || ((isLast[at] || at === times.length - 1) && timeMs - times[at] > SILENT_MS) ? null : values[at];
+      let at = newest(times, timeMs);
+      const breaks = at === times.length - 1 || values[at] === null;
+      if (values[at] === null) { at -= 1; }
+      return at < 0 || (breaks && timeMs - times[at] > SILENT_MS) ? null : values[at];
     };
   }
 
-  function bandOf(traces, row) {
-    const bars = traces.filter((trace) => trace.type === "bar" && trace.y[0] === row);
-    const firstMs = bars.reduce((first, bar) => Math.min(first, ...bar.base), Infinity);
+  function bandOf(spans) {
+    const firstMs = spans.reduce((first, [fromMs]) => Math.min(first, fromMs), Infinity);
     return (askedMs) => {
       const timeMs = reached(firstMs, askedMs);
-      const bar = bars.find((one) => one.base.some((from, at) => from <= timeMs && timeMs <= from + one.x[at]));
-      return bar ? bar.text[0] : "";
+      const span = spans.find(([fromMs, toMs]) => fromMs <= timeMs && timeMs <= toMs);
+      return span ? span[2] : "";
     };
   }
 
-  function plain(markup) { return new DOMParser().parseFromString(markup, "text/html").body.textContent; }
+  // Round steps, so far apart that their numbers have room.
+  function ticks(from, to, pixels) {
+    const raw = ((to - from) * 80) / pixels, power = 10 ** Math.floor(Math.log10(raw));
+    const step = power * [1, 2, 5, 10].find((one) => one * power >= raw);
+    const found = [];
+    for (let number = Math.ceil(from / step); number * step <= to; number += 1) { found.push(number * step); }
+    return { found, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
+  }
+
+  // Follows the mouse from a press on, and says at the end whether it was a drag. A finger scrolls the page.
+  function drag(begin, moved, ended) {
+    const [x, y] = [begin.clientX, begin.clientY];
+    let isDrag = false;
+    const move = (event) => {
+      isDrag = isDrag || Math.hypot(event.clientX - x, event.clientY - y) > DRAG_PX;
+      if (isDrag) { moved(event.clientX - x, event.clientY - y); }
+    };
+    const up = (event) => {
+      document.removeEventListener("mousemove", move);
+      document.removeEventListener("mouseup", up);
+      ended(event.clientX - x, event.clientY - y, isDrag);
+    };
+    document.addEventListener("mousemove", move);
+    document.addEventListener("mouseup", up);
+    begin.preventDefault();
+  }
+
+  // The path of a drive: a plan in metres, with the same scale both ways.
+  class PathMap {
+    constructor(element, drive) {
+      this.element = element;
+      this.drive = drive;
+      const { x_m: xs, y_m: ys, begins } = drive.path;
+      this.marks = drive.figures.moments.filter(({ at, kind }) => at && looks.marks[kind] && looks.marks[kind].is_on_map)
+        .map(({ at, kind, text, ms }) => ({ at, look: looks.marks[kind], text, ms, kind }));
+      if (xs.length) {
+        const last = xs.length - 1;
+        [["end", last], ["begin", 0]].forEach(([name, at]) => this.marks.unshift({ at: [xs[at], ys[at]], look: looks.ends[name],
+          text: `${name} ${clockOf(drive.path.time_ms[at])}`, ms: drive.path.time_ms[at], kind: name + " of the path" }));
+      }
+      const starts = new Set(begins);
+      this.way = xs.map((x, at) => `${at === 0 || starts.has(at) ? "M" : "L"}${x} ${ys[at]}`).join("");
+      this.root = svg("svg", { class: "plot" }, element);
+      const list = html("ul", "marks", element);
+      explain(list, new Map(this.marks.map(({ kind, look }) => [kind, look])));
+      this.root.addEventListener("mousedown", (event) => this.press(event));
+      this.root.addEventListener("dblclick", () => { this.view = null; this.draw(); });
+      this.root.addEventListener("mousemove", (event) => this.point(event));
+      this.root.addEventListener("mouseleave", () => this.point(null));
+    }
+
+    // All of the path, with some room around it.
+    whole() {
+      const points = [...this.drive.path.x_m.map((x, at) => [x, this.drive.path.y_m[at]]), ...this.marks.map(({ at }) => at)];
+      const [low, high] = [Math.min, Math.max].map((of) => [0, 1].map((axis) => points.reduce((best, one) => of(best, one[axis]),
+        points.length ? points[0][axis] : 0)));
+      const [width, height] = [0, 1].map((axis) => Math.max(1.1 * (high[axis] - low[axis]), 2));
+      return { x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2, width, height };
+    }
+
+    place(xM, yM) {
+      return [this.left + (xM - this.view.x) * this.scale, this.top - (yM - this.view.y) * this.scale];
+    }
+
+    metres(event) {
+      const box = this.root.getBoundingClientRect();
+      return [(event.clientX - box.left - this.left) / this.scale + this.view.x, (this.top - event.clientY + box.top) / this.scale + this.view.y];
+    }
+
+    draw() {
+      const [width, height] = [widthOf(this.element), phone.matches && !isPrinting() ? 320 : 400];
+      this.field = { x: LEFT, y: 8, width: Math.max(10, width - LEFT - RIGHT), height: height - BOTTOM - 8 };
+      this.view = this.view || this.whole();
+      this.scale = Math.min(this.field.width / this.view.width, this.field.height / this.view.height);
+      [this.left, this.top] = [LEFT + this.field.width / 2, 8 + this.field.height / 2];
+      const { field, root } = this;
+      root.replaceChildren();
+      root.setAttribute("width", width);
+      root.setAttribute("height", height);
+      const clip = svg("clipPath", { id: `${this.element.id}-clip` }, root);
+      svg("rect", field, clip);
+      svg("rect", { ...field, class: "field" }, root);
+      const [right, bottom] = [field.x + field.width, field.y + field.height];
+      for (const axis of [0, 1]) {
+        const [pixels, centre] = axis ? [field.height, this.view.y] : [field.width, this.view.x];
+        const { found, digits } = ticks(centre - pixels / this.scale / 2, centre + pixels / this.scale / 2, pixels);
+        for (const value of found) {
+          const [x, y] = this.place(value, value), kind = { class: Math.abs(value) < 1e-9 ? "zero" : "grid" };
+          if (axis) { svg("path", { d: `M${field.x},${y}H${right}`, ...kind }, root); }
+          else { svg("path", { d: `M${x},${field.y}V${bottom}`, ...kind }, root); }
+          const at = axis ? { x: field.x - 6, y: y + 4, "text-anchor": "end" } : { x, y: bottom + 16, "text-anchor": "middle" };
+          svg("text", at, root, fixed(value, digits));
+        }
+      }
+      svg("text", { x: field.x + field.width / 2, y: height - 8, "text-anchor": "middle" }, root, "x, m: forward as it stood at first");
+      svg("text", { transform: `translate(14,${this.top}) rotate(-90)`, "text-anchor": "middle" }, root, "y, m: left");
+      const inside = svg("g", { "clip-path": `url(#${this.element.id}-clip)` }, root);
+      const [x0, y0] = this.place(0, 0);
+      svg("path", { d: this.way, class: "way", stroke: looks.path, transform: `matrix(${this.scale},0,0,${-this.scale},${x0},${y0})` }, inside);
+      for (const { at, look, text, ms } of this.marks) {
+        markOf(look, ...this.place(...at), text, inside).dataset.ms = ms;
+      }
+      this.said = svg("text", { x: right - 4, y: field.y + 14, "text-anchor": "end" }, root);
+    }
+
+    // Where the pointer is, as the nearest place of the path.
+    nearest(event) {
+      const [x, y] = this.metres(event), { x_m: xs, y_m: ys } = this.drive.path;
+      let best = -1, least = Infinity;
+      for (let at = 0; at < xs.length; at += 1) {
+        const away = Math.hypot(xs[at] - x, ys[at] - y);
+        if (away < least) { [best, least] = [at, away]; }
+      }
+      return best;
+    }
+
+    point(event) {
+      const at = event ? this.nearest(event) : -1, { time_ms: times, x_m: xs, y_m: ys } = this.drive.path;
+      if (this.said) { this.said.textContent = at < 0 ? "" : `${clockOf(times[at])}  x ${fixed(xs[at], 2)} m, y ${fixed(ys[at], 2)} m`; }
+      this.drive.hover(at < 0 ? null : times[at]);
+    }
+
+    press(event) {
+      if (event.button !== 0) { return; }
+      const before = { ...this.view }, box = event.shiftKey ? null : svg("rect", { class: "box" }, this.root);
+      const from = this.root.getBoundingClientRect(), [x, y] = [event.clientX - from.left, event.clientY - from.top];
+      const area = (dx, dy) => ({ x: Math.min(x, x + dx), y: Math.min(y, y + dy), width: Math.abs(dx), height: Math.abs(dy) });
+      drag(event, (dx, dy) => {
+        if (box) {
+          for (const [name, value] of Object.entries(area(dx, dy))) { box.setAttribute(name, value); }
+          return;
+        }
+        this.view = { ...before, x: before.x - dx / this.scale, y: before.y + dy / this.scale };
+        this.draw();
+        this.drive.mark();
+      }, (dx, dy, isDrag) => {
+        if (!isDrag) {
+          if (box) { box.remove(); }
+          const at = this.nearest(event), mark = event.target.closest("[data-ms]");
+          if (mark || at >= 0) { this.drive.choose(mark ? Number(mark.dataset.ms) : this.drive.path.time_ms[at]); }
+        } else if (box) {
+          const { x: left, y: top, width, height } = area(dx, dy);
+          this.view = { x: this.view.x + (left + width / 2 - this.left) / this.scale, y: this.view.y - (top + height / 2 - this.top) / this.scale,
+            width: Math.max(width / this.scale, ZOOM_M), height: Math.max(height / this.scale, ZOOM_M) };
+          this.draw();
+          this.drive.mark();
+        }
+      });
+    }
+  }
+
+  // Speed, angle, events and bands of a drive over one axis of time.
+  class TimeCharts {
+    constructor(element, drive) {
+      this.element = element;
+      this.drive = drive;
+      this.range = this.whole;
+      this.plots = CHARTS.map((_, number) => this.plot(number));
+      this.rows = svg("svg", { class: "plot rows", height: (looks.bands.length + 1) * ROW }, element);
+      const list = html("ul", "marks", element);
+      explain(list, new Map(drive.figures.moments.map(({ kind }) => [kind, looks.marks[kind] || looks.other_mark])));
+      this.rows.addEventListener("mousedown", (event) => this.pan(event) || drag(event, () => {}, (_x, _y, isDrag) => {
+        const mark = event.target.closest("[data-ms]");
+        if (!isDrag) { drive.choose(mark ? Number(mark.dataset.ms) : this.timeAt(event)); }
+      }));
+      this.rows.addEventListener("dblclick", () => this.zoom(...this.whole));
+      this.rows.addEventListener("mousemove", (event) => drive.hover(this.timeAt(event)));
+      this.rows.addEventListener("mouseleave", () => drive.hover(null));
+    }
+
+    plot(number) {
+      const { drive } = this, { name, unit, digits } = CHARTS[number];
+      const series = [{ label: "UTC", value: (_, ms) => (ms === null ? "--" : clockOf(ms)) }], tables = [];
+      looks.lines.forEach((line, at) => {
+        if (line.chart !== number) { return; }
+        const [times, values] = drive.lines[at];
+        const more = { stroke: line.colour, dash: line.dash, width: line.is_stepped ? 1.5 : 2, points: { show: false },
+          paths: line.is_stepped ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear() };
+        series.push({ ...more, label: line.name, value: (_, value) => (value === null || value === undefined ? "--" : fixed(value, digits) + unit) });
+        tables.push([times, values]);
+        if (line.is_mirrored) {
+          series.push({ ...more, class: "mirrored" });
+          tables.push([times, values.map((value) => (value === null ? null : -value))]);
+        }
+      });
+      const axis = { stroke: () => colourOf("--soft"), grid: { stroke: () => colourOf("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
+      const plot = new uPlot({
+        width: widthOf(this.element), height: number ? 200 : 220, ms: 1, series, padding: [8, RIGHT, 0, 0],
+        tzDate: (ms) => uPlot.tzDate(new Date(ms), "Etc/UTC"),
+        scales: {
+          x: { time: true, min: this.range[0], max: this.range[1], range: () => this.range },
+          y: { range: (_, low, high) => (low === null ? [0, 1] : uPlot.rangeNum(Math.min(0, low), Math.max(0, high), 0.1, true)) },
+        },
+        axes: [
+          { ...axis, size: 26, space: (_, _at, fromMs, toMs) => (toMs - fromMs < 10000 ? 96 : 72), values: (_, splits, _at, _space, step) => splits.map((ms) => isoOf(ms).slice(11, step < 1000 ? 23 : step < 60000 ? 19 : 16)) },
+          { ...axis, size: LEFT - 18, label: name, labelSize: 18, labelFont: "12px system-ui, sans-serif" },
+        ],
+        legend: { markers: { width: 2 } },
+        cursor: {
+          sync: { key: this.element.id }, drag: { x: true, y: false, setScale: false, dist: DRAG_PX }, points: { size: 6 },
+          // The newest value of each line, for they have no times in common.
+          dataIdx: (self, at, hovered) => {
+            const values = self.data[at];
+            let found = hovered;
+            while (at && found > 0 && values[found] === undefined) { found -= 1; }
+            return found;
+          },
+          bind: {
+            mousedown: (_self, _target, handle) => (event) => { if (!this.pan(event)) { handle(event); } },
+            dblclick: () => () => this.zoom(...this.whole),
+          },
+        },
+        hooks: {
+          draw: [() => drive.mark()], // where the fields are is known from then on
+          setCursor: [(self) => { if (self.cursor.event) { drive.hover(self.cursor.left < 0 ? null : self.posToVal(self.cursor.left, "x")); } }],
+          setSelect: [(self) => {
+            const { left, width } = self.select;
+            if (width > 0) {
+              self.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+              this.zoom(self.posToVal(left, "x"), self.posToVal(left + width, "x"));
+            }
+          }],
+        },
+      }, uPlot.join(tables), this.element);
+      plot.over.addEventListener("click", (event) => drive.choose(this.timeAt(event)));
+      return plot;
+    }
+
+    get whole() {
+      const room = MARGIN * Math.max(this.drive.toMs - this.drive.fromMs, ZOOM_MS);
+      return [this.drive.fromMs - room, this.drive.toMs + room];
+    }
+
+    get inner() { return Math.max(10, widthOf(this.element) - LEFT - RIGHT); }
+
+    x(timeMs) { return LEFT + ((timeMs - this.range[0]) / (this.range[1] - this.range[0])) * this.inner; }
+
+    timeAt(event) {
+      const left = event.clientX - this.rows.getBoundingClientRect().left - LEFT;
+      return this.range[0] + (Math.min(Math.max(left / this.inner, 0), 1)) * (this.range[1] - this.range[0]);
+    }
+
+    // With shift, a drag moves the time. Returns true if this is one.
+    pan(event) {
+      if (!event.shiftKey || event.button !== 0) { return false; }
+      const [from, to] = this.range;
+      drag(event, (dx) => {
+        const byMs = (-dx / this.inner) * (to - from);
+        this.zoom(from + byMs, to + byMs);
+      }, () => {});
+      return true;
+    }
+
+    zoom(fromMs, toMs) {
+      const half = Math.max(toMs - fromMs, ZOOM_MS) / 2, middle = (fromMs + toMs) / 2;
+      this.range = [middle - half, middle + half];
+      this.plots.forEach((plot) => plot.setScale("x", { min: this.range[0], max: this.range[1] }));
+      this.draw();
+      this.drive.mark();
+    }
+
+    dress() {
+      this.plots.forEach((plot) => { plot.setSize({ width: widthOf(this.element), height: plot.height }); plot.redraw(); });
+      this.draw();
+    }
+
+    // The rows: events, and below them what was so from when to when.
+    draw() {
+      const { rows, drive, range: [fromMs, toMs] } = this;
+      this.element.dataset.range = this.range.map(isoOf).join(" ");
+      rows.replaceChildren();
+      rows.setAttribute("width", widthOf(this.element));
+      const clip = svg("clipPath", { id: `${this.element.id}-clip` }, rows);
+      svg("rect", { x: LEFT, y: 0, width: this.inner, height: "100%" }, clip);
+      svg("rect", { x: LEFT, y: 0, width: this.inner, height: "100%", class: "field" }, rows);
+      ["events", ...looks.bands].forEach((name, row) => svg("text", { x: LEFT - 6, y: (row + 0.5) * ROW + 4, "text-anchor": "end" }, rows, name));
+      const inside = svg("g", { "clip-path": `url(#${this.element.id}-clip)` }, rows);
+      drive.figures.bands.forEach((spans, row) => {
+        for (const [begin, end, value, colour] of spans) {
+          if (end < fromMs || begin > toMs) { continue; }
+          const [left, right] = [Math.max(this.x(begin), LEFT), Math.min(this.x(end), LEFT + this.inner)];
+          const bar = svg("rect", { class: "bar", x: left, y: (row + 1) * ROW + 4, width: Math.max(right - left, 0.5), height: ROW - 8, fill: colour }, inside);
+          svg("title", {}, bar, `${looks.bands[row]}: ${value}`);
+          if (right - left > 6.5 * value.length + 8) {
+            svg("text", { class: "inside", x: (left + right) / 2, y: (row + 1.5) * ROW + 4, "text-anchor": "middle" }, inside, value);
+          }
+        }
+      });
+      for (const { ms, kind, text } of drive.figures.moments) {
+        if (ms >= fromMs && ms <= toMs) {
+          markOf(looks.marks[kind] || looks.other_mark, this.x(ms), ROW / 2, text, inside).dataset.ms = ms;
+        }
+      }
+    }
+
+    // The pictures over the charts: outages of the gateway, stops, and the time that is shown.
+    mark(cursor, timeMs) {
+      const top = cursor.getBoundingClientRect().top;
+      const fields = [...this.plots.map((plot) => plot.over), this.rows].map((one) => one.getBoundingClientRect())
+        .map((box) => [box.top - top, box.height]);
+      const [shades, stops, now] = cursor.children, right = LEFT + this.inner;
+      const lines = (times) => times.map((ms) => this.x(ms)).filter((x) => x >= LEFT - 1 && x <= right + 1)
+        .flatMap((x) => fields.map(([y, height]) => `M${x.toFixed(1)},${y}v${height}`)).join("");
+      now.setAttribute("d", lines([timeMs]));
+      stops.setAttribute("d", lines(this.drive.figures.stops));
+      shades.setAttribute("d", this.drive.figures.outages.map((span) => span.map((ms) => Math.min(Math.max(this.x(ms), LEFT), right)))
+        .flatMap(([from, to]) => fields.map(([y, height]) => `M${from},${y}H${to}v${height}H${from}Z`)).join(""));
+    }
+  }
 
   // One drive: its path, its charts over time, its events, and what plays it.
   class Drive {
@@ -124,21 +428,24 @@
       this.figures = figures;
       this.robot = figures.robot;
       [this.fromMs, this.toMs] = [figures.from_ms, figures.to_ms];
-      this.map = of("map");
-      this.time = of("time");
       this.player = of("player");
-      this.place = this.map.nextElementSibling; // the pictures over the charts
-      this.cursor = this.time.nextElementSibling;
+      this.elements = [of("map"), of("time")];
+      [this.place, this.cursor] = this.elements.map((element) => element.nextElementSibling); // the pictures over the charts
+      this.lines = figures.lines.map(([steps, values]) => [sums(steps), values]);
+      this.path = { ...figures.path, time_ms: sums(figures.path.time_ms) };
+      this.begins = new Set(this.path.begins);
+      // A clock that was set back gives the path an order of its own.
+      this.order = Array.from(this.path.time_ms.keys()).sort((one, other) => this.path.time_ms[one] - this.path.time_ms[other]);
+      this.times = this.order.map((at) => this.path.time_ms[at]);
       [this.button, this.slider, this.speed, this.clock, this.said] = ["button", "input", "select", "a", ".said"].map(
         (name) => this.player.querySelector(name));
       this.rows = Array.from(of("drive").querySelectorAll("tr[data-ms]"));
       this.rowsMs = this.rows.map((row) => Number(row.dataset.ms));
       this.atMs = null;
       this.hoverMs = null;
-      const traces = figures.time.data;
-      const measured = (axis) => lineOf(traces.find((trace) => trace.name === "measured" && trace.yaxis === axis));
-      this.values = [[measured("y"), 2, " m/s"], [measured("y2"), 1, "°"]];
-      this.bands = ["mode", "arbiter", "lease"].map((row) => bandOf(traces, row));
+      const measured = (number) => lineOf(this.lines[looks.lines.findIndex((line) => line.chart === number && line.name === "measured")]);
+      this.values = CHARTS.map(({ unit, digits }, number) => [measured(number), digits, unit]);
+      this.bands = figures.bands.map(bandOf);
       this.listen();
     }
 
@@ -162,32 +469,26 @@
     }
 
     draw() {
-      if (!this.ready) {
-        this.ready = Promise.all([draw(this.map, this.figures.map), draw(this.time, this.figures.time)]).then(() => this.link());
-      }
-      return this.ready;
+      if (this.time) { return; }
+      const [map, time] = this.elements;
+      this.map = new PathMap(map, this);
+      this.time = new TimeCharts(time, this);
+      drawn += this.elements.length;
+      this.dress();
+      new ResizeObserver(() => { if (widthOf(time) !== this.width) { this.dress(); } }).observe(time);
     }
 
-    link() {
-      const { map, time, figures } = this;
-      for (const chart of [map, time]) {
-        for (const name of ["plotly_afterplot", "plotly_relayouting"]) { chart.on(name, () => this.mark()); }
-      }
-      time.on("plotly_hover", (event) => {
-        this.hoverMs = msOf(event.xvals && event.xvals.length ? event.xvals[0] : event.points[0].x);
-        this.mark();
-      });
-      time.on("plotly_unhover", () => { this.hoverMs = null; this.mark(); });
-      time.on("plotly_click", (event) => {
-        const mark = event.points.find((point) => point.data.mode === "markers");
-        this.choose(mark ? msOf(mark.x) : this.hoverMs ?? msOf(event.points[0].x));
-      });
-      map.on("plotly_click", (event) => {
-        const { x, y } = event.points[0];
-        const { x_m: xs, y_m: ys, time_ms: times } = figures.places;
-        const away = times.map((_, at) => Math.hypot(xs[at] - x, ys[at] - y));
-        this.choose(times[away.indexOf(Math.min(...away))]);
-      });
+    // In the colours and the width of the page; what was zoomed in on stays.
+    dress() {
+      if (!this.time) { return; }
+      this.width = widthOf(this.elements[1]);
+      this.map.draw();
+      this.time.dress();
+      this.mark();
+    }
+
+    hover(timeMs) {
+      this.hoverMs = timeMs;
       this.mark();
     }
 
@@ -229,7 +530,7 @@
       this.clock.href = hashOf(this, atMs);
       const values = this.values.map(([of, digits, unit]) => [of(atMs), digits, unit]);
       const said = [...values.map(([value, digits, unit]) => (value === null ? "" : fixed(value, digits) + unit)),
-        ...this.bands.map((of) => plain(of(atMs)))].filter(Boolean).join(" · ") || "no data";
+        ...this.bands.map((of) => of(atMs))].filter(Boolean).join(" · ") || "no data";
       this.said.textContent = said;
       this.slider.setAttribute("aria-valuetext", clockOf(atMs) + " UTC, " + said);
       const rowMs = this.rowsMs[newest(this.rowsMs, atMs)];
@@ -245,16 +546,16 @@
 
     // Where the robot was: x and y in metres, and its heading in radians.
     pose(timeMs) {
-      const { time_ms: times, x_m: xs, y_m: ys, heading_deg: headings, begins } = this.figures.places;
+      const { times, order, path: { x_m: xs, y_m: ys, heading_deg: headings } } = this;
       if (!times.length) { return null; }
-      const at = Math.max(0, newest(times, timeMs));
-      const pose = [xs[at], ys[at], headings[at]];
-      if (at + 1 < times.length && timeMs > times[at] && !begins.includes(at + 1)) {
+      const at = Math.max(0, newest(times, timeMs)), [here, there] = [order[at], order[at + 1]];
+      const pose = [xs[here], ys[here], headings[here]];
+      if (at + 1 < times.length && timeMs > times[at] && !this.begins.has(there)) {
         const fromMs = Math.max(times[at], times[at + 1] - REACH_MS);
         const part = Math.max(0, (timeMs - fromMs) / (times[at + 1] - fromMs));
-        const turn = ((headings[at + 1] - headings[at] + 540) % 360) - 180;
-        pose[0] += part * (xs[at + 1] - xs[at]);
-        pose[1] += part * (ys[at + 1] - ys[at]);
+        const turn = ((headings[there] - headings[here] + 540) % 360) - 180;
+        pose[0] += part * (xs[there] - xs[here]);
+        pose[1] += part * (ys[there] - ys[here]);
         pose[2] += part * turn;
       }
       pose[2] *= Math.PI / 180;
@@ -263,23 +564,19 @@
 
     // Draws the robot on the path, and the time across the charts; for the pointer, too.
     mark() {
-      const [robot, ghost] = this.place.children, [line, field] = [this.cursor.firstElementChild, this.time._fullLayout];
-      if (!field || !field._size || !this.map._fullLayout) { return; }
-      const { l, t, w, h } = field._size;
-      const x = field.xaxis._offset + field.xaxis.l2p(this.atMs);
-      line.setAttribute("d", x >= l - 1 && x <= l + w + 1 ? `M${x.toFixed(1)},${t}v${h}` : "");
+      if (!this.time) { return; }
+      const [robot, ghost] = this.place.children;
+      this.time.mark(this.cursor, this.atMs);
       this.outline(robot, this.atMs);
       this.outline(ghost, this.hoverMs);
     }
 
     outline(element, timeMs) {
       const pose = timeMs === null ? null : this.pose(timeMs);
-      const { xaxis, yaxis, _size: size } = this.map._fullLayout;
       if (!pose) { element.setAttribute("d", ""); return; }
-      const [x, y, heading] = pose;
-      const left = xaxis._offset + xaxis.l2p(x), top = yaxis._offset + yaxis.l2p(y);
-      const isSeen = left >= size.l && left <= size.l + size.w && top >= size.t && top <= size.t + size.h;
-      const pxPerM = Math.max(Math.abs(xaxis.l2p(1) - xaxis.l2p(0)), OUTLINE_PX / 1.05);
+      const [x, y, heading] = pose, [left, top] = this.map.place(x, y), { field } = this.map;
+      const isSeen = left >= field.x && left <= field.x + field.width && top >= field.y && top <= field.y + field.height;
+      const pxPerM = Math.max(this.map.scale, OUTLINE_PX / 1.05);
       const [sin, cos] = [Math.sin(heading), Math.cos(heading)];
       const corners = OUTLINE_M.map(([ahead, aside]) =>
         `${(left + (ahead * cos - aside * sin) * pxPerM).toFixed(1)},${(top - (ahead * sin + aside * cos) * pxPerM).toFixed(1)}`);
@@ -336,10 +633,9 @@
     if (away(drive) >= 1) { tell(`This report draws nothing of ${isoOf(timeMs)}. The nearest moment is shown.`); }
     drive.pause();
     drive.show(timeMs, false);
-    drive.draw().then(() => {
-      uncover(drive);
-      drive.player.scrollIntoView({ block: "start" });
-    });
+    drive.draw();
+    uncover(drive);
+    drive.player.scrollIntoView({ block: "start" });
   }
 
   function tell(text) {
@@ -348,52 +644,27 @@
   }
 
   // A moment outside of what was zoomed in on comes into sight.
-  function uncover(drive) {
-    const { xaxis } = drive.time._fullLayout;
-    const [from, to] = xaxis.range.map((one) => xaxis.r2l(one));
-    if (drive.atMs < from || drive.atMs > to) {
-      const half = (to - from) / 2;
-      Plotly.relayout(drive.time, { "xaxis.range": [isoOf(drive.atMs - half), isoOf(drive.atMs + half)] });
-    }
-    drive.mark();
-  }
-
-  // The library that draws is packed, which makes the page less than half as large. The policy lets in no other script.
-  async function unpack() {
-    const text = atob(document.getElementById("plotly").textContent);
-    const bytes = new Uint8Array(text.length);
-    for (let at = 0; at < text.length; at += 1) { bytes[at] = text.charCodeAt(at); }
-    const library = document.createElement("script");
-    const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
-    library.textContent = await new Response(unpacked).text();
-    document.head.append(library);
-  }
-
-  async function begin() {
-    await unpack();
-    if (all.length > EAGER) {
-      const near = new IntersectionObserver((seen) => {
-        for (const { target, isIntersecting } of seen) {
-          if (isIntersecting) { all[Number(target.dataset.number)].draw(); near.unobserve(target); }
-        }
-      }, { rootMargin: "1000px" });
-      all.forEach((_, number) => near.observe(document.getElementById("drive-" + number)));
-    } else {
-      await Promise.all(all.map((drive) => drive.draw()));
-    }
-    window.addEventListener("hashchange", follow);
-    dark.addEventListener("change", dressAgain);
-    phone.addEventListener("change", dressAgain);
-    window.addEventListener("beforeprint", () => { print(true); });
-    window.addEventListener("afterprint", () => { print(false); });
-    follow();
-    document.documentElement.dataset.drawn = String(drawn.length);
+  function uncover({ time, atMs }) {
+    const [from, to] = time.range, half = (to - from) / 2;
+    if (atMs < from || atMs > to) { time.zoom(atMs - half, atMs + half); }
   }
 
   const all = drives.map((figures, number) => new Drive(figures, number));
-  if ("DecompressionStream" in window) {
-    begin();
+  if (all.length > EAGER) {
+    const near = new IntersectionObserver((seen) => {
+      for (const { target, isIntersecting } of seen) {
+        if (isIntersecting) { all[Number(target.dataset.number)].draw(); near.unobserve(target); }
+      }
+    }, { rootMargin: "1000px" });
+    all.forEach((_, number) => near.observe(document.getElementById("drive-" + number)));
   } else {
-    tell("The charts need a browser of 2023 or later; all else is here without.");
+    all.forEach((drive) => drive.draw());
   }
+  window.addEventListener("hashchange", follow);
+  dark.addEventListener("change", dressAgain);
+  phone.addEventListener("change", dressAgain);
+  window.addEventListener("beforeprint", () => { print(true); });
+  window.addEventListener("afterprint", () => { print(false); });
+  follow();
+  document.documentElement.dataset.drawn = String(drawn);
 })();

@@ -6,7 +6,6 @@ than those whose hashes it names, and nothing be fetched.
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
@@ -17,9 +16,10 @@ from typing import Final
 
 import msgspec
 
+import schemas.web
 from recorder.reading.times import in_words
 from recorder.review.report.drive_cards import drawn, events, refusals
-from recorder.review.report.figures import on_map, over_time, placed
+from recorder.review.report.figures import figures, looks
 from recorder.review.report.findings import Report, ReportedDrive, ReportedFile, RobotReport, RobotSummary
 from recorder.review.report.links import PageLinks, Whys
 from recorder.review.report.markup import card, counted, definitions, folded, safe_json, table_of, text
@@ -42,45 +42,36 @@ _OTHER_FACTS: Final = ("bus", "recorder_version")
 """Facts that a gateway does not report with its version."""
 
 
-def page(report: Report, plotly_js: str, whys: Whys = MappingProxyType({}), logs: str = "LOG") -> str:
+def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -> str:
     """The page, which is ``page.html`` filled in.
 
     Args:
         report: its content.
-        plotly_js: the library that draws; it is part of the page, packed.
         whys: the reasons of the stops, as far as they were looked for.
         logs: the logs, as a shell has them, for commands that the page names.
     """
-    here = files(__package__)
-    script = (here / "page.js").read_text()
-    charts = [
-        {
-            "robot": robot.summary.name,
-            "from_ms": robot.summary.start_ns // 1_000_000,
-            "to_ms": -(-robot.summary.end_ns // 1_000_000),
-            "map": on_map(robot.charts),
-            "time": over_time(robot.charts),
-            "places": placed(robot.charts.places),
-        }
-        for robot in report.drawn
-    ]
+    here, vendor = files(__package__), files(schemas.web) / "page" / "vendor"
+    library, script = (vendor / "uPlot.iife.min.js").read_text(), (here / "page.js").read_text()
+    _, name, licence = (vendor / "LICENSES.txt").read_text().partition("uPlot")
+    charts = {"looks": looks(), "drives": [figures(robot) for robot in report.drawn]}
     links = PageLinks(report, whys, logs)
     numbers = {id(one): number for number, one in enumerate(report.drawn)}
     robots = [*overview(report, links)] if is_needed(report) else []
     for number, robot in enumerate(report.robots):
         robots += _robot(number, robot, report, links, numbers)
-    hashes = (b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (plotly_js, script))
+    hashes = (b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (library, script))
     allowed = " ".join(f"'sha256-{one}'" for one in hashes)
     return Template((here / "page.html").read_text()).substitute(
         policy=f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}",
         names=text(", ".join(robot.summary.name for robot in report.robots)),
-        style=(here / "page.css").read_text(),
+        style=(vendor / "uPlot.min.css").read_text() + (here / "page.css").read_text(),
         head="\n".join(_head(report)),
         robots="\n".join(robots),
         files="\n".join(_files(report)),
         version=text(report.version),
         charts=safe_json(charts),
-        plotly=b64encode(gzip.compress(plotly_js.encode(), compresslevel=6, mtime=0)).decode(),
+        library=library,
+        licence=name + licence.partition("@msgpack")[0],
         script=script,
     )
 

@@ -9,7 +9,6 @@ from typing import Final
 import msgspec
 import pytest
 from PIL import Image
-from plotly.offline import get_plotlyjs
 
 from recorder.review.report.figures import BLUE
 from recorder.review.report.findings import Report
@@ -21,7 +20,14 @@ from tests.unit.recorder.review.report.test_page import Elements, hostile_drive
 
 HOVER: Final = """
 setTimeout(function () {
-  const field = document.querySelector("#time-1 .nsewdrag[data-subplot='xy']");
+  const canvases = Array.from(document.querySelectorAll("#time-0 canvas, #time-1 canvas"));
+  document.body.dataset.inked = JSON.stringify(canvases.map((canvas) => {
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let count = 0;
+    for (let at = 0; at < data.length; at += 4) { count += BLUE.every((part, of) => data[at + of] === part); }
+    return count;
+  }));
+  const field = document.querySelector("#time-1 .u-over");
   const box = field.getBoundingClientRect();
   const at = { clientX: box.left + box.width / 2, clientY: box.top + box.height / 2, bubbles: true };
   for (const kind of ["mouseenter", "mouseover", "mousemove"]) { field.dispatchEvent(new MouseEvent(kind, at)); }
@@ -31,8 +37,9 @@ setTimeout(function () {
   }, 500);
 }, 3000);
 """
-"""Points at the middle of the second robot's time, and says which outlines the maps show then."""
+"""Counts blue in the charts, then points at the middle of the second robot's time: which outlines are there?"""
 
+PATH_BLUE: Final = tuple(int(BLUE[at : at + 2], 16) for at in (1, 3, 5))
 POLICY: Final = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 
@@ -49,9 +56,11 @@ def opened(report: Report, tmp_path_factory: pytest.TempPathFactory) -> Opened:
     """The page in a browser, without the policy that would stop what escaping has let through."""
     scratch = tmp_path_factory.mktemp("browser")
     file = scratch / "report.html"
-    html, count = POLICY.subn("", page(report, get_plotlyjs() + HOVER))
+    html, count = POLICY.subn("", page(report))
     assert count == 1
-    file.write_text(html)
+    file.write_text(
+        html.replace("</body>", f"<script>const BLUE = {json.dumps(PATH_BLUE)};{HOVER}</script></body>")
+    )
     return open_page(file, scratch)
 
 
@@ -59,14 +68,16 @@ def test_charts_are_drawn_and_nothing_is_complained_about(opened: Opened) -> Non
     """Two charts for each robot, with lines, bands and marks in them; the console is empty."""
     assert opened.console == []
     assert 'data-drawn="4"' in opened.dom
-    # Each of the four: at least a line, and marks.
-    assert opened.dom.count('class="main-svg"') >= 4
     charts = re.split(r'id="(?:map|time)-\d"', opened.dom)[1:]
     assert len(charts) == 4
     for chart in charts:
-        assert "js-line" in chart
-        assert 'class="point"' in chart
-    assert opened.dom.count('class="bars"') + opened.dom.count('class="trace bars"') >= 6
+        assert 'class="mark"' in chart
+    assert len(re.findall(r'class="way"[^>]* d="M|d="M[^"]*" class="way"', opened.dom)) == 2
+    assert opened.dom.count('class="bar"') >= 6
+    inked = re.search(r'data-inked="([^"]*)"', opened.dom)
+    assert inked is not None
+    assert len(json.loads(inked[1])) == 4
+    assert min(json.loads(inked[1])) > 100
 
 
 def test_the_page_asks_for_nothing(opened: Opened) -> None:
@@ -95,7 +106,7 @@ def test_the_policy_stops_what_escaping_might_let_through(report: Report, tmp_pa
     """A foreign script and a foreign picture in the page do nothing; its own scripts run."""
     attack = "<script>document.body.dataset.owned = 1</script><img src='http://evil.test/x.png'>"
     file = tmp_path / "report.html"
-    file.write_text(page(report, get_plotlyjs()).replace("<main>", f"<main>{attack}"))
+    file.write_text(page(report).replace("<main>", f"<main>{attack}"))
     opened = open_page(file, tmp_path)
     assert "data-owned" not in opened.dom
     assert not [url for url in opened.requests if url.startswith("http")]
@@ -106,11 +117,10 @@ def test_the_policy_stops_what_escaping_might_let_through(report: Report, tmp_pa
 def test_a_phone_in_the_dark_shows_the_path(report: Report, tmp_path: Path) -> None:
     """The page is dark, and the path's blue is on it."""
     file = tmp_path / "report.html"
-    file.write_text(page(report, get_plotlyjs()))
+    file.write_text(page(report))
     with Image.open(BytesIO(take_picture(file, tmp_path, 500, 2600, dark=True))) as shot:
         pixels = shot.convert("RGB")
         assert pixels.width == 500
         colours = {colour: count for count, colour in pixels.getcolors(1 << 20) or () if isinstance(colour, tuple)}
-    blue = tuple(int(BLUE[at : at + 2], 16) for at in (1, 3, 5))
-    assert colours.get(blue, 0) > 200
+    assert colours.get(PATH_BLUE, 0) > 200
     assert max(colours, key=lambda colour: colours[colour]) < (60, 60, 60)

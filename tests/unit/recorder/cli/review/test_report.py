@@ -127,17 +127,6 @@ def test_where_nothing_can_be_written_it_says_so(
     assert "cannot write" in capsys.readouterr().err
 
 
-def test_a_missing_library_is_named_with_what_installs_it(
-    log: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Before anything is read."""
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    assert ask(log, "-o", "r.html") == ExitCode.FAILURE
-    assert "pip install -e '.[review]'" in capsys.readouterr().err
-
-
 def test_one_robot_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The others are left out; one that is not there is a matter of usage."""
     path = write_messages(tmp_path / "a.mcap", drive_messages(20), robots=["r-1", "r-2"])
