@@ -109,7 +109,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser review recover FILE...": Run("whole"),
     # A log.
     "cruiser review events demo-log": Run("the front bumper was hit"),
-    "cruiser review why demo-log --at 16.5": Run("stop"),
+    "cruiser review why demo-log --at 16.3": Run("stop"),
     "cruiser review rerun demo-log": Run("different: 0"),
     "cruiser review rerun demo-log --set command.speed_limit_mps=0.4": Run("as it would have been"),
     "cruiser review report demo-log -o report.html": Run("and was stopped"),
