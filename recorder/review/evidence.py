@@ -13,6 +13,7 @@ from typing import Final, TypeVar
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from gateway.rerun.rerun import places
 from recorder.disk.new_file import new_file
 from recorder.reading.configurations import configurations_of
 from recorder.reading.faults import Faults
@@ -25,7 +26,6 @@ from recorder.review.check import check_stream
 from recorder.review.cut import cut
 from recorder.review.info import read_info
 from recorder.review.rerun.beginning import beginning
-from recorder.review.rerun.player import installed
 from recorder.review.rerun.tapes import JOURNAL
 from recorder.review.verify import shown_statements, verify_logs
 from recorder.review.verifying.authority import ShownStatement
@@ -193,10 +193,6 @@ def _cut_rerun(
     progress: Progress,
 ) -> list[str]:
     """Cut what it takes to run the incident again, from where it can begin. Returns what is missing for that."""
-    try:
-        places = installed("places")
-    except CommandError as error:
-        return [f"to run it again: {error}"]
     missing, begins = [], []
     for robot in survey(logs, faults).robots:
         wanted = Selection(lambda topic, of=robot: topic.robot == of and topic.subject == JOURNAL)  # type: ignore[misc]

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
-from recorder.reading.configurations import configurations_of, settings_from
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
-from recorder.reading.rows import Progress
-from recorder.reading.survey import survey
+from gateway.rerun.what_if import GivenOutput, what_if
+from recorder.reading.configurations import settings_from
 from recorder.reading.topics import UNREADABLE
-from recorder.review.rerun.player import NO_CONFIGURATION, RerunPlayer, RerunResult, SampleAgain, installed
+from recorder.review.rerun.player import NO_CONFIGURATION, RerunPlayer, RerunResult, SampleAgain
 from schemas import codec
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
@@ -36,16 +33,7 @@ STATE_GAP_S: Final = 1.0
 """Over a longer gap between two states nothing is known of the way."""
 
 
-class SaidOnce(Protocol):
-    """A sample of one of the two runs."""
-
-    @property
-    def sample(self) -> SampleAgain: ...  # noqa: D102 - the class says it
-    @property
-    def is_other(self) -> bool: ...  # noqa: D102
-
-
-WhatIf = Callable[[Settings, Settings, Iterable[Journal]], Iterator[SaidOnce]]
+WhatIf = Callable[[Settings, Settings, Iterable[Journal]], Iterator[GivenOutput]]
 """The run's settings, the other ones, and its journals, to what both runs say."""
 
 
@@ -154,34 +142,16 @@ class WhatIfResult(msgspec.Struct, frozen=True):
         return min([*decided, *(stop.time_ns for stop in stops)], default=None)
 
 
-def what_if_logs(
-    logs: Sequence[LogFile],
-    settings_of: Callable[[str], Settings],
-    faults: Faults,
-    *,
-    what_if: WhatIf | None = None,
-    progress: Progress = lambda _: None,
+def what_if_parts(
+    player: RerunPlayer, settings_of: Callable[[str], Settings], run_both: WhatIf = what_if
 ) -> Iterator[WhatIfResult]:
-    """Every run of every robot, as it was and as it would have been.
+    """Every run that a player plays, as it was and as it would have been.
 
     Args:
-        logs: in the order of their beginnings.
+        player: of one robot.
         settings_of: turns the TOML text of a run's configuration into the settings to try.
-        faults: takes what cannot be read.
-        what_if: runs both; by default what is installed.
-        progress: receives the number of bytes that were read, for each robot anew.
+        run_both: runs both.
     """
-    found = survey(logs, faults)
-    for robot in found.robots:
-        player = RerunPlayer(robot, logs, configurations_of(robot, logs, found, faults), faults, progress)
-        yield from what_if_parts(player, settings_of, what_if)
-
-
-def what_if_parts(
-    player: RerunPlayer, settings_of: Callable[[str], Settings], what_if: WhatIf | None = None
-) -> Iterator[WhatIfResult]:
-    """Every run that a player plays; arguments as of ``what_if_logs``."""
-    run_both = what_if or installed("what_if")
     while player.next_part():
         yield _what_if(player, run_both, settings_of)
 

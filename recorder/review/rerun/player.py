@@ -1,35 +1,26 @@
-"""The recorded frames and requests through today's arbiter: are the decisions the same?
-
-The arbiter is not of this package. Whoever can run a journal again says so with an entry point in the group
-``cruiser.rerun``; the gateway of the same installation does.
-"""
+"""The recorded frames and requests through today's arbiter: are the decisions the same?"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib.metadata import entry_points
 from typing import Any, Final, Protocol
 
 import msgspec
 
+from gateway.rerun.rerun import rerun
 from recorder.encoding.routes import Route
-from recorder.reading.configurations import Configurations, configurations_of, settings_from
+from recorder.reading.configurations import Configurations, settings_from
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Row, Selection, read_rows
-from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.rerun.comparison import Comparison, Difference, Key, RecordedOutput
 from recorder.review.rerun.tapes import JOURNAL, Tape
 from schemas import codec
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
-from schemas.exit_codes import CommandError
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
-
-GROUP: Final = "cruiser.rerun"
-"""The group of entry points."""
 
 SENT: Final = "can/{bus}/tx"
 DECIDED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
@@ -102,57 +93,19 @@ class RerunResult(msgspec.Struct, frozen=True):
         return min((one.time_ns for one in self.differences), default=None)
 
 
-def installed(name: str) -> Any:  # noqa: ANN401 - whatever is installed
-    """Load the entry point of this name in the group.
-
-    Raises:
-        CommandError: nothing is.
-    """
-    for entry in entry_points(group=GROUP, name=name):
-        return entry.load()
-    raise CommandError("no gateway is installed here that could run a log again")
-
-
-def rerun_logs(
-    logs: Sequence[LogFile],
-    faults: Faults,
-    *,
-    rerun: Rerun | None = None,
-    settings_of: Callable[[str], Settings] | None = None,
-    progress: Progress = lambda _: None,
-) -> Iterator[RerunResult]:
-    """Every run of every robot, run again.
-
-    Args:
-        logs: in the order of their beginnings.
-        faults: takes what cannot be read.
-        rerun: runs a journal again; by default what is installed.
-        settings_of: turns the TOML text of a run's configuration into settings; by default as they are.
-        progress: receives the number of bytes that were read, for each robot anew.
-    """
-    found = survey(logs, faults)
-    for robot in found.robots:
-        configurations = configurations_of(robot, logs, found, faults)
-        player = RerunPlayer(robot, logs, configurations, faults, progress)
-        yield from rerun_parts(player, rerun, settings_of)
-
-
-def rerun_parts(
-    player: RerunPlayer, rerun: Rerun | None = None, settings_of: Callable[[str], Settings] | None = None
-) -> Iterator[RerunResult]:
-    """Every run that a player plays, run again; arguments as of ``rerun_logs``."""
-    again = rerun or installed("rerun")
+def rerun_parts(player: RerunPlayer, again: Rerun = rerun) -> Iterator[RerunResult]:
+    """Every run that a player plays, run again with the settings that it had."""
     while player.next_part():
-        yield _rerun(player, again, settings_of or settings_from)
+        yield _rerun(player, again)
 
 
-def _rerun(player: RerunPlayer, again: Rerun, settings_of: Callable[[str], Settings]) -> RerunResult:
+def _rerun(player: RerunPlayer, again: Rerun) -> RerunResult:
     text = player.configuration()
     if text is None:
         return player.skip(NO_CONFIGURATION)
     start_ns = 0
     try:
-        for sample in again(settings_of(text), player.journals()):
+        for sample in again(settings_from(text), player.journals()):
             if sample.subject in _ROUTES:
                 for key, said in records_of(sample):
                     start_ns = start_ns or said.time_ns

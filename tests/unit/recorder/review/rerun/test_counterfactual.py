@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.rerun.what_if import GivenOutput
+from gateway.rerun.what_if import GivenOutput, what_if
 from gateway.telemetry.sample import Sample
 from recorder.reading.configurations import settings_from
 from recorder.reading.faults import Faults
@@ -17,10 +17,14 @@ from recorder.review.rerun.counterfactual import (
     STOP_TOLERANCE_NS,
     StopMade,
     StopsCompared,
+    WhatIf,
     WhatIfResult,
     compared,
-    what_if_logs,
+    what_if_parts,
 )
+from recorder.review.rerun.parallel import rerun_tasks
+from recorder.review.rerun.player import RerunPlayer
+from recorder.review.rerun.tried_settings import TriedSettings
 from schemas.codec import encode
 from schemas.decisions import EventKind, Journal, SafetyEvent, Severity, Verdict
 from schemas.messages import Message, Variant
@@ -50,6 +54,16 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def run_of(log: Path, settings_of: Callable[[str], Settings], run_both: WhatIf = what_if) -> WhatIfResult:
+    """What comes of the one run in a log."""
+    faults = Faults()
+    [task] = rerun_tasks(find_logs([log], faults), TriedSettings(None, "", {}), faults)
+    player = RerunPlayer(task.robot, task.logs, task.configurations, faults, lambda _: None)
+    [result] = what_if_parts(player, settings_of, run_both)
+    assert not faults
+    return result
+
+
 def tried(log: Path, **command: object) -> WhatIfResult:
     """The log with other settings of the command flow."""
 
@@ -57,10 +71,7 @@ def tried(log: Path, **command: object) -> WhatIfResult:
         settings = settings_from(text)
         return msgspec.structs.replace(settings, command=msgspec.structs.replace(settings.command, **command))
 
-    faults = Faults()
-    [result] = what_if_logs(find_logs([log], faults), settings_of, faults)
-    assert not faults
-    return result
+    return run_of(log, settings_of)
 
 
 def test_nothing_changes_with_the_same_settings(log: Path) -> None:
@@ -148,9 +159,7 @@ def both(messages: Callable[[bool], list[Message]]) -> Callable[..., Iterator[Gi
 
 def result_of(log: Path, messages: Callable[[bool], list[Message]]) -> WhatIfResult:
     """What is made of two runs that say these."""
-    faults = Faults()
-    [result] = what_if_logs(find_logs([log], faults), settings_from, faults, what_if=both(messages))
-    return result
+    return run_of(log, settings_from, both(messages))
 
 
 def test_decisions_are_paired_by_their_place_and_counted_by_kind(log: Path) -> None:

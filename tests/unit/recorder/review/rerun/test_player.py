@@ -14,15 +14,16 @@ from mcap.writer import Writer
 from gateway import core
 from gateway.rerun.rerun import rerun
 from gateway.telemetry.sample import Sample
-from recorder.reading.configurations import CONFIGURATION, settings_from
+from recorder.reading.configurations import CONFIGURATION
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
-from recorder.review.rerun.player import COMPARED, Rerun, RerunResult, installed, rerun_logs
+from recorder.review.rerun.parallel import rerun_tasks
+from recorder.review.rerun.player import COMPARED, Rerun, RerunPlayer, RerunResult, rerun_parts
+from recorder.review.rerun.tried_settings import TriedSettings
 from schemas import codec
 from schemas.codec import encode
 from schemas.configuration import to_toml
 from schemas.decisions import Decision, Journal, Verdict
-from schemas.exit_codes import CommandError
 from schemas.journal import Kind
 from schemas.messages import Variant
 from schemas.settings import CommandSettings, Settings
@@ -52,10 +53,14 @@ def log(tmp_path: Path) -> Path:
 LoggedMessage = tuple[Schema | None, Channel, Message]
 
 
-def run_again(path: Path, again: Rerun | None = None) -> tuple[list[RerunResult], Faults]:
+def run_again(path: Path, again: Rerun = rerun) -> tuple[list[RerunResult], Faults]:
     """What comes of the logs there."""
     faults = Faults()
-    return list(rerun_logs(find_logs([path], faults), faults, rerun=again)), faults
+    found: list[RerunResult] = []
+    for task in rerun_tasks(find_logs([path], faults), TriedSettings(None, "", {}), faults):
+        player = RerunPlayer(task.robot, task.logs, task.configurations, faults, lambda _: None)
+        found += rerun_parts(player, again)
+    return found, faults
 
 
 def test_all_comes_out_byte_for_byte(log: Path) -> None:
@@ -95,14 +100,12 @@ def test_another_decision_is_found_and_told(log: Path) -> None:
 
 def test_other_settings_give_other_decisions(log: Path) -> None:
     """The comparison can fail."""
-    faults = Faults()
-    logs = find_logs([log], faults)
 
-    def slower(text: str) -> Settings:
-        settings = settings_from(text)
-        return msgspec.structs.replace(settings, command=msgspec.structs.replace(settings.command, deadman_s=0.1))
+    def slower(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
+        command = msgspec.structs.replace(settings.command, deadman_s=0.1)
+        return rerun(msgspec.structs.replace(settings, command=command), journals)
 
-    [result] = rerun_logs(logs, faults, settings_of=slower)
+    [result], _ = run_again(log, slower)
     assert result.difference_count > 10
 
 
@@ -315,9 +318,3 @@ def test_a_log_without_a_journal_has_nothing_to_run(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(small_log())
     assert run_again(path)[0] == []
-
-
-def test_what_is_not_installed_is_one_clear_error() -> None:
-    """A recorder alone cannot run anything again."""
-    with pytest.raises(CommandError, match="no gateway is installed"):
-        installed("no-such-entry")
