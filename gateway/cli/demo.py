@@ -53,30 +53,10 @@ DEADMAN_S: Final = 0.8
 RENEWED_S: Final = 0.05
 READY_TIMEOUT_S: Final = 10.0
 REST_TIMEOUT_S: Final = 10.0
-TRY_AGAIN_S: Final = 120.0
+TRY_AGAIN_S: Final = 60.0
 """For so long an act is begun again where a busy machine comes between."""
 
 SETTLED_TICKS: Final = 50
-
-HELD_UP: Final = frozenset(
-    {
-        Reason.GUARD,
-        Reason.UNGUARDED,
-        Reason.LOOP_LATE,
-        Reason.FEEDBACK_LATE,
-        Reason.FEEDBACK_MISSING,
-        Reason.DEADMAN,
-        Reason.TOO_OLD,
-        Reason.CHALLENGE_UNKNOWN,
-        Reason.LINK_TOO_SLOW,
-        Reason.LEASE_EXPIRED,
-        Reason.NOT_CONFIRMED,
-        Reason.MOVING,
-        Reason.NOT_ENGAGED,
-        Reason.STOPPING,
-    }
-)
-"""Reasons for which a robot is stopped, or not engaged, whose processes do not get the processor in time."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -291,8 +271,7 @@ class Play:
                     if lease.is_engaged:
                         lease.disengage()
             except (RobotError, Unreachable) as error:
-                is_held_up = isinstance(error, Unreachable) or error.reason in HELD_UP
-                if not is_held_up or self._stopped() or time.monotonic() > end_s:
+                if self._stopped() or time.monotonic() > end_s:
                     raise
                 self._tell(operator, f"is told: {error}; tries again. That happens on a busy machine: {load()}")
             else:
