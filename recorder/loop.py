@@ -184,7 +184,8 @@ class RecorderLoop:
     def obey(self, control: Control) -> None:
         """Execute operators' requests, and publish events, gaps and health."""
         self._control = control
-        self._orders = Orders(self._recorder, self._health_now)
+        keeper = self._keeper
+        self._orders = Orders(self._recorder, self._health_now, lambda: keeper is None or keeper.use.has_mark_room)
 
     def run(self, stopped: Callable[[], bool], rolls: Callable[[], bool] = lambda: False) -> Recorded:
         """Record until stopped, whatever the disk does. A new file begins each time ``rolls()`` is true."""

@@ -30,6 +30,9 @@ INCIDENT_MAX_NS: Final = 600_000_000_000
 INCIDENT_SHARE: Final = 0.5
 """Incidents may fill so much of ``budget_bytes``: they are never deleted, and the logs need room too."""
 
+MARK_SHARE: Final = 0.25
+"""Marks, which nobody signs, begin incidents up to so much of ``budget_bytes``: faults have the rest."""
+
 INCIDENT_FLOOR_SHARE: Final = 0.5
 """Incidents may leave so much of ``floor_bytes`` free: the reserve below the floor is for them."""
 

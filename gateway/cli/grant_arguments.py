@@ -123,7 +123,9 @@ def _verbs(text: str) -> list[str]:
     names = ROBOT_VERBS if text == "all" else list(dict.fromkeys(text.split(",")))
     unknown = [name for name in names if name not in ROBOT_VERBS]
     if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!a} is no verb; there are {', '.join(ROBOT_VERBS)}")
+        raise argparse.ArgumentTypeError(
+            f"{unknown[0]!a} is no verb of a robot; there are {', '.join(ROBOT_VERBS)}"
+        )
     return names
 
 

@@ -22,6 +22,7 @@ from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry, judge
 from recorder.record.signature import SIGNATURE_SUFFIX
 from schemas.printable import plain
+from schemas.recorder_settings import MARK_SHARE
 
 log = logging.getLogger(__name__)
 
@@ -49,11 +50,12 @@ _NAME: Final = re.compile(
 
 
 class DiskUse(msgspec.Struct, frozen=True):
-    """Use of the disk, in bytes."""
+    """Use of the disk, in bytes, and whether marks may take more of the budget."""
 
     free: int = 0
     used: int = 0
     incidents: int = 0
+    has_mark_room: bool = True
 
 
 def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NONE_SAFE) -> list[LogEntry]:
@@ -151,10 +153,12 @@ class DiskKeeper:
         free = disk.f_bavail * disk.f_frsize
         floor = min(self._limits.floor_bytes, int(FLOOR_MAX_SHARE * disk.f_blocks * disk.f_frsize))
         limits = msgspec.structs.replace(self._limits, floor_bytes=floor)
+        incidents = sum(entry.bytes for entry in entries if entry.is_incident)
         self.use = DiskUse(
             free=free,
             used=sum(entry.bytes for entry in entries),
-            incidents=sum(entry.bytes for entry in entries if entry.is_incident),
+            incidents=incidents,
+            has_mark_room=not limits.budget_bytes or incidents < MARK_SHARE * limits.budget_bytes,
         )
         sizes = {entry.name: entry.bytes for entry in entries}
         marked = {entry.name for entry in entries if entry.is_safe}

@@ -56,11 +56,15 @@ class Orders:
     Args:
         recorder: executes them.
         health: returns the recorder's present health.
+        has_mark_room: returns whether marks may take more of the budget.
     """
 
-    def __init__(self, recorder: Recorder, health: Callable[[], RecorderHealth]) -> None:
+    def __init__(
+        self, recorder: Recorder, health: Callable[[], RecorderHealth], has_mark_room: Callable[[], bool]
+    ) -> None:
         self._recorder = recorder
         self._health = health
+        self._has_mark_room = has_mark_room
         self._pending: list[_Pending] = []
         self._spent_to_ns = 0
         """The time until which the marks that were taken have used up what is allowed."""
@@ -99,6 +103,11 @@ class Orders:
         if wait_ns > 0:
             self._answer(asked, f"too many marks; the next one is taken in {wait_ns / 1e9:.0f} s", [], ok=False)
             return ()
+        # On a full disk the reserve is for incidents of faults.
+        is_full = self._recorder.state is RecorderState.FULL
+        if is_full or not self._recorder.has_incident_room or not self._has_mark_room():
+            self._answer(asked, "the disk has no more room for marks", [], ok=False)
+            return ()
         because = f"mark by {asked.operator}: {mark.text}" if mark.text else f"mark by {asked.operator}"
         marked, actions = self._recorder.mark(mark.robot, because, now_ns, wall_ns)
         if marked:
@@ -107,8 +116,6 @@ class Orders:
             awaits = {name for name, file in marked.items() if not file}
             self._pending.append(_Pending(asked, awaits, now_ns + REPLY_NS, opened))
             self.tick(now_ns)
-        elif not self._recorder.has_incident_room:
-            self._answer(asked, "the disk may hold no more incidents", [], ok=False)
         else:
             whose = f"of {mark.robot} " if mark.robot else ""
             self._answer(asked, f"nothing {whose}has been heard", [], ok=False)

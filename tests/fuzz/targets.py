@@ -339,7 +339,7 @@ def orders(data: bytes) -> None:
         return
     recorder, writer = Recorder(RECORDER_PLAN), MemoryWriter()
     writer.apply(recorder.receive([sample_of(gear(0))], 0))
-    desk = Orders(recorder, lambda: recorder_health(recorder.state))
+    desk = Orders(recorder, lambda: recorder_health(recorder.state), lambda: True)
     verb = RECORDER_COMMANDS[data[0] % len(RECORDER_COMMANDS)]
     asked = FakeAsked(codec.decode_request(verb, data[1:]))
     writer.apply(desk.obey(asked.asked, 0, WALL_NS))

@@ -135,6 +135,7 @@ def test_the_oldest_logs_go_for_the_budget(tmp_path: Path, monkeypatch: pytest.M
         looks.look_twice()
         assert logs_in(tmp_path) == sorted([incident, part, second, third])
         assert (looks._keeper.use.used, looks._keeper.use.incidents) == (4000, 1000)
+        assert not looks._keeper.use.has_mark_room, "a quarter of the budget is used by incidents"
         newest = log(tmp_path, 6, 1500)
         wait_until(lambda: looks.has_said(Deleted(third, 1000)))
     assert logs_in(tmp_path) == sorted([incident, part, newest])
@@ -165,6 +166,7 @@ def test_the_floor_is_a_tenth_of_a_small_disk_at_most(tmp_path: Path, monkeypatc
     with kept(tmp_path, DiskLimits(floor_bytes=10**12), monkeypatch) as looks:
         looks.look_twice()
         assert looks.notices == []
+        assert looks._keeper.use.has_mark_room
         assert looks._keeper.use.free == 26_000 * 4096
         monkeypatch.setattr(Stick, "f_bavail", 24_999)
         wait_until(lambda: looks.has_said(DiskRoom(has_room=False, has_incident_room=True)))

@@ -22,7 +22,10 @@ class Desk:
     def __init__(self) -> None:
         self.recorder = Recorder(RECORDER_PLAN)
         self.writer = MemoryWriter()
-        self.orders = Orders(self.recorder, lambda: recorder_health(self.recorder.state))
+        self.has_mark_room = True
+        self.orders = Orders(
+            self.recorder, lambda: recorder_health(self.recorder.state), lambda: self.has_mark_room
+        )
         self.now_ns = 0
 
     def receive(self, *robots: str) -> None:
@@ -78,7 +81,10 @@ def test_a_mark_names_its_incidents() -> None:
 
 @pytest.mark.parametrize(
     ("mark", "detail"),
-    [(Mark("", "c"), "nothing of c has been heard"), (Mark("", "a"), "the disk may hold no more incidents")],
+    [
+        (Mark("", "c"), "nothing of c has been heard"),
+        (Mark("", "a"), "the disk has no more room for marks"),
+    ],
 )
 def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
     """With the reason."""
@@ -105,6 +111,19 @@ def test_a_flood_of_marks_is_refused() -> None:
         asked = [desk.ask(Mark()) for _ in range(more + 1)]
         desk.notice()
         assert [one.answer.ok for one in asked] == [True] * more + [False]
+
+
+def test_marks_leave_room_for_incidents_of_faults() -> None:
+    """Which are written all the same: a part of the budget, and on a full disk the reserve."""
+    desk = Desk()
+    desk.receive("a")
+    for has_room, has_mark_room in ((True, False), (False, True)):
+        desk.room(has_room=has_room)
+        desk.has_mark_room = has_mark_room
+        answer = desk.ask(Mark()).answer
+        assert (answer.ok, answer.detail) == (False, "the disk has no more room for marks")
+        assert desk.recorder.has_incident_room
+    assert desk.recorder.incidents == 0
 
 
 def test_a_disk_that_does_not_answer_keeps_nobody_waiting() -> None:
