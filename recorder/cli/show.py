@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from typing import Any
 
 import msgspec
 
@@ -19,5 +20,25 @@ def show(answer: object, lines: Iterable[str], *, as_json: bool) -> None:
             cannot be printed is escaped.
         as_json: choose the first.
     """
-    shown = [msgspec.json.encode(answer).decode()] if as_json else map(plain, lines)
+    shown = [json_line(answer)] if as_json else map(plain, lines)
     sys.stdout.writelines(f"{line}\n" for line in shown)
+
+
+def json_line(answer: object) -> str:
+    """Return an answer as JSON. Bytes of a file's name that are no text are escaped."""
+    try:
+        return msgspec.json.encode(answer).decode()
+    except UnicodeEncodeError:
+        return msgspec.json.encode(_escaped(msgspec.to_builtins(answer))).decode()
+
+
+def _escaped(value: Any) -> Any:  # noqa: ANN401 - whatever JSON has
+    match value:
+        case str():
+            return value.encode(errors="backslashreplace").decode()
+        case dict():
+            return {_escaped(key): _escaped(one) for key, one in value.items()}
+        case list():
+            return list(map(_escaped, value))
+        case _:
+            return value

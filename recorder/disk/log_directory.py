@@ -38,6 +38,11 @@ NAMESAKES_MAX: Final = 1000
 """Files of one name and second that are numbered; any more have the time of the try in their place."""
 
 
+def is_log(name: str) -> bool:
+    """True of the names of logs. Hidden files are none: macOS puts a ``._NAME`` beside each file of a stick."""
+    return name.endswith((SUFFIX, PART_SUFFIX)) and not name.startswith(".")
+
+
 class LogDirectory:
     """The directory of the logs. It is made if it does not exist.
 

@@ -6,7 +6,7 @@ import fcntl
 import os
 import stat
 from collections import Counter
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from typing import BinaryIO, Final, Protocol
 import msgspec
 from mcap import records
 
-from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
+from recorder.disk.log_directory import is_log
 from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, is_mcap, read_pieces
 from recorder.mcap.summary_reader import read_summary
 from recorder.objects.address import shown_url
@@ -66,7 +66,7 @@ def find_logs(
     found: dict[Path, LogFile] = {}
     failure: CommandError | None = None
     for path in dict.fromkeys(paths):
-        for name in [path] if not path.is_dir() else sorted(_logs_of(path)):
+        for name in [path] if not path.is_dir() else _logs_of(path):
             if name in found:
                 continue
             if name in known:
@@ -197,6 +197,8 @@ def _span(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> tuple[in
     return max(start_ns, 0), end_ns, channels
 
 
-def _logs_of(directory: Path) -> Iterator[Path]:
-    for suffix in (SUFFIX, PART_SUFFIX):
-        yield from directory.glob(f"*{suffix}")
+def _logs_of(directory: Path) -> list[Path]:
+    try:
+        return sorted(one for one in directory.iterdir() if is_log(one.name))
+    except OSError as error:
+        raise CommandError(f"cannot read {plain(str(directory))}: {error.strerror or error}") from error

@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import partial
+from itertools import count
 from tempfile import TemporaryDirectory
 from typing import Any, Final, TypeVar
 
@@ -87,15 +88,26 @@ def answer(
                 connection.execute("SET lock_configuration = true")
                 relation = run(partial(connection.sql, params=parameters), sql)
                 rows = None if relation is None else run(relation.to_arrow_reader, BATCH_ROWS)
-            yield None if rows is None else pa.RecordBatchReader.from_batches(rows.schema, _batches(rows, run))
+            yield None if rows is None else _renamed(rows, run)
         finally:
             connection.close()
 
 
-def _batches(rows: pa.RecordBatchReader, run: Callable[..., Any]) -> Iterator[pa.RecordBatch]:
+def _renamed(rows: pa.RecordBatchReader, run: Callable[..., Any]) -> pa.RecordBatchReader:
+    """The same rows, with a number behind the names that columns share: an object has each name once."""
+    names: list[str] = []
+    for name in rows.schema.names:
+        others = (f"{name}_{number}" for number in count(1))
+        taken = {*names, *rows.schema.names}
+        names.append(next(one for one in others if one not in taken) if name in names else name)
+    schema = pa.schema([field.with_name(name) for field, name in zip(rows.schema, names, strict=True)])
+    return pa.RecordBatchReader.from_batches(schema, _batches(rows, names, run))
+
+
+def _batches(rows: pa.RecordBatchReader, names: list[str], run: Callable[..., Any]) -> Iterator[pa.RecordBatch]:
     batches = iter(rows)
     while (batch := run(next, batches, None)) is not None:
-        yield batch
+        yield pa.RecordBatch.from_arrays(batch.columns, names=names)
 
 
 @contextmanager

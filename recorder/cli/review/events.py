@@ -21,6 +21,7 @@ from recorder.cli.review.asking import (
     no_robot,
     progress_bar,
 )
+from recorder.cli.show import json_line
 from recorder.reading.faults import Faults
 from recorder.reading.survey import survey
 from recorder.reading.times import in_words
@@ -97,7 +98,7 @@ def record_of(entry: Entry, start_ns: int) -> dict[str, Any]:
 
 def _as_json(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
     for entry in entries:
-        yield msgspec.json.encode(record_of(entry, asked.start_ns)).decode()
+        yield json_line(record_of(entry, asked.start_ns))
 
 
 _HEAD: Final = ("since/s", "time (UTC)", "robot", "severity", "kind", "cause", "operator", "what")

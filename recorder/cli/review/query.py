@@ -163,7 +163,6 @@ def _write_csv(text: str) -> None:
 
 def _print_table(names: list[str], found: Iterator[dict[str, Any]]) -> None:
     shown = list(islice(found, SHOWN_MAX))
-    # In a table of two columns of one name the last one would stand twice; SQL names columns by AS.
     lines = table(names, [[_cell(row[name]) for name in names] for row in shown], words=len(names))
     sys.stdout.write("\n".join(lines) + "\n" if lines else "  no rows\n")
     if next(found, None) is not None:

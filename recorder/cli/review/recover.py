@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
 
 def _leftovers(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
-        found = sorted(path.glob(f"*{PART_SUFFIX}")) if path.is_dir() else [path]
+        found = sorted(path.glob(f"[!.]*{PART_SUFFIX}")) if path.is_dir() else [path]
         if not found:
             sys.stderr.write(f"cruiser review: {plain(str(path))} holds no log that is not finished\n")
         yield from found

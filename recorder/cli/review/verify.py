@@ -86,7 +86,7 @@ def _verify_archive(
         found = read_evidence(path, Path(name))
         said = describe_archive(path, found)
         sys.stdout.write(f"{msgspec.json.encode(found).decode() if arguments.json else said}\n")
-        logs = sorted(Path(name).glob("*.mcap"))
+        logs = sorted(Path(name).glob("[!.]*.mcap"))
         unpacked = argparse.Namespace(**{**vars(arguments), "logs": logs})
         code = _verify(unpacked, trusts, found.statements, stopped) if logs else ExitCode.FAILURE
         return ExitCode.FAILURE if found.findings else code

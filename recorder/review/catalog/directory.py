@@ -11,7 +11,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
+from recorder.disk.log_directory import PART_SUFFIX, is_log
 from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -262,7 +262,7 @@ def _files(directory: Path) -> dict[str, _Status]:
         with os.scandir(directory) as entries:
             for entry in entries:
                 name = entry.name
-                if not name.endswith((SUFFIX, PART_SUFFIX)):
+                if not is_log(name):
                     continue
                 try:
                     status = entry.stat()

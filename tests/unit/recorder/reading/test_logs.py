@@ -35,6 +35,8 @@ def test_of_a_directory_logs_and_parts_are_taken(tmp_path: Path) -> None:
     saved(tmp_path / "r-2.mcap.part", log(200)[:-30])
     saved(tmp_path / "r-3.mcap.damaged", log(300))
     saved(tmp_path / "notes.txt", b"hello")
+    # macOS puts such a file beside each one that it copies onto a stick of another file system.
+    saved(tmp_path / "._r-1.mcap", b"\0\5\x16\7")
     assert names([tmp_path]) == ["r-1.mcap", "r-2.mcap.part"]
 
 

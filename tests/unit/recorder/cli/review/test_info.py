@@ -1,10 +1,13 @@
 """``cruiser review info``."""
 
 import json
+import os
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import pytest
 
+from gateway.cli.main import main
 from recorder.review.catalog.known import CATALOG_NAME
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
@@ -135,3 +138,25 @@ def test_a_log_of_absurd_times_is_described(tmp_path: Path, capsys: pytest.Captu
     log.receive(FakeSample("k", "x", b""), wall_ns=2**63 - 1)
     assert review("info", str(saved(tmp_path / "log.mcap", log.close()))) == ExitCode.OK
     assert "2262-" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", [[], ["--json"]])
+def test_a_name_that_is_no_text_is_escaped(
+    tmp_path: Path, option: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file system takes any bytes."""
+    path = saved(tmp_path / os.fsdecode(b"\xff.mcap"), own_log([gears(0, 2, 5)]))
+    assert review("info", *option, path) == ExitCode.OK
+    assert r"\udcff.mcap" in capsys.readouterr().out
+    assert review("check", *option, path) == ExitCode.OK
+
+
+def test_a_terminal_may_lack_characters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are escaped."""
+    stream = BytesIO()
+    monkeypatch.setattr("sys.stdout", TextIOWrapper(stream, "latin-1"))
+    log = saved(
+        tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[("cruiser.recorder", {"name": "\u901f"})])
+    )
+    assert main(["review", "info", str(log.rename(tmp_path / "\u901f.mcap"))]) == ExitCode.OK
+    assert rb"\u901f.mcap: whole" in stream.getvalue()

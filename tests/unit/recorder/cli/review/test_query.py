@@ -56,6 +56,13 @@ def test_options_may_stand_anywhere(asked: Path, capsys: pytest.CaptureFixture[s
     assert "unrecognized arguments: --nothing" in capsys.readouterr().err
 
 
+def test_columns_of_one_name_are_kept_apart(asked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The later ones get a number that nobody has."""
+    sql = "SELECT 1 AS a, 2 AS a, 3 AS a_1, 4 AS a FROM chassis_gear LIMIT 1"
+    assert run("query", "--json", sql, asked) == ExitCode.OK
+    assert json.loads(capsys.readouterr().out) == {"a": 1, "a_2": 2, "a_1": 3, "a_3": 4}
+
+
 def test_programs_get_json_or_csv(asked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An object a line; a head and lines."""
     sql = "SELECT sequence, log_time, data FROM can_rx LIMIT 2"
