@@ -80,6 +80,9 @@ class Recovery(msgspec.Struct, frozen=True):
     detail: str = ""
 
 
+NO_LOCKS: Final = "this disk does not tell whether a recorder writes it; copy it to one that has locks"
+
+
 def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSigner | None = None) -> Recovery:
     """Make a log whole.
 
@@ -92,7 +95,11 @@ def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSig
     name = str(path)
     try:
         with path.open("r+b") as stream:
-            if not lock(stream.fileno()):
+            try:
+                is_free = lock(stream.fileno())
+            except OSError as error:
+                return Recovery(name, RecoveryOutcome.FAILED, name, detail=f"{error.strerror}: {NO_LOCKS}")
+            if not is_free:
                 return Recovery(name, RecoveryOutcome.BUSY, name, detail="a recorder is writing it")
             # Its writer may have renamed it before the lock was ours.
             if not os.path.samestat(path.stat(), os.fstat(stream.fileno())):

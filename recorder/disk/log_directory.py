@@ -106,7 +106,7 @@ class LogDirectory:
             except FileExistsError:
                 continue
             # Another start may take a part without a lock for a leftover; then it is that one's.
-            if not _lock_own(stream.fileno()):
+            if not lock_own(stream.fileno()):
                 stream.close()
                 continue
             if not path.exists():
@@ -158,7 +158,8 @@ def lock(descriptor: int) -> bool:
     return True
 
 
-def _lock_own(descriptor: int) -> bool:
+def lock_own(descriptor: int) -> bool:
+    """As ``lock``; True also where this file system has no locks."""
     try:
         return lock(descriptor)
     except OSError:

@@ -6,7 +6,6 @@ are whole, and named by the manifest last: an export that is interrupted leaves 
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import tempfile
@@ -18,6 +17,7 @@ from typing import Final
 
 import msgspec
 
+from recorder.disk.log_directory import lock_own
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress
@@ -123,12 +123,11 @@ def _export(
 
 @contextmanager
 def _locked(directory: Path) -> Generator[None, None, None]:
-    """One export at a time."""
+    """One export at a time, where the file system locks directories; NFS does not."""
     place = os.open(directory, os.O_RDONLY)
     try:
-        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not lock_own(place):
+            raise CommandError(f"another export writes into {plain(str(directory))}")
         yield
-    except BlockingIOError:
-        raise CommandError(f"another export writes into {plain(str(directory))}") from None
     finally:
         os.close(place)

@@ -120,7 +120,8 @@ def test_where_there_are_no_locks_nothing_is_touched(tmp_path: Path, monkeypatch
     monkeypatch.setattr(leftovers, "lock", none)
     path = part(tmp_path, LOG[:SUMMARY])
     recovery = recover(path, "test")
-    assert (recovery.outcome, recovery.detail) == (RecoveryOutcome.FAILED, "No locks available")
+    assert recovery.outcome is RecoveryOutcome.FAILED
+    assert recovery.detail == f"No locks available: {leftovers.NO_LOCKS}"
     assert path.read_bytes() == LOG[:SUMMARY]
 
 

@@ -1,5 +1,6 @@
 """Logs into a dataset, as others read it."""
 
+import errno
 import json
 import random
 from collections import Counter
@@ -160,6 +161,17 @@ def test_two_exports_do_not_write_at_once(tmp_path: Path) -> None:
         yield from HERE(act, tasks, progress)
 
     assert export([log], tmp_path / "out", run=run).rows
+
+
+def test_an_export_needs_no_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """NFS locks only what is open for writing, which a directory is not."""
+
+    def refused(_descriptor: int, _operation: int) -> None:
+        raise OSError(errno.EBADF, "Bad file descriptor")
+
+    monkeypatch.setattr("fcntl.flock", refused)
+    log = saved(tmp_path / "1.mcap", drive_log())
+    assert export([log], tmp_path / "out").files
 
 
 def test_a_day_is_a_directory(tmp_path: Path) -> None:
