@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
+from graphlib import TopologicalSorter
+from importlib import import_module
 from typing import Any, Final
 
 import msgspec
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
@@ -201,6 +203,15 @@ def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any]
     return value
 
 
+@cache
+def _well_known() -> dict[str, FileDescriptorProto]:
+    """Return the files of protobuf's well-known types, by their names."""
+    kinds = ("any", "duration", "empty", "field_mask", "struct", "timestamp", "wrappers")
+    modules = (import_module(f"google.protobuf.{kind}_pb2") for kind in kinds)
+    files = (FileDescriptorProto.FromString(module.DESCRIPTOR.serialized_pb) for module in modules)
+    return {file.name: file for file in files}
+
+
 def foreign_decoder(name: str, descriptors: bytes) -> Decode | None:
     """By the descriptor set that the log holds; None if that is of no use."""
     found = foreign_class(name, descriptors)
@@ -211,8 +222,12 @@ def foreign_class(name: str, descriptors: bytes) -> Any:  # noqa: ANN401 - proto
     """The protobuf package's class by the descriptor set that the log holds; None if that is of no use."""
     pool = DescriptorPool()
     try:
-        for file in FileDescriptorSet.FromString(descriptors).file:
-            pool.Add(file)
+        files = {file.name: file for file in FileDescriptorSet.FromString(descriptors).file}
+        # Others put them in any order, and leave the well-known ones out.
+        if any(needed not in files for file in files.values() for needed in file.dependency):
+            files = _well_known() | files
+        for file_name in TopologicalSorter({file.name: file.dependency for file in files.values()}).static_order():
+            pool.Add(files[file_name])
         return GetMessageClass(pool.FindMessageTypeByName(name))
     except UNREADABLE:
         return None

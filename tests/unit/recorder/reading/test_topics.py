@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
@@ -19,7 +20,7 @@ from recorder.encoding.protobuf_schema import (
     schema_name,
 )
 from recorder.encoding.transcode import compile_encoder
-from recorder.reading.topics import UNREADABLE, Topic, topic_of, typed_decoder
+from recorder.reading.topics import UNREADABLE, Topic, foreign_decoder, topic_of, typed_decoder
 from schemas.decisions import Decision
 from schemas.messages import Gear
 from tests.support.logs import ENCODE_GEAR, GEAR_TOPIC
@@ -139,3 +140,22 @@ def test_a_number_that_no_member_has_is_no_message(number: int) -> None:
     read: Any = message_class(Decision)
     with pytest.raises(UNREADABLE):
         typed_decoder(Decision)(read(reason=number).SerializeToString())
+
+
+def test_descriptors_come_in_any_order_and_without_the_well_known_ones() -> None:
+    """Others' tools write them so."""
+    part = FileDescriptorProto(name="part.proto", package="p", syntax="proto3")
+    part.message_type.add(name="Part").field.add(name="x", number=1, label=1, type=5)
+    whole = FileDescriptorProto(name="whole.proto", package="p", syntax="proto3")
+    whole.dependency.extend(["part.proto", "google/protobuf/timestamp.proto"])
+    fields_of = whole.message_type.add(name="Whole").field
+    fields_of.add(name="part", number=1, label=1, type=11, type_name=".p.Part")
+    fields_of.add(name="at", number=2, label=1, type=11, type_name=".google.protobuf.Timestamp")
+    for files in ([part, whole], [whole, part]):
+        decode = foreign_decoder("p.Whole", FileDescriptorSet(file=files).SerializeToString())
+        assert decode is not None
+        assert decode(b"\x0a\x02\x08\x05\x12\x02\x08\x07").part.x == 5
+        assert decode(b"\x0a\x02\x08\x05\x12\x02\x08\x07").at.seconds == 7
+    assert foreign_decoder("p.Whole", FileDescriptorSet(file=[whole]).SerializeToString()) is None
+    part.dependency.append("whole.proto")
+    assert foreign_decoder("p.Whole", FileDescriptorSet(file=[whole, part]).SerializeToString()) is None
