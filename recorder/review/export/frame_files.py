@@ -1,7 +1,8 @@
 """Files of raw frames for the tools of CAN, one a robot, by python-can's writers: candump log, ASC, BLF.
 
 Not every format says everything: a candump log knows no class of an error frame and no length of a remote frame,
-ASC neither the class nor the direction of an error frame. Times are to the microsecond.
+ASC neither the class nor the direction of an error frame. Times are to the microsecond; ASC and BLF name no
+time zone, and have UTC here.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from datetime import datetime
+from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 from typing import Any, Final
@@ -159,11 +160,11 @@ class FrameFile:
             self._writer.log_event(STARTED, time_ns // 1_000_000_000)
 
     def _date(self, time_ns: int) -> None:
-        """The day of the frames, in local time as the format has it; python-can's writer has put today's."""
+        """The day of the frames, in UTC as in a BLF file; python-can's writer has put today's, in local time."""
         file = self._writer.file
         file.flush()
         lines = self._part.read_text(encoding="utf-8").splitlines(keepends=True)
-        began = datetime.fromtimestamp(time_ns // 1_000_000_000)  # noqa: DTZ006 - as the format has it
+        began = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC)
         lines[0] = f"date {began:%a %b %d %H:%M:%S}.0 {began:%Y}\n"
         file.seek(0)
         file.truncate()

@@ -1,5 +1,6 @@
 """Files of raw frames, as python-can's readers read them."""
 
+import time
 from datetime import datetime
 from pathlib import Path
 
@@ -143,14 +144,20 @@ def test_until_it_is_whole_a_file_has_not_its_name(tmp_path: Path, form: FrameFo
     assert [path.name for path in tmp_path.iterdir()] == ["whole"]
 
 
-def test_an_asc_file_is_dated_by_its_frames(tmp_path: Path) -> None:
-    """Not by the day on which it was exported; in local time, as the format has it."""
-    written(tmp_path / "x.asc", FrameFormat.ASC, FRAMES)
-    with can.ASCReader(tmp_path / "x.asc") as reader:
-        list(reader)
-        assert reader.date is not None
-        began = datetime.strptime(reader.date, "%b %d %H:%M:%S.%f %Y").timestamp()  # noqa: DTZ007
-    assert began == START_NS // 1_000_000_000
+@pytest.mark.parametrize("zone", ["UTC", "JST-9"])
+def test_asc_and_blf_are_dated_by_their_frames(tmp_path: Path, zone: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by the day of the export; in UTC wherever that is."""
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        written(tmp_path / "x.asc", FrameFormat.ASC, FRAMES)
+        [first, *_] = written(tmp_path / "x.blf", FrameFormat.BLF, FRAMES)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    date = (tmp_path / "x.asc").read_text(encoding="utf-8").splitlines()[0]
+    began = datetime.strptime(f"{date} +0000", "date %a %b %d %H:%M:%S.%f %Y %z")
+    assert began.timestamp() == START_NS // 1_000_000_000 == int(first.timestamp)
 
 
 @pytest.mark.parametrize("offset_ms", [0, 5, 50, 123, 999])
