@@ -17,7 +17,7 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "record stop": "a recorder records while it runs: 'systemctl stop cruiser-recorder'",
     "record split": "'systemctl reload cruiser-recorder', or SIGHUP, begins new files",
     "review export --add": "export to a dataset of its own, and read both",
-    "review merge --fill": "'cruiser review rerun LOG' gives the journal to the arbiter",
+    "review merge": "'mcap merge' (the mcap CLI); questions take several files and directories",
     "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
     "provision site": "the authority signs each person's request itself ('cruiser provision sign')",
     "provision sign --delegate": "no grant stands below another",

@@ -2,7 +2,7 @@
 
 - ``find``, ``catalog``  which of very many logs; their rows
 - ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``)
-- ``merge``, ``cut``     several logs in one; a part of a log (``joining``)
+- ``cut``                a part of a log, as a log
 - ``timeline``, ``why``  what happened; why the robot stopped or stood (``reasoning``)
 - ``verify``             who commanded, with which grant; is anything missing or changed (``verifying``)
 - ``evidence``           what logs hold around an incident, in one signed archive

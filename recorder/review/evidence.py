@@ -32,7 +32,7 @@ from recorder.review.verifying.authority import ShownStatement
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from schemas.authority.proof import ProofKind, signed_bytes
 from schemas.authority.trust import fits
-from schemas.exit_codes import CommandError
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
 FORMAT: Final = "cruiser-evidence-1"
@@ -132,13 +132,15 @@ def gather(
         progress: receives the number of bytes that were read.
 
     Raises:
-        CommandError: the file is there already, or cannot be written.
+        CommandError: the file is there already, or cannot be written, or there are several logs.
     """
     if path.exists():
         raise CommandError(f"{plain(str(path))} exists, and is not overwritten")
+    if len(logs) > 1:
+        raise CommandError(f"evidence is of one log, and these are {len(logs)}", ExitCode.USAGE)
     with TemporaryDirectory(prefix=".evidence-", dir=path.parent) as name:
         directory = Path(name)
-        cut(logs, directory / INCIDENT, _within(*period), [], faults, progress)
+        cut(logs[0], directory / INCIDENT, _within(*period), [], faults, progress)
         missing = _cut_rerun(logs, directory, at_ns, period, faults, progress)
         commands = [f"cruiser review verify {plain(path.name)} --authority authority.json"]
         if (directory / RERUN).exists():
@@ -202,7 +204,7 @@ def _cut_rerun(
         else:
             begins.append(begin_ns)
     if begins:
-        cut(logs, directory / RERUN, _within(min(begins), period[1]), RERUN_TOPICS, faults, progress)
+        cut(logs[0], directory / RERUN, _within(min(begins), period[1]), RERUN_TOPICS, faults, progress)
     return missing
 
 

@@ -32,7 +32,6 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "replay": ("recorder.cli.review.replay", "publish a log again on Zenoh"),
     "export": ("recorder.cli.review.export", "logs as Parquet or CSV, raw frames for the tools of CAN"),
     "query": ("recorder.cli.review.query", "SQL over logs, or over an exported dataset"),
-    "merge": ("recorder.cli.review.merge", "several logs in one"),
     "cut": ("recorder.cli.review.cut", "a part of a log, as a log"),
     "recover": ("recorder.cli.review.recover", "make logs whole that their recorder could not finish"),
 }

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from mcap import records
+
+from recorder.mcap.reader import read_pieces
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.record.statements import STATEMENTS_NAME
-from recorder.review.joining.source import JoinSource
 from recorder.review.verifying.authority import ShownStatement
 
 
@@ -20,14 +22,19 @@ def file_statements(logs: Sequence[LogFile], faults: Faults) -> Iterator[ShownSt
     """
     for log in logs:
         try:
-            source = JoinSource(log, lambda _: None, faults)
+            with log.open() as stream:
+                pieces = read_pieces(stream, log.bytes, is_verifying=False)
+                found = [
+                    one.metadata
+                    for one in pieces
+                    if isinstance(one, records.Metadata) and one.name == STATEMENTS_NAME
+                ]
         except OSError as error:
             faults.add(f"{log.path}: {error.strerror or error}")
             continue
-        for record in source.read_metadata():
-            if record.name == STATEMENTS_NAME:
-                for name, text in record.metadata.items():
-                    yield from _shown(name, text, log)
+        for entries in found:
+            for name, text in entries.items():
+                yield from _shown(name, text, log)
 
 
 def _shown(name: str, text: str, log: LogFile) -> Iterator[ShownStatement]:

@@ -28,7 +28,6 @@ from recorder.review.catalog.directory import Catalog, known_logs
 from recorder.review.catalog.known import CATALOG_NAME
 from recorder.review.catalog.table import SCHEMA, write_table
 from recorder.review.cut import cut
-from recorder.review.merge import merge
 from recorder.review.verify import RobotProofReport, shown_statements, verify_logs
 from recorder.review.verifying.commands import STOPS_WAITING
 from recorder.review.verifying.findings import ProofFault
@@ -655,16 +654,13 @@ def test_samples_that_a_recorder_asked_for_later_count(tmp_path: Path) -> None:
     assert verified(tmp_path, log_of(late)).is_proven
 
 
-def test_a_cut_log_and_a_merged_one_hold(tmp_path: Path) -> None:
+def test_a_cut_log_holds(tmp_path: Path) -> None:
     """A part of a log holds from its first head on, as long as it is told the grants."""
     whole = saved(tmp_path / "whole.mcap", log_of(SAMPLES))
-    other = saved(tmp_path / "other.mcap", log_of(SAMPLES[60:]))
     faults = Faults()
-    logs = find_logs([whole, other], faults)
-    merge(logs, tmp_path / "merged.mcap", faults)
-    assert verified_files([tmp_path / "merged.mcap"], FLEET.trust).is_proven
+    logs = find_logs([whole], faults)
     period = Selection(from_ns=NOW_S * S + 2 * S + S // 2, to_ns=NOW_S * S + 5 * S)
-    cut(logs, tmp_path / "cut.mcap", period, [], faults)
+    cut(logs[0], tmp_path / "cut.mcap", period, [], faults)
     assert faults_of(verified_files([tmp_path / "cut.mcap"], FLEET.trust)) == {ProofFault.UNPROVEN}
     told = shown_statements(logs, faults)
     report = verified_files([tmp_path / "cut.mcap"], FLEET.trust, statements=told)

@@ -89,7 +89,7 @@ def test_a_log_that_is_not_there_is_said_in_a_line(bucket: FakeObjects) -> None:
         review("why", "s3://logs")
 
 
-@pytest.mark.parametrize("words", ["check", "export -o out", "report", "merge -o out"])
+@pytest.mark.parametrize("words", ["check", "export -o out", "report", "cut -o out"])
 def test_other_questions_say_that_they_read_files(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     """And not that there is no such file."""
     with pytest.raises(SystemExit):

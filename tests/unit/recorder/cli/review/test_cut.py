@@ -1,4 +1,4 @@
-"""``cruiser review merge`` and ``cut``."""
+"""``cruiser review cut``."""
 
 import json
 from pathlib import Path
@@ -9,20 +9,6 @@ from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.logs import GEAR_TOPIC, gears, own_log, saved
 from tests.support.reading import Read
-
-
-def test_logs_are_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What went into it is told."""
-    saved(tmp_path / "in" / "a.mcap", own_log([gears(0, 3, 10)]))
-    saved(tmp_path / "in" / "b.mcap", own_log([gears(2, 3, 30)]))
-    out = tmp_path / "out.mcap"
-    assert review("merge", str(tmp_path / "in"), "-o", str(out)) == ExitCode.OK
-    assert [message[1] for message in Read(out).messages] == [0, 1, 2, 3, 4]
-    said = capsys.readouterr().out
-    assert f"{out}: 5 messages on 1 channels" in said
-    assert "of 2 files; 1 messages were in them more than once" in said
-    with pytest.raises(CommandError, match="exists, and is not overwritten"):
-        review("merge", str(tmp_path / "in"), "-o", str(out))
 
 
 def test_a_part_is_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -41,12 +27,11 @@ def test_a_part_is_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert not (tmp_path / "other.mcap").exists()
 
 
-@pytest.mark.parametrize("question", ["merge", "cut"])
-def test_whoever_is_told_to_stop_leaves_nothing(tmp_path: Path, question: str) -> None:
+def test_whoever_is_told_to_stop_leaves_nothing(tmp_path: Path) -> None:
     """At the first Ctrl-C."""
     log = saved(tmp_path / "in" / "a.mcap", own_log([gears(0, 3, 10)]))
     with pytest.raises(KeyboardInterrupt):
-        review(question, str(log), "-o", str(tmp_path / "out.mcap"), is_stopped=True)
+        review("cut", str(log), "-o", str(tmp_path / "out.mcap"), is_stopped=True)
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
@@ -60,3 +45,17 @@ def test_a_part_of_no_topic_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
     assert refused.value.code is ExitCode.USAGE
     assert ("cut off" in capsys.readouterr().err) == bool(left_out)
     assert list(tmp_path.iterdir()) == [log]
+
+
+def test_a_part_is_of_one_log(tmp_path: Path) -> None:
+    """A directory of one will do; of several, or of two files, nothing is cut."""
+    logs = tmp_path / "logs"
+    first = saved(logs / "a.mcap", own_log([gears(0, 3, 10)]))
+    assert review("cut", logs, "-o", tmp_path / "out.mcap") == ExitCode.OK
+    second = saved(logs / "b.mcap", own_log([gears(3, 3, 100)]))
+    with pytest.raises(CommandError, match=r"it takes one file, and .*logs has 2") as refused:
+        review("cut", logs, "-o", tmp_path / "other.mcap")
+    assert refused.value.code is ExitCode.USAGE
+    with pytest.raises(SystemExit):
+        review("cut", first, second, "-o", tmp_path / "other.mcap")
+    assert not (tmp_path / "other.mcap").exists()
