@@ -14,7 +14,6 @@ from typing import Final, Protocol
 import msgspec
 
 from gateway.authority.robot_authority import Kept, RobotAuthority
-from gateway.authority.self_test import UNDER_WAY
 from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.lease_numbers import LeaseNumbers
@@ -366,13 +365,8 @@ def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_
 
 
 def warn_of_bars(bars: dict[Reason, str]) -> None:
-    """Say why nobody can engage this robot. A test that is under way, as at each start, is no warning."""
+    """Say why nobody can engage this robot."""
     for reason, words in bars.items():
-        if (reason, words) == (Reason.SELF_TEST, UNDER_WAY):
-            log.info(
-                "the gateway tests its keys and its access control; until that has passed nobody can engage it"
-            )
-            continue
         text = of_a_robot(reason, bars)
         log.warning("nobody can engage this robot: %s: %s; %s", text.means, words, text.cure)
 

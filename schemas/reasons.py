@@ -275,9 +275,8 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
         "on and connect to 127.0.0.1 alone",
     ),
     Reason.SELF_TEST: Text(
-        "the gateway's own test of its keys and its access control has not passed",
-        "see to what 'cruiser why ROBOT' names; the gateway tests again by itself, and reads its files again once "
-        "they were replaced",
+        "the gateway's own keys or its own access control are not in order",
+        "see to what 'cruiser why ROBOT' names; the gateway reads its files again once they were replaced",
     ),
     Reason.AUTHORITY_STALE: Text(
         "nothing was heard from the authority for too long, so what was revoked meanwhile is not known",

@@ -141,7 +141,7 @@ class RobotAuthority:
         admission: judges requests, signs replies.
         signer: signs states and heads of chains.
         name_proof: answers for the robot's name.
-        self_test: why the gateway's own test has not passed; empty if it has.
+        self_test: the flaw of the gateway's own files or endpoints; empty if there is none.
         unsaved: why what was taken over could not be saved; empty if it was.
     """
 

@@ -1,4 +1,7 @@
-"""``cruiser doctor``: what is wrong with a robot, and what cures it. It listens and asks, and sends no command."""
+"""``cruiser doctor``: what is wrong with a robot, and what cures it. It listens and asks, and sends no command.
+
+With ``--intrude`` it tries to, under a name and a certificate that no robot obeys.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +36,7 @@ from gateway.host.computer_look import (
     run_program,
     was_shut_down,
 )
+from gateway.host.self_test import find_hole
 from gateway.provisioning.key_files import directory_of
 from gateway.provisioning.tls_files import role_of
 from gateway.telemetry.received import Received, TokenChange
@@ -92,6 +96,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout", type=seconds, default=3.0, metavar="S", help="how long to wait for the gateway (3)"
     )
+    parser.add_argument(
+        "--intrude",
+        action="store_true",
+        help="signed mode: see that the router shuts out a certificate without any right; some seconds",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object: ok, summary, findings, reach")
     add_zenoh_arguments(parser)
 
@@ -107,8 +116,19 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     names_bus = (getattr(arguments, "can.interface"), getattr(arguments, "can.channel")) != (None, None)
     facts = look(settings, arguments.timeout, stopped, follows_gateway=not names_bus)
     bus_of_settings = _bus_of_file(arguments, settings) if names_bus else facts.bus_of_settings
-    facts = msgspec.structs.replace(facts, bus_of_settings=bus_of_settings)
+    hole = _tried(settings) if arguments.intrude else None
+    facts = msgspec.structs.replace(facts, bus_of_settings=bus_of_settings, hole=hole)
     return int(report(facts, diagnose(facts), as_json=arguments.json))
+
+
+def _tried(settings: Settings) -> str:
+    """Return what somebody without any right can do to the robot, or why that was not tried; empty if nothing."""
+    if settings.authority.mode != "signed":
+        return 'in open mode nobody is shut out; authority.mode = "signed"'
+    try:
+        return find_hole(settings)
+    except CommandError as error:
+        return f"it cannot be tried whether the router shuts anybody out: {error}"
 
 
 def _check_role(settings: Settings) -> None:

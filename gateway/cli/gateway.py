@@ -35,7 +35,7 @@ from gateway.host.log_queue import logging_aside
 from gateway.host.mileage_note import MileageNote
 from gateway.host.realtime import has_realtime, request_realtime
 from gateway.host.renewal import Renewal
-from gateway.host.self_test import Reached, RoutedSession, SelfTest, SessionHolder
+from gateway.host.self_test import Reached, own_fault
 from gateway.host.service_manager import ServiceManager
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
@@ -171,6 +171,7 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
         closing.callback(node.close)
         if inbox is not None:
             closing.callback(inbox.close)
+        _look_at_own_files(settings, signed, place)
         _warn_of_bars(core, settings, place)
         info = _info(settings, core, place)
         # The bus comes last: frames that wait while the rest starts would come in one burst, too late.
@@ -197,7 +198,6 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
-        closing.callback(_begin_self_test(settings, signed, place, node, inbox))
         renewal.begin(place.connect)
         closing.callback(renewal.close)
         ports = LoopPorts(
@@ -291,28 +291,11 @@ def _manager(closing: ExitStack) -> Manager:
     return manager
 
 
-def _begin_self_test(
-    settings: Settings,
-    signed: SignedMode | None,
-    place: ZenohPlace,
-    node: RoutedSession,
-    inbox: SessionHolder | None,
-) -> Callable[[], None]:
-    """Begin the test without which nobody engages the robot. Returns what ends it.
-
-    A robot that cannot be engaged in any case is not tested.
-    """
-    if signed is None or inbox is None:
-        return lambda: None
-    authority = signed.authority
-
-    def report(verdict: str) -> None:
-        authority.self_test = verdict
-
-    reached = Reached(place.connect, [*place.listen, *place.command_listen])
-    test = SelfTest(settings, reached, node, inbox, report)
-    test.begin(authority.admission.trust)
-    return test.close
+def _look_at_own_files(settings: Settings, signed: SignedMode | None, place: ZenohPlace) -> None:
+    """Have nobody engage a robot whose own file or endpoints let anybody in."""
+    if signed is not None:
+        reached = Reached(place.connect, [*place.listen, *place.command_listen])
+        signed.authority.self_test = own_fault(settings, reached)
 
 
 def _ending(ends: Callable[[], bool], renewal: Renewal, core: Core) -> Callable[[], bool]:

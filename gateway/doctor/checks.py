@@ -468,6 +468,14 @@ def _credentials_end(facts: Facts) -> Iterable[Detail]:
     return [_split(one.warning) for one in facts.credentials if one.warning and not one.problem]
 
 
+def _hole(facts: Facts) -> Iterable[Detail]:
+    return [_split(facts.hole)] if facts.hole else []
+
+
+def _shut(facts: Facts) -> Iterable[Detail]:
+    return _found(facts.hole == "")
+
+
 def _unsigned(facts: Facts) -> Iterable[Detail]:
     wanted = facts.settings.authority.mode == "signed"
     return _found(wanted and not facts.credentials, facts.settings.robot.name)
@@ -771,6 +779,21 @@ CHECKS: Final = (
         "a certificate or a grant ends soon",
         "'cruiser provision renew robot' asks for another",
         _credentials_end,
+        is_note=True,
+    ),
+    Check(
+        "hole",
+        "the router, with --intrude",
+        "a certificate without any right is not shut out",
+        "install router.json5 at the router again, and start it from that",
+        _hole,
+    ),
+    Check(
+        "shut_out",
+        "the router, with --intrude",
+        "a certificate without any right can neither send, see nor answer",
+        "nothing to do",
+        _shut,
         is_note=True,
     ),
     Check(

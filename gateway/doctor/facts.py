@@ -146,6 +146,8 @@ class Facts(msgspec.Struct, frozen=True):
         was_shut_down: before that it was shut down in order; None if its journal does not say.
         stop_note: of a stop by the guard, or by the early stop, that is latched: when and why, in one line; empty
             if there is none, or if it is not for this user to read.
+        hole: what a certificate without any right can do at the router, with the cure, or why that could not be
+            tried; empty if it can do nothing, None if it was not tried.
         bus_of_settings: the bus of the settings and who names another, which was looked at; else empty.
         interface: the CAN interface; None where the bus is none of the kernel's.
         claims: gateways of this machine that command the bus.
@@ -172,6 +174,7 @@ class Facts(msgspec.Struct, frozen=True):
     was_shut_down: bool | None = None
     stop_note: str = ""
     bus_of_settings: str = ""
+    hole: str | None = None
 
     @property
     def health(self) -> GatewayHealth | None:

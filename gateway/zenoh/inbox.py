@@ -111,11 +111,6 @@ class CommandInbox:
             self._statements = session.declare_queryable(authority, ring(STATEMENTS_WAITING), complete=True)
 
     @property
-    def session(self) -> zenoh.Session:
-        """The session, for the gateway's test of itself."""
-        return self._session
-
-    @property
     def node(self) -> str:
         """The session's identifier."""
         return str(self._session.zid())

@@ -59,25 +59,24 @@ def access_of(settings: ZenohSettings) -> tuple[dict[str, Json], dict[str, Json]
 
 
 class Tripwires:
-    """Subscribers and a queryable on the gateway's own sessions that would receive an intruder's messages.
+    """Subscribers and a queryable on a session of the robot's that would receive an intruder's messages.
 
     Attributes:
         operator: the name under which it is tried; nobody else has it.
     """
 
-    def __init__(self, settings: Settings, telemetry: zenoh.Session, commands: zenoh.Session) -> None:
-        """Subscribe on the gateway's two sessions."""
+    def __init__(self, settings: Settings, session: zenoh.Session) -> None:
+        """Subscribe on a session that has the robot's certificate."""
         self.operator = f"nobody-{secrets.token_hex(4)}"
         root, robot = settings.robot.root, settings.robot.name
         self.question = f"{root}/{robot}/gateway/{self.operator}"
-        self._telemetry = telemetry
+        self._session = session
         commanded = keys.command(root, robot, self.operator, keys.ALL)
         state = keys.build(root, robot, BY_NAME["safety/state"])
         self._subscribers: list[_Declared] = [
-            session.declare_subscriber(key, zenoh.handlers.RingChannel(WAITING))
-            for session, key in ((telemetry, commanded), (commands, commanded), (telemetry, state))
+            session.declare_subscriber(key, zenoh.handlers.RingChannel(WAITING)) for key in (commanded, state)
         ]
-        self._queryable: _Declared = commands.declare_queryable(commanded, zenoh.handlers.RingChannel(WAITING))
+        self._queryable: _Declared = session.declare_queryable(commanded, zenoh.handlers.RingChannel(WAITING))
 
     def deeds(self) -> list[str]:
         """Return the messages that have arrived here, in words."""
@@ -93,7 +92,7 @@ class Tripwires:
 
     def ask(self) -> None:
         """Ask what the robot alone may answer; it does not."""
-        self._telemetry.get(self.question, PendingQuery().handler, timeout=ANSWER_TIMEOUT_S)
+        self._session.get(self.question, PendingQuery().handler, timeout=ANSWER_TIMEOUT_S)
 
     def close(self) -> None:
         """Take them away."""
@@ -175,7 +174,7 @@ def intrude(
     endpoint: str,
     certificate: Path,
     key: Path,
-    sessions: tuple[zenoh.Session, zenoh.Session],
+    session: zenoh.Session,
     pause: Callable[[float], object],
 ) -> Attempt:
     """Try everything at an endpoint, with a certificate that has no right.
@@ -185,13 +184,10 @@ def intrude(
         endpoint: a router's, or one of the gateway's own.
         certificate: of the role ``nothing``.
         key: the certificate's.
-        sessions: the gateway's, for telemetry and for commands.
+        session: one that has the robot's own certificate.
         pause: waits for so many seconds.
     """
-    try:
-        wires = Tripwires(settings, *sessions)
-    except zenoh.ZError:  # The gateway ends.
-        return Attempt(is_connected=False)
+    wires = Tripwires(settings, session)
     try:
         with Intruder.open(settings, endpoint, certificate, key, wires) as intruder:
             return Attempt(intruder.connected(), intruder.act(pause))

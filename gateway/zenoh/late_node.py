@@ -10,7 +10,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
@@ -48,11 +48,6 @@ class LateInbox:
     def drops(self) -> int:
         """Requests that were dropped unread since the start."""
         return 0 if self.inbox is None else self.inbox.drops
-
-    @property
-    def session(self) -> Any:  # noqa: ANN401 - Zenoh's
-        """The session; None until there is one."""
-        return None if self.inbox is None else self.inbox.session
 
     def drain(self, holder: str, lease: int = 0, after: int = -1) -> list[RawRequest]:
         """Return the requests that wait, as ``CommandInbox.drain`` does."""
@@ -115,11 +110,6 @@ class LateNode:
         """Samples that Zenoh did not take."""
         return 0 if self._node is None else self._node.failures
 
-    @property
-    def session(self) -> Any:  # noqa: ANN401 - Zenoh's
-        """The session; None until there is one."""
-        return None if self._node is None else self._node.session
-
     def notes(self) -> tuple[str, ...]:
         """Return why the robot is off the network, for people; nothing once it is on it."""
         return () if self._node is not None else (f"off the network: {self._cause}",)
@@ -147,10 +137,6 @@ class LateNode:
             log.warning("the robot is on the network%s", f"; {self._node.warning}" if self._node.warning else "")
         if self._node is not None:
             self._node.answer(reply)
-
-    def routers(self) -> frozenset[str]:
-        """Return the routers that it is connected to."""
-        return frozenset() if self._node is None else self._node.routers()
 
     def peers(self) -> int:
         """Return the number of nodes connected directly."""

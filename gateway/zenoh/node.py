@@ -238,21 +238,9 @@ class ZenohNode:
             except zenoh.ZError as error:
                 self._fail(error)
 
-    @property
-    def session(self) -> zenoh.Session:
-        """The session, for the gateway's test of itself."""
-        return self._session
-
     def notes(self) -> tuple[str, ...]:
         """Nothing: it is on the network."""
         return ()
-
-    def routers(self) -> frozenset[str]:
-        """The routers that it is connected to. One that was started again is another."""
-        try:
-            return frozenset(map(str, self._session.info.routers_zid()))
-        except zenoh.ZError:  # It is closed.
-            return frozenset()
 
     def peers(self) -> int:
         """Nodes connected directly, but for our own."""

@@ -1,4 +1,4 @@
-"""The gateway's test of itself before anybody engages the robot, and its renewal: real processes."""
+"""A robot's own files, its router as ``doctor`` tries to get past it, and its renewal: real processes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -111,7 +111,7 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fleet:
 
 
 def waits(robot: Robot) -> None:
-    """Wait until the robot waits for a driver alone: its guard watches, and its test has passed."""
+    """Wait until the robot waits for a driver alone: its guard watches."""
     wait_until(lambda: is_idle(robot.state().state.blocked_by))
 
 
@@ -144,23 +144,25 @@ def to_any_router(said: Any) -> None:  # noqa: ANN401 - JSON
 
 
 def test_a_robot_that_is_shut_to_whom_it_should_be_is_engaged(fleet: Fleet) -> None:
-    """The test is under way at first, and passes."""
+    """As it was provisioned."""
     with fleet.running():
         fleet.engages()
         assert "see to" not in fleet.why()
 
 
-@pytest.mark.parametrize("damage", [switched_off, by_night(allowing), by_night(without_names)])
-def test_a_router_that_shuts_nobody_out_keeps_the_robot_from_being_engaged(fleet: Fleet, damage: Damage) -> None:
-    """An open router is silent. The robot finds it, says which file of which machine it is, and publishes on."""
-    change(fleet.router_file, damage)
-    with fleet.running() as process:
-        process.wait_says("access control has not passed: a certificate without any right is not shut out")
-        fleet.refuses()
-        said = fleet.why()
-        assert "self_test:" in said
-        assert "see to: self_test: a certificate without any right is not shut out: " in said
-        assert "has to run from the router.json5 that 'cruiser provision install' writes there" in said
+@pytest.mark.parametrize("damage", [None, switched_off, by_night(allowing), by_night(without_names)])
+def test_doctor_tries_to_get_past_the_router(fleet: Fleet, damage: Damage | None) -> None:
+    """Beside a gateway that runs: shut out by a sound router; an open one is silent, and doctor names its file."""
+    if damage is not None:
+        change(fleet.router_file, damage)
+    words = ["doctor", "--config", str(fleet.robot_files / "robot.toml"), "--intrude", "--json"]
+    with fleet.running():
+        found = {one["check"]: one["text"] for one in json.loads(run(words).stdout)["findings"]}
+        fleet.engages()
+    if damage is None:
+        assert ("hole" in found, "shut_out" in found) == (False, True), found
+    else:
+        assert found["hole"].startswith("a certificate without any right is not shut out: "), found
 
 
 @pytest.mark.parametrize(
@@ -185,50 +187,8 @@ def test_a_robot_whose_own_file_lets_anybody_in_is_not_engaged(fleet: Fleet, dam
         assert f"see to: self_test: {file}: {words}; {cure}" in fleet.why()
 
 
-@pytest.mark.night
-def test_a_robot_without_the_certificate_to_test_with_is_not_engaged_until_it_has_it(fleet: Fleet) -> None:
-    """One that was provisioned before there was any. When it is there, the gateway starts again by itself."""
-    file = fleet.robot_files / "nothing-tls.pem"
-    text = file.read_text()
-    file.unlink()
-    with fleet.running() as process:
-        fleet.refuses()
-        assert (
-            f"see to: self_test: {file} is not there; 'cruiser provision renew robot' asks for it" in fleet.why()
-        )
-        file.write_text(text)
-        process.wait_says("starting again with the renewed files")
-        fleet.engages()
-
-
-@pytest.mark.night
-def test_a_router_that_is_open_when_it_returns_keeps_the_robot_from_being_engaged_anew(fleet: Fleet) -> None:
-    """A robot that lost its router stays as it was; another router is tested."""
-    with ExitStack() as first:
-        first.enter_context(fleet.router())
-        with fleet.gateway() as process:
-            fleet.engages()
-            first.close()
-            process.wait_says("no Zenoh node is connected any more")
-            change(fleet.router_file, switched_off)
-            with fleet.router():
-                process.wait_says("a certificate without any right is not shut out")
-                fleet.refuses()
-
-
-@pytest.mark.night
-def test_a_gateway_that_finds_no_router_tests_itself_when_it_has_one(fleet: Fleet) -> None:
-    """Until then it says for what it waits."""
-    with (fleet.robot_files / "robot.toml").open("a") as file:
-        file.write('mode = "peer"\n')
-    with fleet.gateway() as process:
-        process.wait_says(r"it waits for tls/127\.0\.0\.1:\d+, where no node answers; it is tried on")
-        with fleet.router():
-            process.wait_says("the test of itself has passed")
-
-
 def test_a_gateway_whose_router_is_away_starts_and_joins_it_later(fleet: Fleet) -> None:
-    """It says once for what it waits. Nobody engages the robot before its test at the router has passed."""
+    """It says once for what it waits."""
     with fleet.gateway() as process:
         away = r"nobody at tls/127\.0\.0\.1:\d+ lets this machine in: .*; the robot is off the network"
         process.wait_says(away)
@@ -239,22 +199,6 @@ def test_a_gateway_whose_router_is_away_starts_and_joins_it_later(fleet: Fleet) 
         with fleet.router():
             process.wait_says("the robot is on the network")
             fleet.engages()
-    passed, engaged = (
-        next(number for number, line in enumerate(process.said) if words in line)
-        for words in ("the test of itself has passed", "engaged: the chassis reads auto")
-    )
-    assert passed < engaged
-
-
-@pytest.mark.night
-def test_a_gateway_that_joins_an_open_router_late_keeps_the_robot_from_being_engaged(fleet: Fleet) -> None:
-    """As one that finds it at its start."""
-    change(fleet.router_file, switched_off)
-    with fleet.gateway() as process:
-        process.wait_says("the robot is off the network")
-        with fleet.router():
-            process.wait_says("a certificate without any right is not shut out")
-            fleet.refuses()
 
 
 def test_a_robot_whose_router_is_away_is_stopped_all_the_same(fleet: Fleet) -> None:
@@ -266,34 +210,6 @@ def test_a_robot_whose_router_is_away_is_stopped_all_the_same(fleet: Fleet) -> N
             process.wait_says("the robot is off the network")
             wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
             assert process.stop() == ExitCode.OK
-
-
-@pytest.mark.parametrize(
-    ("option", "said"),
-    [
-        by_night("", "the test of itself has passed"),
-        (
-            "#enable_mtls=false",
-            "has not passed: {0} lets in who shows no certificate: leave out what the endpoint {0}#",
-        ),
-    ],
-)
-def test_a_gateway_that_listens_itself_tests_its_own_endpoints(fleet: Fleet, option: str, said: str) -> None:
-    """An endpoint can take back what the file says."""
-    desk = fleet.let_in("desk", "localhost")
-
-    def listens(file: Any) -> None:  # noqa: ANN401 - JSON
-        tls = file["transport"]["link"]["tls"]
-        tls["listen_certificate"], tls["listen_private_key"] = (
-            str(desk / "desk-tls.pem"),
-            str(desk / "desk-tls.key"),
-        )
-        file["mode"], file["connect"] = "peer", {}
-
-    change(fleet.robot_files / "robot.json5", listens)
-    endpoint = free_endpoint().replace("tcp/", "tls/")
-    with fleet.gateway("--listen", f"{endpoint}{option}") as process:
-        process.wait_says(re.escape(said.format(endpoint)))
 
 
 def test_renewed_files_are_taken_over_while_the_robot_stands_and_nobody_holds_its_lease(fleet: Fleet) -> None:

@@ -162,7 +162,7 @@ const ZH = {
     steering: ["转向没有跟随指令", "排除原因，按“复位”，然后按“取得控制权”"],
     feedback_frozen: ["机器人在行驶，里程却不变：含防撞条和模式的那一帧已冻结", "排除原因，按“复位”，然后按“取得控制权”"],
     unauthenticated: ["其他计算机能够访问网关，而网关不知道是谁在指挥", "用 'cruiser provision robot ROBOT' 生成密钥，并把 authority.mode 设为 signed；或者只监听和连接 127.0.0.1"],
-    self_test: ["网关对密钥和访问控制的自检没有通过", "处理 'cruiser why ROBOT' 指出的问题；网关会自行重新检查，文件更换后也会重新读取"],
+    self_test: ["网关自己的密钥或访问控制有问题", "处理 'cruiser why ROBOT' 指出的问题；文件更换后网关会重新读取"],
     authority_stale: ["太久没有收到授权方的消息，其间撤销了什么不得而知", "把机器人升级到本版本，本版本不再等待授权方的消息"],
     proof_missing: ["请求没有签名", "用操作员的密钥来指挥：见 docs/authority.md"],
     proof_wrong: ["签名与请求不符", "用授权所属的密钥签名，原样发给签名所指的机器人：见 docs/authority.md"],

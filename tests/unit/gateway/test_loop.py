@@ -11,7 +11,6 @@ import msgspec
 import pytest
 
 from gateway import loop as loop_module
-from gateway.authority.self_test import UNDER_WAY
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
@@ -19,7 +18,7 @@ from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.core import Core, TickEffects
 from gateway.guard.beat import GuardView
-from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, LoopPorts, run, warn_of_bars
+from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, LoopPorts, run
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.sample import Sample
 from schemas import codec
@@ -855,12 +854,3 @@ def test_the_inbox_is_told_who_holds_the_lease_and_its_drops_are_in_health() -> 
     health = commanded.zenoh.of("gateway/health")[0]
     assert isinstance(health, GatewayHealth)
     assert health.inbox_drops == 17
-
-
-def test_a_test_that_is_under_way_is_no_warning(caplog: pytest.LogCaptureFixture) -> None:
-    """It is so at each start. Any other bar is one, and so is a test that failed, or waits."""
-    with caplog.at_level(logging.INFO, "gateway.loop"):
-        warn_of_bars({Reason.SELF_TEST: UNDER_WAY})
-        warn_of_bars({Reason.SELF_TEST: "it waits for tls/router.example:7447"})
-    assert [record.levelname for record in caplog.records] == ["INFO", "WARNING"]
-    assert "it waits for tls/router.example:7447" in caplog.messages[1]

@@ -54,7 +54,7 @@ HOLES: Final = {
 
 
 class Surrounded:
-    """A robot's two sessions, behind a router or where the robot itself listens, and an intruder's files."""
+    """A robot's session and the doctor's, and an intruder's files."""
 
     def __init__(self, directory: Path) -> None:
         self.network = Network(directory, free_endpoint("tls"))
@@ -64,17 +64,17 @@ class Surrounded:
         self.key = nothing / TLS_KEY_FILE.format(who="nothing")
         self.settings = Settings(zenoh=ZenohSettings(config=str(self.place / "robot.json5")))
 
-    def intrude(self, telemetry: zenoh.Session, commands: zenoh.Session) -> Attempt:
+    def intrude(self, robot: zenoh.Session, own: zenoh.Session) -> Attempt:
         """The attempt, while the robot publishes."""
 
         def publish(pause_s: float) -> None:
             end_s = time.monotonic() + pause_s
             while time.monotonic() < end_s:
-                telemetry.put(STATE, b"state")
+                robot.put(STATE, b"state")
                 time.sleep(0.02)
 
         endpoint = self.network.endpoint
-        return intrude(self.settings, endpoint, self.certificate, self.key, (telemetry, commands), publish)
+        return intrude(self.settings, endpoint, self.certificate, self.key, own, publish)
 
     def intrude_until(self, deeds: int, telemetry: zenoh.Session, commands: zenoh.Session) -> Attempt:
         """The attempt in which so many deeds succeed, or the last one.

@@ -52,8 +52,8 @@ def test_what_is_kept_waits_for_the_router() -> None:
     for subject, payload in (("journal", b"\x01"), ("safety/event", b"\x02"), ("state", b"\x03")):
         node.publish(Sample(subject, payload))
     node.answer(info)
-    assert (node.peers(), node.failures, node.session, node.routers()) == (0, 0, None, frozenset())
-    assert (inbox.drain(""), inbox.statements(), inbox.drops, inbox.session) == ([], [], 0, None)
+    assert (node.peers(), node.failures) == (0, 0)
+    assert (inbox.drain(""), inbox.statements(), inbox.drops, inbox.inbox) == ([], [], 0, None)
     router = open_local_router(endpoint)
     peer = open_session(ZenohSettings(mode="client"), [endpoint], [])
     try:
@@ -66,7 +66,7 @@ def test_what_is_kept_waits_for_the_router() -> None:
         states = peer.declare_subscriber("fleet/r-1/state", zenoh.handlers.RingChannel(10))
         wait_until(lambda: node.peers() == 1, lambda: node.answer(info))
         assert node.notes() == ()
-        assert inbox.session is not None
+        assert inbox.inbox is not None
         heard: list[bytes] = []
 
         def hear() -> None:

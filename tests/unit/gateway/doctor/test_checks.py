@@ -178,7 +178,7 @@ CASES: dict[str, tuple[Facts, str]] = {
         ),
         "latched: rolling: the robot moves although it is told to stand",
     ),
-    "blocked": (safety(blocked_by=[Reason.SELF_TEST]), "blocked: self_test: the gateway's own test"),
+    "blocked": (safety(blocked_by=[Reason.SELF_TEST]), "blocked: self_test: the gateway's own keys"),
     "clock_behind": (replace(WELL, now_s=0.0), "it says 1970-01-01 00:00 UTC, and it is 2027-01-14"),
     "clock_set_back": (zenoh(clock_moved_s=-3600.2), "was set back since its gateway started: by 3600 s"),
     "clock_unsynchronised": (replace(WELL, is_synchronised=False), "no time server keeps the clock"),
@@ -192,6 +192,11 @@ CASES: dict[str, tuple[Facts, str]] = {
         replace(WELL, credentials=[Credential("c", "", "robot-tls.pem ends in 2.0 days; renew it")]),
         "note: credentials_end: robot-tls.pem ends in 2.0 days -> renew it",
     ),
+    "hole": (
+        replace(WELL, hole="a put on X arrives; the router at R has to run from the router.json5"),
+        "hole: a put on X arrives -> the router at R has to run from the router.json5",
+    ),
+    "shut_out": (replace(WELL, hole=""), "note: shut_out: a certificate without any right can neither send, see"),
     "disk_unusable": (disk(why_not="logs: no such file"), "logs cannot be written: logs: no such file"),
     "disk_read_only": (disk(is_read_only=True, why_not="x"), "is mounted read-only: /var/lib/cruiser/logs"),
     "disk_full": (
