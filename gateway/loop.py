@@ -312,11 +312,10 @@ def _status(core: Core, links: Links) -> str:
 
 
 def _publish_last(ports: LoopPorts, core: Core) -> None:
-    """Publish the last batches; in signed mode the heads of the chains last, so that they prove all."""
+    """Publish the last batches."""
     for sample in core.last_batches(time.time_ns()):
         ports.sink.publish(sample)
     if ports.signed is not None:
-        ports.sink.publish(ports.signed.authority.heads(time.time_ns()))
         ports.signed.save(ports.signed.authority.to_keep(time.clock_gettime_ns(time.CLOCK_BOOTTIME)))
 
 

@@ -318,31 +318,3 @@ class SignedStatement(Message, frozen=True):
     """
 
     text: str
-
-
-class ChainHead(msgspec.Struct, frozen=True):
-    """The head of the chain of one subject: see ``schemas.authority.chain``.
-
-    Attributes:
-        count: samples in the chain: the next one has this sequence.
-    """
-
-    subject: str
-    count: Count
-    head: Annotated[bytes, Meta(min_length=32, max_length=32)]
-
-
-class ChainHeads(Message, frozen=True):
-    """The signed heads of a robot's chains, once a second.
-
-    Attributes:
-        boot: random, of the gateway's run.
-        signature: the robot's, Ed25519, over ``schemas.authority.chain.heads_text``.
-        former: the last heads of the run before that the robot kept: run (8 bytes), sequence (8), SHA-256 of the
-            text under their signature (32). Empty if it knows of none.
-    """
-
-    boot: Annotated[bytes, Meta(min_length=8, max_length=8)]
-    heads: list[ChainHead]
-    signature: Annotated[bytes, Meta(min_length=64, max_length=64)]
-    former: Annotated[bytes, Meta(max_length=48)] = b""

@@ -20,7 +20,7 @@ _DECODED: Final = tuple(subject.name for subject in SUBJECTS if subject.name.sta
 PROFILES: Final[dict[str, dict[str, float]]] = {
     FULL: {},
     OPERATOR: dict.fromkeys((*_RAW, *_DECODED), 0.0) | {"state": 10.0, "safety/state": 25.0},
-    THIN: dict.fromkeys((*_RAW, *_DECODED, "safety/decision", "authority/heads"), 0.0)
+    THIN: dict.fromkeys((*_RAW, *_DECODED, "safety/decision"), 0.0)
     | {"state": 2.0, "safety/state": 2.0, "gateway/health": 0.5},
 }
 """Of each profile the highest rates in Hz, by subject: 0 leaves it out, and what is not named leaves as it is."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 GONE_WORDS: Final[Mapping[str, str]] = {
+    "review evidence": "cut the time out with 'cruiser review cut', and keep the whole log with its .sig",
     "setup --dry-run": "docs/operate.md says what is written; what was there is kept beside it",
     "setup --output": "the services read /etc/cruiser/cruiser.toml",
     "setup --without-bus": "setup needs no bus",

@@ -101,7 +101,7 @@ JOURNAL_KEPT_BYTES: Final = 16_000_000
 """The last ten minutes at the nominal load of a bus, the last minute at a saturated one."""
 
 AUTHORITY_KEPT_BYTES: Final = 1_000_000
-"""Chain heads of the last 50 minutes; statements of an hour, those in use among them."""
+"""Statements of an hour, those in use among them."""
 
 KEPT_FIRST: Final = "first"
 """A query ``{key}?first=N`` on what is kept gives the samples from sequence N on, or from the oldest."""
@@ -175,13 +175,6 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
         "all that the core was given, in its order: enough to run it again",
         "20 Hz",
         Qos(Priority.DATA_LOW, kept_bytes=JOURNAL_KEPT_BYTES),
-    ),
-    Subject(
-        "authority/heads",
-        decisions.ChainHeads,
-        "the signed heads of the chains over journal, decisions and events; in signed mode alone",
-        "1 Hz",
-        Qos(Priority.DATA_HIGH, history=1, kept_bytes=AUTHORITY_KEPT_BYTES),
     ),
     Subject(
         "authority/statement",

@@ -19,7 +19,6 @@ from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest, Ruling
 from gateway.telemetry.sample import Sample
 from schemas import codec, keys
-from schemas.authority.chain import HEAD_PERIOD_NS
 from schemas.authority.statement import (
     Grant,
     GrantRole,
@@ -40,6 +39,9 @@ from schemas.subjects import STATEMENT_REPLY_ENCODING
 REPEAT_NS: Final = 60_000_000_000
 """Period at which the grants in use are published again, so that every log holds them."""
 
+BARS_NS: Final = 1_000_000_000
+"""Period at which it is judged again whether somebody may engage."""
+
 SAVE_NS: Final = 60_000_000_000
 """Period at which the floor of time is saved."""
 
@@ -54,8 +56,6 @@ class Kept(msgspec.Struct, frozen=True):
         epoch: no grant of a lower one counts, whatever the newest list says.
         floor_s: the floor of time, seconds since 1970.
         since: the authority that was provisioned when the first of it was learnt.
-        last_heads: the heads of the chains that the robot signed last, as far as it was saved since, hexadecimal:
-            those of the next run name them. They are no secret, and nobody is let in by them.
     """
 
     own: str = ""
@@ -64,7 +64,6 @@ class Kept(msgspec.Struct, frozen=True):
     epoch: int = 0
     floor_s: int = 0
     since: AuthorityKeys | None = None
-    last_heads: str = ""
 
 
 def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
@@ -139,7 +138,7 @@ class RobotAuthority:
 
     Attributes:
         admission: judges requests, signs replies.
-        signer: signs states and heads of chains.
+        signer: signs states and replies.
         name_proof: answers for the robot's name.
         self_test: the flaw of the gateway's own files or endpoints; empty if there is none.
         unsaved: why what was taken over could not be saved; empty if it was.
@@ -177,7 +176,7 @@ class RobotAuthority:
         self._bars: dict[Reason, str] = {}
         self._new: list[str] = []
         self._sequence = 0
-        self._heads_due_ns = self._repeat_due_ns = self._save_due_ns = 0
+        self._bars_due_ns = self._repeat_due_ns = self._save_due_ns = 0
 
     def receive(self, raw: RawRequest, boot_ns: int) -> PendingReply:
         """Somebody shows a statement. Returns the reply, which says why it is not taken over, or that it is.
@@ -232,12 +231,9 @@ class RobotAuthority:
         self.know_time(boot_ns, wall_ns)
         admission.begin_tick(now_ns)
         effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.objection_to_holder())
-        if now_ns >= self._heads_due_ns:
-            self._heads_due_ns = now_ns + HEAD_PERIOD_NS
-            effects.samples.append(self.heads(wall_ns))
+        if now_ns >= self._bars_due_ns or self._faults() != self._bars.get(Reason.SELF_TEST, ""):
             # Once a second is soon enough: what ends in mid-drive ends by ``ended``.
-            effects.bars = self._bars_changed(boot_ns)
-        elif self._faults() != self._bars.get(Reason.SELF_TEST, ""):
+            self._bars_due_ns = now_ns + BARS_NS
             effects.bars = self._bars_changed(boot_ns)
         if self._is_changed or now_ns >= self._save_due_ns:
             self._is_changed, self._save_due_ns = False, now_ns + SAVE_NS
@@ -245,15 +241,9 @@ class RobotAuthority:
         return effects
 
     def to_keep(self, boot_ns: int) -> Kept:
-        """The state to be kept across a restart as of now, the heads that were signed last with it."""
-        self._kept = msgspec.structs.replace(
-            self._kept, floor_s=self._floor.least_s(boot_ns), last_heads=self.signer.last_heads.hex()
-        )
+        """The state to be kept across a restart as of now."""
+        self._kept = msgspec.structs.replace(self._kept, floor_s=self._floor.least_s(boot_ns))
         return self._kept
-
-    def heads(self, wall_ns: int) -> Sample:
-        """The signed heads of the chains, over all that was published so far: each second, and at the end."""
-        return Sample("authority/heads", codec.encode(self.signer.heads(wall_ns)))
 
     def _introduce(self, chain: list[Signed], boot_ns: int) -> Objection | None:
         known = self.admission.known(chain[0].id)

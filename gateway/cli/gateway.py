@@ -240,9 +240,8 @@ def _join(
         if not cause or not _is_client(settings):
             raise
         late = None if settings.gateway.listen_only else LateInbox()
-        signer = None if signed is None else signed.authority.signer
         join = partial(_join_late, settings, signed)
-        return LateNode(join, late, signer, cause), late, client_place(settings)
+        return LateNode(join, late, cause), late, client_place(settings)
     if inbox is not None:
         node.disregard(inbox.node)
     return node, inbox, place

@@ -15,7 +15,6 @@ from gateway.core import Core
 from gateway.host.authority_note import CURE, AuthorityNote
 from gateway.provisioning.key_files import directory_of, read_identity
 from gateway.provisioning.tls_files import certificate_ends_s
-from schemas.authority.chain import FormerHeads
 from schemas.authority.statement import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
 from schemas.exit_codes import CommandError, ExitCode
@@ -52,7 +51,6 @@ class SignedMode:
         kept = self._note.read()
         if isinstance(kept, str):
             raise CommandError(kept, ExitCode.USAGE)
-        former = _bytes_of(kept.last_heads)
         resumed = resume(identity.trust, kept)
         if isinstance(resumed, Objection):
             raise CommandError(f"{self._note.path}: {resumed.text}; {CURE}", ExitCode.USAGE)
@@ -66,7 +64,7 @@ class SignedMode:
                 ahead_s / _DAY_S,
                 CURE,
             )
-        signer = RobotSigner(identity.private, os.urandom(BOOT_BYTES), former)
+        signer = RobotSigner(identity.private, os.urandom(BOOT_BYTES))
         boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
         self.authority = RobotAuthority(
             settings,
@@ -90,15 +88,6 @@ class SignedMode:
     def close(self) -> None:
         """Wait for what is being saved."""
         self._note.close()
-
-
-def _bytes_of(last_heads: str) -> bytes:
-    """The name of the former run's last heads; none if the note holds something else in its place."""
-    try:
-        said = bytes.fromhex(last_heads)
-    except ValueError:
-        return b""
-    return said if FormerHeads.read(said) is not None else b""
 
 
 def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings) -> list[Signed]:

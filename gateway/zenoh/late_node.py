@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.telemetry.kept_samples import KeptSamples
@@ -73,20 +72,16 @@ class LateNode:
 
     warning: Final = ""
 
-    def __init__(
-        self, join: Callable[[], Joined], inbox: LateInbox | None, signer: RobotSigner | None, cause: str
-    ) -> None:
+    def __init__(self, join: Callable[[], Joined], inbox: LateInbox | None, cause: str) -> None:
         """Begin to try.
 
         Args:
             join: opens the sessions, once; raises CommandError where it cannot.
             inbox: is given the inbox; None for a gateway that only listens.
-            signer: chains what is published; None where nothing is signed.
             cause: why the first attempt has failed.
         """
         self._join = join
         self._inbox = inbox
-        self._signer = signer
         self._node: ZenohNode | None = None
         self._joined: Joined | None = None
         self._kept = {
@@ -119,8 +114,6 @@ class LateNode:
         if self._node is not None:
             self._node.publish(sample)
             return
-        if self._signer is not None:
-            self._signer.record(sample.subject, sample.payload)
         if sample.subject in self._kept:
             self._kept[sample.subject].add(sample.payload)
         if sample.subject in self._recent:

@@ -289,8 +289,7 @@ class ZenohNode:
         return self._name_proof.attachment(payload, question.to_bytes())
 
     def _publish_signed(self, signer: RobotSigner, sample: Sample) -> None:
-        """States with their proof; all else as it is, and what is chained as a link of its chain."""
-        signer.record(sample.subject, sample.payload)
+        """States with their proof; all else as it is."""
         key = self._signed_keys.get(sample.subject)
         if key is None:
             self._puts[sample.subject](sample.payload)

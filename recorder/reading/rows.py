@@ -66,15 +66,12 @@ class Selection(msgspec.Struct, frozen=True):
         to_ns: ...and the first one that is too late.
         is_digested: states and decisions that say what their neighbours say may be left out, as the digest at the
             end of a stored log does: see ``recorder.encoding.event_digest``.
-        checks_indexes: unpack every chunk, and believe no message indexes that leave messages out: whoever made
-            the log could hide some from who asks for little, and show them to others.
     """
 
     wants: Wants = every_topic
     from_ns: int = 0
     to_ns: int = END_OF_TIME_NS
     is_digested: bool = False
-    checks_indexes: bool = False
 
 
 class Row(msgspec.Struct, frozen=True, gc=False):
@@ -268,7 +265,7 @@ class BlockReader:
 
     def _unpacked(self, chunk: PackedChunk) -> Iterator[tuple[MessageBlock, Index | None]]:
         index = chunk.index
-        if index is not None and not self.selection.checks_indexes:
+        if index is not None:
             # Without an index its head is all there is to go by, which may be wrong.
             if chunk.start_ns >= self.selection.to_ns or chunk.end_ns < self.selection.from_ns:
                 return
@@ -279,17 +276,7 @@ class BlockReader:
         except DamagedError as error:
             self.take(Fault(chunk.offset, f"a chunk cannot be read: {error}"))
         else:
-            yield block, self._checked(block, index) if self.selection.checks_indexes else index
-
-    def _checked(self, block: MessageBlock, index: Index | None) -> Index | None:
-        """Return the index of a block if it has all of its messages, and nothing else is in the block."""
-        if index is None:
-            return None
-        true, others = block.read_index()
-        if {key: len(one) for key, one in true.items()} != {key: len(one) for key, one in index.items() if one}:
-            self.wrong_index(block)
-            return None
-        return None if others else index
+            yield block, index
 
     def _want(self, found: list[tuple[int, Topic]]) -> None:
         for channel_id, topic in found:

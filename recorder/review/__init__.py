@@ -4,8 +4,7 @@
 - ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``)
 - ``cut``                a part of a log, as a log
 - ``timeline``, ``why``  what happened; why the robot stopped or stood (``reasoning``)
-- ``verify``             who commanded, with which grant; is anything missing or changed (``verifying``)
-- ``evidence``           what logs hold around an incident, in one signed archive
+- ``verify``             who commanded, with which grant; is each file as it was signed (``verifying``)
 - ``rerun``              the recorded run again, with its settings or with others
 - ``report``             a drive on one page
 - ``export``, ``query``  Parquet, CSV and raw frames; SQL (``querying``); both on ``columns``

@@ -35,7 +35,7 @@ ID_BYTES: Final = 8
 
 
 SIGNED: Final = ("safety/state", "state")
-"""Subjects that people decide by: each sample is signed. What is recorded is proven by the heads of the chains."""
+"""Subjects that people decide by: each sample is signed."""
 
 
 class ProofKind(Enum):
@@ -46,9 +46,7 @@ class ProofKind(Enum):
     DRIVE = b"M"
     REPLY = b"R"
     PUBLICATION = b"P"
-    HEAD = b"H"
     LEASE = b"L"
-    EVIDENCE = b"E"
 
 
 def signed_bytes(kind: ProofKind, *parts: bytes) -> bytes:

@@ -28,7 +28,6 @@ TELEMETRY: Final = (
     "safety/state",
     "safety/decision",
     "journal",
-    "authority/heads",
     "authority/statement",
     "gateway/health",
 )

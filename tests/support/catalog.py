@@ -39,7 +39,6 @@ ROW = CatalogRow(
     variants=[],
     versions={},
     settings=[],
-    chain_heads=[],
     drives=[],
     more_drives=0,
     more_moments=0,

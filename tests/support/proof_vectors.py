@@ -25,11 +25,9 @@ from gateway.authority.enrolment import (
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
 from gateway.authority.signer import RobotSigner
 from schemas import keys
-from schemas.authority.chain import first_link, heads_text, next_link
 from schemas.authority.proof import ProofKind, RequestProof, RobotProof, signed_bytes, statement_id
 from schemas.authority.statement import Grant, GrantRole, Signed, body_of, chain_text
 from schemas.authority.trust import AuthorityKeys
-from schemas.codec import encode
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive, Park
@@ -40,7 +38,6 @@ FILE: Final = Path(__file__).parents[2] / "schemas" / "vectors" / "proof.json"
 ROOT, ROBOT, OPERATOR = "fleet", "cruiser-1", "ann"
 LEASE: Final = 4711
 BOOT: Final = b"\x01\x02\x03\x04\x05\x06\x07\x08"
-FORMER_BOOT: Final = bytes(range(11, 19))
 CHALLENGE: Final = b"challeng"
 NONCE: Final = b"nonce-01"
 
@@ -84,7 +81,6 @@ def vectors() -> dict[str, Any]:
         "publication": _publication(robot),
         "enrolment": _enrolment(operator),
         "bundle": _bundle(signed, authority),
-        "heads": _heads(robot),
     }
 
 
@@ -186,25 +182,6 @@ def _publication(robot: Ed25519PrivateKey) -> dict[str, str]:
         "payload": payload.hex(),
         "signed": RobotProof(BOOT).signed_publication(key, subject.encoding, payload).hex(),
         "attachment": RobotSigner(robot, BOOT).publication(key, subject.encoding, payload).hex(),
-    }
-
-
-def _heads(robot: Ed25519PrivateKey) -> dict[str, str]:
-    former = RobotSigner(robot, FORMER_BOOT)
-    former.heads(1_794_999_999_000_000_000)
-    signer = RobotSigner(robot, BOOT, former.last_heads)
-    for payload in (b"first", b"second"):
-        signer.record("journal", payload)
-    signer.heads(1_794_999_999_123_456_789)
-    heads = signer.heads(1_795_000_000_123_456_789)
-    chains = {one.subject: (one.count, one.head) for one in heads.heads}
-    link = next_link(first_link(BOOT, "journal"), b"first")
-    return {
-        "journal_after_first": link.hex(),
-        "journal_after_second": next_link(link, b"second").hex(),
-        "former": former.last_heads.hex(),
-        "signed": heads_text(BOOT, heads.time_ns, heads.sequence, chains, heads.former).hex(),
-        "message": encode(heads).hex(),
     }
 
 

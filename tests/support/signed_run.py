@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from gateway.authority.signer import RobotSigner
 from gateway.command.request import Credentials
-from schemas import codec, keys
+from recorder.record.signature import SIGNATURE_SUFFIX, LogSigner
+from schemas import keys
+from schemas.authority.identity import Identity
 from schemas.authority.statement import Grant, GrantRole, chain_text
 from schemas.decisions import (
-    ChainHeads,
     Decision,
     EventKind,
     Journal,
@@ -26,7 +27,7 @@ from schemas.journal import Kind
 from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.requests import Role
-from schemas.subjects import BY_TYPE, BY_VERB
+from schemas.subjects import BY_VERB
 from tests.support.authority import NOW_S, Fleet, Party, S
 from tests.support.logs import Log
 from tests.support.messages import ROBOT, sample_of
@@ -53,13 +54,11 @@ class SignedRun:
         *,
         boot: bytes = b"boot no1",
         at_s: int = NOW_S,
-        former: bytes = b"",
     ) -> None:
         self.fleet = fleet
         self.robot = robot or Party(ROBOT)
         if not self.robot.chain:
             fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=[ROBOT])
-        self.signer = RobotSigner(self.robot.private, boot, former)
         self.samples: list[Message] = []
         self.time_ns = at_s * S
         self._run = int.from_bytes(hashlib.sha256(boot).digest()[:6], "big")
@@ -68,21 +67,16 @@ class SignedRun:
         self._inputs = 0
         self.waiting: list[tuple[Any, ...]] = []
         self.show(chain_text(self.robot.chain))
-        self.say_heads()
 
     def publish(self, kind: type[Message], /, **said: Any) -> Message:  # noqa: ANN401 - fields of a message
         sequence = self._next[kind] = self._next.get(kind, -1) + 1
         message = kind(time_ns=self.time_ns, sequence=sequence, **said)
         self.samples.append(message)
-        self.signer.record(BY_TYPE[kind].name, codec.encode(message))
         return message
 
     def show(self, text: str) -> None:
         """A statement is taken over."""
         self.publish(SignedStatement, text=text)
-
-    def say_heads(self) -> None:
-        self.samples.append(self.signer.heads(self.time_ns))
 
     def ask(
         self,
@@ -121,7 +115,7 @@ class SignedRun:
         )  # fmt: skip
 
     def seconds(self, count: int, *, quiet: bool = False) -> None:
-        """So much time passes: journals, heads each second, and decisions and an event unless nobody is there."""
+        """So much time passes: journals, and decisions and an event unless nobody is there."""
         for _ in range(count):
             for _ in range(PER_SECOND):
                 self.time_ns += JOURNAL_NS
@@ -139,7 +133,6 @@ class SignedRun:
                     SafetyEvent, tick=self._tick, severity=Severity.INFO, kind=EventKind.LEASE, reason=Reason.NONE,
                     operator="ann", text="as it were",
                 )  # fmt: skip
-            self.say_heads()
 
 
 def credentials_of(party: Party, **changes: Any) -> Credentials:  # noqa: ANN401 - fields
@@ -196,5 +189,15 @@ def replaced(samples: Sequence[Message], place: int, **changes: Any) -> list[Mes
     ]
 
 
-CHAINED_KINDS: list[type[Message]] = [Journal, Decision, SafetyEvent]
-HEADS = ChainHeads
+def recorder_of(fleet: Fleet, **changes: Any) -> LogSigner:  # noqa: ANN401 - fields of a grant
+    """What signs the logs of a recorder of a fleet."""
+    recorder = Party("depot-1")
+    fleet.authority.grant(recorder, **({"role": GrantRole.RECORDER} | changes))
+    return LogSigner(Identity(recorder.private, recorder.chain, fleet.trust))
+
+
+def signed(log: Path, signer: LogSigner) -> Path:
+    """A log, now that its recorder has signed it."""
+    sha256 = hashlib.sha256(log.read_bytes()).hexdigest()
+    log.with_name(log.name + SIGNATURE_SUFFIX).write_bytes(signer.sign(sha256, log.name))
+    return log

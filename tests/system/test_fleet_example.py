@@ -31,6 +31,7 @@ SEEN: Final = (
     "cruiser-2: taken over",
     "grant_revoked",
     "cruiser drive: ",
+    "signed by archive, recorder",
     "all of it as it should be",
 )
 """In this order: who is let in, refused and locked out."""

@@ -5,8 +5,6 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 
-import { decode } from "@msgpack/msgpack";
-
 import {
   type Bytes,
   type Message,
@@ -16,13 +14,10 @@ import {
   Robot,
   authorityText,
   fingerprint,
-  firstHead,
   fits,
-  headsText,
   hexBytes,
   isAhead,
   messageText,
-  nextHead,
   privateKeyOfPem,
   requestText,
   signedText,
@@ -136,23 +131,6 @@ test("a sequence rises and begins again", () => {
   const last = 2 ** 32 - 1;
   assert.ok(isAhead(0) && isAhead(8, 7) && isAhead(0, last) && isAhead(2 ** 31 - 1, 0));
   assert.ok(!isAhead(7, 7) && !isAhead(6, 7) && !isAhead(last, 0) && !isAhead(2 ** 31, 0));
-});
-
-test("the heads of the chains are signed", async () => {
-  const head = await nextHead(await firstHead(RUN, "journal"), utf8("first"));
-  assert.deepEqual(head, bytes("heads", "journal_after_first"));
-  assert.deepEqual(await nextHead(head, utf8("second")), bytes("heads", "journal_after_second"));
-  const said = decode(bytes("heads", "message"), { useBigInt64: true }) as {
-    time_ns: bigint;
-    sequence: number;
-    boot: Uint8Array;
-    heads: { subject: string; count: number; head: Uint8Array }[];
-    signature: Uint8Array;
-    former: Uint8Array;
-  };
-  const text = headsText(said.boot, said.time_ns, said.sequence, said.heads, said.former);
-  assert.deepEqual(text, bytes("heads", "signed"));
-  assert.ok(await fits(await publicHex("cruiser-1"), said.signature, text));
 });
 
 test("a robot is believed by the authority alone", async () => {

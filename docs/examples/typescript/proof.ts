@@ -244,29 +244,6 @@ export async function statementId(body: string): Promise<Bytes> {
   return (await sha256(utf8(body))).slice(0, 8);
 }
 
-/** The head of the chain of a subject before its first sample. */
-export async function firstHead(run: Uint8Array, subject: string): Promise<Bytes> {
-  return sha256(signedText("H", run, utf8(subject)));
-}
-
-/** The head after another sample. */
-export async function nextHead(head: Uint8Array, sample: Uint8Array): Promise<Bytes> {
-  return sha256(concat(head, sample));
-}
-
-/** The text under the heads of all chains. `former` is empty, or names the heads of the run before. */
-export function headsText(
-  run: Uint8Array,
-  timeNs: bigint,
-  sequence: number | bigint,
-  heads: { subject: string; count: number | bigint; head: Uint8Array }[],
-  former: Uint8Array,
-): Bytes {
-  const parts = heads.flatMap((one) => [utf8(one.subject), bigEndian(one.count, 8), one.head]);
-  const linked = former.length > 0 ? [former] : [];
-  return signedText("H", run, bigEndian(timeNs, 8), bigEndian(sequence, 8), ...linked, ...parts);
-}
-
 /** Is it the signature of this key, hexadecimal, over this text? */
 export async function fits(key: string, signature: Uint8Array, text: Bytes): Promise<boolean> {
   const known = await crypto.subtle.importKey("raw", hexBytes(key), "Ed25519", false, ["verify"]);

@@ -25,7 +25,6 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "events": ("recorder.cli.review.events", "what happened, in order: stops, faults, refusals, and why"),
     "why": ("recorder.cli.review.why", "why the robot stopped, or did not move, at a time"),
     "verify": ("recorder.cli.review.verify", "who commanded, with which grant; is anything missing or changed"),
-    "evidence": ("recorder.cli.review.evidence", "what logs hold around an incident, in one signed archive"),
     "rerun": ("recorder.cli.review.rerun", "recorded runs through today's arbiter, or with other settings"),
     "report": ("recorder.cli.review.report", "a drive as one HTML page, for people"),
     "layouts": ("recorder.cli.review.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),

@@ -1,48 +1,38 @@
-"""``cruiser review verify``: who commanded when, with which grant, and is anything missing or changed?"""
+"""``cruiser review verify``: who commanded when, with which grant, and is each file as its recorder signed it?"""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import msgspec
 
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.reading.times import in_words
-from recorder.review.evidence import EvidenceCheck, read_evidence
-from recorder.review.verify import RobotProofReport, RunProof, verify_logs
-from recorder.review.verifying.authority import GrantInfo, ShownStatement
+from recorder.review.verify import RobotProofReport, verify_logs
+from recorder.review.verifying.authority import GrantInfo
 from recorder.review.verifying.commands import RefusedProof, SignedVerb
+from recorder.review.verifying.files import SignedFile
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from schemas.authority.fingerprint import key_fingerprint
-from schemas.authority.trust import AuthorityKeys, Trust, keys_fingerprint
+from schemas.authority.trust import AuthorityKeys, keys_fingerprint
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.file_kinds import check_regular
 from schemas.printable import plain
 from schemas.settings import Settings
 
-EXAMPLE: Final = (
-    "  cruiser review verify logs --authority authority.json\n"
-    "  cruiser review verify incident.zip --authority authority.json"
-)
+EXAMPLE: Final = "  cruiser review verify logs --authority authority.json"
 DESCRIPTION: Final = (
-    "Holds logs of robots in signed mode against their signatures: whether anything between two chain heads is "
-    "missing or changed, who commanded when and with which grant, whether each signed verb and each grant holds "
-    "up to the fleet's authority. Exit code 0 if all holds; 1 if anything is missing, changed, wrongly signed or "
-    "was not granted; 3 if something cannot be read, or nothing can prove it: in open mode, or under another "
-    "authority than was given, as of before a rotation."
+    "Says who commanded robots in signed mode, when and with which grant; whether each signed verb and each grant "
+    "holds up to the fleet's authority; and whether each file is as its recorder signed it (NAME.mcap.sig beside "
+    "it), since it received it. What a router or the recorder left out is not noticed. Exit code 0 if all holds, "
+    "1 if anything was changed, wrongly signed or not granted, 3 if something cannot be read, or nothing proves "
+    "it: in open mode, without a signature, or under another authority than was given, as of before a rotation."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each robot"
-
-ARCHIVE: Final = ".zip"
-"""Ends the name of an archive of evidence."""
-
-NOTHING_PROVES: Final = "; nothing proves it"
-"""Marks what stands in no segment between two chain heads."""
 
 VERBS_SHOWN: Final = 200
 """Signed verbs that are listed one by one; ``--json`` has all."""
@@ -65,66 +55,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
     """Verify."""
     given = {path: read_authority(path) for path in arguments.authority}
-    trusts = [keys.trust for keys in given.values()]
-    archives = [path for path in arguments.logs if path.suffix == ARCHIVE]
-    logs = [path for path in arguments.logs if path.suffix != ARCHIVE]
-    codes = [_verify_archive(path, trusts, arguments, stopped) for path in archives]
-    if logs:
-        arguments.logs = logs
-        codes.append(_verify(arguments, trusts, (), stopped))
-    if not arguments.json:
-        sys.stdout.writelines(
-            f"{plain(str(path))}: keys {keys_fingerprint(keys)}\n" for path, keys in given.items()
-        )
-    return int(max(codes, key=_GRAVITY.index))
-
-
-def _verify_archive(
-    path: Path, trusts: Sequence[Trust], arguments: argparse.Namespace, stopped: Callable[[], bool]
-) -> ExitCode:
-    with TemporaryDirectory(prefix="cruiser-evidence-") as name:
-        found = read_evidence(path, Path(name))
-        said = describe_archive(path, found)
-        sys.stdout.write(f"{msgspec.json.encode(found).decode() if arguments.json else said}\n")
-        logs = sorted(Path(name).glob("[!.]*.mcap"))
-        unpacked = argparse.Namespace(**{**vars(arguments), "logs": logs})
-        code = _verify(unpacked, trusts, found.statements, stopped) if logs else ExitCode.FAILURE
-        return ExitCode.FAILURE if found.findings else code
-
-
-def _verify(
-    arguments: argparse.Namespace,
-    trusts: Sequence[Trust],
-    statements: Sequence[ShownStatement],
-    stopped: Callable[[], bool],
-) -> ExitCode:
     # Nobody has signed a catalog.
     asked = find(arguments, with_covered=True, with_catalog=False)
     codes = []
     with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
-        for report in verify_logs(asked.logs, asked.faults, trusts, statements, progress):
+        for report in verify_logs(asked.logs, asked.faults, [keys.trust for keys in given.values()], progress):
             codes.append(code_of(report))
             text = msgspec.json.encode(report).decode() if arguments.json else describe(report)
             sys.stdout.write(f"{text}\n")
     codes.append(ExitCode(end_with(asked.faults)))
     if len(codes) == 1:
         sys.stderr.write("cruiser review: no robot is in it, so there is nothing to verify\n")
-        return ExitCode.PARTIAL
-    return max(codes, key=_GRAVITY.index)
-
-
-def describe_archive(path: Path, found: EvidenceCheck) -> str:
-    """An archive for people."""
-    manifest = found.manifest
-    lines = [
-        f"{path}: evidence of {in_words(manifest.incident_ns)}",
-        f"  from {in_words(manifest.from_ns)} to {in_words(manifest.to_ns)}",
-        f"  signed by {found.signer}" if found.signer else "  not signed: nobody vouches for what was put in",
-        *([] if found.findings else [f"  all {len(manifest.files)} files are those of the manifest"]),
-        *(f"  {one.fault.value.replace('_', ' ')}: {one.what}" for one in found.findings),
-        *(f"  missing, as it says: {one}" for one in manifest.missing),
-    ]
-    return "\n".join(map(plain, lines))
+        codes.append(ExitCode.PARTIAL)
+    if not arguments.json:
+        sys.stdout.writelines(
+            f"{plain(str(path))}: keys {keys_fingerprint(keys)}\n" for path, keys in given.items()
+        )
+    return int(max(codes, key=_GRAVITY.index))
 
 
 _GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
@@ -170,16 +117,14 @@ def _lines(report: RobotProofReport) -> Iterator[str]:
     yield from (f"  authority's key {key_fingerprint(key)}, {vouched}" for key in report.authorities)
     if report.robot_key:
         yield f"  robot's key {report.robot_key}"
-    for run in report.runs:
-        yield from _run_lines(run)
-    yield from (f"  grant {_grant(one)}" for one in report.grants)
     names = {one.id: f"{one.name}, {one.role}, serial {one.serial}" for one in report.grants}
+    yield from (f"  {_file(one, names)}" for one in report.files)
+    yield from (f"  grant {_grant(one)}" for one in report.grants)
     for holder in report.holders:
         under = names.get(holder.grant, holder.grant) or "the log does not show its grant"
         yield (
             f"  {holder.operator} held lease {holder.lease} from {in_words(holder.from_ns)} to "
             f"{in_words(holder.to_ns)}, {holder.drives} drive commands; grant: {under}"
-            f"{'' if holder.is_proven else NOTHING_PROVES}"
         )
     yield from table(
         ("signed verb", "operator", "time", "grant", ""),
@@ -217,7 +162,7 @@ def _verdict(verb: SignedVerb) -> str:
     before = verb.unsigned_before
     text = f"holds, and proves {before} right before it" if before else "holds"
     text += f"; {verb.unsigned_after} more in this name right after it, unsigned" if verb.unsigned_after else ""
-    return text if verb.is_proven else f"{text}{NOTHING_PROVES}"
+    return text
 
 
 def _when(finding: ProofFinding) -> str:
@@ -228,22 +173,13 @@ def _when(finding: ProofFinding) -> str:
     return f", from {in_words(finding.time_ns)} to {in_words(finding.until_ns)}"
 
 
-def _run_lines(run: RunProof) -> Iterator[str]:
-    after = f", after run {run.former}" if run.former else ", not linked to a run before it"
-    yield f"  run {run.boot}: {run.heads} chain heads, {in_words(run.first_ns)} to {in_words(run.last_ns)}{after}"
-    for subject, count in run.subjects.items():
-        text = f"    {subject}: {count.proven} samples proven"
-        if count.from_ns is not None:
-            text += f" from {in_words(count.from_ns) if count.from_ns else 'the first'} on"
-        others = (
-            (count.missing, "missing"),
-            (count.broken, "broken"),
-            (count.before, "before that"),
-            (count.absent, "not in the log before that"),
-            (count.after, "after the last head"),
-            (count.repeated, "recorded more than once"),
-        )
-        yield text + "".join(f", {number} {what}" for number, what in others if number)
+def _file(one: SignedFile, names: dict[str, str]) -> str:
+    if not one.key:
+        return f"{one.file}: NOT SIGNED"
+    by = f"{names.get(one.grant, 'nobody that is known')}, key {key_fingerprint(one.key)}"
+    if one.finding is not None:
+        return f"{one.file}: NOT AS IT WAS SIGNED by {by}"
+    return f"{one.file}: signed by {by}, since it received it"
 
 
 def _grant(one: GrantInfo) -> str:
@@ -256,5 +192,4 @@ def _grant(one: GrantInfo) -> str:
 
 def _refused(one: RefusedProof) -> str:
     until = "" if one.first_ns == one.last_ns else f" to {in_words(one.last_ns)}"
-    marked = "" if one.is_proven else NOTHING_PROVES
-    return f"{one.count} x {one.verb} of {one.operator}: {one.reason}, {in_words(one.first_ns)}{until}{marked}"
+    return f"{one.count} x {one.verb} of {one.operator}: {one.reason}, {in_words(one.first_ns)}{until}"

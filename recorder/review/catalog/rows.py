@@ -10,7 +10,7 @@ import msgspec
 
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.rows import Progress, Selection, decoded_rows
+from recorder.reading.rows import Progress, Selection
 from recorder.review.info import LogInfo, lost, read_info
 from recorder.review.report.findings import Report, RobotReport
 from recorder.review.report.survey import read_report
@@ -19,11 +19,11 @@ from recorder.review.timeline.entries import EntryKind
 from recorder.review.verify import shown_statements
 from recorder.review.verifying.commands import COMMANDING_ROLES
 from schemas.authority.statement import Grant, StatementFault, read_chain
-from schemas.decisions import ChainHeads, Severity
+from schemas.decisions import Severity
 from schemas.reasons import Reason
 
 FORMAT: Final = "cruiser-catalog"
-VERSION: Final = 1
+VERSION: Final = 2
 """Rises with each change of what a row says; a catalog of another version is made anew."""
 
 INCIDENT: Final = "incident"
@@ -31,9 +31,6 @@ INCIDENT: Final = "incident"
 
 NEVER_NS: Final = 2**63 - 1
 """The latest time that a column holds: MCAP's own reach further."""
-
-HEADS_WITHIN_NS: Final = 5_000_000_000
-"""The last chain heads are looked for in so much of a log's end. They come once a second."""
 
 DAMAGE_MAX: Final = 3
 """Faults of a file that are kept in words."""
@@ -112,21 +109,6 @@ class LoggedGrant(msgspec.Struct, frozen=True):
     serial: int
 
 
-class LoggedHead(msgspec.Struct, frozen=True):
-    """The last head of a chain in the log, as the robot said it: ``cruiser review verify`` proves it.
-
-    Attributes:
-        run: of the gateway, hexadecimal, as is ``head``.
-        samples: in the chain.
-    """
-
-    robot: str
-    run: str
-    subject: str
-    samples: int
-    head: str
-
-
 class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     """A log.
 
@@ -182,7 +164,6 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     variants: list[str]
     versions: dict[str, str]
     settings: list[str]
-    chain_heads: list[LoggedHead]
     drives: list[LoggedDrive]
     more_drives: int
     more_moments: int
@@ -247,7 +228,6 @@ def summarize(
         variants=sorted({one.variant for summary in summaries for one in summary.in_force}),
         versions=dict(sorted(info.versions.items())),
         settings=sorted({one.configuration_sha256 for summary in summaries for one in summary.in_force}),
-        chain_heads=_heads(log),
         drives=[drive for robot in report.robots for drive in _drives(robot)],
         more_drives=sum(robot.more_drives for robot in report.robots),
         moments=moments,
@@ -342,18 +322,3 @@ def _grants(log: LogFile) -> list[LoggedGrant]:
         if isinstance(grant, Grant) and grant.role in COMMANDING_ROLES:
             found.add((shown.robot, first.id.hex(), grant.name, grant.role.value, grant.serial))
     return [LoggedGrant(*one) for one in sorted(found)]
-
-
-def _heads(log: LogFile) -> list[LoggedHead]:
-    """The last head of each robot's chains; of a log in open mode none."""
-    last: dict[str, ChainHeads] = {}
-    selection = Selection(
-        lambda topic: topic.kind is ChainHeads and bool(topic.robot), max(0, log.end_ns - HEADS_WITHIN_NS)
-    )
-    for row, message in decoded_rows([log], selection, Faults()):
-        last[row.topic.robot] = message
-    return [
-        LoggedHead(robot, heads.boot.hex(), one.subject, one.count, one.head.hex())
-        for robot, heads in sorted(last.items())
-        for one in heads.heads
-    ]

@@ -22,6 +22,7 @@ from schemas.authority.statement import (
     Rotation,
     Signed,
     StatementFault,
+    chain_text,
     read_chain,
 )
 from schemas.authority.trust import BY_SITE, HeldGrant, Objection, Trust, is_signed
@@ -116,6 +117,8 @@ class LogAuthority:
         self._unknown_until_ns = _ALWAYS_NS
         self._foreign: list[tuple[int, Signed, str]] = []
         changes: list[tuple[int, Signed]] = []
+        statements = list(statements)
+        self._shown = [(one.time_ns, one.text) for one in statements]
         for time_ns, text in _first_shown(statements):
             chain = read_chain(text.encode())
             if isinstance(chain, StatementFault):
@@ -170,12 +173,17 @@ class LogAuthority:
         """Judge a grant as the robot had to at a time, nanoseconds since 1970; None if it is not in the log."""
         return self._judge(self._grants.get(identifier, ()), at_ns)
 
-    def judge_robot(self, key: bytes, times_ns: Iterable[int]) -> Iterator[ProofFinding]:
-        """Judge the robot's own grant at the times at which its key signed.
+    def judge_own(self) -> Iterator[ProofFinding]:
+        """Judge the robot's own grants at the times when it showed them.
 
-        A rotation ends it; until the next one comes, the key is that of the grants on both sides. That a grant is
+        A rotation ends one; until the next one comes, the key is that of the grants on both sides. That a grant is
         over means that nobody vouches for the key, and not that somebody else has it.
         """
+        for key, chains in self._own.items():
+            texts = {chain_text(chain) for chain in chains}
+            yield from self._judge_own(key, [time_ns for time_ns, text in self._shown if text in texts])
+
+    def _judge_own(self, key: bytes, times_ns: Iterable[int]) -> Iterator[ProofFinding]:
         times = sorted(times_ns)
         objections = [(at_ns, self._judge(self._own[key], at_ns)) for at_ns in times]
         held_ns = [at_ns for at_ns, held in objections if isinstance(held, HeldGrant)]

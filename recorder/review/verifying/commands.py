@@ -7,7 +7,7 @@ proven by a key that only the robot and the holder of the lease have: it is attr
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import msgspec
@@ -26,6 +26,9 @@ from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
 
 SIGNED_INPUT: Final = bytes([0x9A, Kind.REQUEST])
 """A request of signed mode begins so in MessagePack: an array of ten, and the kind."""
+
+OPEN_INPUT: Final = bytes([0x98, Kind.REQUEST])
+"""One of open mode: an array of eight."""
 
 
 LEASING: Final = frozenset({"acquire", "take"})
@@ -58,7 +61,6 @@ class SignedVerb(msgspec.Struct, frozen=True):
         detail: why not.
         unsigned_before: stops of the same operator that came without a proof, and for which this one is it: a stop
             waits for no proof, which follows as soon as the robot has said what to sign.
-        is_proven: chain heads prove that the robot accepted it then; else anybody may have put it into the log.
         unsigned_after: stops in the same name that came without a proof right after this one: who stops says it
             again until the robot is seen to stand, and anybody may say it in that name. They stop what is stopped.
     """
@@ -70,7 +72,6 @@ class SignedVerb(msgspec.Struct, frozen=True):
     holds: bool
     detail: str = ""
     unsigned_before: int = 0
-    is_proven: bool = True
     unsigned_after: int = 0
 
 
@@ -81,7 +82,6 @@ class RefusedProof(msgspec.Struct):
         operator: by the key expression, so as they said themselves.
         reason: the robot's.
         first_ns, last_ns: by the robot's clock, nanoseconds since 1970.
-        is_proven: chain heads prove it; else anybody may have made it up.
     """
 
     operator: str
@@ -90,7 +90,6 @@ class RefusedProof(msgspec.Struct):
     count: int
     first_ns: int
     last_ns: int
-    is_proven: bool = True
 
 
 class Holder(msgspec.Struct):
@@ -101,8 +100,6 @@ class Holder(msgspec.Struct):
         grant: identifier of the grant under which it was given; empty if the log does not show it.
         from_ns, to_ns: the first and the last request under it that was accepted, by the robot's clock.
         drives: drive commands that were accepted.
-        is_proven: the decisions stand between chain heads; else anybody may have made them up. Somebody who held
-            the lease when the logs began is there twice, once for what nothing proves.
     """
 
     lease: int
@@ -111,36 +108,36 @@ class Holder(msgspec.Struct):
     from_ns: int
     to_ns: int
     drives: int
-    is_proven: bool = True
 
 
 class CommandRecord:
-    """Gathers what was commanded in one run.
+    """Gathers what was commanded.
 
     Attributes:
+        root: first chunks of the robot's keys, which are under its requests' signatures.
         verbs: those whose proof was accepted, by their time; ``verbs_untold`` more.
         refused: those whose proof was refused.
         unproven_stops: remote stops without a proof that holds. They are served all the same.
         findings: the faults.
     """
 
-    def __init__(self, root: str, robot: str, authority: LogAuthority) -> None:
+    def __init__(self, robot: str, authority: LogAuthority) -> None:
         """Nothing was commanded yet.
 
         Args:
-            root: first chunks of the robot's keys.
             robot: its name.
             authority: judges the grants.
         """
-        self._root, self._robot, self._authority = root, robot, authority
+        self.root = ""
+        self._robot, self._authority = robot, authority
         self.verbs: list[SignedVerb] = []
         self.verbs_untold = 0
         self.findings: list[ProofFinding] = []
-        self._refused: dict[tuple[str, str, str, bool], RefusedProof] = {}
-        self._stops: dict[tuple[str, bool], deque[int]] = {}
-        self._signed_stops: dict[tuple[str, bool], int] = {}
+        self._refused: dict[tuple[str, str, str], RefusedProof] = {}
+        self._stops: dict[str, deque[int]] = {}
+        self._signed_stops: dict[str, int] = {}
         """The place of the last one of each operator among the verbs."""
-        self._holders: dict[tuple[Hashable, int, bool], Holder] = {}
+        self._holders: dict[tuple[str, int], Holder] = {}
 
     @property
     def refused(self) -> list[RefusedProof]:
@@ -150,10 +147,10 @@ class CommandRecord:
     @property
     def unproven_stops(self) -> list[RefusedProof]:
         """Stops that nobody signed, neither right before nor right after."""
-        for (operator, is_proven), stops in self._stops.items():
+        for operator, stops in self._stops.items():
             while stops:
                 at_ns = stops.popleft()
-                self._refuse(operator, STOP_VERB, Reason.PROOF_MISSING.value, at_ns, is_proven=is_proven)
+                self._refuse(operator, STOP_VERB, Reason.PROOF_MISSING.value, at_ns)
         return [one for one in self._refused.values() if one.verb == STOP_VERB]
 
     def holders(self) -> list[Holder]:
@@ -164,70 +161,69 @@ class CommandRecord:
                 for verb in self.verbs
                 if verb.verb in LEASING
                 and verb.operator == holder.operator
-                and verb.is_proven >= holder.is_proven
                 and abs(verb.time_ns - holder.from_ns) <= SAME_NS
             ]
             holder.grant = asked[-1].grant if asked else ""
         return sorted(self._holders.values(), key=lambda one: one.from_ns)
 
-    def take_decision(self, decision: Decision, run: Hashable, *, is_proven: bool) -> None:
-        """A decision, of this run, says who had what accepted; chain heads prove it, or nothing does."""
+    def take_decision(self, decision: Decision) -> None:
+        """A decision says who had what accepted."""
         if decision.verdict is not Verdict.ACCEPTED or not decision.lease:
             return
-        holder = self._holders.get((run, decision.lease, is_proven))
+        holder = self._holders.get((decision.operator, decision.lease))
         if holder is None:
             if decision.request not in LEASING | {DRIVE_VERB, "renew", "engage"}:
                 return
             at_ns = decision.time_ns
-            holder = Holder(decision.lease, decision.operator, "", at_ns, at_ns, 0, is_proven)
-            self._holders[run, decision.lease, is_proven] = holder
+            holder = Holder(decision.lease, decision.operator, "", at_ns, at_ns, 0)
+            self._holders[decision.operator, decision.lease] = holder
         holder.from_ns = min(holder.from_ns, decision.time_ns)
         holder.to_ns = max(holder.to_ns, decision.time_ns)
         holder.drives += decision.request == DRIVE_VERB
 
-    def take_journal(self, journal: Journal, *, is_proven: bool) -> bool:
-        """A message of the journal, with heads that prove it or not. True if it holds requests of signed mode."""
-        if SIGNED_INPUT not in journal.inputs:
-            return False
+    def take_journal(self, journal: Journal) -> None:
+        """Take the requests of a message of the journal."""
+        if SIGNED_INPUT not in journal.inputs and OPEN_INPUT not in journal.inputs:
+            return
         try:
             inputs = _DECODER.decode(journal.inputs)
         except UNREADABLE:
             what = "a message of the journal whose inputs cannot be read"
             self.findings.append(ProofFinding(ProofFault.CHANGED, what, journal.time_ns))
-            return False
+            return
         waiting: list[tuple[Any, ...]] = []
-        is_signed = False
         for one in inputs:
             if one[:1] == (Kind.REQUEST,) and len(one) == _SIGNED_LENGTH:
-                is_signed = True
                 waiting.append(one)
+            elif one[:1] == (Kind.REQUEST,):
+                what = "requests of open mode: nothing proves who sent them"
+                self.findings.append(ProofFinding(ProofFault.UNPROVEN, what, journal.time_ns))
             elif one[:1] == (Kind.TICK,) and len(one) > _WALL:
-                self._take_requests(waiting, one[_WALL], is_proven=is_proven)
+                self._take_requests(waiting, one[_WALL])
                 waiting = []
         # Their tick is in the next message.
-        self._take_requests(waiting, journal.time_ns, is_proven=is_proven)
-        return is_signed
+        self._take_requests(waiting, journal.time_ns)
 
-    def _take_requests(self, requests: Sequence[tuple[Any, ...]], at_ns: int, *, is_proven: bool) -> None:
+    def _take_requests(self, requests: Sequence[tuple[Any, ...]], at_ns: int) -> None:
         for one in requests:
             try:
-                self._take_request(one, at_ns, is_proven=is_proven)
+                self._take_request(one, at_ns)
             except (TypeError, ValueError, IndexError, AttributeError):
                 what = "a request in the journal is of no form that a gateway writes"
                 self.findings.append(ProofFinding(ProofFault.CHANGED, what, at_ns))
 
-    def _take_request(self, one: tuple[Any, ...], at_ns: int, *, is_proven: bool) -> None:
+    def _take_request(self, one: tuple[Any, ...], at_ns: int) -> None:
         _, _, _, verb, operator, payload, _, _, attachment, credentials = one
         reason = Reason(credentials[0])
         if verb == STOP_VERB and reason is Reason.PROOF_MISSING:
-            if self._repeats((operator, is_proven), at_ns):
+            if self._repeats(operator, at_ns):
                 return
-            stops = self._stops.setdefault((operator, is_proven), deque())
+            stops = self._stops.setdefault(operator, deque())
             stops.append(at_ns)
             if len(stops) > STOPS_WAITING:
-                self._refuse(operator, verb, reason.value, stops.popleft(), is_proven=is_proven)
+                self._refuse(operator, verb, reason.value, stops.popleft())
         elif reason is not Reason.NONE:
-            self._refuse(operator, verb, reason.value, at_ns, is_proven=is_proven)
+            self._refuse(operator, verb, reason.value, at_ns)
         elif verb != DRIVE_VERB:
             proof = RequestProof.read(attachment)
             found = self._judge(verb, operator, payload, proof, credentials, at_ns)
@@ -240,24 +236,24 @@ class CommandRecord:
             detail = found.what if isinstance(found, ProofFinding) else ""
             before = 0
             if verb == STOP_VERB and not detail:
-                before = self._proven_by_it((operator, is_proven), at_ns)
-                self._signed_stops[operator, is_proven] = len(self.verbs)
-            self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail, before, is_proven))
+                before = self._proven_by_it(operator, at_ns)
+                self._signed_stops[operator] = len(self.verbs)
+            self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail, before))
 
-    def _refuse(self, operator: str, verb: str, reason: str, at_ns: int, *, is_proven: bool) -> None:
-        new = RefusedProof(operator, verb, reason, 0, at_ns, at_ns, is_proven)
-        refused = self._refused.setdefault((operator, verb, reason, is_proven), new)
+    def _refuse(self, operator: str, verb: str, reason: str, at_ns: int) -> None:
+        new = RefusedProof(operator, verb, reason, 0, at_ns, at_ns)
+        refused = self._refused.setdefault((operator, verb, reason), new)
         refused.count += 1
         refused.first_ns, refused.last_ns = min(refused.first_ns, at_ns), max(refused.last_ns, at_ns)
 
-    def _proven_by_it(self, place: tuple[str, bool], at_ns: int) -> int:
+    def _proven_by_it(self, place: str, at_ns: int) -> int:
         """Return the number of unsigned stops right before a signed one of the same operator, and forget them."""
         stops = self._stops.pop(place, ())
         proven = [one for one in stops if at_ns - PROOF_OF_STOP_NS <= one <= at_ns]
         self._stops[place] = deque(one for one in stops if one not in proven)
         return len(proven)
 
-    def _repeats(self, place: tuple[str, bool], at_ns: int) -> bool:
+    def _repeats(self, place: str, at_ns: int) -> bool:
         """Return True if an unsigned stop came right after a signed one in the same name, and count it there."""
         number = self._signed_stops.get(place)
         if number is None or not 0 <= at_ns - self.verbs[number].time_ns <= PROOF_OF_STOP_NS:
@@ -284,7 +280,7 @@ class CommandRecord:
             return ProofFinding(ProofFault.UNPROVEN, f"{what}: its grant is not in the log", at_ns)
         if isinstance(held, Objection):
             return self._authority.finding(f"{what} was accepted", held, at_ns)
-        text = proof.signed(keys.command(self._root, self._robot, operator, verb), command.encoding, payload)
+        text = proof.signed(keys.command(self.root, self._robot, operator, verb), command.encoding, payload)
         if not fits(held.key, proof.signature, text):
             return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what}: its signature does not fit", at_ns)
         detail = self._excess(held, verb, operator, credentials)

@@ -64,7 +64,6 @@ def test_a_late_joiner_gets_the_last_of_what_is_said_seldom() -> None:
         "safety/state": 1,
         "safety/decision": 1000,
         "safety/event": 1000,
-        "authority/heads": 1,
         "authority/statement": 64,
     }
 

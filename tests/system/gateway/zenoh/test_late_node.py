@@ -48,7 +48,7 @@ def test_what_is_kept_waits_for_the_router() -> None:
 
     assert client_place(settings).connect == [endpoint]
     inbox = LateInbox()
-    node = LateNode(join, inbox, None, CAUSE)
+    node = LateNode(join, inbox, CAUSE)
     for subject, payload in (("journal", b"\x01"), ("safety/event", b"\x02"), ("state", b"\x03")):
         node.publish(Sample(subject, payload))
     node.answer(info)
@@ -117,7 +117,7 @@ def test_why_it_is_off_the_network_is_said_as_it_changes(caplog: pytest.LogCaptu
     def join() -> Joined:
         raise CommandError(next(causes, "a gateway of the name r-1 is connected already"))
 
-    node = LateNode(join, None, None, CAUSE)
+    node = LateNode(join, None, CAUSE)
     assert node.notes() == (f"off the network: {CAUSE}",)
     wait_until(lambda: "r-1 is connected" in caplog.text)
     assert node.notes() == ("off the network: a gateway of the name r-1 is connected already",)
@@ -131,7 +131,7 @@ def test_why_it_is_off_the_network_is_said_as_it_changes(caplog: pytest.LogCaptu
 def test_sessions_that_nobody_took_over_are_closed() -> None:
     """The gateway ended before its loop came round."""
     sessions = Sessions()
-    node = LateNode(sessions.pair, LateInbox(), None, CAUSE)
+    node = LateNode(sessions.pair, LateInbox(), CAUSE)
     wait_until(lambda: node._joined is not None)
     node.close()
     assert sessions.closed == ["inbox", "node"]
@@ -147,7 +147,7 @@ def test_the_end_waits_for_no_attempt_for_ever(monkeypatch: pytest.MonkeyPatch) 
         answered.wait(30)
         return sessions.pair()
 
-    node = LateNode(join, LateInbox(), None, CAUSE)
+    node = LateNode(join, LateInbox(), CAUSE)
     begun.wait(30)
     node.close()
     assert sessions.closed == []

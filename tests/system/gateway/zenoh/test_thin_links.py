@@ -237,7 +237,7 @@ def test_zenoh_leaves_out_what_a_profile_says_on_its_interface_alone() -> None:
     operator = counts(free_endpoint(), "lo=operator")
     assert operator.keys() - {REPLIES} == {
         *("state", "safety/state", "safety/decision", "safety/event"),
-        *("authority/heads", "authority/statement", "gateway/health"),
+        *("authority/statement", "gateway/health"),
     }
     assert operator[REPLIES] == 0
     assert operator["safety/decision"] == operator["safety/event"] > 2 * operator["state"] > 0

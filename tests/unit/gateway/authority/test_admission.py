@@ -32,7 +32,6 @@ from schemas.authority.proof import RequestProof, RobotProof
 from schemas.authority.statement import GrantRole
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.decisions import LeaseReply
-from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive, Engage, Request, Role, Take
 from schemas.settings import Settings
@@ -641,11 +640,6 @@ def test_a_query_under_a_wildcard_is_answered_and_breaks_nothing(verb: str) -> N
     assert door.admit(raw).reason is not Reason.NONE
     pending = PendingReply(raw.handle, verb, b"refused")
     assert door.admission.reply(pending) == pending
-
-
-def test_messages_have_a_common_root() -> None:
-    """The heads of the chains are a message like any other."""
-    assert isinstance(RobotSigner(Ed25519PrivateKey.generate(), bytes(8)).heads(1), Message)
 
 
 # Bounds and words.

@@ -11,7 +11,6 @@ from gateway.command.flow import PendingReply
 from gateway.command.request import Credentials, RawRequest
 from gateway.telemetry.received import Received
 from schemas.authority.trust import Objection
-from schemas.codec import encode
 from schemas.decisions import LeaseReply, StatementReply
 from schemas.exit_codes import CommandError
 from schemas.messages import SEQUENCE_MAX
@@ -206,7 +205,7 @@ def test_a_state_is_believed_from_the_robot_alone(changed: dict[str, bytes]) -> 
     """Not when another publishes it, or another key carries it."""
     pair = Pair()
     pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    payload = encode(pair.bench.signer.heads(1))  # any bytes will do
+    payload = b"\x80"  # any bytes will do
     state = Received(
         STATE_KEY, STATE.encoding, payload, pair.bench.signer.publication(STATE_KEY, STATE.encoding, payload)
     )
@@ -347,7 +346,7 @@ def test_nobody_but_the_robot_has_it_asked_again() -> None:
 
 
 def test_what_nobody_decides_by_needs_no_signature() -> None:
-    """Events and health are proven by the heads of the chains, in logs."""
+    """Events and health are for people who look on."""
     assert Pair().proof.believes("cruiser-1", Received("fleet/cruiser-1/gateway/health", "e", b"", b""))
 
 

@@ -10,11 +10,10 @@ from gateway.authority.operator_proof import new_lease_key
 from gateway.authority.robot_authority import AuthorityEffects, Kept, resume, trust_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
-from schemas.authority.chain import FormerHeads
 from schemas.authority.statement import GrantRole, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode
-from schemas.decisions import ChainHeads, LeaseReply, SignedStatement
+from schemas.decisions import LeaseReply, SignedStatement
 from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.requests import Acquire
@@ -317,13 +316,6 @@ def test_the_floor_of_time_outlives_a_restart() -> None:
     assert again.show(chain_text(old.chain)).reason is Reason.GRANT_EXPIRED
 
 
-def test_heads_are_published_once_a_second() -> None:
-    """Over what was published until then."""
-    bench = AuthorityBench()
-    subjects = [sample.subject for _ in range(300) for sample in bench.tick(10_000_000).samples]
-    assert subjects.count("authority/heads") == 3
-
-
 def test_a_refusal_says_what_is_wrong_and_the_reply_goes_to_who_asked() -> None:
     """With the figures; handle and verb are the request's."""
     bench = AuthorityBench()
@@ -406,7 +398,7 @@ def test_rotations_are_published_again_and_a_list_as_long_as_it_is_in_force() ->
     assert statements(bench.tick(61 * S)) == [rotation, own, newer]
 
 
-def test_statements_are_numbered_and_heads_are_those_of_the_signer() -> None:
+def test_statements_are_numbered() -> None:
     """So that a log shows which is missing."""
     bench = AuthorityBench()
     numbers = []
@@ -418,24 +410,7 @@ def test_statements_are_numbered_and_heads_are_those_of_the_signer() -> None:
             for sample in samples
             if isinstance(message := decode(BY_NAME[sample.subject], sample.payload), SignedStatement)
         ]
-        heads = [decode(BY_NAME[one.subject], one.payload) for one in samples if one.subject == "authority/heads"]
-        assert all(isinstance(one, ChainHeads) and one.time_ns == bench.wall_s * S for one in heads)
-        assert len(heads) == 1
     assert numbers == [numbers[0] + step for step in range(3)]
-
-
-def test_the_heads_that_were_signed_last_are_kept_for_the_next_run() -> None:
-    """The first ones at once: a run that was killed in its first minute was there all the same."""
-    bench = AuthorityBench()
-    assert bench.begun.kept is not None
-    begun = FormerHeads.read(bytes.fromhex(bench.begun.kept.last_heads))
-    assert begun is not None
-    assert (begun.boot, begun.sequence) == (b"boot no1", 0)
-    kept = bench.tick(61 * S).kept
-    assert kept is not None
-    assert kept.last_heads == bench.signer.last_heads.hex() != bench.begun.kept.last_heads
-    bench.authority.heads(NOW_S * S)
-    assert bench.authority.to_keep(bench.now_ns).last_heads == bench.signer.last_heads.hex() != kept.last_heads
 
 
 def test_what_has_changed_is_saved_once_and_the_floor_once_a_minute() -> None:

@@ -18,12 +18,10 @@ from gateway.host.signed_mode import SignedMode
 from gateway.provisioning.certificates import expires_s, read_certificates
 from schemas.authority.statement import Grant, chain_text
 from schemas.authority.trust import AuthorityKeys
-from schemas.codec import decode
-from schemas.decisions import ChainHeads, StatementReply
+from schemas.decisions import StatementReply
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, GatewaySettings, RobotSettings, Settings, ZenohSettings
-from schemas.subjects import BY_NAME
 from tests.support.provisioning import ProvisionedFleet, chain, run
 from tests.support.waiting import wait_until
 
@@ -146,31 +144,6 @@ def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: Provisione
     wait_until(lambda: str(place) in bars.get(Reason.SELF_TEST, ""), tick)
     assert "forget what was revoked" in bars[Reason.SELF_TEST]
     signed.close()
-
-
-def test_a_run_names_the_last_heads_of_the_one_before(fleet: ProvisionedFleet) -> None:
-    """Across restarts; a note that holds something else in their place names none, and the robot starts."""
-    settings = settings_of(fleet)
-
-    def run_once() -> tuple[bytes, bytes]:
-        signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
-        heads = [signed.authority.heads(time.time_ns()) for _ in range(3)]
-        signed.save(signed.authority.to_keep(time.monotonic_ns()))
-        signed.close()
-        message = decode(BY_NAME["authority/heads"], heads[-1].payload)
-        assert isinstance(message, ChainHeads)
-        return message.former, signed.authority.signer.last_heads
-
-    former, first = run_once()
-    assert former == b""
-    former, _ = run_once()
-    assert former == first
-    note = note_path(settings, os.environ)
-    assert note is not None
-    for damage in ("", "zz", "00" * 47):
-        kept = msgspec.json.decode(note.read_bytes(), type=Kept)
-        note.write_bytes(msgspec.json.encode(msgspec.structs.replace(kept, last_heads=damage)))
-        assert run_once()[0] == b""
 
 
 def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:

@@ -1,4 +1,4 @@
-"""The name by which a recorder goes."""
+"""The name by which a recorder goes, and the key with which it signs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import msgspec
 import pytest
 
 from recorder.cli.own_name import own_name
+from recorder.cli.record import signer_of
+from recorder.record.signature import LogSignature
 from recorder.zenoh.remote_control import host_name
 from schemas.authority.statement import GrantRole, chain_text
 from schemas.recorder_settings import RecorderSettings
 from schemas.settings import AuthoritySettings, Settings
 from tests.support.authority import Fleet, Party
+from tests.support.provisioned import provision
 
 
 def provisioned(directory: Path, name: str = "depot-1", mode: str = "signed") -> Settings:
@@ -52,3 +55,21 @@ def test_without_a_grant_it_goes_by_the_hosts_name(tmp_path: Path, content: str 
 def test_a_name_that_is_none_of_a_key_is_not_used(tmp_path: Path) -> None:
     """A grant may name its holder as a person is called."""
     assert own_name(provisioned(tmp_path, "Depot_1")) == host_name()
+
+
+def test_a_recorder_signs_with_the_key_that_it_was_provisioned_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In signed mode. A machine without a recorder's key records unsigned, and says so with the cure."""
+    settings = provisioned(tmp_path)
+    assert signer_of(settings.authority) is None
+    assert "'cruiser provision recorder NAME' makes it" in capsys.readouterr().err
+    fleet, recorder = Fleet(), Party("depot-1")
+    fleet.authority.grant(recorder, role=GrantRole.RECORDER)
+    provision(tmp_path, "recorder", recorder, fleet)
+    signer = signer_of(settings.authority)
+    assert signer is not None
+    found = LogSignature.read(signer.sign("0" * 64, "x.mcap"))
+    assert found is not None
+    assert found.key == recorder.key
+    assert signer_of(provisioned(tmp_path, mode="open").authority) is None

@@ -11,7 +11,7 @@ from tests.support.messages import MS, SECOND
 
 JOURNAL = "fleet/cruiser-1/journal"
 EVENT = "fleet/cruiser-1/safety/event"
-PROOFS = {"fleet/cruiser-1/authority/heads", "fleet/cruiser-1/authority/statement"}
+PROOFS = {"fleet/cruiser-1/authority/statement"}
 FIRSTS = {JOURNAL, EVENT, "fleet/cruiser-1/safety/decision", *PROOFS}
 
 

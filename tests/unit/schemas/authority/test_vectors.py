@@ -76,11 +76,3 @@ def test_a_published_state_is_framed_like_a_reply_without_a_request() -> None:
         b"P", said["key"].encode(), said["encoding"].encode(), attachment[:9], payload
     )
     assert ROBOT in said["key"]
-
-
-def test_a_chain_can_be_followed_with_nothing_but_sha256() -> None:
-    """Its first link is over run and subject, each next one over the link before and the sample."""
-    first = hashlib.sha256(frame(b"H", BOOT, b"journal")).digest()
-    link = hashlib.sha256(first + b"first").digest()
-    assert link.hex() == VECTORS["heads"]["journal_after_first"]
-    assert hashlib.sha256(link + b"second").hexdigest() == VECTORS["heads"]["journal_after_second"]

@@ -243,40 +243,6 @@ pub fn fits(key: &VerifyingKey, signature: &[u8], text: &[u8]) -> bool {
     Signature::from_slice(signature).is_ok_and(|signature| key.verify_strict(text, &signature).is_ok())
 }
 
-/// The head of the chain of a subject: the first one, or the one before with another sample.
-pub struct Head(pub [u8; 32]);
-
-impl Head {
-    pub fn first(run: &Id, subject: &str) -> Self {
-        Self(Sha256::digest(signed_text(b'H', &[run, subject.as_bytes()])).into())
-    }
-
-    pub fn with(&self, sample: &[u8]) -> Self {
-        Self(Sha256::new().chain_update(self.0).chain_update(sample).finalize().into())
-    }
-}
-
-/// The text under the heads of all chains; each is a subject, its count and its head. `former` is empty, or names
-/// the heads of the run before.
-pub fn heads_text(
-    run: &Id,
-    time_ns: u64,
-    sequence: u64,
-    heads: &[(&str, u64, &[u8])],
-    former: &[u8],
-) -> Vec<u8> {
-    let (time, number) = (time_ns.to_be_bytes(), sequence.to_be_bytes());
-    let counts: Vec<[u8; 8]> = heads.iter().map(|(_, count, _)| count.to_be_bytes()).collect();
-    let mut parts: Vec<&[u8]> = vec![run, &time, &number];
-    if !former.is_empty() {
-        parts.push(former);
-    }
-    for ((subject, _, head), count) in heads.iter().zip(&counts) {
-        parts.extend([subject.as_bytes(), count, head]);
-    }
-    signed_text(b'H', &parts)
-}
-
 /// The text of a request to be let in: what its keys sign, and of which its fingerprint is.
 pub fn request_text(role: &str, names: &[&str], key: &[u8], csr: &str) -> Vec<u8> {
     let mut parts = vec![b"request-2".as_slice(), role.as_bytes(), key, csr.as_bytes()];

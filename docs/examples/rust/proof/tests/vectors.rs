@@ -4,12 +4,10 @@
 use std::fs;
 
 use cruiser_proof::{
-    Head, Id, Lease, Message, Operator, Outcome, Robot, authority_text, fingerprint, fits, heads_text, is_ahead, public_key,
+    Id, Lease, Message, Operator, Outcome, Robot, authority_text, fingerprint, fits, is_ahead, public_key,
     request_text, run_of, signed_text, statement_id,
 };
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
-use serde::Deserialize;
-use serde_bytes::ByteBuf;
 use serde_json::Value;
 use x25519_dalek::{PublicKey, StaticSecret};
 
@@ -159,38 +157,6 @@ fn a_sequence_rises_and_begins_again() {
     let behind = [(7, Some(7)), (6, Some(7)), (u32::MAX, Some(0)), (1 << 31, Some(0))];
     assert!(ahead.iter().all(|&(sequence, newest)| is_ahead(sequence, newest)));
     assert!(!behind.iter().any(|&(sequence, newest)| is_ahead(sequence, newest)));
-}
-
-#[derive(Deserialize)]
-struct SignedHeads {
-    time_ns: u64,
-    sequence: u64,
-    boot: ByteBuf,
-    heads: Vec<SubjectHead>,
-    signature: ByteBuf,
-    former: ByteBuf,
-}
-
-#[derive(Deserialize)]
-struct SubjectHead {
-    subject: String,
-    count: u64,
-    head: ByteBuf,
-}
-
-#[test]
-fn the_heads_of_the_chains_are_signed() {
-    let vectors = Vectors::read();
-    let head = Head::first(&RUN, "journal").with(b"first");
-    assert_eq!(head.0.as_slice(), vectors.bytes("heads", "journal_after_first"));
-    assert_eq!(head.with(b"second").0.as_slice(), vectors.bytes("heads", "journal_after_second"));
-    let said: SignedHeads = rmp_serde::from_slice(&vectors.bytes("heads", "message")).expect("heads");
-    let heads: Vec<(&str, u64, &[u8])> =
-        said.heads.iter().map(|one| (one.subject.as_str(), one.count, one.head.as_slice())).collect();
-    let run = said.boot.as_slice().try_into().expect("run");
-    let text = heads_text(run, said.time_ns, said.sequence, &heads, &said.former);
-    assert_eq!(text, vectors.bytes("heads", "signed"));
-    assert!(fits(&vectors.key("cruiser-1").verifying_key(), &said.signature, &text));
 }
 
 #[test]
