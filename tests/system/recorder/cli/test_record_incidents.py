@@ -26,7 +26,6 @@ from tests.support.messages import STANDBY, gear, key_of, sample_of
 from tests.support.processes.recorder import (
     Process,
     Told,
-    ask,
     counts,
     heard,
     link,
@@ -162,28 +161,6 @@ def test_an_alarm_keeps_what_came_before_and_after(peer: Peer, endpoint: str, tm
     recorded = sequences(log, key_of(Gear))
     assert recorded == list(range(recorded[0], robot.sent))
     assert set(held) <= set(recorded)
-
-
-def test_while_stopped_incidents_are_written_all_the_same(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """With what came before, although no log has it."""
-    robot = Robot(peer)
-    with recording(*words(tmp_path, endpoint)) as process:
-        told = Told(peer)
-        early = started(told, robot)
-        assert ask("stop", "--connect", endpoint)[0] == ExitCode.OK
-        stopped = robot.sent
-        robot.drive()
-        wait_until(lambda: told.wait_for_health().queue_bytes == 0)
-        before = robot.sent
-        peer.put(sample_of(alarm()))
-        incident = robot.drive_until("*.incident.mcap", tmp_path)
-        code, out, _ = process.end()
-    assert code == ExitCode.OK
-    held = check(incident, robot.sent, early, before)
-    assert held[0] < stopped
-    (log,) = [path for path in whole(tmp_path) if path != incident]
-    assert out.strip() == str(log)
-    assert sequences(log, key_of(Gear))[-1] < before
 
 
 def test_a_recorder_that_stands_by_writes_incidents_alone(
