@@ -41,7 +41,7 @@ test-unit: $(STAMP)  ## what needs no process and no socket
 # Some have the machine to themselves: a browser that drives at 50 Hz stalls beside others, and the robot stops by its
 # deadman, as it should; floods, crowds and demos would make others late. The others wait more than they reckon, so that two
 # run for each processor (tests/support/spreading.py hands them out).
-ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_crowd.py test_floods.py test_large_fleets.py \
+ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_crowd.py gateway/test_desk_logs.py test_floods.py test_large_fleets.py \
 	test_readme.py test_fleet_example.py gateway/cli/test_demo.py)
 # Chromium without the parts that nobody sees takes two thirds of the processor time; `make nightly` has all of it.
 test-system: export TEST_BROWSER ?= $(shell command -v chromium-headless-shell)
@@ -52,7 +52,7 @@ test-system: $(STAMP)  ## what starts processes: gateways, recorders, browsers
 
 # By night once more, in the whole of Chromium, and each way to let go of a robot twenty times.
 PAGES = tests/nightly/test_desk.py \
-	$(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_accessibility.py recorder/serve recorder/review/report)
+	$(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_logs.py gateway/test_accessibility.py recorder/review/report)
 NIGHT = night-long night-rows night-system night-pages night-scenarios night-fuzz drive-clients test-zenohd test-store \
 	test-image test-cluster test-robot night-robot
 # One after the other; a part that fails keeps no other from running.

@@ -17,7 +17,6 @@ Its rooms, from the file upwards. Pure ones do no I/O: the time is an argument, 
 - ``upload``    finished logs to an object store
 - ``replay``    a log published again on Zenoh
 - ``view``      robots live in Foxglove and Lichtblick
-- ``serve``     the logs of a fleet in a browser
 - ``review``    turns logs into answers: a function for each question
 - ``cli``       the commands
 """

@@ -10,6 +10,7 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "setup --dry-run": "docs/operate.md says what is written; what was there is kept beside it",
     "setup --output": "the services read /etc/cruiser/cruiser.toml",
     "setup --without-bus": "setup needs no bus",
+    "serve": "'cruiser desk --logs DIRECTORY --logs-only' shows logs in a browser",
     "shadow": "record the drive, and ask 'cruiser review rerun LOG --set SETTING=VALUE'",
     "review regress": "'cruiser review rerun LOG...' says of how many logs the decisions differ",
     "review rerun --jobs": "give --processes N",
@@ -33,7 +34,7 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "sim --endpoint": "'cruiser demo --desk --endpoint ENDPOINT'",
     "review replay --interface": "put frames on a bus with 'cruiser review export --format candump' and canplayer",
 }
-"""Commands (``serve``, ``review merge``) and flags (``review export --add``) as they were typed: what to use."""
+"""Commands (``serve``) and flags (``review export --add``) as they were typed: what to use."""
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {
     "upload.hours": "a systemd timer has the hours, see docs/upload.md",

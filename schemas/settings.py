@@ -538,6 +538,7 @@ class DeskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         names: names under which browsers reach it, besides those of this machine
         sites: SITE=PATTERN; robots whose names match belong to this site, the first that matches
         logs: directory of a recorder, whose logs and reports whoever opens the page may read; empty: none
+        viewers: addresses of viewers that open a log by its address; their pages may read the logs
     """
 
     listen: str = "127.0.0.1:8080"
@@ -546,6 +547,7 @@ class DeskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     names: list[str] = []
     sites: list[str] = []
     logs: str = ""
+    viewers: list[str] = []
 
 
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

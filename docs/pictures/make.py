@@ -6,7 +6,6 @@ On Debian: `apt-get install chromium fonts-wqy-microhei`.
 - ``demo.svg``    the terminal while the demo runs, and why the robot stopped, as the commands print it
 - ``report.png``  the top of the drive report of the same demo, without its summary in words
 - ``desk.png``    the desk with a virtual fleet: all robots, of which one was stopped, and below it one that drives
-- ``serve.png``   the logs of the same demo in a browser: calendar and drives, and below them a stop and its reason
 """
 
 import io
@@ -134,38 +133,6 @@ def _fleet(page: Page) -> bytes:
     return page.screenshot(clip={"x": 0, "y": 0, "width": DESK_WIDTH, "height": bottom["y"] + bottom["height"]})
 
 
-def served(where: Path, stop: str, picture: Path) -> None:
-    """The logs in a browser: what was driven, and below it a stop of this cause, explained."""
-    command = [sys.executable, "-m", "gateway", "serve", "demo-log", "--listen", "127.0.0.1:0"]
-    environment = os.environ | {"PYTHONPATH": str(PICTURES.parents[1])}
-    with subprocess.Popen(command, cwd=where, env=environment, stderr=subprocess.PIPE, text=True) as server:
-        try:
-            address = re.search(r"http://\S+/", server.stderr.readline() if server.stderr else "")
-            if address is None:
-                raise SystemExit("the server does not say where it is")
-            with sync_playwright() as playwright:
-                browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
-                page = browser.new_page(
-                    viewport={"width": DESK_WIDTH, "height": DESK_HEIGHT}, color_scheme="light", locale="en-GB"
-                )
-                page.set_default_timeout(DEADLINE_MS)
-                page.goto(address[0])
-                page.locator(".month a").first.wait_for()
-                page.locator(".found .marks a").first.wait_for()
-                bottom = page.locator(".found").bounding_box() or {}
-                height = bottom["y"] + bottom["height"] + 20
-                above = page.screenshot(
-                    clip={"x": 0, "y": 0, "width": DESK_WIDTH, "height": height}, full_page=True
-                )
-                page.locator(".found .marks li", has_text=stop).first.get_by_role("link").click()
-                page.get_by_role("button", name="Why then?").click()
-                page.locator(".chain").wait_for()
-                stack(above, page.screenshot(), picture)
-                browser.close()
-        finally:
-            server.send_signal(signal.SIGINT)
-
-
 def stack(above: bytes, below: bytes, picture: Path) -> None:
     """One picture of two, of few colours."""
     images = [Image.open(io.BytesIO(one)).convert("RGB") for one in (above, below)]
@@ -176,7 +143,7 @@ def stack(above: bytes, below: bytes, picture: Path) -> None:
 
 
 def main() -> None:
-    """Run the demo once, for three pictures, and the virtual fleet for the fourth."""
+    """Run the demo once, for two pictures, and the virtual fleet for the third."""
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder)
         demo = cruiser("demo", "--seconds", "30", "--out", "demo-log", where=where)
@@ -187,7 +154,6 @@ def main() -> None:
         (PICTURES / "demo.svg").write_text(terminal(screens, "Cruiser Gateway"), "utf-8")
         cruiser("review", "report", "demo-log", "-o", "report.html", where=where)
         report(where / "report.html", PICTURES / "report.png")
-        served(where, "the front bumper was hit", PICTURES / "serve.png")
         desk(where, PICTURES / "desk.png")
 
 

@@ -16,7 +16,8 @@ from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.exit_codes import CommandError, ExitCode
-from schemas.listen_address import address, shown_address
+from schemas.listen_address import address as listen_address
+from schemas.listen_address import shown_address
 from schemas.missing_extra import missing_extra
 from schemas.settings import DeskSettings, Settings
 from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
@@ -24,6 +25,7 @@ from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_
 EXAMPLE: Final = """\
   cruiser desk
   cruiser desk --config ~/.config/cruiser/desk.toml
+  cruiser desk --logs logs --logs-only
   cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --key desk.key --name desk.example"""
 
 
@@ -53,8 +55,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--logs",
         dest="desk.logs",
         metavar="DIR",
-        help="a recorder's directory: whoever opens the page may read its logs, and their reports",
+        help="a directory of logs: whoever opens the page may search and read them, and their reports",
     )
+    parser.add_argument(
+        "--viewer",
+        dest="desk.viewers",
+        action="append",
+        metavar="URL",
+        help="a viewer that opens a log by its address, such as https://app.foxglove.dev/~/view: its pages may "
+        "read the logs; may be given several times",
+    )
+    parser.add_argument("--logs-only", action="store_true", help="show the logs alone: no robot, and no Zenoh")
     parser.add_argument(
         "--site",
         dest="desk.sites",
@@ -75,7 +86,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     try:
         from gateway.cli.desk_hub import Hub  # noqa: PLC0415 - needs the extra 'desk'
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
-        from gateway.cli.desk_server import make_app  # noqa: PLC0415 - the same
+        from gateway.cli.desk_server import make_app, make_logs_app  # noqa: PLC0415 - the same
         from gateway.desk.words import FROM_BROWSER_BYTES  # noqa: PLC0415 - the same
         from schemas.web.server import serve  # noqa: PLC0415 - the same
     except ModuleNotFoundError as error:
@@ -83,22 +94,28 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             raise
         raise missing_extra(" and ".join(sorted(PACKAGES)), "desk") from None
     desk = settings.desk
+    if arguments.logs_only and not desk.logs:
+        raise CommandError("--logs-only needs --logs DIR", ExitCode.USAGE)
     host, port = _address(desk.listen)
     certificate = _certificate(desk, host)
     sites = [_site(text) for text in desk.sites]
-    with (
-        contextlib.nullcontext() if not desk.logs else contextlib.closing(DeskLogs.open(desk.logs)) as logs,
-        listening_socket(host, port) as listening,
-        DeskListener.open(settings) as listener,
-        CommandPort.open(settings, keys.ALL, "desk") as commands,
-    ):
-        where = shown_address(host, listening.getsockname()[1])
-        scheme = "https" if certificate else "http"
-        sys.stderr.write(f"desk: {scheme}://{where}/, robots at {place(settings.zenoh)}\n")
-        sys.stderr.flush()
-        ends = ending_after(stopped, arguments.seconds, time.monotonic)
+    hosts = [*LOCAL_NAMES, host, *desk.names]
+    ends = ending_after(stopped, arguments.seconds, time.monotonic)
+    with contextlib.ExitStack() as stack:
+        logs = None
+        if desk.logs:
+            logs = stack.enter_context(contextlib.closing(DeskLogs.open(desk.logs, desk.viewers)))
+        listening = stack.enter_context(listening_socket(host, port))
+        address = f"{'https' if certificate else 'http'}://{shown_address(host, listening.getsockname()[1])}/"
+        if arguments.logs_only and logs is not None:
+            _tell(f"{address}, logs of {logs.directory}")
+            asyncio.run(serve(make_logs_app(logs, hosts), listening, ends, certificate))
+            return int(ExitCode.OK)
+        listener = stack.enter_context(DeskListener.open(settings))
+        commands = stack.enter_context(CommandPort.open(settings, keys.ALL, "desk"))
+        _tell(f"{address}, robots at {place(settings.zenoh)}")
         hub = Hub(settings, listener, commands, sites=sites, has_logs=logs is not None)
-        app = make_app(hub, [*LOCAL_NAMES, host, *desk.names], logs)
+        app = make_app(hub, hosts, logs)
 
         async def work() -> None:
             async with asyncio.TaskGroup() as group:
@@ -107,6 +124,11 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
         asyncio.run(work())
     return int(ExitCode.OK)
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(f"desk: {text}\n")
+    sys.stderr.flush()
 
 
 def _site(text: str) -> tuple[str, str]:
@@ -128,7 +150,7 @@ def _address(listen: str) -> tuple[str, int]:
         CommandError: it is none.
     """
     try:
-        return address(listen)
+        return listen_address(listen)
     except argparse.ArgumentTypeError as error:
         raise CommandError(f"desk.listen: {error}", ExitCode.USAGE) from error
 

@@ -1,4 +1,4 @@
-"""The desk's HTTP server: the page, and a WebSocket for each browser. Needs the extra 'desk'."""
+"""The desk's HTTP server: the page, a WebSocket for each browser, and logs. Needs the extra 'desk'."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from starlette.applications import Starlette
-from starlette.routing import WebSocketRoute
+from starlette.responses import RedirectResponse
+from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import gateway.desk
@@ -46,6 +47,11 @@ def make_app(hub: Hub, hosts: Sequence[str], logs: DeskLogs | None = None) -> St
         await _serve(socket, hub)
 
     return make_site([WebSocketRoute("/link", link), *(logs.routes() if logs is not None else [])], hosts, PAGE)
+
+
+def make_logs_app(logs: DeskLogs, hosts: Sequence[str]) -> Starlette:
+    """Make the application of a desk without robots, which is reached under these names."""
+    return make_site([Route("/", lambda _: RedirectResponse("/logs.html")), *logs.routes()], hosts, PAGE)
 
 
 async def _serve(socket: WebSocket, hub: Hub) -> None:

@@ -1,8 +1,9 @@
-"""Questions to logs, each as a process of its own: a log may be made to take all the time and memory there is."""
+"""The one starter of questions to logs, each a process of its own: a log may be made to take all that there is."""
 
 from __future__ import annotations
 
 import asyncio
+import os
 import resource
 from collections.abc import Sequence
 from contextlib import suppress
@@ -23,6 +24,9 @@ WAITING_MAX: Final = 16
 
 SAID_BYTES: Final = 4 << 20
 """The longest answer that is read."""
+
+NICENESS: Final = 10
+"""A tenth of the processor where others want it: a robot that is driven through the same server comes first."""
 
 END_S: Final = 5.0
 """Time to end in, once it is told to."""
@@ -76,13 +80,13 @@ class Jobs:
         self._turns.release()
 
 
-async def ask_review(words: Sequence[str], seconds: float = JOB_S, file_bytes: int | None = None) -> JobDone:
+async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
     """Ask ``cruiser review``, and wait for the answer.
 
     Args:
         words: the question and its arguments.
-        seconds: the time it may take. It is then told to end, and to keep what it has.
-        file_bytes: the longest file that it may write; None is any.
+        seconds: the time, and the processor's time, that it may take. It is then told to end, and to keep
+            what it has.
     """
     try:
         process = await asyncio.create_subprocess_exec(
@@ -95,14 +99,18 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S, file_bytes: i
         # Browsers may hold all files that this process may open, or others all processes.
         return JobDone(None, b"", f"no process can be started: {error.strerror}")
     with suppress(ProcessLookupError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
         resource.prlimit(process.pid, resource.RLIMIT_DATA, (JOB_BYTES, JOB_BYTES))
-        if file_bytes is not None:
-            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
+        processor_s = max(1, int(seconds))
+        resource.prlimit(process.pid, resource.RLIMIT_CPU, (processor_s, processor_s + int(END_S)))
     reading = asyncio.gather(_read(process.stdout, SAID_BYTES), _read(process.stderr, SAID_BYTES))
     try:
         output, said = await asyncio.wait_for(asyncio.shield(reading), seconds)
         fault = said.decode("utf-8", "replace").strip()[-1000:]
-        return JobDone(await process.wait(), output, fault)
+        code = await process.wait()
+        if code < 0:
+            return JobDone(None, b"", f"no answer: the process was ended by signal {-code}")
+        return JobDone(code, output, fault)
     except TimeoutError:
         with suppress(ProcessLookupError):
             process.terminate()

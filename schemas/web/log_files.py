@@ -12,7 +12,6 @@ from typing import Final, Self
 
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
-from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
 from schemas.exit_codes import CommandError, ExitCode
@@ -78,10 +77,6 @@ class LogFiles:
         """Remove the reports."""
         self._scratch.cleanup()
 
-    def routes(self) -> list[Route]:
-        """Return where browsers find a log, and its report."""
-        return [Route("/logs/{name}", self.download), Route("/reports/{name}", self._report)]
-
     def path(self, name: str) -> Path | None:
         """Return the log of this name; None if it is none, or only points to one.
 
@@ -105,7 +100,8 @@ class LogFiles:
             return forbidden(path)
         return _Download.open(path) or missing()
 
-    async def _report(self, request: Request) -> Response:
+    async def report(self, request: Request) -> Response:
+        """Answer with the report of a log, which is made when it is asked for."""
         path = self.path(request.path_params["name"])
         if path is None or is_foreign(request):
             return missing()

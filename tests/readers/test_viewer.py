@@ -1,4 +1,4 @@
-"""A served log as Foxglove and Lichtblick read it: their packages, in a real browser, on a page of another origin.
+"""A log at the desk as Foxglove and Lichtblick read it: their packages, in a browser, on another origin's page.
 
 ``make readers`` runs it, once npm has the packages.
 """
@@ -20,6 +20,8 @@ from tests.support.processes.gateway import Running
 from tests.support.rigs.scenarios import front_bumper, recorded
 
 BUILT: Final = Path(__file__).parent / "viewer" / "build"
+
+DESK: Final = ("--logs-only", "--listen", "127.0.0.1:0")
 
 LAST_S: Final = 2
 
@@ -60,10 +62,10 @@ def read(log: Path) -> Iterator[Callable[[int], Read]]:
     """Reads the log from a moment on, in the browser, as a viewer that the server knows."""
     with (
         viewer() as origin,
-        Running("serve", str(log.parent), "--listen", "127.0.0.1:0", "--viewer", origin) as serving,
+        Running("desk", *DESK, "--logs", str(log.parent), "--viewer", origin) as serving,
         chromium() as browser,
     ):
-        address = serving.wait_says(r"serve: (http://127\.0\.0\.1:\d+/)")[1]
+        address = serving.wait_says(r"desk: (http://127\.0\.0\.1:\d+/)")[1]
         page = browser.new_page()
         page.goto(origin)
         page.add_script_tag(url=f"{origin}/read.js")

@@ -4,6 +4,7 @@ import { FRESH_MS } from "./contact.js";
 import { DrivePanel, operatorName } from "./drive.js";
 import { setText } from "./elements.js";
 import { Link } from "./link.js";
+import { LogsPage } from "./logs.js";
 import { Overview } from "./overview.js";
 import { RobotPage } from "./robot.js";
 import { Stops } from "./stops.js";
@@ -25,7 +26,8 @@ const shownRobot = () => /^#\/(?:robot|kiosk)\/([a-z0-9-]+)$/.exec(location.hash
 function route() {
   view?.end?.();
   const robot = shownRobot();
-  view = robot ? new RobotPage(robot, fleet, new DrivePanel(robot, link, () => hello)) : new Overview(fleet, link, location.hash === "#/wall");
+  if (robot) view = new RobotPage(robot, fleet, new DrivePanel(robot, link, () => hello));
+  else view = location.hash.startsWith("#/logs") ? new LogsPage(location.hash) : new Overview(fleet, link, location.hash === "#/wall");
   byId("view").replaceChildren(view.element);
   view.begin?.();
   byId("stop-one").hidden = !robot;
@@ -76,6 +78,7 @@ function loseRows() {
 link.on("hello", (message) => {
   hello = message;
   learnReasons(message.reasons);
+  byId("logs").hidden = !message.has_logs;
   kept.clear(); // a new connection begins with all rows
   link.send({ is: "look", robot: shownRobot() });
 });

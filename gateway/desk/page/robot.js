@@ -43,8 +43,7 @@ export class RobotPage {
     this.facts = h("dl", { class: "facts" });
     this.events = h("ul", { class: "events", tabindex: "0", "aria-label": t("events") }, h("li", { class: "soft" }, t("no_events")));
     this.charts = [h("div", { class: "chart" }), h("div", { class: "chart" })];
-    this.logs = h("ul", { class: "events" });
-    this.logCard = h("section", { class: "card wide past", "aria-label": t("logs"), hidden: true }, h("h2", {}, t("logs")), this.logs);
+    this.logs = h("p", { class: "past", hidden: true }, h("a", { href: `#/logs?robot=${name}` }, t("logs_of", name)));
     const canvas = h("canvas", { class: "path", role: "img", "aria-label": t("path") });
     this.path = new Path(canvas);
     this.element = h("div", { class: "robot" }, this.band,
@@ -54,17 +53,8 @@ export class RobotPage {
       this.blockers, this.driver.element, this.notes,
       h("section", { class: "card past" }, h("h2", {}, t("speed_chart")), this.charts[0], h("h2", {}, t("angle_chart")), this.charts[1]),
       h("section", { class: "card" }, h("h2", {}, t("path")), canvas, h("h2", {}, t("facts")), this.facts),
-      h("section", { class: "card wide past" }, h("h2", {}, t("events")), this.events), this.logCard);
+      h("section", { class: "card wide past" }, h("h2", {}, t("events")), this.events), this.logs);
     this.update();
-  }
-
-  /** The newest logs of this robot, each with its report. */
-  async showLogs() {
-    this.logCard.hidden = false;
-    const names = await fetch(`logs/of/${this.name}`).then((answer) => answer.json()).catch(() => []);
-    const link = (address, text) => h("a", { href: address, target: "_blank", rel: "noopener" }, text);
-    const line = (name) => h("li", {}, link(`reports/${name}`, `${t("report_of")} ${name}`), " ", name.endsWith(".part") ? h("span", { class: "soft" }, t("being_written")) : link(`logs/${name}`, t("download")));
-    this.logs.replaceChildren(...(names.length ? names.map(line) : [h("li", { class: "soft" }, t("no_logs"))]));
   }
 
   /** The elements are in the page: what needs their size is made. */
@@ -100,7 +90,7 @@ export class RobotPage {
     this.points[0] = values.speed_mps.map((_, at) => now - (length - 1 - at) * hello.period_s);
     [...SPEEDS, ...ANGLES].forEach((name, at) => (this.points[at + 1] = values[name]));
     this.wheelbase = hello.wheelbase_m;
-    if (hello.has_logs) this.showLogs();
+    this.logs.hidden = !hello.has_logs;
     this.path.clear();
     for (let at = 0; at < length; at++) this.path.go(values.speed_mps[at], values.angle_deg[at], hello.period_s, this.wheelbase);
   }

@@ -60,11 +60,11 @@ def wall(page: Page, address: str) -> None:
 
 
 def robot(page: Page, address: str) -> None:
-    """One that is latched, with its reasons, events and logs, the keys unfolded; a stop of it."""
+    """One that is latched, with its reasons and events, the keys unfolded; a stop of it."""
     page.goto(f"{address}#/robot/needs-reset")
     page.locator(".why li").first.wait_for()
     page.locator(".events .error").first.wait_for()
-    page.locator("a[href^='logs/']").first.wait_for()
+    page.locator("a[href^='#/logs?']").wait_for()
     page.locator("summary").click()
     page.keyboard.press("Escape")
     page.locator("#stop-of-needs-reset li").wait_for()

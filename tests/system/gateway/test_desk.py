@@ -40,7 +40,6 @@ from tests.support.processes.gateway import run
 from tests.support.processes.letting_go import let_go_of_the_pointer, lose_the_focus, shut_the_lid
 from tests.support.provisioning import ProvisionedFleet
 from tests.support.provisioning import run as provision
-from tests.support.rigs.scenarios import front_bumper, recorded
 from tests.support.waiting import wait_until
 
 
@@ -580,39 +579,6 @@ def test_no_other_page_gets_in(scene: DeskScene) -> None:
     assert ask(scene.address, "/link", **upgrade("http://evil.example", "evil.example")).status in {400, 403}
     for path in ("/../pyproject.toml", "/..%2f..%2fcli/desk.py", "/%2e%2e/words.py", "/words.py"):
         assert ask(scene.address, path).status == 404
-
-
-@pytest.mark.night
-def test_logs_and_reports_are_read_from_the_page(context: BrowserContext, tmp_path: Path) -> None:
-    """A log of this robot, and its report, which reaches neither the desk nor the browser's key."""
-    log = recorded(front_bumper)
-    (tmp_path / "cruiser-1-20260102T030405Z.mcap").write_bytes(log)
-    (tmp_path / "cruiser-2-20260102T030405Z.mcap").write_bytes(log)
-    (tmp_path / "cruiser-1-20260102T040506Z.mcap.part").write_bytes(log)
-    (tmp_path / "secret.txt").write_text("secret")
-    (tmp_path / "cruiser-1-20260102T030406Z.mcap").symlink_to(tmp_path / "secret.txt")
-    with desk_scene(desk_words=("--logs", str(tmp_path))) as scene:
-        page = open_robot(context, scene)
-        with page.expect_download() as download:
-            page.get_by_role("link", name="download the log").last.click()
-        assert Path(download.value.path()).read_bytes() == log
-        with context.expect_page() as opened:
-            page.get_by_role("link", name="report of cruiser-1-20260102T030405Z.mcap").click()
-        opened.value.get_by_text("the front bumper").first.wait_for(state="attached")
-        assert opened.value.evaluate("window.origin") == "null"
-        assert page.get_by_text("cruiser-2").count() == 0
-        # One that is being written has its report, and is downloaded once it is whole.
-        growing = "cruiser-1-20260102T040506Z.mcap.part"
-        assert f"report of {growing} is being written" in page.get_by_label("Logs").inner_text()
-        assert [ask(scene.address, f"/{kind}/{growing}").status for kind in ("logs", "reports")] == [404, 200]
-        (tmp_path / growing).rename(tmp_path / growing.removesuffix(".part"))
-        assert ask(scene.address, f"/reports/{growing}").status == 200
-        for name in ("cruiser-1-20260102T030406Z.mcap", "secret.txt", "..%2fsecret.txt", "%2e%2e%2fsecret.txt"):
-            assert [ask(scene.address, f"/{kind}/{name}").status for kind in ("logs", "reports")] == [404, 404]
-        # No page of another site has a report made behind somebody's back. A link that is followed is none.
-        for kind, status in (("image", 404), ("iframe", 404), ("document", 200)):
-            fetch = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": kind}
-            assert ask(scene.address, "/reports/cruiser-2-20260102T030405Z.mcap", **fetch).status == status
 
 
 def test_beyond_this_machine_it_wants_a_certificate() -> None:

@@ -1,6 +1,9 @@
 """Questions to logs as processes of their own."""
 
 import asyncio
+import os
+import resource
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -58,11 +61,44 @@ def test_an_answer_is_read_to_a_bound(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (done.code, len(done.output)) == (0, 10)
 
 
-def test_a_file_is_written_to_a_bound(tmp_path: Path) -> None:
-    """What would be longer is not there at all, and a line says why."""
-    log, part = tmp_path / "a.mcap", tmp_path / "part.mcap"
+@pytest.mark.parametrize(("mib", "is_made"), [(2048, True), (48, False)])
+def test_a_question_takes_so_much_memory_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mib: int, *, is_made: bool
+) -> None:
+    """A report that would take more ends, and not the machine; there is a word about it, and no half report."""
+    monkeypatch.setattr(jobs, "JOB_BYTES", mib << 20)
+    log, report = tmp_path / "a.mcap", tmp_path / "report.html"
     log.write_bytes(recorded(front_bumper))
-    done = asyncio.run(ask_review(["cut", str(log), "-o", str(part)], file_bytes=10_000))
-    assert done.code
-    assert "File too large" in done.fault
-    assert not part.exists()
+    done = asyncio.run(ask_review(["report", str(log), "-o", str(report)]))
+    assert (done.code == 0) is is_made
+    assert done.output or done.fault
+    assert report.is_file() is is_made
+
+
+def test_a_question_has_a_low_priority_and_so_much_processor_time() -> None:
+    """Whoever drives a robot through the same server waits for no answer about a log."""
+    before = children()
+
+    async def look() -> tuple[int, tuple[int, int]]:
+        asking = asyncio.create_task(ask_review(["info", "/dev/zero"], seconds=7.0))
+        try:
+            while not (new := children() - before):  # noqa: ASYNC110 - nothing says when it has started
+                await asyncio.sleep(0)
+            (child,) = map(int, new)
+            while resource.prlimit(child, resource.RLIMIT_CPU)[0] < 0:  # noqa: ASYNC110 - nor when it is bounded
+                await asyncio.sleep(0)
+            return os.getpriority(os.PRIO_PROCESS, child), resource.prlimit(child, resource.RLIMIT_CPU)
+        finally:
+            asking.cancel()
+            with suppress(asyncio.CancelledError):
+                await asking
+
+    assert asyncio.run(asyncio.wait_for(look(), 60)) == (jobs.NICENESS, (7, 7 + int(jobs.END_S)))
+
+
+def test_a_question_that_is_ended_from_outside_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by the bound of the processor time."""
+    monkeypatch.setattr(jobs, "module_command", lambda *_: ("/bin/sh", "-c", "echo half; kill -XCPU $$"))
+    done = asyncio.run(ask_review(["info"]))
+    assert (done.code, done.output) == (None, b"")
+    assert "was ended by signal" in done.fault
