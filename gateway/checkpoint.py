@@ -39,9 +39,6 @@ _OBJECT, _STRUCT, _ENUM, _RANDOM, _SEEN, _CONSTANT, _VALUE = (
 _ROOT: Final = "Core"
 """The alias of the whole, which stands in no table: its class imports this module."""
 
-BEGINS: Final = msgspec.msgpack.encode([_OBJECT, None, None])[:-2]
-"""Every checkpoint begins so."""
-
 
 class CheckpointError(ValueError):
     """A checkpoint that is damaged, or of a version whose core holds other things."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any, Final
 
 import msgspec
 
 from gateway.chassis.frame import Frame
-from gateway.checkpoint import BEGINS, CheckpointError
+from gateway.checkpoint import CheckpointError
 from gateway.command.carried import Carried
 from gateway.command.request import Credentials, RawRequest
 from gateway.command.snapshot import Snapshot
 from gateway.core import Core, TickEffects
-from gateway.journal import LINKS, BrokenJournalError, Input, follow, inputs_of
+from gateway.journal import LINKS, BrokenJournalError, Input, follow
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
 from schemas.command_rules import COMMAND_RULES
@@ -144,28 +144,6 @@ def _fits(state: bytes) -> bool:
     except CheckpointError:
         return False
     return True
-
-
-_REST_BEGINS: Final = msgspec.msgpack.encode([Kind.REST.value, *range(3 + len(LINKS))])[:2]
-"""A place of rest is an array that begins so."""
-
-
-def places(journal: Journal) -> list[int]:
-    """Return the times in a journal message from which a run can be run again: ns since 1970, by its clock.
-
-    Raises:
-        BrokenJournalError: it cannot be read.
-    """
-    # Most hold none, and looking through their inputs takes much longer.
-    raw = journal.inputs
-    if journal.rules != COMMAND_RULES or (_REST_BEGINS not in raw and BEGINS not in raw):
-        return []
-    inputs = inputs_of(journal)
-    # The tick in which it was at rest is the next input, and tells the time of day.
-    rests = [tick[2] for one, tick in pairwise(inputs) if one[0] == Kind.REST]
-    # A core takes one a minute, and a message holds a twentieth of a second.
-    taken = [one for one in inputs if one[0] == Kind.CHECKPOINT][:1]
-    return sorted(rests + [one[2] for one in taken if _fits(one[3])])
 
 
 def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:
