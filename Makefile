@@ -168,7 +168,6 @@ bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB and on 50
 	$(BIN)/python -m tests.bench.review_rate
 	$(BIN)/python -m tests.bench.review_rerun
 	$(BIN)/python -m tests.bench.review_find
-	$(BIN)/python -m tests.bench.review_stored
 	$(BIN)/python -m tests.bench.review_export
 
 bench-recorder: $(STAMP)  ## of these the recorder alone, against other writers, with five minutes of load

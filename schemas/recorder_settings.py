@@ -108,6 +108,8 @@ class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         rate_bytes_s: bytes/s that it takes of the link, each way, in the mean of parts of 5 MiB; 0 is no limit
         read_back: read each log back, and compare; else the store's own checksum is enough, where it has one
         catalog: put each log's row of the catalog beside it, for which it is read once more when no log waits
+        cache_bytes: bytes of copies of a store's logs that `cruiser review` keeps in $XDG_CACHE_HOME/cruiser, or
+            ~/.cache/cruiser; beyond it those go that were not asked for longest
     """
 
     store: str = ""
@@ -116,3 +118,4 @@ class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 250_000
     read_back: bool = True
     catalog: bool = True
+    cache_bytes: Annotated[int, Meta(ge=0)] = 20_000_000_000

@@ -24,7 +24,6 @@ import msgspec
 
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
 from recorder.disk.part_file import sync_directory, write_signature
-from recorder.encoding.event_digest import EventDigest
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.notices import DiskBack, DiskRoom, Notice, Recovered
 from recorder.record.signature import LogSigner
@@ -111,7 +110,7 @@ def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSig
 
 def _recover(path: Path, stream: BinaryIO, library: str, signer: LogSigner | None, *, set_aside: bool) -> Recovery:
     size = os.fstat(stream.fileno()).st_size
-    found = survey(stream, size, EventDigest())
+    found = survey(stream, size)
     if not found.end or (found.fault_count and not found.messages):
         kept = _rename(path, DAMAGED_SUFFIX) if set_aside else path
         return Recovery(
@@ -139,11 +138,8 @@ def _recover(path: Path, stream: BinaryIO, library: str, signer: LogSigner | Non
 
 
 def _finish(stream: BinaryIO, found: FileSurvey) -> None:
-    """Cut back to the good data and end the file: without its digest, or not at all, if there is no room."""
-    try:
-        _end_with(stream.fileno(), found.end, found.ending)
-    except OSError:
-        _end_with(stream.fileno(), found.end, found.short_ending)
+    """Cut back to the good data and end the file, or not, if there is no room."""
+    _end_with(stream.fileno(), found.end, found.ending)
 
 
 def _end_with(file: int, end: int, data: bytes) -> None:
@@ -180,7 +176,7 @@ def _copy(
     copy = path.with_name(_stem(path) + COPY_SUFFIX)
     try:
         with copy.open("wb") as sink:
-            copy_good(stream, size, sink, library, EventDigest())
+            copy_good(stream, size, sink, library)
             sink.flush()
             os.fsync(sink.fileno())
     except OSError:

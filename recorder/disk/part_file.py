@@ -15,7 +15,6 @@ from io import FileIO
 from pathlib import Path
 from typing import Final
 
-from recorder.encoding.event_digest import EventDigest
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.mcap.chunk import NO_LIMIT
 from recorder.mcap.writer import McapFile
@@ -161,7 +160,7 @@ class PartFile:
         self.is_removed = False
         """Somebody has removed it before it was ended."""
         with clear_errors(part):
-            self._mcap = McapFile(stream, library, digest=EventDigest())
+            self._mcap = McapFile(stream, library)
 
     @property
     def size(self) -> int:

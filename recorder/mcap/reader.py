@@ -121,9 +121,7 @@ def is_mcap(stream: BinaryIO) -> bool:
     return stream.read(len(MAGIC)) == MAGIC
 
 
-def read_pieces(
-    stream: BinaryIO, size: int, *, is_verifying: bool = True, start: int = FIRST_RECORD, end: int | None = None
-) -> Iterator[Piece]:
+def read_pieces(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> Iterator[Piece]:
     """The pieces of a file. Schemas, channels and statistics come again from the summary.
 
     Args:
@@ -131,10 +129,8 @@ def read_pieces(
         size: its length in bytes.
         is_verifying: hold the data, the checks and the summary against their checksums too, which reads every
             byte. A chunk's own is verified whenever it is unpacked.
-        start: begin at the record there.
-        end: the first offset whose record is not read any more.
     """
-    return _Reading(stream, size, is_verifying=is_verifying).pieces(start, end)
+    return _Reading(stream, size, is_verifying=is_verifying).pieces()
 
 
 def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
@@ -166,11 +162,9 @@ class _Reading:
         # Where the record before begins and ends: a check repeats its length and checksum.
         self._last = (0, 0)
 
-    def pieces(self, start: int, until: int | None) -> Iterator[Piece]:
-        offset, size = start, self._file.size
+    def pieces(self) -> Iterator[Piece]:
+        offset, size = FIRST_RECORD, self._file.size
         while offset < size:
-            if until is not None and offset >= until:
-                return
             opcode, end = self._file.header(offset) or (0, size + 1)
             if end > size:
                 behind = yield from self._pass_over(offset, "the file is cut off within a record")

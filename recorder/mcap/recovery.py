@@ -13,8 +13,6 @@ import msgspec
 import zstandard
 from mcap import records
 
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import Chunk
 from recorder.mcap.framing import (
     CHECK_OPCODE,
     FIRST_RECORD,
@@ -29,7 +27,7 @@ from recorder.mcap.pieces import Index, index_content, split
 from recorder.mcap.proof import DataEnd, Parsed, ProvenChunk, ProvenRecord, Scanner
 from recorder.mcap.summary import Summary
 from recorder.mcap.summary_reader import LogSummary, read_summary
-from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL, FileDigest
+from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL
 
 _NO_SCHEMA: Final = records.Schema(id=0, data=b"", encoding="", name="")
 
@@ -50,8 +48,7 @@ class FileSurvey(msgspec.Struct, frozen=True):
 
     Attributes:
         is_whole: it is closed properly, and nothing in it is wrong.
-        end: the good data ends here, if there are no faults; ``ending`` makes a whole file of it, and so does
-            ``short_ending``, without a digest.
+        end: the good data ends here, if there are no faults; ``ending`` makes a whole file of it.
         faults: damage with good data behind it; ``fault_count`` of them, the first ones listed.
         is_torn: behind the good data there is but the beginning of one last write, or nothing.
         messages, chunks: that are good.
@@ -60,7 +57,6 @@ class FileSurvey(msgspec.Struct, frozen=True):
     is_whole: bool
     end: int
     ending: bytes
-    short_ending: bytes
     faults: list[str]
     fault_count: int
     is_torn: bool
@@ -68,10 +64,10 @@ class FileSurvey(msgspec.Struct, frozen=True):
     chunks: int
 
 
-def survey(stream: BinaryIO, size: int, digest: FileDigest | None = None) -> FileSurvey:
-    """Read a file and judge it; nothing in it raises. A digest is what the end of the file shall repeat."""
+def survey(stream: BinaryIO, size: int) -> FileSurvey:
+    """Read a file and judge it; nothing in it raises."""
     scanner = Scanner(stream, size)
-    rebuild = _Rebuild(None, digest, read_summary(stream), has_checks=scanner.has_checks)
+    rebuild = _Rebuild(None, read_summary(stream), has_checks=scanner.has_checks)
     data_end: DataEnd | None = None
     end = 0
     pending: list[str] = []
@@ -95,13 +91,11 @@ def survey(stream: BinaryIO, size: int, digest: FileDigest | None = None) -> Fil
         rebuild.faults += pending
         if data_end.crc not in {0, rebuild.crc} and not (rebuild.faults or scanner.has_checks):
             rebuild.faults.append(f"byte {data_end.offset}: the data's checksum is wrong, and nothing tells where")
-    short_ending, ending = rebuild.endings()
     is_closed = data_end is not None and scanner.is_closed(data_end) and data_end.crc in {0, rebuild.crc}
     return FileSurvey(
         is_whole=is_closed and not rebuild.faults,
         end=end,
-        ending=rebuild.trailing + ending,
-        short_ending=rebuild.trailing + short_ending,
+        ending=rebuild.trailing + rebuild.ending(),
         faults=rebuild.faults[:FAULTS_SHOWN],
         fault_count=len(rebuild.faults),
         is_torn=data_end is not None or scanner.is_torn(max(end, FIRST_RECORD)),
@@ -110,10 +104,10 @@ def survey(stream: BinaryIO, size: int, digest: FileDigest | None = None) -> Fil
     )
 
 
-def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str, digest: FileDigest | None = None) -> None:
-    """Write a whole file with all that is good in a damaged one, and the digest of that."""
+def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str) -> None:
+    """Write a whole file with all that is good in a damaged one."""
     scanner = Scanner(stream, size)
-    rebuild = _Rebuild(sink, digest, read_summary(stream), has_checks=scanner.has_checks)
+    rebuild = _Rebuild(sink, read_summary(stream), has_checks=scanner.has_checks)
     first = scanner.piece(FIRST_RECORD)
     parsed = first.parsed if isinstance(first, ProvenRecord) else None
     profile = parsed.profile if isinstance(parsed, records.Header) else ""
@@ -123,15 +117,13 @@ def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str, digest: Fil
     for found in scanner.scan():
         if isinstance(found, ProvenChunk) or (isinstance(found, ProvenRecord) and found.raw[0] != CHECK_OPCODE):
             rebuild.take(found)
-    sink.write(rebuild.endings()[-1])
+    sink.write(rebuild.ending())
 
 
 class _Rebuild:
     """Follows the good pieces of a file, into a copy if there is one."""
 
-    def __init__(
-        self, sink: Sink | None, digest: FileDigest | None, repeated: LogSummary | None, *, has_checks: bool
-    ) -> None:
+    def __init__(self, sink: Sink | None, repeated: LogSummary | None, *, has_checks: bool) -> None:
         self.summary = Summary()
         self.faults: list[str] = []
         self.trailing = b""
@@ -139,8 +131,6 @@ class _Rebuild:
         self.crc = 0 if sink is not None else zlib.crc32(MAGIC)
         self._size = 0 if sink is not None else len(MAGIC)
         self._sink = sink
-        self._digest = digest
-        """None also where the file has parts of one that do not fit: it is then read whole."""
         self._has_checks = has_checks
         self._repeated = repeated
         """The end of the file, which repeats schemas and channels."""
@@ -154,27 +144,9 @@ class _Rebuild:
         if self._sink is not None:
             self._sink.write(data)
 
-    def endings(self) -> tuple[bytes, bytes]:
-        """The end of the result without a digest, and with one if there is any."""
-        short = self.summary.ending(self._size, self.crc)
-        end = b"" if self._digest is None else self._digest.take_end()
-        if self._digest is None or not end:
-            return short, short
-        attachment = self._attach(self._digest, end)
-        crc = zlib.crc32(attachment, self.crc)
-        return short, attachment + self.summary.ending(self._size + len(attachment), crc)
-
-    def _attach(self, digest: FileDigest, data: bytes) -> bytes:
-        record = records.Attachment(
-            create_time=0,
-            log_time=self.summary.end_ns,
-            name=digest.name,
-            media_type=digest.media_type,
-            data=data,
-        )
-        encoded = encode(record)
-        self.summary.add_attachment(record, self._size, len(encoded))
-        return checked(encoded) if self._has_checks else encoded
+    def ending(self) -> bytes:
+        """The end of the result."""
+        return self.summary.ending(self._size, self.crc)
 
     def take(self, piece: ProvenChunk | ProvenRecord) -> None:
         """A piece is part of the result, as far as it makes sense."""
@@ -196,8 +168,6 @@ class _Rebuild:
         if isinstance(parsed, records.Channel) and parsed.schema_id not in self._schemas:
             self.faults.append(f"byte {piece.offset}: the schema of {parsed.topic} is lost")
             return
-        if isinstance(parsed, records.Attachment) and not self._takes(parsed):
-            return
         self.put(piece.raw)
         if isinstance(parsed, records.Attachment):
             self.summary.add_attachment(parsed, offset, piece.length)
@@ -206,14 +176,6 @@ class _Rebuild:
         else:
             self._declare(parsed)
 
-    def _takes(self, attachment: records.Attachment) -> bool:
-        """A part of a digest is that of the present one, or the file ends without one; a copy gets its own."""
-        if self._digest is None or attachment.name != self._digest.name:
-            return True
-        if self._sink is None and self._digest.take_part() != attachment.data:
-            self._digest = None
-        return self._sink is None
-
     def _declare(self, parsed: Parsed) -> None:
         if isinstance(parsed, records.Schema) and parsed.id not in self._schemas:
             self._schemas[parsed.id] = parsed
@@ -221,17 +183,12 @@ class _Rebuild:
         elif isinstance(parsed, records.Channel) and parsed.id not in self._channels:
             self._channels.add(parsed.id)
             self.summary.add_channels([encode(parsed)])
-            schema = self._schemas.get(parsed.schema_id)
-            if self._digest is not None and schema is not None:
-                self._digest.add_channel(LogChannel(parsed.id, parsed.topic, schema.name, schema.data))
 
     def _take_message(self, piece: ProvenRecord) -> None:
         _, _, channel_id, _, log_ns, _ = MESSAGE_HEADER.unpack_from(piece.raw)
         if not self._knows(channel_id):
             self.faults.append(f"byte {piece.offset}: the channel of a message is lost")
             return
-        # A digest is of chunks alone.
-        self._digest = None
         self.put(piece.raw)
         self.summary.add_messages({channel_id: 1}, log_ns, log_ns)
 
@@ -261,7 +218,6 @@ class _Rebuild:
                 return
             index, _ = index_content(content)
             chunk = _chunk_of(content, index)
-        self._put_part()
         offset, places = self._size, piece.places
         data = encode(chunk)
         if not lost and piece.has_true_head:
@@ -275,18 +231,6 @@ class _Rebuild:
             self.trailing = encode_indexes(index)
             self.put(data + self.trailing)
             self.summary.add_chunk(chunk, offset, len(data), index)
-        if self._digest is not None:
-            start_ns, end_ns = chunk.message_start_time, chunk.message_end_time
-            self._digest.add_chunk(Chunk(bytearray(content), dict(index), start_ns, end_ns), offset)
-
-    def _put_part(self) -> None:
-        """A part of a digest stands before the chunk that comes when it is full, or it is missing."""
-        if self._digest is None or not (part := self._digest.take_part()):
-            return
-        if self._sink is None:
-            self._digest = None
-        else:
-            self.put(self._attach(self._digest, part))
 
     def _known(self, content: bytes) -> bytes:
         """The records of a chunk, without messages of channels that nobody knows."""

@@ -37,7 +37,6 @@ class Summary:
         # The records that the summary will hold, by kind, and how many of each there are.
         self._encoded = {opcode: bytearray() for opcode in _SUMMARY_ORDER}
         self._records: Counter[int] = Counter()
-        self._last_attachment = 0
         """Bytes of the last attachment's index."""
 
     @property
@@ -124,12 +123,6 @@ class Summary:
         )
         encoded = encode(index)
         self._add(Opcode.ATTACHMENT_INDEX, encoded)
-        self._last_attachment = len(encoded)
-
-    def forget_attachment(self) -> None:
-        """Take back the last attachment: it is no longer in the file."""
-        del self._encoded[Opcode.ATTACHMENT_INDEX][-self._last_attachment :]
-        self._records[Opcode.ATTACHMENT_INDEX] -= 1
 
     def add_metadata(self, metadata: records.Metadata, offset: int, length: int) -> None:
         """A metadata record at this offset of the file."""

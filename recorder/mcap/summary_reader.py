@@ -121,16 +121,15 @@ class LogSummary(msgspec.Struct):
                     yield group
 
 
-def read_summary(stream: BinaryIO, *, is_verifying: bool = True) -> LogSummary | None:
+def read_summary(stream: BinaryIO) -> LogSummary | None:
     """Return the summary of a file; None if it has none that can be read, or its checksum is wrong.
 
     Args:
         stream: the file, which can be sought in.
-        is_verifying: hold it against its checksum, for which all of it is read, the index of chunks too.
     """
     try:
         summary = _find(stream)
-        if summary is None or (is_verifying and not _is_intact(stream, summary)):
+        if summary is None or not _is_intact(stream, summary):
             return None
         _read_groups(stream, summary)
     except BROKEN:

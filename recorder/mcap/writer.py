@@ -46,25 +46,6 @@ class LogStream(Protocol):
         ...
 
 
-class FileDigest(Protocol):
-    """Gathers some messages of a file, which are repeated as attachments at its end."""
-
-    name: str
-    media_type: str
-
-    def add_channel(self, channel: LogChannel) -> None:
-        """A channel of the file."""
-
-    def add_chunk(self, chunk: Chunk, offset: int) -> None:
-        """Take a chunk that was written at an offset of the file."""
-
-    def take_part(self) -> bytes:
-        """Return what is to be written before the file ends; nothing, as long as there is room in memory."""
-
-    def take_end(self) -> bytes:
-        """Return the last part, perhaps nothing."""
-
-
 class McapFile:
     """An MCAP file that is being written.
 
@@ -72,12 +53,9 @@ class McapFile:
         stream: the destination of the bytes, from its present beginning on.
         library: the writer's name, for the file's header.
         profile: the header's promise about the channels, by MCAP's registry; ours promise nothing.
-        digest: gathers what the end of the file repeats; None repeats nothing.
     """
 
-    def __init__(
-        self, stream: LogStream, library: str, profile: str = "", digest: FileDigest | None = None
-    ) -> None:
+    def __init__(self, stream: LogStream, library: str, profile: str = "") -> None:
         self._is_finished = False
         self._stream = stream
         self._size = 0
@@ -86,7 +64,6 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
         self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}
         self._summary = Summary()
-        self._digest = digest
         self._write(MAGIC + checked(encode(records.Header(profile=profile, library=library))))
 
     @property
@@ -141,14 +118,9 @@ class McapFile:
         for schema in new.values():
             self._summary.add_schema(schema)
         self._summary.add_channels(encoded)
-        if self._digest is not None:
-            for channel in channels:
-                self._digest.add_channel(channel)
 
     def write_chunk(self, chunk: Chunk) -> None:
         """Compress and write messages, with an index per channel."""
-        # Before the chunk: one that was written is not to count as failed, and be written again.
-        self._write_part()
         record = records.Chunk(
             compression=COMPRESSION,
             data=self._compressor.compress(chunk.records),
@@ -160,8 +132,6 @@ class McapFile:
         data, start = encode(record), self._size
         self._write(data + encode_indexes(chunk.index))
         self._summary.add_chunk(record, start, len(data), chunk.index)
-        if self._digest is not None:
-            self._digest.add_chunk(chunk, start)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_ns: int, create_ns: int = 0) -> None:
         """Write an attachment. That its time of creation is not known MCAP says with 0."""
@@ -183,34 +153,8 @@ class McapFile:
         """Write what makes the file whole: the end of the data, the summary and the footer; but once."""
         if self._is_finished:
             return
-        digest, self._digest = self._digest, None
-        end = b"" if digest is None else digest.take_end()
-        if digest is None or not end or not self._finish_with(digest, end):
-            self._write(self._summary.ending(self._size, self._data_crc))
+        self._write(self._summary.ending(self._size, self._data_crc))
         self._is_finished = True
-
-    def _write_part(self) -> None:
-        digest = self._digest
-        if digest is None or not (part := digest.take_part()):
-            return
-        # Where this fails, the file ends without a digest.
-        self._digest = None
-        self.add_attachment(digest.name, digest.media_type, part, self._summary.end_ns)
-        self._digest = digest
-
-    def _finish_with(self, digest: FileDigest, end: bytes) -> bool:
-        """Write the end with a digest. False if there is no room for it: the file had better be whole without."""
-        size, crc, sha256 = self._size, self._data_crc, self._sha256.copy()
-        try:
-            self.add_attachment(digest.name, digest.media_type, end, self._summary.end_ns)
-            self._write(self._summary.ending(self._size, self._data_crc))
-        except OSError:
-            if self._size > size:
-                self._summary.forget_attachment()
-            self._size, self._data_crc, self._sha256 = size, crc, sha256
-            self.cut_back()
-            return False
-        return True
 
     def cut_back(self) -> None:
         """After a failed write: take the stream back to the end of the last whole record.

@@ -41,6 +41,3 @@ class Objects(Protocol):
 
     def names(self) -> Iterator[ListedObject]:
         """Return all objects of the place, and of those within it."""
-
-    def write(self, name: str, data: bytes) -> None:
-        """Put a small object in the place of what is there."""

@@ -113,11 +113,6 @@ class ObstoreObjects:
                         raise StoreError(f"it holds more than {LISTED_MAX} objects: name a place within it")
                     yield ListedObject(one["path"], one["size"])
 
-    def write(self, name: str, data: bytes) -> None:
-        """Put a small object in the place of what is there."""
-        with self._errors():
-            obstore.put(self._store, name, data)
-
     def _range(self, name: str, start: int, end: int, e_tag: str) -> bytes:
         options: GetOptions = {"range": (start, end)}
         if e_tag and self._place.has_list:

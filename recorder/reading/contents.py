@@ -60,9 +60,9 @@ class Contents(msgspec.Struct):
         self.faults.add(f"byte {offset}: {detail}")
 
 
-def read_contents(stream: BinaryIO, *, is_verifying: bool = True) -> Contents | None:
-    """Return the contents by the summary, verified if so wanted; None if there is none, or it is not complete."""
-    summary = read_summary(stream, is_verifying=is_verifying)
+def read_contents(stream: BinaryIO) -> Contents | None:
+    """Return the contents by the summary; None if there is none, or it is not complete."""
+    summary = read_summary(stream)
     if summary is None or summary.statistics is None or not tells_all(summary, summary.statistics):
         return None
     statistics = summary.statistics

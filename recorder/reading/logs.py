@@ -10,7 +10,7 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO, Final, Protocol
+from typing import BinaryIO, Protocol
 
 import msgspec
 from mcap import records
@@ -18,16 +18,12 @@ from mcap import records
 from recorder.disk.log_directory import is_log
 from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, is_mcap, read_pieces
 from recorder.mcap.summary_reader import read_summary
-from recorder.objects.address import shown_url
 from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile, StoredLog
+from recorder.reading.log_file import LogFile
 from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.printable import plain
-
-END_BYTES: Final = 65_536
-"""So much of a stored log's end is read at once: the places of its parts stand there."""
 
 
 class KnownLog(Protocol):
@@ -58,7 +54,7 @@ def find_logs(
         faults: takes what is wrong with single files of several.
         with_covered: leave no incident out.
         known: logs of these directories that need not be opened.
-        stored: logs of object stores that are asked about with them.
+        stored: copies of logs of object stores that are asked about with them.
 
     Raises:
         CommandError: there is nothing to read.
@@ -113,27 +109,6 @@ def look_at(path: Path) -> LogFile:
     return LogFile(path, size, start_ns, end_ns, _robots(channels), is_being_written=is_written)
 
 
-def look_at_stored(stored: StoredLog) -> LogFile:
-    """One log of an object store; of a whole one its end is read, and not much more.
-
-    Raises:
-        CommandError: it cannot be read, is empty, or is no MCAP file.
-    """
-    shown = shown_url(stored.url)
-    try:
-        if stored.size == 0:
-            raise CommandError(f"{shown} is empty")
-        # What the end says is needed for every question; the beginning holds configurations.
-        stored.fetch(max(0, stored.size - END_BYTES), stored.size)
-        with stored.open() as stream:
-            if not is_mcap(stream):
-                raise CommandError(f"{shown} is no MCAP file")
-            start_ns, end_ns, channels = _span(stream, stored.size, is_verifying=False)
-    except OSError as error:
-        raise CommandError(f"cannot read {shown}: {error.strerror or error}") from error
-    return LogFile(Path(shown.rpartition("/")[2]), stored.size, start_ns, end_ns, _robots(channels), stored=stored)
-
-
 def _robots(channels: Sequence[records.Channel]) -> frozenset[tuple[str, str]]:
     parts = [keys.parse(channel.topic) for channel in channels]
     return frozenset((one.root, one.robot) for one in parts if one is not None and one.robot)
@@ -175,9 +150,9 @@ def is_being_written(stream: BinaryIO) -> bool:
     return False
 
 
-def _span(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> tuple[int, int, list[records.Channel]]:
+def _span(stream: BinaryIO, size: int) -> tuple[int, int, list[records.Channel]]:
     """First and last log time, and channels: by the summary if there is one, else by what is outside of chunks."""
-    summary = read_summary(stream, is_verifying=is_verifying)
+    summary = read_summary(stream)
     if summary is not None and summary.statistics is not None:
         counts = summary.statistics
         times = (counts.message_start_time, counts.message_end_time) if counts.message_count else (0, 0)

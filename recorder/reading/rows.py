@@ -6,8 +6,7 @@ with a log: of each open file one chunk is held.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterator, Sequence
 from heapq import merge
 from operator import attrgetter
 from typing import Any, BinaryIO, Final
@@ -15,7 +14,6 @@ from typing import Any, BinaryIO, Final
 import msgspec
 from mcap import records
 
-from recorder.encoding.event_digest import DIGEST_NAME, Digest, DigestUnreadableError
 from recorder.mcap.reader import (
     DamagedError,
     Fault,
@@ -23,24 +21,15 @@ from recorder.mcap.reader import (
     LoggedMessage,
     MessageBlock,
     PackedChunk,
-    Piece,
     read_pieces,
-    record_at,
 )
-from recorder.mcap.stretches import stretches
-from recorder.mcap.summary_reader import LogSummary, read_summary
+from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.topics import UNREADABLE, Declared, Topic
 
 END_OF_TIME_NS: Final = 2**64
 """Later than every log time."""
-
-DIGEST_MAX: Final = 64 * 1024 * 1024
-"""A longer digest is not read: its log is."""
-
-_BEYOND_BYTES: Final = 8192 + 64
-"""A reader looks so far behind the last record that it wants."""
 
 Wants = Callable[[Topic], bool]
 Progress = Callable[[int], None]
@@ -64,14 +53,11 @@ class Selection(msgspec.Struct, frozen=True):
         wants: a test of topics.
         from_ns: the first log time, in nanoseconds since 1970...
         to_ns: ...and the first one that is too late.
-        is_digested: states and decisions that say what their neighbours say may be left out, as the digest at the
-            end of a stored log does: see ``recorder.encoding.event_digest``.
     """
 
     wants: Wants = every_topic
     from_ns: int = 0
     to_ns: int = END_OF_TIME_NS
-    is_digested: bool = False
 
 
 class Row(msgspec.Struct, frozen=True, gc=False):
@@ -80,7 +66,6 @@ class Row(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         log_ns: when the recorder received it.
         publish_ns: when its source says that it was.
-        passed: messages right before it that a digest leaves out.
     """
 
     topic: Topic
@@ -88,7 +73,6 @@ class Row(msgspec.Struct, frozen=True, gc=False):
     log_ns: int
     publish_ns: int
     data: bytes
-    passed: int = 0
 
 
 def read_rows(
@@ -143,8 +127,7 @@ def _rows_from(log: LogFile, selection: Selection, faults: Faults, progress: Pro
     try:
         with log.open() as stream:
             reader = LogReader(stream, log, selection, faults)
-            digested = reader.digested_rows(progress)
-            yield from reader.rows(progress) if digested is None else digested
+            yield from reader.rows(progress)
     except OSError as error:
         faults.add(f"{log.name}: {error.strerror or error}")
 
@@ -168,7 +151,7 @@ class BlockReader:
 
     def __init__(self, stream: BinaryIO, log: LogFile, selection: Selection, faults: Faults) -> None:
         self._stream = stream
-        self._size = log.bytes if log.stored is None else log.stored.size
+        self._size = log.bytes
         self._is_being_written = log.is_being_written
         self._faults = faults
         self._declared = Declared(log.namesakes)
@@ -178,10 +161,8 @@ class BlockReader:
         self.wanted: dict[int, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: list[records.Attachment] = []
-        self._stored = log.stored
         # Others declare channels within chunks; the summary repeats them.
-        self._summary = read_summary(stream, is_verifying=log.stored is None)
-        self._want(self._declared.take_summary(self._summary))
+        self._want(self._declared.take_summary(read_summary(stream)))
 
     def declare_all(self) -> None:
         """Learn the topics of a log whose summary says nothing of them."""
@@ -193,7 +174,7 @@ class BlockReader:
     def blocks(self, progress: Progress = lambda _: None) -> Iterator[tuple[MessageBlock, Index | None]]:
         """The blocks in the order of the file, each with what its index says, if it has one."""
         read_to = 0
-        for piece in self._pieces():
+        for piece in read_pieces(self._stream, self._size, is_verifying=False):
             match piece:
                 case PackedChunk():
                     yield from self._unpacked(piece)
@@ -212,41 +193,6 @@ class BlockReader:
                 case _:
                     pass
         progress(self._size - read_to)
-
-    def _pieces(self) -> Iterator[Piece]:
-        """The pieces of a file; of a stored log those that may hold something wanted, if its end tells them."""
-        if self._stored is None or self._summary is None:
-            yield from read_pieces(self._stream, self._size, is_verifying=False)
-            return
-        for start, end in self._stretches(self._summary):
-            self._stored.fetch(start, end + _BEYOND_BYTES)
-            yield from read_pieces(self._stream, self._size, is_verifying=False, start=start, end=end)
-
-    def _stretches(self, summary: LogSummary) -> Iterable[tuple[int, int]]:
-        from_ns, to_ns = self.selection.from_ns, self.selection.to_ns
-        digest = self.digest
-        if digest is None:
-            return stretches(summary, self._stream, self.wanted.keys(), from_ns, to_ns)
-        found = digest.stretch(from_ns, to_ns) if self.wanted else None
-        return [] if found is None else [(found[0], summary.start if found[1] is None else found[1])]
-
-    @cached_property
-    def digest(self) -> Digest | None:
-        """The digest at the end of a stored log; None if it has none that fits it."""
-        if self._stored is None or self._summary is None or self._summary.statistics is None:
-            return None
-        places = [one for one in self._summary.attachments if one.name == DIGEST_NAME]
-        if not places or sum(one.length for one in places) > DIGEST_MAX:
-            return None
-        for one in places:
-            self._stored.fetch(one.offset, one.offset + one.length)
-        try:
-            found = [record_at(self._stream, one.offset, records.Attachment) for one in places]
-            parts = [one.data for one in found if one is not None]
-            return Digest(parts, self._summary.statistics.message_count)
-        except (DamagedError, DigestUnreadableError):
-            # All that it says stands in the log itself.
-            return None
 
     def take(self, piece: records.Schema | records.Channel | Fault) -> None:
         """Take what stands between messages."""
@@ -286,21 +232,6 @@ class BlockReader:
 
 class LogReader(BlockReader):
     """Reads the rows of one log."""
-
-    def digested_rows(self, progress: Progress = lambda _: None) -> list[Row] | None:
-        """The wanted rows by the digest of a stored log; None if that may not be asked, or does not tell all."""
-        selection = self.selection
-        if not selection.is_digested:
-            return None
-        digest = self.digest
-        if digest is None or not self.wanted.keys() <= digest.channels:
-            return None
-        progress(self._size)
-        return [
-            Row(self.wanted[one.channel_id], one.sequence, one.log_ns, one.publish_ns, one.data, one.passed)
-            for one in digest.messages
-            if one.channel_id in self.wanted and selection.from_ns <= one.log_ns < selection.to_ns
-        ]
 
     def rows(self, progress: Progress = lambda _: None) -> Iterator[Row]:
         """The wanted rows, in the order of the file."""

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 import msgspec
 from mcap import records
 
-from recorder.encoding.event_digest import DIGEST_NAME
 from recorder.mcap.reader import DamagedError, record_at
-from recorder.mcap.stretches import joined
 from recorder.mcap.summary_reader import read_summary
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import LogReader, Selection, no_topic
 from recorder.reading.topics import Declared, Topic
 from schemas import keys
+
+FORMER_DIGEST: Final = "cruiser.events"
+"""The attachment in which logs of earlier versions repeat their events; nothing reads it any more."""
 
 
 class Survey(msgspec.Struct):
@@ -60,20 +61,14 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
 
 def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
     """Return True if the file's end gave all."""
-    summary = read_summary(stream, is_verifying=log.stored is None)
+    summary = read_summary(stream)
     if summary is None:
         return False
-    if log.stored is not None:
-        # The digest is read with what lies beside it: the next question is for that.
-        places = [(one.offset, one.offset + one.length) for one in summary.attachments]
-        places += [(one.offset, one.offset + one.length) for one in summary.metadata]
-        for start, end in joined(places):
-            log.stored.fetch(start, end)
     with suppress(DamagedError):
         attachments = [
             record_at(stream, one.offset, records.Attachment)
             for one in summary.attachments
-            if one.name != DIGEST_NAME
+            if one.name != FORMER_DIGEST
         ]
         metadata = [record_at(stream, one.offset, records.Metadata) for one in summary.metadata]
         if None not in [*attachments, *metadata]:
@@ -91,5 +86,5 @@ def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -
         pass
     for topic in reader.topics.values():
         found.topics.setdefault(topic.name, topic)
-    found.attachments += [one for one in reader.attachments if one.name != DIGEST_NAME]
+    found.attachments += [one for one in reader.attachments if one.name != FORMER_DIGEST]
     found.metadata.update(reader.metadata)

@@ -29,7 +29,6 @@ from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
 from recorder.review.checking.alive import ClockStep
 from recorder.review.checking.channel import Channel, ChannelCheck
-from recorder.review.checking.digest import DigestCheck
 from recorder.review.checking.findings import About, Finding, Findings
 from recorder.review.checking.frames import FrameInfo
 from recorder.review.checking.proofs import faults_of_schema
@@ -104,7 +103,6 @@ class _Check:
         self._path = path
         self._findings = Findings(path)
         self._structure = Structure(self._findings)
-        self._digest = DigestCheck(stream, self._findings)
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._waiting_bytes = 0
@@ -125,7 +123,6 @@ class _Check:
             self._structure.compare_statistics(self._statistics)
         if self._has_ended:
             self._structure.compare_summary(self._stream)
-        self._digest.settle()
         return self._sum_up()
 
     def _sum_up(self) -> LogCheck:
@@ -222,7 +219,6 @@ class _Check:
 
     def _take_messages(self, found: Messages, offset: int) -> None:
         self._structure.take_messages(found, offset)
-        self._digest.take(found, offset)
         for messages in found.by_channel:
             channel = self._channels.get(messages.channel_id)
             if channel is None:

@@ -13,7 +13,6 @@ import msgspec
 from mcap import records
 
 from recorder.disk.new_file import new_file
-from recorder.encoding.event_digest import DIGEST_NAME
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.reader import (
@@ -31,6 +30,7 @@ from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Selection
+from recorder.reading.survey import FORMER_DIGEST
 from recorder.review.info import CUT_NAME
 from schemas.exit_codes import CommandError, ExitCode
 
@@ -166,7 +166,7 @@ class _Reading:
                     yield from self._sift(piece.messages())
                 case records.Metadata():
                     yield piece
-                case records.Attachment() if piece.name != DIGEST_NAME:
+                case records.Attachment() if piece.name != FORMER_DIGEST:
                     yield piece
                 case Fault() if piece.cuts and self._log.is_being_written:
                     pass

@@ -14,16 +14,13 @@ from typing import BinaryIO, Final
 
 import msgspec
 
-from recorder.objects.address import shown_url
 from recorder.reading.contents import Contents, read_contents, walk_contents
-from recorder.reading.log_file import StoredLog
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.record.robots import METADATA_NAME
 from schemas import keys
-from schemas.exit_codes import CommandError
 
 CUT_NAME: Final = "cruiser.cut"
 """The metadata record of a part of a log: which time and topics it is, and of which files."""
@@ -153,19 +150,6 @@ def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
         return _read(stream, size, str(path), progress, is_written=is_being_written(stream))
 
 
-def read_stored_info(stored: StoredLog, progress: Progress = lambda _: None) -> LogInfo:
-    """Read what a log of an object store holds. The checksum of its end is not verified.
-
-    Raises:
-        CommandError: it cannot be read.
-    """
-    try:
-        with stored.open() as stream:
-            return _read(stream, stored.size, stored.url, progress, is_verifying=False)
-    except OSError as error:
-        raise CommandError(f"cannot read {shown_url(stored.url)}: {error.strerror or error}") from error
-
-
 def brief(info: LogInfo) -> LogBrief:
     """The same in short."""
     return LogBrief(
@@ -210,9 +194,8 @@ def _read(
     progress: Progress,
     *,
     is_written: bool = False,
-    is_verifying: bool = True,
 ) -> LogInfo:
-    source, contents = LogSourceInfo.SUMMARY, read_contents(stream, is_verifying=is_verifying)
+    source, contents = LogSourceInfo.SUMMARY, read_contents(stream)
     if contents is None:
         source = LogSourceInfo.RECORDS
         contents = walk_contents(stream, size, progress, is_being_written=is_written)

@@ -20,9 +20,6 @@ MANIFEST_SUFFIX: Final = ".json"
 ROW_SUFFIX: Final = ".row.json.zst"
 """Follows the log's own name: its row of the catalog."""
 
-FORMER_ROW_SUFFIX: Final = ".parquet"
-"""The same of the rows that older versions made: a Parquet file of one row."""
-
 NAMESAKES_MAX: Final = 20
 """Different logs of one name that a store takes, each with a number."""
 

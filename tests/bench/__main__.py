@@ -29,7 +29,6 @@ from tests.bench import (
     review_find,
     review_rate,
     review_rerun,
-    review_stored,
     signed_latency,
     thin_link,
 )
@@ -55,7 +54,6 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         presses, desk_kills, crowd_s: of a pointer and of the browser on the desk; of its crowd.
         review_mb, review_minutes, export_messages: sizes of the logs.
         cataloged_logs: number of the logs that are searched.
-        stored_minutes: of driving, in the log in a store.
         thin_profiles: of what leaves a robot.
         thin_s: standing, and driven, in each of them.
     """
@@ -83,7 +81,6 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     export_messages: int = review_export.MESSAGES
     export_rounds: int = 3
     cataloged_logs: int = review_find.LOGS
-    stored_minutes: float = 2.0
     thin_profiles: tuple[str, ...] = tuple(PROFILES)
     thin_s: float = 5.0
 
@@ -111,7 +108,6 @@ SHORT: Final = Extent(
     export_messages=20_000,
     export_rounds=1,
     cataloged_logs=500,
-    stored_minutes=0.2,
     thin_profiles=(OPERATOR,),
     thin_s=1.0,
 )
@@ -159,7 +155,6 @@ def measure(extent: Extent) -> tuple[list[Row], list[str]]:
         ("the review", lambda: review_rate.rows(extent.review_mb)),
         ("logs run again", lambda: review_rerun.rows(extent.review_minutes, list(review_rerun.DRIVES))),
         ("the search", lambda: review_find.rows(extent.cataloged_logs)),
-        ("a log in a store", lambda: review_stored.rows(extent.stored_minutes)),
         ("the export", lambda: review_export.rows(extent.export_messages, extent.export_rounds)),
     ]
     begun_s = time.monotonic()

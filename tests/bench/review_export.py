@@ -26,7 +26,6 @@ import pyarrow.parquet as pq
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.event_digest import EventDigest
 from recorder.mcap.writer import McapFile
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
@@ -82,7 +81,7 @@ def write_log(path: Path, messages: int, robot: str = "cruiser-1") -> int:
     encodings = [BY_NAME[name].encoding for name in script.subjects]
     sequences = [0] * len(names)
     with path.open("wb") as stream:
-        file = McapFile(stream, "bench", digest=EventDigest())
+        file = McapFile(stream, "bench")
         tick = written = 0
         while written < messages:
             now_ns = tick * TICK_NS

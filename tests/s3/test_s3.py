@@ -135,9 +135,14 @@ def test_a_connection_that_is_lost_in_the_middle_only_holds_the_upload_up(
 
 @pytest.mark.parametrize("after_bytes", [None, 2_000, 40_000])
 def test_what_was_uploaded_is_found_and_asked_in_the_store(
-    tmp_path: Path, port: int, after_bytes: int | None, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    port: int,
+    after_bytes: int | None,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As the file is, and also where a connection is lost in the middle."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     log = saved(tmp_path / "logs" / SMALL, recorded(scenarios.stale_commands))
     assert upload(log.parent, port) == ExitCode.OK
     with cut_link(port, after_bytes or 10**9) as (other_port, has_cut):

@@ -14,7 +14,6 @@ from mcap.records import Message as McapMessage
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.event_digest import EventDigest
 from recorder.encoding.foxglove_log import SCHEMA_NAME as FOXGLOVE_LOG
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.received_sample import ReceivedSample
@@ -100,7 +99,7 @@ class Log:
                 continue
             if isinstance(action, OpenLog):
                 assert self._file is None, "opened twice"
-                self._file = McapFile(self.disk, "test", digest=EventDigest())
+                self._file = McapFile(self.disk, "test")
                 self.log.receive_opened(Opened(action.log, f"{action.name}.mcap"))
             else:
                 assert self._file is not None, "written before it is open"

@@ -78,15 +78,14 @@ class Asked(msgspec.Struct):
         return sum(log.bytes for log in self.logs)
 
 
-def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP, is_stored: bool = False) -> None:
-    """Files and directories, and --json; ``is_stored``: addresses in object stores, too."""
-    where = ", here or in an object store (s3://BUCKET/PLACE, ...)" if is_stored else ""
+def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> None:
+    """Files, directories and addresses in object stores, and --json."""
     parser.add_argument(
         "logs",
         nargs="+",
-        type=log_place if is_stored else local_path,
+        type=log_place,
         metavar="LOG",
-        help=f"a file, or a directory of logs{where}",
+        help="a file, or a directory of logs, here or in an object store (s3://BUCKET/PLACE, ...)",
     )
     parser.add_argument("--json", action="store_true", help=json_help)
 
@@ -94,19 +93,6 @@ def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP, is_
 def log_place(text: str) -> Path | StoreAddress:
     """A path of this machine, or an address in an object store."""
     return StoreAddress(text) if is_address(text) else Path(text)
-
-
-def local_path(text: str) -> Path:
-    """A path of this machine.
-
-    Raises:
-        argparse.ArgumentTypeError: it is an address.
-    """
-    if is_address(text):
-        raise argparse.ArgumentTypeError(
-            "find, info, events and why read object stores; for this, copy the logs here"
-        )
-    return Path(text)
 
 
 def add_robots(parser: argparse.ArgumentParser) -> None:
@@ -172,18 +158,20 @@ def _whole_number(text: str) -> int:
 
 def find(
     arguments: argparse.Namespace,
+    settings: Settings,
+    stopped: Callable[[], bool],
     *,
     with_covered: bool = False,
     with_catalog: bool = True,
-    settings: Settings | None = None,
 ) -> Asked:
     """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
 
     Args:
         arguments: the paths, and the time.
+        settings: options of object stores.
+        stopped: turns true at SIGINT.
         with_covered: leave no incident out.
         with_catalog: believe what the catalogs of directories say of logs; else each log is opened.
-        settings: with them logs of object stores are found too.
 
     Raises:
         CommandError: there is nothing to read, a time is of no known form, or the logs hold nothing of the time.
@@ -195,7 +183,9 @@ def find(
         paths = [path.absolute() for path in paths]
     addresses = [one for one in arguments.logs if isinstance(one, StoreAddress)]
     known = cataloged(paths) if with_catalog else {}
-    stored = stored_logs(addresses, settings or Settings(), faults) if addresses else []
+    if addresses and getattr(arguments, "ray", None):
+        raise CommandError("machines of --ray have no copies of a store's logs: copy them to where all see them")
+    stored = stored_logs(addresses, settings, faults, stopped) if addresses else []
     logs = find_logs(paths, faults, with_covered=with_covered, known=known, stored=stored)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
@@ -210,15 +200,17 @@ def find(
     return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns, known)
 
 
-def stored_logs(addresses: Sequence[StoreAddress], settings: Settings, faults: Faults) -> list[LogFile]:
-    """The logs at addresses in object stores.
+def stored_logs(
+    addresses: Sequence[StoreAddress], settings: Settings, faults: Faults, stopped: Callable[[], bool]
+) -> list[LogFile]:
+    """Copies of the logs at addresses in object stores.
 
     Raises:
         CommandError: there are none, or the library that reads stores is missing.
     """
     with needing_store():
         from recorder.cli.review.stored import find_stored  # noqa: PLC0415 - it needs an extra
-    return find_stored(addresses, settings.upload, faults)
+    return find_stored(addresses, settings.upload, faults, stopped)
 
 
 def cataloged(paths: Sequence[Path]) -> dict[Path, CatalogedLog]:

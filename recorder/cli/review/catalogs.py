@@ -71,8 +71,10 @@ def _opened(
     if isinstance(place, Path):
         return Catalog(place, columns, kept, is_anew=is_anew)
     with needing_store():
-        from recorder.cli.review.stored import open_objects  # noqa: PLC0415 - it needs an extra
-    return PlaceCatalog(open_objects(place, settings.upload), place, columns, is_anew=is_anew)
+        from recorder.cli.review.stored import open_cache, open_objects  # noqa: PLC0415 - it needs an extra
+    return PlaceCatalog(
+        open_objects(place, settings.upload), place, columns, open_cache(settings.upload), is_anew=is_anew
+    )
 
 
 def _shown(place: Place) -> str:

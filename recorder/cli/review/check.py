@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+import msgspec
+
 from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
 from recorder.cli.show import show
 from recorder.reading.times import in_words
@@ -37,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_logs(parser, json_help=JSON_HELP)
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Check each file."""
-    asked = find(arguments, with_covered=True)
+    asked = find(arguments, settings, stopped, with_covered=True)
     is_sound = True
     ends: list[tuple[str, dict[str, ChannelEnds]]] = []
     with progress_bar("checking", asked.bytes, stopped, prints=True) as progress:
@@ -47,7 +49,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             if stopped():
                 break
             try:
-                found = check_log(log.path, progress)
+                found = msgspec.structs.replace(check_log(log.path, progress), path=log.name)
             except CommandError as error:
                 asked.faults.add(str(error))
                 continue

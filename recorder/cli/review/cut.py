@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
-from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, local_path, progress_bar
+from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, log_place, progress_bar
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.cut import CutLog, cut
@@ -28,7 +28,7 @@ DESCRIPTION: Final = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    parser.add_argument("logs", nargs=1, type=local_path, metavar="LOG", help="a file")
+    parser.add_argument("logs", nargs=1, type=log_place, metavar="LOG", help="a file")
     parser.add_argument("--json", action="store_true", help=JSON_HELP)
     add_period(parser)
     parser.add_argument(
@@ -41,9 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="the new file")
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Cut."""
-    asked = find(arguments)
+    asked = find(arguments, settings, stopped)
     if len(asked.logs) > 1:
         raise CommandError(f"it takes one file, and {arguments.logs[0]} has {len(asked.logs)}", ExitCode.USAGE)
     [log] = asked.logs

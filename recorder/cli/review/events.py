@@ -45,7 +45,7 @@ DESCRIPTION: Final = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    add_logs(parser, json_help="print a JSON object a line", is_stored=True)
+    add_logs(parser, json_help="print a JSON object a line")
     add_period(parser)
     add_robots(parser)
     parser.add_argument(
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Print the timeline as it is read."""
-    asked = find(arguments, settings=settings)
+    asked = find(arguments, settings, stopped)
     robots = survey(asked.logs, Faults()).robots if arguments.robot else []
     wanted, kinds = chosen_robots(arguments.robot, robots), frozenset(map(EntryKind, arguments.kind))
     show = _as_json if arguments.json else _as_table

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_period(parser)
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Export."""
     if arguments.format != PARQUET and (arguments.ray or arguments.processes):
         raise CommandError("--processes and --ray are of --format parquet", ExitCode.USAGE)
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
             "(aws s3 sync, gsutil rsync, rclone)",
             ExitCode.USAGE,
         )
-    asked = find(arguments)
+    asked = find(arguments, settings, stopped)
     # A cluster may first have to start.
     is_bounded = not arguments.ray
     with needing_extra(), progress_bar("exporting", asked.bytes, stopped, is_bounded=is_bounded) as progress:

@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable, Iterator
 from typing import Final
 
+import msgspec
+
 from recorder.cli.review.asking import (
     add_logs,
     add_robots,
@@ -27,7 +29,6 @@ from recorder.review.info import (
     SetInfo,
     brief,
     read_info,
-    read_stored_info,
     total,
 )
 from schemas.exit_codes import CommandError, ExitCode
@@ -48,29 +49,25 @@ _LOSSES: Final = ("lost_source", "lost_link", "lost_queue", "lost_size", "lost_f
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    add_logs(parser, json_help=JSON_HELP, is_stored=True)
+    add_logs(parser, json_help=JSON_HELP)
     add_robots(parser)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Show all logs; of a broken file the part that can be read."""
-    asked = find(arguments, settings=settings)
+    asked = find(arguments, settings, stopped)
     infos: list[LogInfo | LogBrief] = []
     unfinished: set[str] = set()
     with progress_bar("looking", asked.bytes, stopped, prints=True) as progress:
         for log in asked.logs:
             if stopped():
                 break
-            is_named = log.path in arguments.logs or (
-                log.stored is not None and StoreAddress(log.stored.url) in arguments.logs
-            )
+            is_named = log.path in arguments.logs or StoreAddress(log.url) in arguments.logs
             if not is_named and log.path in asked.known:
                 infos.append(asked.known[log.path].brief)
                 continue
             try:
-                info = (
-                    read_info(log.path, progress) if log.stored is None else read_stored_info(log.stored, progress)
-                )
+                info = msgspec.structs.replace(read_info(log.path, progress), path=log.name)
             except CommandError as error:
                 asked.faults.add(str(error))
                 continue

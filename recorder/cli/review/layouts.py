@@ -48,9 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, _stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Write them."""
-    asked = find(arguments)
+    asked = find(arguments, settings, stopped)
     robots = robots_of(asked.logs, asked.faults)
     if not robots:
         end_with(asked.faults)

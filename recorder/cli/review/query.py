@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             )
         _ask(query, dataset_source.DatasetSource(arguments.logs[0], manifest), sql, arguments, stopped)
         return int(ExitCode.OK)
-    asked = find(arguments)
+    asked = find(arguments, settings, stopped)
     selection = asked.selection
     with progress_bar("reading", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
         source = log_source.LogSource(asked.logs, selection, asked.faults, progress)

@@ -154,7 +154,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     def wants(key: str) -> bool:
         return any(key_matches(expression, key) for expression in expressions)
 
-    asked = find(arguments)
+    asked = find(arguments, settings, stopped)
     replayed, halt = _replay(arguments, settings, asked, wants, stopped)
     show(replayed, describe(replayed), as_json=arguments.json)
     sys.stdout.flush()

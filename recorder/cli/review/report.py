@@ -56,12 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Read, and write what is asked for."""
     out = arguments.out or (None if arguments.json else Path(DEFAULT_FILE))
     if out is not None and out.suffix != ".html":
         raise CommandError(f"{plain(str(out))} does not end with .html", ExitCode.USAGE)
-    asked = find(arguments)
+    asked = find(arguments, settings, stopped)
     with progress_bar("report", asked.bytes, stopped) as progress:
         report = read_report(
             asked.logs,

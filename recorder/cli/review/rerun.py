@@ -68,10 +68,10 @@ def _tried_settings(arguments: argparse.Namespace) -> TriedSettings:
     return tried
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Run again."""
     tried = _tried_settings(arguments)
-    asked = find(arguments)
+    asked = find(arguments, settings, stopped)
     worst = ExitCode.OK
     logs, otherwise = 0, list[str]()
     with progress_bar("running again", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[]
 def _place(task: RerunTask, time_ns: int) -> str:
     """The file of a log that holds a moment, and the moment."""
     files = [log for log in task.logs if log.start_ns <= time_ns <= log.end_ns]
-    return f"{plain(str((files or task.logs)[0].path))}, {in_words(time_ns)}"
+    return f"{plain((files or task.logs)[0].name)}, {in_words(time_ns)}"
 
 
 _GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)

@@ -1,88 +1,96 @@
-"""Logs at addresses in object stores, for the questions that read them there."""
+"""Logs at addresses in object stores: copies of them, which are fetched once."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, BinaryIO
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+import msgspec
+
+from recorder.cli.review.asking import progress_bar
 from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
 from recorder.objects.address import SCHEMES, StoreAddress, shown_url
+from recorder.objects.cache import LogCache, cache_directory
 from recorder.objects.interface import Objects, StoreError
-from recorder.objects.ranged import RangedObject
 from recorder.objects.store import ObstoreObjects
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.logs import look_at_stored
+from recorder.reading.logs import look_at
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.printable import plain
 from schemas.recorder_settings import UploadSettings
 
 
-class LogObject:
-    """A log that is an object of a store.
-
-    Args:
-        objects: of the place.
-        place: the address of that.
-        name: of the log in it.
-
-    Attributes:
-        url: the address of the log.
-        ranged: the bytes of it that have been read.
-
-    Raises:
-        CommandError: it is not there, or the store does not answer.
-    """
-
-    def __init__(self, objects: Objects, place: StoreAddress, name: str) -> None:
-        self.url = place.join(name).url
-        try:
-            found = objects.look(name)
-        except StoreError as error:
-            raise CommandError(f"cannot read {shown_url(self.url)}: {error}", ExitCode.UNREACHABLE) from error
-        if found is None:
-            raise CommandError(f"cannot read {shown_url(self.url)}: there is no such object")
-        self.size = found.bytes
-        self.ranged = RangedObject(objects, name, found.bytes, found.e_tag)
-
-    def open(self) -> BinaryIO:
-        """Return a stream of it."""
-        return self.ranged.open()
-
-    def fetch(self, start: int, end: int) -> None:
-        """Have the bytes of a place ready."""
-        self.ranged.fetch(start, end)
-
-
-def find_stored(addresses: Sequence[StoreAddress], upload: UploadSettings, faults: Faults) -> list[LogFile]:
-    """Return the logs at these addresses: single ones, and all of a place.
+def find_stored(
+    addresses: Sequence[StoreAddress], upload: UploadSettings, faults: Faults, stopped: Callable[[], bool]
+) -> list[LogFile]:
+    """Return copies of the logs at these addresses: single ones, and all of a place.
 
     Args:
         addresses: in object stores.
         upload: whose options are those of the store, if it is one of the same kind.
         faults: takes logs of a place that cannot be read.
+        stopped: turns true at SIGINT.
 
     Raises:
         CommandError: there is none, or a store does not answer.
     """
+    wanted = {
+        place.join(name): (objects, place, name, size)
+        for address in addresses
+        for objects, place, name, size in _objects_at(address, upload)
+    }
+    cache = open_cache(upload)
     found = []
-    for address in dict.fromkeys(addresses):
-        if is_log(address.name):
-            found.append(
-                look_at_stored(LogObject(open_objects(address.parent, upload), address.parent, address.name))
-            )
-            continue
-        objects = open_objects(address, upload)
-        before = len(found)
-        for name in log_names(objects, address):
+    total = sum(size for *_, size in wanted.values())
+    with progress_bar("fetching", total, stopped, is_bounded=False) as progress:
+        for address, (objects, place, name, _) in wanted.items():
             try:
-                found.append(look_at_stored(LogObject(objects, address, name)))
+                path = cache.fetch(objects, place, name, progress)
+                found.append(_look_at(path, address))
             except CommandError as error:
-                if error.code is ExitCode.UNREACHABLE:
+                if error.code is ExitCode.UNREACHABLE or len(wanted) == 1:
                     raise
                 faults.add(str(error))
-        if len(found) == before and not faults:
-            raise CommandError(f"there is no log in {shown_url(address.url)}")
     return found
+
+
+def _objects_at(address: StoreAddress, upload: UploadSettings) -> Iterator[tuple[Objects, StoreAddress, str, int]]:
+    """Yield the logs at an address: the objects of their place, its address, the name in it, and the length."""
+    if is_log(address.name):
+        objects = open_objects(address.parent, upload)
+        yield objects, address.parent, address.name, _length_of(objects, address)
+        return
+    objects = open_objects(address, upload)
+    listed = log_names(objects, address)
+    if not listed:
+        raise CommandError(f"there is no log in {shown_url(address.url)}")
+    yield from ((objects, address, name, size) for name, size in listed)
+
+
+def _length_of(objects: Objects, address: StoreAddress) -> int:
+    try:
+        found = objects.look(address.name)
+    except StoreError as error:
+        raise CommandError(f"cannot read {shown_url(address.url)}: {error}", ExitCode.UNREACHABLE) from error
+    if found is None:
+        raise CommandError(f"cannot read {shown_url(address.url)}: there is no such object")
+    return found.bytes
+
+
+def _look_at(path: Path, address: StoreAddress) -> LogFile:
+    """The log that a copy is, under its address."""
+    try:
+        return msgspec.structs.replace(look_at(path), url=address.url)
+    except CommandError as error:
+        raise CommandError(str(error).replace(plain(str(path)), shown_url(address.url)), error.code) from error
+
+
+def open_cache(upload: UploadSettings) -> LogCache:
+    """The copies of this user."""
+    return LogCache(cache_directory(os.environ, Path.home()), upload.cache_bytes)
 
 
 def is_log(name: str) -> bool:
@@ -90,8 +98,8 @@ def is_log(name: str) -> bool:
     return name.endswith((SUFFIX, PART_SUFFIX))
 
 
-def log_names(objects: Objects, place: StoreAddress) -> Iterator[str]:
-    """Return the names of the logs of a place, in their order.
+def log_names(objects: Objects, place: StoreAddress) -> list[tuple[str, int]]:
+    """Return the names and lengths of the logs of a place, in their order.
 
     Raises:
         CommandError: its store does not tell.
@@ -101,7 +109,7 @@ def log_names(objects: Objects, place: StoreAddress) -> Iterator[str]:
             f"{shown_url(place.url)} names no log, and such a server lists none: name one", ExitCode.USAGE
         )
     try:
-        yield from sorted(one.name for one in objects.names() if is_log(one.name))
+        return sorted((one.name, one.bytes) for one in objects.names() if is_log(one.name))
     except StoreError as error:
         raise CommandError(f"cannot list {shown_url(place.url)}: {error}", ExitCode.UNREACHABLE) from error
 

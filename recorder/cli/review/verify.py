@@ -52,11 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Verify."""
     given = {path: read_authority(path) for path in arguments.authority}
     # Nobody has signed a catalog.
-    asked = find(arguments, with_covered=True, with_catalog=False)
+    asked = find(arguments, settings, stopped, with_covered=True, with_catalog=False)
     codes = []
     with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
         for report in verify_logs(asked.logs, asked.faults, [keys.trust for keys in given.values()], progress):

@@ -38,14 +38,14 @@ _WIDTH: Final = 110
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    add_logs(parser, json_help="print one JSON object, with the chain as data", is_stored=True)
+    add_logs(parser, json_help="print one JSON object, with the chain as data")
     parser.add_argument("--at", metavar="TIME", help=f"the moment; {_LAST} if left out: {FORMS}")
     parser.add_argument("--robot", metavar="NAME", help="whose, where the logs are of several")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Explain."""
-    asked = find(arguments, settings=settings)
+    asked = find(arguments, settings, stopped)
     at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
     # Of hundreds of robots the others' logs need not be opened.
     logs = asked.logs if arguments.robot is None else logs_of(arguments.robot, asked.logs)

@@ -1,4 +1,4 @@
-"""The catalog of a place in an object store: the rows that lie beside its logs; gathered in one object if many.
+"""The catalog of a place in an object store: the rows that lie beside its logs.
 
 No log is read but one whose row is missing, damaged or of another log: then a copy of it, from beginning to end.
 """
@@ -8,37 +8,30 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import msgspec
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from recorder.disk.log_directory import SUFFIX
 from recorder.objects.address import StoreAddress, shown_url
+from recorder.objects.cache import LogCache
 from recorder.objects.interface import Objects, StoreError
 from recorder.reading.faults import Faults
 from recorder.reading.rows import Progress
-from recorder.review.catalog.known import CATALOG_NAME
 from recorder.review.catalog.rows import CatalogRow, CatalogUnreadableError
 from recorder.review.catalog.single import read_row, row_of
-from recorder.review.catalog.table import SCHEMA, read_former_row, read_stream, to_table, write_stream
-from recorder.upload.manifest import FORMER_ROW_SUFFIX, ROW_SUFFIX
+from recorder.review.catalog.table import to_table
+from recorder.upload.manifest import ROW_SUFFIX
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 
 AT_ONCE: Final = 16
 """Rows that are asked for at the same time."""
 
-GATHERED_FROM: Final = 50
-"""As many rows that were read one by one are gathered into one object, for the next time."""
-
-CATALOG_MAX: Final = 512 * 1024 * 1024
 ROW_MAX: Final = 16 * 1024 * 1024
-"""Longer objects are no catalog, and no row."""
+"""A longer object is no row."""
 
 PIECE_BYTES: Final = 4 * 1024 * 1024
 
@@ -56,6 +49,7 @@ class PlaceCatalog:
         objects: of the place.
         place: its address.
         columns: those of ``CatalogRow`` that are wanted.
+        cache: fetches the logs that have no row.
         is_anew: believe no row that is there.
 
     Attributes:
@@ -68,12 +62,19 @@ class PlaceCatalog:
     """
 
     def __init__(
-        self, objects: Objects, place: StoreAddress, columns: Sequence[str], *, is_anew: bool = False
+        self,
+        objects: Objects,
+        place: StoreAddress,
+        columns: Sequence[str],
+        cache: LogCache,
+        *,
+        is_anew: bool = False,
     ) -> None:
         self.notes: list[str] = []
         self.being_written: list[Path] = []
         self._objects = objects
         self._place = place
+        self._cache = cache
         self._columns = list(columns)
         with self._reachable(place.url):
             if not place.has_list:
@@ -81,18 +82,11 @@ class PlaceCatalog:
                 raise CommandError(text, ExitCode.USAGE)
             listed = {one.name: one.bytes for one in objects.names()}
         self._logs = {name: size for name, size in listed.items() if name.endswith(SUFFIX)}
-        self._tables = [] if is_anew else self._gathered(listed)
-        known = {name for table in self._tables for name in table.column("file").to_pylist()}
-        single: dict[str, str] = {}
-        for name in sorted(self._logs.keys() - known) if not is_anew else ():
-            rows = [name + suffix for suffix in (ROW_SUFFIX, FORMER_ROW_SUFFIX) if name + suffix in listed]
-            if rows:
-                single[name] = rows[0]
+        single = [] if is_anew else [name for name in sorted(self._logs) if name + ROW_SUFFIX in listed]
         with self._reachable(place.url):
-            found = self._singles([(name, row, listed[row]) for name, row in single.items()])
-        self._tables += [table for table in found if table is not None]
-        known |= {name for name, table in zip(single, found, strict=True) if table is not None}
-        self._read_singly = len(single)
+            found = self._singles([(name, listed[name + ROW_SUFFIX]) for name in single])
+        self._rows = [row for row in found if row is not None]
+        known = {row.file for row in self._rows}
         self.stale = [name for name in sorted(self._logs) if name not in known]
 
     @property
@@ -103,60 +97,35 @@ class PlaceCatalog:
     @property
     def table(self) -> pa.Table:
         """The wanted columns of the rows, by the logs' beginning. After ``refresh``."""
-        return self._whole().select(self._columns)
+        table = to_table(self._rows).sort_by([("start_ns", "ascending"), ("file", "ascending")])
+        return table.select(self._columns).combine_chunks()
 
     def refresh(self, faults: Faults, progress: Progress = lambda _: None) -> None:
-        """Read the logs that have no row, and gather the rows if that is worth it.
-
-        What was found is gathered also where the reading is interrupted.
+        """Read copies of the logs that have no row.
 
         Args:
             faults: takes the logs that cannot be read.
-            progress: receives the number of bytes that were read.
+            progress: receives the number of bytes that were fetched.
         """
-        made: list[CatalogRow] = []
         if self.stale:
             url = shown_url(self._place.url)
             self.notes.append(f"{len(self.stale)} logs of {url} had no row that holds: they were read")
-        try:
-            while self.stale:
-                try:
-                    made.append(self._made(self.stale[0], progress))
-                except CommandError as error:
-                    if error.code in {ExitCode.PARTIAL, ExitCode.UNREACHABLE}:
-                        raise
-                    faults.add(str(error))
-                self.stale.pop(0)
-        finally:
-            if made:
-                self._tables.append(to_table(made))
-            if made or self._read_singly >= GATHERED_FROM:
-                self._gather()
+        while self.stale:
+            try:
+                self._rows.append(self._made(self.stale[0], progress))
+            except CommandError as error:
+                if error.code in {ExitCode.PARTIAL, ExitCode.UNREACHABLE}:
+                    raise
+                faults.add(str(error))
+            self.stale.pop(0)
 
-    def _whole(self) -> pa.Table:
-        table = pa.concat_tables([SCHEMA.empty_table(), *self._tables])
-        return table.sort_by([("start_ns", "ascending"), ("file", "ascending")]).combine_chunks()
-
-    def _gathered(self, listed: dict[str, int]) -> list[pa.Table]:
-        """The rows of the gathered catalog that hold."""
-        if not 0 < listed.get(CATALOG_NAME, 0) <= CATALOG_MAX:
-            return []
-        url = self._place.join(CATALOG_NAME).url
-        try:
-            table = read_stream(BytesIO(self._bytes(CATALOG_NAME)))
-        except (StoreError, CatalogUnreadableError) as error:
-            self.notes.append(f"{shown_url(url)}: {error}: the rows beside the logs are read instead")
-            return []
-        sizes = [self._logs.get(name) for name in table.column("file").to_pylist()]
-        return [table.filter(pc.equal(table.column("bytes"), pa.array(sizes, pa.int64())))]
-
-    def _singles(self, rows: Sequence[tuple[str, str, int]]) -> list[pa.Table | None]:
-        """The rows of logs, by object and its length; some at a time, for each is a request or two."""
+    def _singles(self, logs: Sequence[tuple[str, int]]) -> list[CatalogRow | None]:
+        """The rows of logs, by name and the row's length; some at a time, for each is a request or two."""
         pool = ThreadPoolExecutor(AT_ONCE)
         try:
-            fetched = pool.map(lambda one: self._fetched(*one[1:]), rows)
+            fetched = pool.map(lambda one: self._fetched(one[0] + ROW_SUFFIX, one[1]), logs)
             # Read one after the other: the bound on what one unpacks to is the process's.
-            return [self._single(name, row, data) for (name, row, _), data in zip(rows, fetched, strict=True)]
+            return [self._single(name, data) for (name, _), data in zip(logs, fetched, strict=True)]
         finally:
             # A store that is gone is not asked for each.
             pool.shutdown(cancel_futures=True)
@@ -170,17 +139,14 @@ class PlaceCatalog:
         except _GoneError:
             return None
 
-    def _single(self, name: str, row: str, data: bytes | None) -> pa.Table | None:
+    def _single(self, name: str, data: bytes | None) -> CatalogRow | None:
         """The row beside a log, under the log's name; None if it does not hold."""
         if data is None:
             return None
         try:
-            if row.endswith(ROW_SUFFIX):
-                return to_table([msgspec.structs.replace(read_row(data, self._logs[name]), file=name)])
-            table = read_former_row(data, self._logs[name])
+            return msgspec.structs.replace(read_row(data, self._logs[name]), file=name)
         except CatalogUnreadableError:
             return None
-        return table.set_column(table.schema.get_field_index("file"), SCHEMA.field("file"), pa.array([name]))
 
     def _bytes(self, name: str) -> bytes:
         """All of a small object. A list may tell its length as it was."""
@@ -195,32 +161,12 @@ class PlaceCatalog:
 
     def _made(self, name: str, progress: Progress) -> CatalogRow:
         """Make the row of a log, of which a copy is read."""
-        url = self._place.join(name).url
-        with TemporaryDirectory() as directory, self._reachable(url):
-            path = Path(directory) / "log.mcap"
-            if name.endswith(f".incident{SUFFIX}"):
-                path = path.with_name("log.incident.mcap")
-            found = self._objects.look(name)
-            if found is None:
-                raise CommandError(f"cannot read {shown_url(url)}: there is no such object")
-            with path.open("wb") as copy:
-                for start in range(0, found.bytes, PIECE_BYTES):
-                    end = min(start + PIECE_BYTES, found.bytes)
-                    copy.write(self._objects.read(name, start, end, found.e_tag))
-                    progress(end - start)
-            try:
-                return row_of(path, name, 0)
-            except CommandError as error:
-                raise CommandError(str(error).replace(plain(str(path)), shown_url(url))) from error
-
-    def _gather(self) -> None:
-        stream = BytesIO()
-        write_stream(stream, self._whole())
+        path = self._cache.fetch(self._objects, self._place, name, progress)
         try:
-            self._objects.write(CATALOG_NAME, stream.getvalue())
-        except StoreError as error:
-            url = shown_url(self._place.join(CATALOG_NAME).url)
-            self.notes.append(f"cannot write {url}: {error}; what was read is read again next time")
+            return row_of(path, name, 0)
+        except CommandError as error:
+            url = shown_url(self._place.join(name).url)
+            raise CommandError(str(error).replace(plain(str(path)), url)) from error
 
     @contextmanager
     def _reachable(self, url: str) -> Iterator[None]:

@@ -6,7 +6,6 @@ import os
 import resource
 from collections.abc import Collection, Generator, Iterable
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -131,18 +130,6 @@ def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.
         raise CatalogUnreadableError("unpacks to too much") from error
     except (pa.ArrowException, OSError, ValueError) as error:
         raise CatalogUnreadableError("is damaged") from error
-
-
-def read_former_row(data: bytes, log_bytes: int) -> pa.Table:
-    """Read the row of a log of this length that an older version put beside it, as a table of one row.
-
-    Raises:
-        CatalogUnreadableError: it is damaged, of another version, or of another log.
-    """
-    table = read_stream(BytesIO(data))
-    if table.num_rows != 1 or table.column("bytes").to_pylist() != [log_bytes]:
-        raise CatalogUnreadableError("is of another log")
-    return table
 
 
 @contextmanager

@@ -80,7 +80,7 @@ def export_log(task: ExportTask, progress: Progress) -> ExportOutcome:
         parts.abandon()
     return ExportOutcome(
         input=Input(
-            path=plain(str(task.log.path)),
+            path=plain(task.log.name),
             bytes=task.log.bytes,
             sha256=task.sha256,
             rows=sum(part.rows for part in parts.closed),

@@ -117,7 +117,6 @@ def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress
     """The story by the robot's own events, and the recorders'. Most of a log need not be read for it."""
     selection = Selection(
         lambda topic: topic.kind is RecorderEvent or (topic.robot == robot and topic.kind is SafetyEvent),
-        is_digested=True,
     )
     timeline = Timeline(faults, has_states=False)
 
@@ -161,9 +160,7 @@ def endings(robot: str, logs: Sequence[LogFile], from_ns: int, faults: Faults, p
     """
     died: Heard[SafetyState] | None = None
     last: Heard[SafetyState] | None = None
-    selection = Selection(
-        lambda topic: topic.robot == robot and topic.kind is SafetyState, from_ns, is_digested=True
-    )
+    selection = Selection(lambda topic: topic.robot == robot and topic.kind is SafetyState, from_ns)
     for row, state in decoded_rows(logs, selection, faults, lambda _: progress(0)):
         if not isinstance(state, SafetyState):
             continue

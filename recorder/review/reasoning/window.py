@@ -383,8 +383,7 @@ class WindowReader:
                 lambda topic: topic.robot == self.robot and topic.kind in {Decision, SafetyEvent},
                 to_ns + _LINK_NS,
                 to_ns + LATER_NS,
-                # What was asked for later is in a digest, for it was received late.
-                is_digested=True,
+                # What was asked for later is in a digest, for it was received late.,
             )
             self._read(window, later, until_ns=to_ns)
         window.gaps = [gap for gap in window.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]

@@ -56,9 +56,7 @@ class RobotTrack:
         sequences = self._sequences.get(key)
         if sequences is None:
             sequences = self._sequences[key] = Sequences()
-        # What a digest leaves out was there.
-        for sequence in range(row.sequence - row.passed, row.sequence + 1):
-            sequences.add(sequence, time_ns)
+        sequences.add(row.sequence, time_ns)
 
     @property
     def is_ended(self) -> bool:

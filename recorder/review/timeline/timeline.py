@@ -82,7 +82,6 @@ def read_events(
         lambda topic: topic.kind in _TAKES and is_of(topic.robot) and selection.wants(topic),
         max(0, selection.from_ns - BEFORE_NS),
         selection.to_ns + LATER_NS,
-        is_digested=True,
     )
     timeline = Timeline(faults)
     for row in read_rows(logs, looked_at, faults, progress):
@@ -158,7 +157,7 @@ class Timeline:
         for robot in list(self._robots.values()):
             found = _ending_of(robot, logs, to_ns)
             if found is not None and found.is_silent:
-                behind = Selection(_states_of(robot.name), to_ns, is_digested=True)
+                behind = Selection(_states_of(robot.name), to_ns)
                 row = next(read_rows(logs, behind, self._faults), None)
                 if row is not None:
                     self.take(row)

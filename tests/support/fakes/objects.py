@@ -5,10 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from functools import lru_cache
-from pathlib import Path
 
 from recorder.objects.interface import ListedObject, StoredObject, StoreError
-from recorder.objects.ranged import RangedObject
 
 
 class FakeObjects:
@@ -66,10 +64,6 @@ class FakeObjects:
             return
         yield from [ListedObject(name, len(data)) for name, data in sorted(self.objects.items())]
 
-    def write(self, name: str, data: bytes) -> None:
-        self._answer(name)
-        self.objects[name] = data
-
     def _answer(self, name: str) -> None:
         if self.is_gone:
             raise StoreError("nobody answers: is the store's endpoint right, and the network there?")
@@ -81,20 +75,3 @@ class FakeObjects:
 def mark_of(data: bytes) -> str:
     """The mark of an object with this content."""
     return hashlib.md5(data, usedforsecurity=False).hexdigest()
-
-
-class FakeStoredLog:
-    """A log in a store of its own.
-
-    Attributes:
-        objects: the store, which counts.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.objects = FakeObjects()
-        self.objects.objects["a.mcap"] = path.read_bytes()
-        self.url = "s3://logs/a.mcap"
-        self.size = path.stat().st_size
-        self._ranged = RangedObject(self.objects, "a.mcap", self.size, mark_of(path.read_bytes()))
-        self.open = self._ranged.open
-        self.fetch = self._ranged.fetch

@@ -18,15 +18,11 @@ from recorder.disk import leftovers
 from recorder.disk.keeper import read_entries
 from recorder.disk.leftovers import LeftoverThread, Recovery, RecoveryOutcome, recover, recover_leftovers
 from recorder.disk.log_directory import LogDirectory, lock
-from recorder.encoding.event_digest import DIGEST_NAME
-from recorder.mcap.recovery import survey
 from recorder.record.notices import DiskBack, DiskRoom, Recovered
 from recorder.record.signature import LogSigner
 from recorder.review.check import check_log
 from tests.support.logs import logs_in, small_log
 from tests.support.messages import WALL_NS
-from tests.support.rigs import scenarios
-from tests.support.rigs.scenarios import recorded
 
 LOG = small_log()
 SUMMARY = LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")
@@ -249,24 +245,6 @@ def test_a_log_whose_end_does_not_fit_stays_a_part(tmp_path: Path, monkeypatch: 
     assert path.read_bytes() == LOG[:SUMMARY]
     monkeypatch.undo()
     assert recover(path, "test").outcome is RecoveryOutcome.RECOVERED
-
-
-def test_a_log_whose_digest_does_not_fit_is_whole_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As its recorder would have ended it."""
-    data = recorded(scenarios.deadman)
-    summary = make_reader(BytesIO(data)).get_summary()
-    assert summary is not None
-    torn = data[: next(one.offset for one in summary.attachment_indexes if one.name == DIGEST_NAME)]
-    whole = part(tmp_path, torn, "whole")
-    assert recover(whole, "test").outcome is RecoveryOutcome.RECOVERED
-    assert DIGEST_NAME in attachments(tmp_path / "whole.mcap")
-    found = survey(BytesIO(torn), len(torn))
-    FullDisk(monkeypatch, len(found.short_ending) + 10)
-    assert recover(part(tmp_path, torn), "test").outcome is RecoveryOutcome.RECOVERED
-    assert (tmp_path / "x.mcap").read_bytes() == torn[: found.end] + found.short_ending
-    assert DIGEST_NAME not in attachments(tmp_path / "x.mcap")
-    for name in ("x", "whole"):
-        assert check_log(tmp_path / f"{name}.mcap").is_sound
 
 
 def test_a_recovery_reaches_the_disk_before_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,19 +22,17 @@ from recorder.disk.keeper import read_entries
 from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.disk.log_directory import LogDirectory, lock, safe_name
 from recorder.disk.part_file import PartFile, Prologue
-from recorder.encoding.event_digest import DIGEST_NAME, Digest
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
 from recorder.reading.topic_names import file_name
 from recorder.record.actions import CloseLog, DeclareChannel, SyncLog, WriteChunk
 from recorder.review.check import check_log
 from recorder.review.info import read_info
-from schemas.decisions import EventKind, SafetyEvent
 from schemas.exit_codes import CommandError
 from schemas.messages import Gear
 from tests.support.fakes.recording import SlowDisk
-from tests.support.logs import channel_of, encoded, logs_in, sealed
-from tests.support.messages import WALL_NS, safety_event
+from tests.support.logs import logs_in, sealed
+from tests.support.messages import WALL_NS
 from tests.support.reading import Read
 from tests.support.waiting import wait_until
 
@@ -71,25 +69,6 @@ def test_a_log_is_a_part_until_it_is_whole(tmp_path: Path) -> None:
     assert log.path == directory / f"{STEM}.mcap"
     assert log.size == log.path.stat().st_size
     assert sequences(log.path) == [1]
-
-
-def test_a_whole_log_ends_with_a_digest_of_its_events(tmp_path: Path) -> None:
-    """Also of a channel that it only repeats from the file before; a part that a crash left has none."""
-    event = safety_event(EventKind.STOP)
-    prologue = Prologue()
-    prologue.add(DeclareChannel("x", channel_of(SafetyEvent, 1, "fleet/cruiser-1/safety/event")))
-    said = sealed([(1, event.sequence, WALL_NS, event.time_ns, encoded(event))])
-    directory = LogDirectory(tmp_path)
-    logs = [directory.open(name, WALL_NS, "test") for name in ("cruiser-1", "cruiser-2")]
-    for log in logs:
-        log.begin(prologue)
-        log.write(WriteChunk("x", said))
-    logs[0].write(CloseLog("x"))
-    found = make_reader(BytesIO(logs[0].path.read_bytes())).iter_attachments()
-    digest = Digest([one.data for one in found if one.name == DIGEST_NAME], 1)
-    assert [one.data for one in digest.messages] == [encoded(event)]
-    assert DIGEST_NAME.encode() not in logs[1].path.read_bytes()
-    logs[1].salvage()
 
 
 def test_a_sync_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

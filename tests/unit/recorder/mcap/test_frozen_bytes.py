@@ -10,7 +10,6 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
 from recorder.mcap.channel import LogChannel
-from tests.support import logs
 from tests.support.logs import Log, mcap_log
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback, gear, sample_of
 
@@ -57,12 +56,6 @@ FROZEN = {
     by_a_recorder: "8739f1298622a693dfc8f60d07d85f1812038c94ac8a024b47f72d20992a2495",
 }
 """SHA-256."""
-
-
-@pytest.fixture(autouse=True)
-def without_a_digest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is repeated at the end of a log."""
-    monkeypatch.setattr(logs, "EventDigest", lambda: None)
 
 
 def stored(maker: Callable[[], bytes]) -> bytes:

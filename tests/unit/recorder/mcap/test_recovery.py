@@ -11,18 +11,14 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 
-from recorder.encoding import event_digest
-from recorder.encoding.event_digest import DIGEST_NAME, Digest, DigestUnreadableError, EventDigest
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap import framing
 from recorder.mcap.channel import LogChannel
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.mcap.writer import McapFile
 from recorder.review.check import check_stream
-from schemas.decisions import SafetyEvent, SafetyState
 from schemas.messages import Gear
-from tests.support.logs import channel_of, encoded, foreign_log, gear_message, own_log, sealed, small_log
-from tests.support.messages import arbiter, event
+from tests.support.logs import foreign_log, gear_message, own_log, sealed, small_log
 from tests.support.nights import by_night
 
 Row = tuple[str, str, bytes, int, int, int, bytes]
@@ -52,39 +48,6 @@ def repaired(data: bytes) -> tuple[FileSurvey, bytes]:
         copy_good(BytesIO(data), len(data), copy, "test")
         return found, copy.getvalue()
     return found, data if found.is_whole else data[: found.end] + found.ending
-
-
-def with_digest(data: bytes) -> bytes:
-    """What recovery makes of a file whose end repeats its events."""
-    found = survey(BytesIO(data), len(data), EventDigest())
-    if found.fault_count or not found.end:
-        copy = BytesIO()
-        copy_good(BytesIO(data), len(data), copy, "test", EventDigest())
-        return copy.getvalue()
-    return data if found.is_whole else data[: found.end] + found.ending
-
-
-def events_of(count: int, *, is_digested: bool = True) -> bytes:
-    """A log of events and states, with a digest of several parts."""
-    stream = BytesIO()
-    file = McapFile(stream, "test", digest=EventDigest() if is_digested else None)
-    channels = {SafetyEvent: channel_of(SafetyEvent, 1), SafetyState: channel_of(SafetyState, 2)}
-    for channel in channels.values():
-        file.add_channel(channel)
-    for number in range(count):
-        said = [event(number), arbiter(number)]
-        file.write_chunk(
-            sealed(
-                (channels[type(one)].channel_id, number, one.time_ns, one.time_ns, encoded(one)) for one in said
-            )
-        )
-    file.finish()
-    return stream.getvalue()
-
-
-def parts_of(data: bytes) -> list[bytes]:
-    """Of the digest in a log."""
-    return [one.data for one in make_reader(BytesIO(data)).iter_attachments() if one.name == DIGEST_NAME]
 
 
 def chunks_of(count: int, each: int = 3) -> tuple[bytes, list[int]]:
@@ -298,73 +261,3 @@ class Watched(BytesIO):
     def read(self, size: int | None = -1, /) -> bytes:
         self.lengths.add(size)
         return super().read(size)
-
-
-@pytest.mark.parametrize("step", [293, by_night(3)])
-def test_a_log_cut_off_anywhere_has_the_digest_of_what_it_holds(
-    monkeypatch: pytest.MonkeyPatch, step: int
-) -> None:
-    """The one that its recorder would have given it there; and recovered once more it is the same."""
-    monkeypatch.setattr(event_digest, "BLOCK_BYTES", 300)
-    monkeypatch.setattr(event_digest, "PART_BYTES", 600)
-    log, counts = events_of(40), set()
-    whole = {count: parts_of(events_of(count)) for count in range(41)}
-    assert len(whole[40]) > 3
-    for size in [*range(framing.FIRST_RECORD, len(log), step), len(log)]:
-        result = with_digest(log[:size])
-        count = len(rows(result)) // 2
-        counts.add(count)
-        if count:
-            check = check_stream(BytesIO(result), len(result), "x")
-            assert check.whole, check.findings
-            read = Digest(parts_of(result), 2 * count)
-            assert read.messages == Digest(whole[count], 2 * count).messages
-        assert with_digest(result[:-40]) == result
-    assert len(counts) > 30
-
-
-def test_a_copy_has_a_digest_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """That of the damaged log tells of messages that are lost."""
-    monkeypatch.setattr(event_digest, "BLOCK_BYTES", 300)
-    monkeypatch.setattr(event_digest, "PART_BYTES", 600)
-    log = events_of(40)
-    place = log.index(b"\x04\x00\x00\x00zstd", len(log) // 4) + 30
-    result = with_digest(log[:place] + bytes([log[place] ^ 4]) + log[place + 1 :])
-    assert len(rows(result)) == 78
-    assert check_stream(BytesIO(result), len(result), "x").whole
-    events = [one for one in Digest(parts_of(result), 78).messages if one.channel_id == 1]
-    assert len(events) == 39
-
-
-def test_parts_of_a_digest_that_do_not_fit_are_not_made_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another version may pack otherwise; what is there, or missing, would count twice or not at all."""
-    monkeypatch.setattr(event_digest, "BLOCK_BYTES", 300)
-    monkeypatch.setattr(event_digest, "PART_BYTES", 600)
-    log = events_of(40)
-    summary = make_reader(BytesIO(log)).get_summary()
-    assert summary is not None
-    cut = log[: summary.chunk_indexes[-1].chunk_start_offset]
-    bare = events_of(40, is_digested=False)[:-40]
-    monkeypatch.setattr(event_digest, "PART_BYTES", 900)
-    result = with_digest(cut)
-    assert len(rows(result)) > 20
-    assert parts_of(result) == parts_of(repaired(cut)[1]) != []
-    with pytest.raises(DigestUnreadableError):
-        Digest(parts_of(result), len(rows(result)))
-    result = with_digest(bare)
-    assert len(rows(result)) == 80
-    assert parts_of(result) == []
-
-
-def test_messages_outside_of_chunks_are_in_no_digest() -> None:
-    """So the log has none."""
-    stream = BytesIO()
-    writer = Writer(stream, use_chunking=False)
-    writer.start()
-    schema = writer.register_schema("cruiser.SafetyEvent", "protobuf", descriptor_set(SafetyEvent))
-    channel = writer.register_channel("fleet/x/safety/event", "protobuf", schema)
-    writer.add_message(channel, event(1).time_ns, encoded(event(1)), event(1).time_ns)
-    writer.finish()
-    result = with_digest(stream.getvalue()[:-40])
-    assert len(rows(result)) == 1
-    assert parts_of(result) == []

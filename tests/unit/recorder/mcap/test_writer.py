@@ -17,7 +17,6 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.encoding.protobuf_schema import descriptor_set
 from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import Chunk as PackedMessages
 from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
 from recorder.mcap.writer import McapFile
 from schemas.messages import CanFrame, Gear, GearPosition, RawSample
@@ -253,81 +252,3 @@ def test_a_file_is_finished_once() -> None:
     log.cut_back()
     log.finish()
     assert stream.getvalue().count(MAGIC) == 2
-
-
-class Digested:
-    """A digest of so many bytes, which notes what it is given."""
-
-    name = "digest"
-    media_type = "text/plain"
-
-    def __init__(self, parts: int = 0, size: int = 100) -> None:
-        self.channels: list[int] = []
-        self.offsets: list[int] = []
-        self._parts = parts
-        self._size = size
-
-    def add_channel(self, channel: LogChannel) -> None:
-        self.channels.append(channel.channel_id)
-
-    def add_chunk(self, _chunk: PackedMessages, offset: int) -> None:
-        self.offsets.append(offset)
-
-    def take_part(self) -> bytes:
-        self._parts -= bool(self.offsets)
-        return b"part" if self.offsets and self._parts >= 0 else b""
-
-    def take_end(self) -> bytes:
-        return bytes(self._size)
-
-
-def write_digested(digest: Digested, disk: Disk | None = None) -> bytes:
-    """A file of two chunks with a digest."""
-    disk = disk or Disk()
-    file = McapFile(disk, "test", digest=digest)
-    file.add_channels(CHANNELS)
-    for number in (1, 2):
-        file.write_chunk(sealed([(1, number, number, number, b"x")]))
-    file.finish()
-    file.finish()
-    return disk.getvalue()
-
-
-def test_a_digest_stands_at_the_end_once_and_its_parts_where_they_are_full() -> None:
-    """It is given every channel, and every chunk with its place; other readers see attachments."""
-    digest = Digested(parts=1)
-    data = write_digested(digest)
-    summary = SeekingReader(BytesIO(data)).get_summary()
-    assert summary is not None
-    assert digest.channels == [1, 2, 3]
-    assert digest.offsets == [one.chunk_start_offset for one in summary.chunk_indexes]
-    assert [one.data for one in make_reader(BytesIO(data)).iter_attachments()] == [b"part", bytes(100)]
-
-
-@given(st.integers(0, 139))
-def test_a_digest_for_which_there_is_no_room_costs_the_file_nothing(missing: int) -> None:
-    """The disk is full but for the end: the file is whole without it."""
-    without = write_digested(Digested(size=0))
-    room = len(write_digested(Digested())) - 1 - missing
-    if room < len(without):
-        return
-    data = write_digested(Digested(), Disk(room=room))
-    assert data == without
-
-
-def test_a_part_of_a_digest_that_fails_costs_no_chunk_before_it() -> None:
-    """What was written is not said to have failed: it would be written once more. No half digest is left."""
-    room = len(write_digested(Digested(size=0)))
-    disk = Disk()
-    file = McapFile(disk, "test", digest=Digested(parts=1))
-    file.add_channels(CHANNELS)
-    file.write_chunk(sealed([(1, 1, 1, 1, b"x")]))
-    disk.room = disk.tell() + 20
-    with pytest.raises(OSError, match="No space"):
-        file.write_chunk(sealed([(1, 2, 2, 2, b"x")]))
-    disk.room = room
-    file.cut_back()
-    file.finish()
-    reader = make_reader(BytesIO(disk.getvalue()), validate_crcs=True)
-    assert [one.sequence for _, _, one in reader.iter_messages()] == [1]
-    assert list(reader.iter_attachments()) == []

@@ -7,6 +7,7 @@ import pytest
 
 from recorder.cli.review.asking import Asked, add_logs, add_period, find
 from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import Settings
 from tests.support.logs import small_log
 from tests.support.messages import WALL_NS
 
@@ -16,7 +17,7 @@ def ask(*words: str) -> Asked:
     parser = argparse.ArgumentParser()
     add_logs(parser)
     add_period(parser)
-    return find(parser.parse_args(words))
+    return find(parser.parse_args(words), Settings(), lambda: False)
 
 
 @pytest.fixture

@@ -1,19 +1,18 @@
 """The catalog of a place in an object store: rows beside logs, and what becomes of those that do not hold."""
 
-from io import BytesIO
 from pathlib import Path
 
 import pytest
 
 from recorder.objects.address import StoreAddress
+from recorder.objects.cache import LogCache
 from recorder.objects.interface import ListedObject
 from recorder.reading.faults import Faults
 from recorder.review.catalog import place as places
 from recorder.review.catalog.place import PlaceCatalog
-from recorder.review.catalog.single import row_of, write_row
-from recorder.review.catalog.table import to_table, write_stream
+from recorder.review.catalog.single import write_row
 from recorder.review.find import SEARCHES
-from recorder.upload.manifest import FORMER_ROW_SUFFIX, ROW_SUFFIX
+from recorder.upload.manifest import ROW_SUFFIX
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.drives import drive_messages, write_messages
 from tests.support.fakes.objects import FakeObjects
@@ -42,10 +41,20 @@ def files(catalog: PlaceCatalog) -> dict[str, int]:
     return dict(zip(*(catalog.table.column(name).to_pylist() for name in ("file", "messages")), strict=True))
 
 
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path) -> LogCache:
+    """Where copies go."""
+    CACHES[:] = [LogCache(tmp_path / "cache", 10**9)]
+    return CACHES[0]
+
+
+CACHES: list[LogCache] = []
+
+
 def brought_up(store: FakeObjects, *, is_anew: bool = False) -> tuple[PlaceCatalog, Faults]:
     """The catalog, complete, and what could not be read."""
     faults = Faults()
-    catalog = PlaceCatalog(store, PLACE, COLUMNS, is_anew=is_anew)
+    catalog = PlaceCatalog(store, PLACE, COLUMNS, CACHES[0], is_anew=is_anew)
     catalog.refresh(faults)
     return catalog, faults
 
@@ -62,24 +71,11 @@ def test_rows_tell_of_a_place_and_no_log_is_read(store: FakeObjects) -> None:
     assert (logs_read(store), faults.told, catalog.notes) == (set(), [], [])
 
 
-def test_rows_of_older_versions_are_believed_too(store: FakeObjects, tmp_path: Path) -> None:
-    """They are Parquet files of one row; where both are there, the newer one counts."""
-    catalog, _ = brought_up(store)
-    expected = catalog.table
-    former = BytesIO()
-    write_stream(former, to_table([row_of(tmp_path / "a.mcap", "a.mcap", 5)]))
-    del store.objects[NAME + ROW_SUFFIX]
-    store.objects |= {NAME + FORMER_ROW_SUFFIX: former.getvalue(), OTHER + FORMER_ROW_SUFFIX: b"nonsense"}
-    catalog, faults = brought_up(store)
-    assert catalog.table.equals(expected)
-    assert (logs_read(store), faults.told, catalog.notes) == (set(), [], [])
-
-
 @pytest.mark.parametrize("trouble", ["lost", "damaged", "of another log", "huge", "older than its log"])
 def test_a_row_that_does_not_hold_is_made_again_from_its_log(
     store: FakeObjects, monkeypatch: pytest.MonkeyPatch, trouble: str
 ) -> None:
-    """And gathered with the others, so that it is there the next time."""
+    """Of which a copy is fetched, once."""
     row = NAME + ROW_SUFFIX
     match trouble:
         case "lost":
@@ -111,51 +107,13 @@ def test_anew_believes_no_row(store: FakeObjects) -> None:
     assert files(catalog) == {NAME: 124, OTHER: 64}
 
 
-def test_many_rows_are_gathered_once(store: FakeObjects, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then a place is two requests, whatever it holds; a log that comes later is asked for its own row."""
-    monkeypatch.setattr(places, "GATHERED_FROM", 2)
-    new = store.objects.pop(NAME), store.objects.pop(NAME + ROW_SUFFIX)
-    store.objects |= {"c.mcap": store.objects[OTHER], "c.mcap" + ROW_SUFFIX: store.objects[OTHER + ROW_SUFFIX]}
-    brought_up(store)
-    store.objects[NAME], store.objects[NAME + ROW_SUFFIX] = new
-    store.ranges.clear()
-    catalog, _ = brought_up(store)
-    assert files(catalog) == {NAME: 124, OTHER: 64, "c.mcap": 64}
-    assert [name for name, _, _ in store.ranges] == ["catalog.parquet", NAME + ROW_SUFFIX]
-
-
-def test_a_gathered_catalog_that_is_damaged_is_passed_over(store: FakeObjects) -> None:
-    """A line says so; the rows beside the logs are there still. Rows of logs that are gone do not count."""
-    store.objects["catalog.parquet"] = b"PAR1 nonsense"
-    catalog, _ = brought_up(store)
-    assert files(catalog) == {NAME: 124, OTHER: 64}
-    assert catalog.notes == [
-        "s3://logs/plant-1/catalog.parquet: is damaged: the rows beside the logs are read instead"
-    ]
-    del store.objects["catalog.parquet"], store.objects[NAME + ROW_SUFFIX]
-    brought_up(store)
-    del store.objects[OTHER]
-    assert files(brought_up(store)[0]) == {NAME: 124}
-
-
-def test_who_may_only_read_is_answered_all_the_same(store: FakeObjects, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line says that nothing could be kept."""
-    monkeypatch.setattr(places, "GATHERED_FROM", 1)
-    store.refused.add("catalog.parquet")
-    catalog, faults = brought_up(store)
-    assert files(catalog) == {NAME: 124, OTHER: 64}
-    assert not faults
-    [note] = catalog.notes
-    assert note.startswith("cannot write s3://logs/plant-1/catalog.parquet: the store refuses it")
-
-
 def test_logs_of_other_makers_and_what_is_no_log_are_told_apart(store: FakeObjects) -> None:
     """The ones have a row of little, the others are named; an old list may name what is gone."""
     store.objects |= {"theirs.mcap": foreign_log(), "none.mcap": b"no log", "empty.mcap": b""}
     store.old_names = [
         *(ListedObject(name, len(data)) for name, data in store.objects.items()),
         ListedObject("gone.mcap", 5),
-        ListedObject("gone.mcap.parquet", 5),
+        ListedObject(f"gone.mcap{ROW_SUFFIX}", 5),
     ]
     catalog, faults = brought_up(store)
     assert files(catalog) == {NAME: 124, OTHER: 64, "theirs.mcap": 10}
@@ -182,24 +140,7 @@ def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, st
     assert raised.value.code is ExitCode.UNREACHABLE
 
 
-def test_rows_that_were_made_are_kept_where_the_reading_is_interrupted(store: FakeObjects) -> None:
-    """The next search goes on from there."""
-    for name in (NAME, OTHER):
-        del store.objects[name + ROW_SUFFIX]
-    catalog = PlaceCatalog(store, PLACE, COLUMNS)
-    read: list[int] = []
-
-    def stop_at_the_second(count: int) -> None:
-        read.append(count)
-        if len(read) == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        catalog.refresh(Faults(), stop_at_the_second)
-    assert PlaceCatalog(store, PLACE, COLUMNS).stale == [OTHER]
-
-
 def test_a_server_that_lists_nothing_cannot_be_searched(store: FakeObjects) -> None:
     """HTTP knows no directories."""
     with pytest.raises(CommandError, match="does not list what it holds"):
-        PlaceCatalog(store, StoreAddress("https://logs.example.com/plant-1"), COLUMNS)
+        PlaceCatalog(store, StoreAddress("https://logs.example.com/plant-1"), COLUMNS, CACHES[0])

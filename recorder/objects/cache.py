@@ -1,0 +1,188 @@
+"""Copies of logs of object stores on this machine, so that each is fetched once.
+
+A copy is fetched in pieces, goes on where it was broken off, and counts once it is whole: of the length that the
+store says, and with the SHA-256 that its upload wrote down, if one did. Those not asked for longest go first.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.objects.address import StoreAddress, shown_url
+from recorder.objects.interface import Objects, StoredObject, StoreError
+from schemas.exit_codes import CommandError, ExitCode
+
+PIECE_BYTES: Final = 4 * 1024 * 1024
+"""The longest range of one request."""
+
+SMALL_MAX_BYTES: Final = 65_536
+"""A longer manifest, or signature, is none."""
+
+BESIDE: Final = (".json", ".sig")
+"""Endings of the objects beside a log: its upload's manifest, and its recorder's signature."""
+
+WAIT_S: Final = 0.1
+"""Pause between two looks at a copy that another process is fetching."""
+
+PART: Final = ".fetched"
+
+
+class _Manifest(msgspec.Struct):
+    """The part of an upload's manifest that is read here."""
+
+    bytes: int
+    sha256: str
+
+
+def cache_directory(environment: Mapping[str, str], home: Path) -> Path:
+    """Return the directory of the copies: in $XDG_CACHE_HOME, if that names one."""
+    given = Path(environment.get("XDG_CACHE_HOME", ""))
+    return (given if given.is_absolute() else home / ".cache") / "cruiser" / "logs"
+
+
+class LogCache:
+    """The copies in a directory.
+
+    Args:
+        directory: of the copies; each has a directory of its own in it.
+        limit_bytes: that they take together; a log that is asked about now stays.
+    """
+
+    def __init__(self, directory: Path, limit_bytes: int) -> None:
+        self._directory = directory
+        self._limit = limit_bytes
+        self._wanted: set[Path] = set()
+        """The copies that were asked for here."""
+
+    def fetch(self, objects: Objects, place: StoreAddress, name: str, progress: Callable[[int], None]) -> Path:
+        """Return the path of a copy of a log.
+
+        Args:
+            objects: of the place.
+            place: its address.
+            name: of the log in it.
+            progress: receives the bytes that were fetched, or were here already.
+
+        Raises:
+            CommandError: the store does not answer, or does not hold what its upload says; there is no room.
+        """
+        url = shown_url(place.join(name).url)
+        try:
+            found = objects.look(name)
+            if found is None:
+                raise CommandError(f"cannot read {url}: there is no such object")
+            # What is there under this mark is what was fetched under it.
+            mark = f"{place.join(name).url}\0{found.bytes}\0{found.e_tag}"
+            home = self._directory / hashlib.sha256(mark.encode()).hexdigest()[:32]
+            self._wanted.add(home)
+            path = home / (name.rpartition("/")[2])
+            home.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not path.exists():
+                self._make_room(found.bytes)
+                self._fetch(objects, name, found, path, progress)
+            else:
+                progress(found.bytes)
+            os.utime(home)
+        except StoreError as error:
+            raise CommandError(f"cannot read {url}: {error}", ExitCode.UNREACHABLE) from error
+        except OSError as error:
+            raise CommandError(
+                f"cannot keep a copy of {url} in {self._directory}: {error.strerror or error}"
+            ) from error
+        return path
+
+    def _fetch(
+        self, objects: Objects, name: str, found: StoredObject, path: Path, progress: Callable[[int], None]
+    ) -> None:
+        part = path.with_name(path.name + PART)
+        with part.open("ab") as stream:
+            while not _lock(stream.fileno()):
+                progress(0)
+                time.sleep(WAIT_S)
+            if path.exists():  # Another process has fetched it meanwhile.
+                progress(found.bytes)
+                return
+            at = min(stream.tell(), found.bytes)
+            stream.truncate(at)
+            progress(at)
+            for start in range(at, found.bytes, PIECE_BYTES):
+                end = min(start + PIECE_BYTES, found.bytes)
+                stream.write(objects.read(name, start, end, found.e_tag))
+                progress(end - start)
+            stream.flush()
+            os.fsync(stream.fileno())
+            for suffix in BESIDE:
+                data = _small(objects, name + suffix)
+                if data:
+                    path.with_name(path.name + suffix).write_bytes(data)
+            if (said := _sha256_of(path)) and said != _sha256(part):
+                part.unlink()
+                raise StoreError("it is not what was uploaded: its SHA-256 is another one than its manifest's")
+            part.rename(path)
+
+    def _make_room(self, size: int) -> None:
+        """Remove copies that were not asked for longest, until another one of this length fits."""
+        homes = sorted((one for one in self._directory.iterdir() if one.is_dir()), key=_asked_s)
+        sizes = {home: _bytes_in(home) for home in homes}
+        total = sum(sizes.values()) + size
+        for home in homes:
+            if total <= self._limit:
+                return
+            if home not in self._wanted:
+                shutil.rmtree(home, ignore_errors=True)
+                total -= sizes[home]
+
+
+def _lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # Without locks here two processes may fetch the same twice.
+    return True
+
+
+def _small(objects: Objects, name: str) -> bytes:
+    """A small object beside a log; empty if there is none, or a long one."""
+    # Who may not list a place is refused what is not there.
+    with suppress(StoreError):
+        found = objects.look(name)
+        if found is not None and 0 < found.bytes <= SMALL_MAX_BYTES:
+            return objects.read(name, 0, found.bytes, found.e_tag)
+    return b""
+
+
+def _sha256_of(path: Path) -> str:
+    """The SHA-256 that the manifest beside a copy says; empty if there is none."""
+    with suppress(OSError, msgspec.MsgspecError, UnicodeDecodeError):
+        return msgspec.json.decode(path.with_name(path.name + BESIDE[0]).read_bytes(), type=_Manifest).sha256
+    return ""
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _asked_s(home: Path) -> float:
+    with suppress(OSError):
+        return home.stat().st_mtime
+    return 0.0
+
+
+def _bytes_in(home: Path) -> int:
+    total = 0
+    with suppress(OSError):
+        total = sum(one.stat().st_size for one in home.iterdir())
+    return total
