@@ -165,13 +165,13 @@ def test_ten_thousand_small_logs_become_the_dataset_that_one_process_makes(clust
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a robot that is driven for three minutes, its speed changed in the second."""
+    """The log of a robot that is driven for twelve seconds, its speed changed twice."""
     rig = RecordedRig(Variant.COARSE)
     rig.run(0.6)
     operator = Operator(rig)
     operator.engage()
     for speed_mps in (0.5, 1.0, 0.5):
-        operator.drive(speed_mps, 2.0, 60.0)
+        operator.drive(speed_mps, 2.0, 4.0)
     path = tmp_path_factory.mktemp("logs") / NAME
     path.write_bytes(rig.log())
     return path
