@@ -27,7 +27,7 @@ from gateway.chassis.decode import check, unknown_frame
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, Frame
 from gateway.checkpoint import checkpoint, resume
-from gateway.command.carried import Carried, carried, may_start_again, take_over
+from gateway.command.carried import Carried, may_start_again, take_over
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.request import RawRequest
 from gateway.command.snapshot import QUIET_NS, Snapshot, as_array, is_at_rest, restore, snapshot
@@ -331,11 +331,6 @@ class Core:
     def may_start_again(self, now_ns: int) -> bool:
         """Return True if the gateway may be away for seconds: the robot stands, and nobody holds its lease."""
         return self.command is None or may_start_again(self.command, now_ns)
-
-    @property
-    def carried(self) -> Carried:
-        """The state that the gateway which starts again has to know: latches above all."""
-        return Carried() if self.command is None else carried(self.command)
 
     def take_over(self, former: Carried, now_ns: int) -> None:
         """Begin where the gateway before this one ended: what was latched stays latched until a reset."""

@@ -22,7 +22,7 @@ from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import describe, open_bus
 from gateway.can.reconnecting_bus import ReconnectingBus
 from gateway.chassis.cruiser.layout import load
-from gateway.cli.shut_out import wait, why_away
+from gateway.cli.shut_out import why_away
 from gateway.command.carried import Carried
 from gateway.core import Core
 from gateway.guard.chassis_view import ChassisView
@@ -34,19 +34,21 @@ from gateway.host.latch_note import LatchNote, RunNote
 from gateway.host.log_queue import logging_aside
 from gateway.host.mileage_note import MileageNote
 from gateway.host.realtime import has_realtime, request_realtime
-from gateway.host.renewal import Renewal
+from gateway.host.renewal import ENDS, LOOK_NS, Renewal
 from gateway.host.self_test import Reached, own_fault
 from gateway.host.service_manager import ServiceManager
 from gateway.host.signed_mode import SignedMode
 from gateway.host.stop_note import NoteClearer, StopNote
 from gateway.loop import LoopPorts, Manager, NoManager, warn_of_bars
 from gateway.loop import run as run_loop
+from gateway.provisioning.certificates import RENEW_S
 from gateway.provisioning.tls_files import check_tls_files, why_shut_out
 from gateway.zenoh.client import said_of
 from gateway.zenoh.inbox import CommandInbox, open_inbox
 from gateway.zenoh.late_node import Joined, LateInbox, LateNode
 from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
+from schemas.authority.identity import renewed
 from schemas.codec import encode
 from schemas.configuration import to_toml
 from schemas.dbc_files import DBC_FILES, dbc_text
@@ -64,8 +66,7 @@ EXAMPLE = """\
   cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
 
-AGAIN_S: Final = 5.0
-"""Pause after a start with renewed files that failed."""
+DAY_S: Final = 86_400
 
 RUN_BITS = 53
 """Every language's numbers hold as many."""
@@ -107,31 +108,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
 
 
-def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the gateway until it is stopped. Where its keys were renewed, it starts again meanwhile.
-
-    A restart never clears a latch: the gateway begins with what was latched before.
-    """
-    ends = ending_after(stopped, arguments.seconds, time.monotonic)
-    carried = _run_once(settings, ends)
-    while carried is not None:
-        log.info("starting again with the renewed files")
-        carried = _run_again(settings, ends, carried)
-    return int(ExitCode.OK)
-
-
-def _run_again(settings: Settings, ends: Callable[[], bool], former: Carried) -> Carried | None:
-    """Run the gateway anew. One that ran does not end because somebody is in its way: it tries on."""
-    while True:
-        try:
-            return _run_once(settings, ends, former)
-        except CommandError as error:
-            if ends():
-                raise
-            log.warning("the gateway cannot start again yet: %s; trying on", error)
-            wait(AGAIN_S, ends)
-
-
 @contextmanager
 def _run_noted(core: Core, settings: Settings) -> Iterator[None]:
     """Have the next gateway know whether this one ended in order."""
@@ -145,22 +121,17 @@ def _run_noted(core: Core, settings: Settings) -> Iterator[None]:
         raise CommandError(HELD_BY_MOTOR, ExitCode.PARTIAL)
 
 
-def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | None = None) -> Carried | None:
-    """Run the gateway until it is stopped, or its files were renewed.
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Run the gateway until it is stopped, or until its keys were renewed and whoever manages it starts it again.
 
-    Args:
-        settings: all of them.
-        ends: turns true when the gateway is stopped.
-        former: carried over from the run before this one.
-
-    Returns:
-        The state to be carried over to another run; None if there is none.
+    A restart never clears a latch: the gateway begins with what was latched before.
     """
+    ends = ending_after(stopped, arguments.seconds, time.monotonic)
     # Before anything is read: what is replaced meanwhile is new.
-    renewal = Renewal(settings)
+    renewal = Renewal(settings, is_managed=ServiceManager.of(os.environ) is not None)
     core = Core(settings, version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
     with ExitStack() as closing:
-        latch_note = _recall_latched(core, settings, former)
+        latch_note = _recall_latched(core, settings)
         closing.callback(latch_note.close)
         mileage_note = MileageNote.of(settings)
         # First, since it takes a second, and ended last.
@@ -198,8 +169,6 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
-        renewal.begin(place.connect)
-        closing.callback(renewal.close)
         ports = LoopPorts(
             bus,
             node,
@@ -209,7 +178,7 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
             former_guard,
             has_realtime,
             signed,
-            lambda: (*renewal.notes(), *node.notes()),
+            lambda: _notes(signed, renewal, node),
             _manager(closing),
             latch_note,
             mileage_note,
@@ -221,7 +190,7 @@ def _run_once(settings: Settings, ends: Callable[[], bool], former: Carried | No
             except Exception:
                 _stop_unguarded(core, bus, guard, settings)
                 raise
-    return core.carried if renewal.is_taken and not ends() else None
+    return int(ExitCode.OK)
 
 
 def _join(
@@ -298,15 +267,27 @@ def _look_at_own_files(settings: Settings, signed: SignedMode | None, place: Zen
 
 
 def _ending(ends: Callable[[], bool], renewal: Renewal, core: Core) -> Callable[[], bool]:
-    """The end of the loop: when it is stopped, or when it may start again and has a reason to."""
+    """The end of the loop: when it is stopped, or when it may be started again and has a reason to."""
+    due_ns = 0
 
     def is_over() -> bool:
-        if renewal.is_ready and core.may_start_again(time.monotonic_ns()):
-            core.warn("the gateway starts again, with renewed keys and certificates", time.monotonic_ns())
-            renewal.is_taken = True
+        nonlocal due_ns
+        now_ns = time.monotonic_ns()
+        if now_ns >= due_ns and not renewal.is_taken:
+            due_ns = now_ns + LOOK_NS
+            if core.may_start_again(now_ns) and renewal.look():
+                core.warn(ENDS, now_ns)
         return renewal.is_taken or ends()
 
     return is_over
+
+
+def _notes(signed: SignedMode | None, renewal: Renewal, node: ZenohNode | LateNode) -> tuple[str, ...]:
+    """What somebody has to see to, each in one line."""
+    ends_s = None if signed is None else signed.certificate_ends_s
+    left_s = RENEW_S if ends_s is None else ends_s - time.time()
+    soon = f"the robot's certificate ends in {left_s / DAY_S:.1f} days; {renewed('robot')}"
+    return (*filter(None, (renewal.note, soon if left_s < RENEW_S else "")), *node.notes())
 
 
 def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMode | None:
@@ -348,14 +329,11 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
         StopNote.of(settings).add(f"gateway: {text}")
 
 
-def _recall_latched(core: Core, settings: Settings, former: Carried | None) -> LatchNote:
+def _recall_latched(core: Core, settings: Settings) -> LatchNote:
     """Latch what was latched before this start. Returns the note that holds it."""
     note = LatchNote.of(settings)
-    latched = {one.value: text for one, text in note.read().items()}
-    if former is None and latched:
-        former = Carried(latched)
-    if former is not None:
-        core.take_over(former, time.monotonic_ns())
+    if latched := {one.value: text for one, text in note.read().items()}:
+        core.take_over(Carried(latched), time.monotonic_ns())
     return note
 
 

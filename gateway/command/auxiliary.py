@@ -114,6 +114,11 @@ class Auxiliary:
         """The lamps and the horn as they were set last; of lamps that are out no signals."""
         return self._lamps if self._lamps != _DARK else {}, self._horn
 
+    @property
+    def is_sounding(self) -> bool:
+        """The horn was set last."""
+        return self._horn
+
     def restore(self, lamps: Signals, *, horn: bool) -> None:
         """The chassis was left with these: the next stop, or engagement, puts them out."""
         self._lamps, self._are_lamps_set, self._horn = lamps or _DARK, bool(lamps), horn

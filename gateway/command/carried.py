@@ -1,7 +1,7 @@
-"""The state of the arbiter that a gateway carries over when it starts again by itself. Pure.
+"""When a gateway may be started again, and what it begins with. Pure.
 
 A restart must never clear a latch. The gateway that starts again is not ready by itself: it begins in standby,
-with all that was latched, and owes the stop that the one before it owed.
+with all that was latched. In logs of before it began with more: a stop that was owed, lamps and horn.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from gateway.chassis.decode import Signals
 from gateway.command.flow import CommandFlow
 from gateway.command.snapshot import QUIET_NS
 from schemas.decisions import ArbiterState
-from schemas.messages import Mode
 from schemas.reasons import Reason
 
 
@@ -40,11 +39,11 @@ class Carried(msgspec.Struct, frozen=True, array_like=True):
 
 
 def may_start_again(flow: CommandFlow, now_ns: int) -> bool:
-    """Return True if the gateway may be away for some seconds, and ``Carried`` holds all that a new one must know.
+    """Return True if the gateway may be away for some seconds, and the note of latches is all that it must know.
 
     The robot stands, nobody holds the lease, nothing is sent, and nobody asked anything lately. That something is
     latched, or the robot cannot be engaged, is no objection: renewed files may be the cure. Where the chassis may
-    yet execute a command that was left to it, or a stop is owed to a robot in somebody's hand, the gateway stays.
+    yet execute a command that was left to it, a stop is owed, or the horn was left on, the gateway stays.
     Events are no objection either: on a busy computer the loop is late, and says so, again and again.
     """
     arbiter = flow.arbiter
@@ -55,22 +54,10 @@ def may_start_again(flow: CommandFlow, now_ns: int) -> bool:
         and arbiter.leases.held is None
         and not arbiter.engagement.is_closing
         and arbiter.handover.left is None
-        and not (arbiter.engagement.owes_stop and chassis.mode is Mode.REMOTE)
+        and not arbiter.engagement.owes_stop
+        and not arbiter.engagement.auxiliary.is_sounding
         and arbiter.monitor.stands
         and chassis.bus_up
-    )
-
-
-def carried(flow: CommandFlow) -> Carried:
-    """Return the state that the gateway which starts again has to know."""
-    engagement = flow.arbiter.engagement
-    return Carried(
-        {reason.value: detail for reason, detail in engagement.latches.details.items()},
-        engagement.stop_reason.value,
-        engagement.stop_detail,
-        # A stop that began in the last tick is not done.
-        engagement.owes_stop or engagement.state is not ArbiterState.STANDBY,
-        *engagement.auxiliary.left,
     )
 
 

@@ -22,7 +22,7 @@ from gateway.client.robot import Lease, Robot
 from schemas.exit_codes import CommandError
 from schemas.reasons import TEXTS, Reason
 from tests.support.fakes.peer import free_endpoint
-from tests.support.processes.gateway import Running, chassis
+from tests.support.processes.gateway import Managed, chassis
 from tests.support.provisioning import ProvisionedFleet, run
 from tests.support.routers import router_process
 from tests.support.signed_site import speed_of
@@ -34,7 +34,7 @@ WANTED_MPS: Final = 0.5
 UNDRIVEN: Final = "stopping: "
 """By its deadman; on a busy machine another rule may have been first."""
 UNGRANTED: Final = f"ann loses the lease: {TEXTS[Reason.GRANT_REVOKED].means}; its authority was replaced"
-STARTED_AGAIN: Final = "starting again with the renewed files"
+STARTED_AGAIN: Final = "the gateway ends, and is started again with them"
 
 
 class Rotation:
@@ -52,7 +52,7 @@ class Rotation:
         _, address = stack.enter_context(chassis())
         bus = ("--interface", "socketcand", "--channel", address)
         settings = str(self.machines / ROBOT / "robot.toml")
-        self.gateway = stack.enter_context(Running("gateway", "--config", settings, *bus))
+        self.gateway = stack.enter_context(Managed("gateway", "--config", settings, *bus))
         self.gateway.wait_says("a Zenoh node is connected")
 
     def restart_router_in_drive(self, lease: Lease) -> None:

@@ -32,7 +32,7 @@ from schemas.subjects import BY_NAME, BY_VERB
 from tests.support.authority import DAY_S, Fleet, Party
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
-from tests.support.processes.gateway import Running, chassis, gateway, run
+from tests.support.processes.gateway import Managed, Running, chassis, gateway, run
 from tests.support.provisioned import provision, write_authority
 from tests.support.signed_site import LIMIT_MPS, OPERATOR, ROBOT, ROOT, WANTED_MPS, Site, driving
 from tests.support.waiting import DEADLINE_S, wait_until
@@ -41,7 +41,8 @@ from tests.support.waiting import DEADLINE_S, wait_until
 @contextmanager
 def running(site: Site) -> Iterator[Running]:
     """The robot's gateway, on a virtual chassis."""
-    with chassis() as (_, address), gateway(address, site.endpoint, "--config", site.robot_settings) as process:
+    words = ("--config", site.robot_settings)
+    with chassis() as (_, address), gateway(address, site.endpoint, *words, kind=Managed) as process:
         yield process
 
 
@@ -535,7 +536,7 @@ def test_a_latched_robot_takes_renewed_files_over_and_stays_latched(site: Site) 
         assert site.show(session, rotation).ok
         new.authority.grant(robot_party := renewed(site.robot), role=GrantRole.ROBOT, robots=[ROBOT], **site.holds)
         provision(files, "robot", robot_party, new)
-        process.wait_says("starting again with the renewed files")
+        process.wait_says("the gateway ends, and is started again with them")
         new.authority.grant(bea, **site.holds)
         site.fleet = new
         with Robot.connect(ROBOT, settings=site.settings_of("operator", bea), timeout_s=30) as robot:
@@ -568,7 +569,7 @@ def test_a_stopped_robot_without_a_grant_takes_one_over_and_stays_latched(site: 
             lambda: session.put(keys.command(ROOT, ROBOT, "anybody", "stop"), b""),
         )
         (files / "robot.grant").write_text(grant)
-        process.wait_says("starting again with the renewed files")
+        process.wait_says("the gateway ends, and is started again with them")
         with Robot.connect(ROBOT, settings=site.settings, timeout_s=30) as robot, robot.lease() as lease:
             assert robot.state().state.latched == [Reason.REMOTE_STOP]
             reset(robot, lease)

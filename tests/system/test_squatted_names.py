@@ -14,7 +14,7 @@ from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
-from tests.support.processes.gateway import chassis, gateway, run
+from tests.support.processes.gateway import Managed, chassis, gateway, run
 from tests.support.signed_site import Site
 from tests.support.waiting import wait_until
 
@@ -89,12 +89,14 @@ def test_in_signed_mode_who_answers_without_a_grant_for_the_name_keeps_no_robot_
         stranger() as (session, endpoint),
         chassis() as (_, address),
         squatting(session),
-        gateway(address, site.endpoint, "--connect", endpoint, "--config", site.robot_settings) as running,
+        gateway(
+            address, site.endpoint, "--connect", endpoint, "--config", site.robot_settings, kind=Managed
+        ) as running,
     ):
         running.wait_says("what answers there does not prove that it was granted this name")
         grant = Path(site.robot_settings).with_name("robot.grant")
         grant.write_bytes(grant.read_bytes())
-        running.wait_says("starting again with the renewed files")
+        running.wait_says("the gateway ends, and is started again with them")
         wait_until(lambda: len([line for line in running.said if "does not prove" in line]) >= 2)
         states = session.declare_subscriber("fleet/cruiser-1/safety/state", zenoh.handlers.RingChannel(1))
         wait_until(lambda: states.try_recv() is not None)

@@ -3,7 +3,9 @@
 import json
 import os
 import re
+import secrets
 import signal
+import socket
 import subprocess
 import threading
 from collections.abc import Iterator, Sequence
@@ -19,8 +21,8 @@ from tests.support.waiting import wait_until
 class Running:
     """A ``cruiser`` command in a process of its own. ``said`` collects its stderr line by line."""
 
-    def __init__(self, *words: str) -> None:
-        self.process = Forked(words, os.environ)
+    def __init__(self, *words: str, **environment: str) -> None:
+        self.process = Forked(words, os.environ | environment)
         self.said: list[str] = []
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
@@ -67,6 +69,37 @@ class Running:
             self.said.append(line.rstrip("\n"))
 
 
+class Managed(Running):
+    """A command under a service manager, which starts it again whenever it ends in order by itself."""
+
+    def __init__(self, *words: str) -> None:
+        self._is_stopped = False
+        self._manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._manager.bind(f"\0{secrets.token_hex(8)}")
+        address = "@" + self._manager.getsockname()[1:].decode()
+        self._again = words, os.environ | {"NOTIFY_SOCKET": address}
+        super().__init__(*words, NOTIFY_SOCKET=address)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_stopped = True
+        super().__exit__(kind, error, trace)
+        self._manager.close()
+
+    def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
+        self._is_stopped = True
+        return super().stop(number)
+
+    def _listen(self) -> None:
+        super()._listen()
+        while self.process.wait() == 0 and not self._is_stopped:
+            self.process.stdout.close()
+            self.process.stderr.close()
+            self.process = Forked(*self._again)
+            super()._listen()
+
+
 def kill_all(pid: int) -> None:
     """Kill a process and all that it has started: a guard outlives its gateway, while it stops the robot."""
     children = [child for task in Path(f"/proc/{pid}/task").iterdir() for child in _children(task)]
@@ -92,10 +125,10 @@ def chassis(*words: str, listen: str = "127.0.0.1:0") -> Iterator[tuple[Running,
 
 
 @contextmanager
-def gateway(address: str, endpoint: str, *words: str) -> Iterator[Running]:
+def gateway(address: str, endpoint: str, *words: str, kind: type[Running] = Running) -> Iterator[Running]:
     """A gateway on the bus of a virtual chassis, ready."""
     bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint]
-    with Running("gateway", *bus, *words) as running:
+    with kind("gateway", *bus, *words) as running:
         running.wait_says("^gateway: ")
         yield running
 

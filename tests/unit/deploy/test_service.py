@@ -82,7 +82,7 @@ def test_the_recorder_records_into_the_directory_that_it_may_write_to() -> None:
 
 def test_a_gateway_that_hangs_is_begun_again_after_its_guard_has_acted(service: dict[str, str]) -> None:
     """By the watchdog; a loop that is late for as long as floods have made it is not ended."""
-    assert (service["Type"], service["Restart"]) == ("notify", "on-failure")
+    assert (service["Type"], service["Restart"]) == ("notify", "always")
     assert int(service["WatchdogSec"]) * 1e9 > 50 * GUARD_LATE_NS + 5e9
     assert int(service["TimeoutAbortSec"]) < int(service["TimeoutStopSec"])
 

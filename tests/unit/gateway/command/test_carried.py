@@ -1,4 +1,4 @@
-"""A gateway that starts again by itself clears no latch, owes what was owed, and stays while it is needed."""
+"""A gateway that is started again clears no latch, and it stays while it is needed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from gateway.chassis.cruiser.frames import LIGHT_COMMAND, SPEAKER_COMMAND
 from gateway.command.carried import Carried
 from gateway.command.snapshot import QUIET_NS
 from gateway.core import Core
@@ -17,7 +16,7 @@ from schemas.decisions import ArbiterState, EventKind
 from schemas.journal import Kind
 from schemas.reasons import Reason
 from schemas.settings import LATE_NS, CommandSettings
-from tests.support.rigs.gateway import GUARDED, GatewayRig, Operator, driving, ready
+from tests.support.rigs.gateway import GUARDED, GatewayRig, Operator, driving
 
 SETTLED_S = QUIET_NS / 1e9 + 0.1
 BEFORE = 7, 8
@@ -30,10 +29,11 @@ def may_start_again(rig: GatewayRig) -> bool:
 
 
 def start_again(rig: GatewayRig) -> Carried:
-    """The gateway starts again, as the command does it: the loop ends, and another core begins."""
+    """The gateway is started again, as the command does it: another core begins with the note of latches."""
     rig.core.shut_down(rig.now_ns)
     rig.tick()
-    carried = rig.core.carried
+    latches = rig.core.command.arbiter.engagement.latches  # type: ignore[union-attr]
+    carried = Carried({reason.value: detail for reason, detail in latches.details.items()})
     rig.core = Core(rig.settings, "1.2.3", rig.now_ns, BEFORE[1])
     rig.core.take_over(carried, rig.now_ns)
     rig.events.clear()
@@ -66,14 +66,13 @@ def test_what_is_latched_stays_latched_until_a_reset(strike: Callable[[GatewayRi
     rig, operator = driving()
     strike(rig)
     rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 10)
-    before = rig.says.latched, rig.says.stop_reason, rig.says.stop_detail
-    assert before[0] == [reason]
+    assert rig.says.latched == [reason]
     operator.reason("release")
     rig.run(SETTLED_S)
     assert may_start_again(rig)
     carried = start_again(rig)
     assert list(carried.latched) == [reason.value]
-    assert (rig.says.latched, rig.says.stop_reason, rig.says.stop_detail) == before
+    assert rig.says.latched == [reason]
     (event,) = [event for event in rig.events if event.kind is EventKind.LATCH]
     assert carried.latched[reason.value] in event.text
     operator = Operator(rig, "second")
@@ -91,25 +90,12 @@ def test_nothing_is_latched_that_was_not() -> None:
     assert rig.says.latched == []
 
 
-def test_a_stop_that_is_owed_is_carried_out_after_the_restart() -> None:
-    """The brake does not read applied: as soon as it can be told to, the robot is stopped anew."""
-    rig, operator = driving()
-    _stop(rig)
-    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 10)
-    operator.reason("release")
-    rig.run(SETTLED_S)
-    engagement = rig.core.command.arbiter.engagement  # type: ignore[union-attr]
-    engagement.owes_stop = True
-    carried = start_again(rig)
-    assert carried.owes_stop
-    assert rig.core.command.arbiter.engagement.owes_stop  # type: ignore[union-attr]
+def _owe_a_stop(rig: GatewayRig) -> None:
+    rig.core.command.arbiter.engagement.owes_stop = True  # type: ignore[union-attr]
 
 
-def test_a_stop_that_is_not_done_is_owed() -> None:
-    """The loop has waited for it as long as it waits."""
-    rig, _ = driving()
-    rig.tick()
-    assert rig.core.carried.owes_stop
+def _leave_the_horn_on(rig: GatewayRig) -> None:
+    rig.core.command.arbiter.engagement.auxiliary.restore({}, horn=True)  # type: ignore[union-attr]
 
 
 def _hold_lease(rig: GatewayRig) -> None:
@@ -153,7 +139,18 @@ def _close(rig: GatewayRig) -> None:
 
 
 @pytest.mark.parametrize(
-    "disturb", [_hold_lease, _ask_in_vain, _lose_bus, _blind, _move, _stop_in_somebodys_hand, _close]
+    "disturb",
+    [
+        _hold_lease,
+        _ask_in_vain,
+        _lose_bus,
+        _blind,
+        _move,
+        _stop_in_somebodys_hand,
+        _close,
+        _owe_a_stop,
+        _leave_the_horn_on,
+    ],
 )
 def test_a_gateway_that_is_needed_does_not_start_again(disturb: Callable[[GatewayRig], None]) -> None:
     """Somebody commands the robot or asks, it is not seen to stand, or a stop waits for its turn."""
@@ -191,30 +188,6 @@ def test_a_chassis_that_was_left_with_a_command_is_not_left_alone() -> None:
     rig.until(lambda: rig.says.stop_reason is Reason.FOUND_MOVING, 2)
     rig.run(SETTLED_S + 2)
     assert may_start_again(rig)
-
-
-def test_lamps_and_horn_that_the_chassis_was_left_with_go_out_with_the_next_engagement() -> None:
-    """The chassis has them on; who starts again knows."""
-    rig, operator = ready()
-    operator.engage()
-    assert operator.reason("light", headlamp=True) is Reason.NONE
-    assert operator.reason("horn", on=True) is Reason.NONE
-    rig.fault("transmitter remote")
-    rig.run(0.5)
-    operator.reason("release")
-    rig.fault("foreign 18C4D3D0 every 10ms for 50ms")
-    rig.run(SETTLED_S)
-    assert may_start_again(rig)
-    assert start_again(rig).horn
-    rig.fault("transmitter command")
-    rig.run(SETTLED_S)
-    operator = Operator(rig, "second")
-    operator.take_lease()
-    rig.bursts.clear()
-    operator.engage()
-    told = [burst for _, burst in rig.bursts if LIGHT_COMMAND in burst]
-    assert told
-    assert not any(burst[LIGHT_COMMAND]["Headlamp"] or burst[SPEAKER_COMMAND]["Horn"] for burst in told)
 
 
 def test_the_journal_of_the_second_run_begins_with_what_was_carried_over() -> None:
