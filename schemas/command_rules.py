@@ -59,6 +59,7 @@ CHANGES: Final[dict[int, str]] = {
     "a speed of zero that no feedback has confirmed is not called standing; "
     "the speed limit of an idle robot is the one that an engage would bring; "
     "a robot whose parking brake slips is given back to its motor; a stop that lets it move twice stays in gear; "
+    "the gear is changed once the parking brake has read applied for 100 ms; "
     "at zero speed, after a part of a burst, the parking frame is sent second; "
     "a loop that is late while the robot stands by is told as information; "
     "the first robot that is found moving after a crash is latched",

@@ -163,7 +163,10 @@ class MotionProfile:
         if not self.parking:
             self.parking = self.speed_mps == 0 and constraints.stands
             self._gear_ticks, self.held_ticks = 0, int(self.parking)
-        elif constraints.stands and constraints.brake is ParkingStatus.APPLIED and self._gear_ticks >= SHIFT_TICKS:
+        elif constraints.brake is not ParkingStatus.APPLIED:
+            # One that is slow to apply has to be seen to hold, too.
+            self._gear_ticks = 0
+        elif constraints.stands and self._gear_ticks >= SHIFT_TICKS:
             self.held_ticks = 0
             self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL
             self._gear_ticks = 0

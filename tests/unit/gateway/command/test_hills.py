@@ -297,9 +297,12 @@ def test_who_drives_on_uphill_while_the_brake_slips_does_not_roll_away(
 
 
 @pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
-def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(slope_deg: float) -> None:
+@pytest.mark.parametrize("parking_delay_s", [0.05, 0.15])
+def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(
+    slope_deg: float, parking_delay_s: float
+) -> None:
     """The same where the brake is applied to change the gear, before the robot has stood for a second."""
-    hill = Hill(slope_deg)
+    hill = Hill(slope_deg, parking_delay_s=parking_delay_s)
     hill.operator.drive(0.5, seconds=2.0)
     hill.fault("brake 0.2")
     hill.operator.drive(0.0, seconds=0.7)

@@ -287,9 +287,10 @@ def test_reversal_goes_through_standstill_behind_the_parking_brake(
     told = robot.tick(-sign * 1.0, count=50)
     assert (told.gear, told.parking) == (before, True)
     robot.brake = None
-    steps = [(robot.tick(-sign * 1.0).gear, robot.told.parking) for _ in range(25)]
-    assert list(dict.fromkeys(steps)) == [(NEUTRAL, True), (after, True), (after, False)]
-    assert steps.count((NEUTRAL, True)) == steps.count((after, True)) == 10, "each for 100 ms"
+    steps = [(robot.tick(-sign * 1.0).gear, robot.told.parking) for _ in range(35)]
+    assert list(dict.fromkeys(steps)) == [(before, True), (NEUTRAL, True), (after, True), (after, False)]
+    counts = [steps.count((gear, True)) for gear in (before, NEUTRAL, after)]
+    assert counts == [9, 10, 10], "each for 100 ms, the first from the tick on that confirms the brake"
     robot.stands = None
     assert robot.tick(-sign * 1.0, count=200).signed_speed_mps == -sign * 1.0
 
