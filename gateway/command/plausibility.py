@@ -303,9 +303,10 @@ class Plausibility:
         if fastest_mps is None or fastest_mps >= NOT_MOVING_MPS or commanded_mps <= NOT_MOVING_COMMAND_MPS:
             self._slowest_mps = inf
             return ""
-        self._slowest_mps = min(self._slowest_mps, fastest_mps)
-        if fastest_mps > self._slowest_mps + GATHERING_MPS:
-            # Heavy, uphill: it gathers speed, and does not stand.
+        if self._slowest_mps == inf:
+            self._slowest_mps = fastest_mps
+        elif fastest_mps > self._slowest_mps + GATHERING_MPS:
+            # Heavy, uphill: it gathers speed, and does not stand. Noise does so once.
             self._slowest_mps = fastest_mps
             return ""
         return f"commanded is {told.speed_mps:.2f} m/s, seen are {fastest_mps:.2f} m/s"

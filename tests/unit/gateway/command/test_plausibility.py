@@ -396,3 +396,10 @@ def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:
 def test_a_robot_that_creeps_is_found_after_a_second(speed_mps: float) -> None:
     """Row 'rolling: over the standstill bound': noise of a bit does not last so long."""
     assert Watched().found_after_ms(Reason.ROLLING, seen(speed_mps)) == 1_000
+
+
+def test_noise_is_no_speed_that_a_robot_gathers() -> None:
+    """Row 'commanded to move, seen to stand': one that is blocked, and whose coarse speeds flicker, is found."""
+    robot = Watched()
+    found = [Reason.NOT_MOVING in robot.run(seen(0.08 * (tick // 5 % 2)), told(0.5)) for tick in range(250)]
+    assert True in found
