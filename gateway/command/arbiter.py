@@ -210,9 +210,9 @@ class Arbiter:
             self.engagement.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
 
     def _slips(self, now_ns: int) -> bool:
-        """Return True if the robot stood by its motor, and began to roll once its parking brake was applied."""
+        """Return True if the robot stood by its motor, and began to roll once its parking brake read applied."""
         held_ns = self.output.motion.held_ticks * TICK_NS
-        return held_ns > 0 and held_ns - self.monitor.plausibility.rolling_ns(now_ns) <= SLIPS_NS
+        return held_ns > 0 and 0 <= held_ns - self.monitor.plausibility.rolling_ns(now_ns) <= SLIPS_NS
 
     def _stop_for_lapses(self, chassis: ChassisState, now_ns: int) -> None:
         """Stop where somebody ought to have done something in time, and has not."""

@@ -175,7 +175,7 @@ class Engagement:
         """Give an engaged robot back to its motor, which held it: its parking brake does not. Latched."""
         self.begin_stop(Reason.BRAKE_SLIPS, now_ns, detail)
         if self.output.sequence is not None:
-            self.output.sequence.release(now_ns)
+            self.output.sequence.release(now_ns, self.monitor.chassis.wheel_speed_mps)
 
     def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
         """Keep the robot from being engaged until a reset, if the table says so."""

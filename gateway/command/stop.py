@@ -26,6 +26,7 @@ from schemas.settings import (
     MOTOR_HOLDS_NS,
     NOT_SLOWING_NS,
     ROLLING_NS,
+    RUNAWAY_RISE_MPS,
     SLOWING_MPS,
     STANDSTILL_MPS,
     TICK_NS,
@@ -33,6 +34,9 @@ from schemas.settings import (
 
 _STEP_MAX_NS: Final = 10 * TICK_NS
 """After a pause the ramp continues with no greater step than this."""
+
+_HAIR: Final = 1e-9
+"""So that a speed that is just on a bound is not over it by rounding."""
 
 _DIRECTION: Final = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
@@ -62,6 +66,9 @@ class StopSequence:
         phase: the present one; IDLE when the stop has ended.
         returns: number of times that the robot moved when the enables were gone, in this stop and just before it.
     """
+
+    _shifts = False
+    """The gear changes in this tick, behind the brake. Checkpoints of before do not have it."""
 
     def __init__(
         self,
@@ -122,8 +129,16 @@ class StopSequence:
         self.returns, self._is_released, self._may_release = 0, False, False
         self._enter(StopPhase.DISABLE, now_ns)
 
-    def release(self, now_ns: int) -> None:
-        """Give the robot back to its motor, which held it before: the parking brake does not."""
+    def release(self, now_ns: int, wheel_speed_mps: float | None = None) -> None:
+        """Give the robot back to its motor, which held it before: the parking brake does not.
+
+        In the midst of a change of direction the gear of its motion comes first, behind the brake.
+        """
+        if self._gear not in _DIRECTION:
+            if not wheel_speed_mps:
+                return
+            self._gear = GearPosition.DRIVE if wheel_speed_mps > 0 else GearPosition.REVERSE
+            self._shifts = True
         self._is_released, self._may_release = True, False
         self._speed_mps, self._released_mps = 0.0, inf
         self._enter(StopPhase.MOTOR, now_ns)
@@ -191,7 +206,9 @@ class StopSequence:
                 self._enter(StopPhase.DISABLE, now_ns)
             case StopPhase.DISABLE if now_ns - self._begun_ns >= DISABLE_NS:
                 self._enter(StopPhase.IDLE, now_ns)
-        return self._actuation()
+        actuation = self._actuation()
+        self._shifts = False
+        return actuation
 
     def _roll(self, feedback: StopFeedback, now_ns: int) -> None:
         """Hold on to a robot that moves behind its applied brake, or give it back to the motor that stopped it."""
@@ -201,7 +218,7 @@ class StopSequence:
         self._rolls_ns = self._begun_ns = now_ns
         slips = now_ns - self._rolled_ns >= ROLLING_NS and speed_mps > self._rolled_mps - SLOWING_MPS
         if slips and self._may_release and self._stood_by_motor and feedback.is_braked:
-            self.release(now_ns)
+            self.release(now_ns, feedback.wheel_speed_mps)
 
     def _is_not_held(self, feedback: StopFeedback, now_ns: int) -> bool:
         """Neither its brake holds a robot whose enables are gone, nor its motor one whose brake was released."""
@@ -209,8 +226,11 @@ class StopSequence:
             return feedback.moves
         speed_mps = feedback.speed_mps or 0.0
         is_early = now_ns - self._begun_ns < MOTOR_HOLDS_NS
-        is_faster = not is_early and speed_mps > self._released_mps + STANDSTILL_MPS
-        if self._released_mps == inf or (not is_early and speed_mps < self._released_mps):
+        # Noise of a bit each way is not faster.
+        is_faster = not is_early and speed_mps > self._released_mps + RUNAWAY_RISE_MPS + _HAIR
+        # The motor has it only once the brake has opened: before, it gathers speed still.
+        is_newer = feedback.is_braked if is_early else speed_mps < self._released_mps
+        if self._released_mps == inf or is_newer:
             self._released_mps = speed_mps
         return is_faster
 
@@ -242,5 +262,5 @@ class StopSequence:
                     gear=self._gear,
                     speed_mps=self._speed_mps,
                     angle_deg=self._angle_deg,
-                    parking=self.phase in {StopPhase.PARK, StopPhase.HOLD},
+                    parking=self._shifts or self.phase in {StopPhase.PARK, StopPhase.HOLD},
                 )

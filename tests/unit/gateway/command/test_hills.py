@@ -313,6 +313,43 @@ def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(
     assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
 
 
+@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
+@pytest.mark.parametrize(
+    ("grip", "parking_delay_s", "most_m"), [(0.0, 0.05, STOP_MAX_M), (0.0, 0.15, 0.5), (0.2, 0.15, 0.3)]
+)
+def test_a_brake_that_fails_in_neutral_gives_the_robot_back(
+    slope_deg: float, grip: float, parking_delay_s: float, most_m: float
+) -> None:
+    """The same where it fails only then, as where the motor has held the robot with it until the gear went.
+
+    A brake that is slow to open has to open first: the robot becomes faster until then.
+    """
+    hill = Hill(slope_deg, parking_delay_s=parking_delay_s)
+    hill.operator.drive(0.5, seconds=2.0)
+    while hill.told["Auto_GearCmd"]["TargetGear"] != "neutral":
+        hill.operator.drive(-0.5)
+    hill.fault(f"brake {grip}")
+    stood_m = hill.chassis.state.x_m
+    hill.operator.drive(-0.5, seconds=2.0)
+    hill.run(4)
+    assert abs(hill.chassis.state.x_m - stood_m) < most_m
+    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+
+
+def test_a_robot_that_is_pushed_before_its_brake_reads_applied_gets_its_brake() -> None:
+    """The same: nothing shows that this brake does not hold. It is asked for, and keeps the robot."""
+    hill = Hill(0.0, parking_delay_s=0.15)
+    hill.operator.drive(0.5, seconds=2.0)
+    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
+        hill.operator.drive(-0.5)
+    for _ in range(8):
+        hill.chassis.adopt(speed_mps=0.3, angle_deg=0.0, gear=GearPosition.DRIVE, parked=False)
+        hill.operator.drive(-0.5, seconds=0.02)
+    hill.operator.drive(-0.5, seconds=1.0)
+    assert (hill.speed_mps, hill.says.latched) == (0, [Reason.ROLLING])
+    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+
+
 def test_a_robot_that_creeps_when_its_enables_are_gone_is_kept_in_gear() -> None:
     """Row 'a parking brake that does not hold': after the second return; by a reset it may try once more."""
     hill = Hill(-20.0)

@@ -288,6 +288,32 @@ def test_a_robot_that_is_given_back_to_its_motor_is_braked_again_if_it_becomes_f
     assert stop.run(HELD, 60_000).enabled
 
 
+def test_noise_is_not_faster_for_a_robot_that_its_motor_holds() -> None:
+    """The same: a robot at rest whose coarse speeds flicker by a bit each way is not given to its brake again."""
+    stop = Run(Actuation(enabled=True, gear=DRIVE, parking=True))
+    stop.sequence.release(0)
+    stop.run(moving(0.0), 310)
+    for tick in range(200):
+        assert not stop.run(moving(0.08 * (tick % 2))).parking
+    assert stop.run(moving(0.081)).parking
+
+
+@pytest.mark.parametrize(("backward", "gear"), [(True, REVERSE), (False, DRIVE)])
+def test_a_robot_that_rolls_in_neutral_behind_its_brake_gets_the_gear_of_its_motion(
+    *, backward: bool, gear: GearPosition
+) -> None:
+    """The same in the midst of a change of direction: behind the brake, and a tick later its motor has it."""
+    stop = Run()
+    parked = Actuation(enabled=True, gear=NEUTRAL, parking=True)
+    stop.sequence = StopSequence(parked, 2.0, 0, may_release=True, stood_by_motor=True)
+    stop.run(HELD, 30)
+    begun = len(stop.told)
+    stop.run(moving(0.2, backward=backward, is_braked=True), 200)
+    steps = [(told.gear, told.parking) for _, told in stop.told[begun:]]
+    assert list(dict.fromkeys(steps)) == [(NEUTRAL, True), (gear, True), (gear, False)]
+    assert steps.count((gear, True)) == 1
+
+
 @pytest.mark.parametrize("may_release", [True, False])
 def test_a_stop_gives_a_robot_that_rolls_behind_its_brake_back_to_the_motor_that_stopped_it(
     *, may_release: bool
