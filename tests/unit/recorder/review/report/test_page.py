@@ -89,8 +89,8 @@ def test_no_script_but_the_pages_own_may_run(report: Report) -> None:
 
 
 def test_a_page_is_no_load_for_a_mailbox(tmp_path: Path) -> None:
-    """Of five minutes 300 kB; of more it holds as many points, and not more."""
-    assert len(page(report_of(write_messages(tmp_path / "a.mcap", drive_messages(6000)))).encode()) < 300_000
+    """Of five minutes 400 kB at most; of longer drives it holds no more points."""
+    assert len(page(report_of(write_messages(tmp_path / "a.mcap", drive_messages(6000)))).encode()) < 400_000
 
 
 def test_the_page_can_be_read_without_seeing_it(report: Report) -> None:
