@@ -1,6 +1,6 @@
 """The row of one log as a file of its own, which lies beside the log in an object store: JSON, packed with zstd.
 
-A robot makes it with no more than it records with: the libraries for tables are needed where rows are gathered.
+A robot makes it with no more than it records with: the libraries for tables are needed where rows are searched.
 """
 
 from __future__ import annotations

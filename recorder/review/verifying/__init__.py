@@ -1,1 +1,1 @@
-"""Proof of what logs of a robot in signed mode hold: hash chains, signatures, grants."""
+"""Proof of what logs of a robot in signed mode hold: signatures of files and verbs, grants."""
