@@ -248,24 +248,13 @@ def progress_bar(
         KeyboardInterrupt: it was stopped.
         CommandError: it took too long.
     """
-    budget_s = BUDGET_S + BUDGET_S_PER_BYTE * total_bytes
-    end_s = time.monotonic() + budget_s
 
-    def stop() -> None:
+    def stop(_count: int) -> None:
         if stopped():
             raise KeyboardInterrupt
-        if is_bounded and time.monotonic() >= end_s:
-            raise CommandError(
-                f"given up after {budget_s:.0f} s, which is long for {total_bytes} bytes: the answer lacks what "
-                "was not read by then",
-                ExitCode.PARTIAL,
-            )
-
-    def only_stop(_count: int) -> None:
-        stop()
 
     if not sys.stderr.isatty() or (prints and sys.stdout.isatty()):
-        yield only_stop
+        yield in_time(total_bytes, stop) if is_bounded else stop
         return
     from rich.console import Console  # noqa: PLC0415 - only where there is a terminal
     from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415
@@ -278,10 +267,31 @@ def progress_bar(
         task = bar.add_task(about, total=total_bytes)
 
         def advance(count: int) -> None:
-            stop()
+            stop(count)
             bar.advance(task, count)
 
-        yield advance
+        yield in_time(total_bytes, advance) if is_bounded else advance
+
+
+def in_time(total_bytes: int, progress: Progress) -> Progress:
+    """Give up where reading so many bytes takes far longer than it should: a log may be made to.
+
+    Raises:
+        CommandError: later, when it has taken too long.
+    """
+    budget_s = BUDGET_S + BUDGET_S_PER_BYTE * total_bytes
+    end_s = time.monotonic() + budget_s
+
+    def go_on(count: int) -> None:
+        if time.monotonic() >= end_s:
+            raise CommandError(
+                f"given up after {budget_s:.0f} s, which is long for {total_bytes} bytes: the answer lacks what "
+                "was not read by then",
+                ExitCode.PARTIAL,
+            )
+        progress(count)
+
+    return go_on
 
 
 @contextmanager

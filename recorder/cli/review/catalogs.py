@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from recorder.cli.review.asking import needing_store, progress_bar
+from recorder.cli.review.asking import in_time, needing_store, progress_bar
 from recorder.objects.address import StoreAddress, shown_url
 from recorder.reading.faults import Faults
 from recorder.review.catalog.directory import Catalog
@@ -48,9 +48,11 @@ def catalog_rows(
     if kept is not None and (len(places) > 1 or not isinstance(places[0], Path)):
         raise CommandError("--catalog keeps the logs of one directory here", ExitCode.USAGE)
     catalogs = [_opened(place, columns, settings, kept, is_anew=is_anew) for place in places]
-    with progress_bar("cataloguing", sum(one.stale_bytes for one in catalogs), stopped) as progress:
+    total = sum(one.stale_bytes for one in catalogs)
+    # Each log has a time of its own: one that was made to take long keeps no other out.
+    with progress_bar("cataloguing", total, stopped, is_bounded=False) as progress:
         for one in catalogs:
-            one.refresh(faults, progress)
+            one.refresh(faults, progress, in_time)
     for one in catalogs:
         for note in one.notes:
             sys.stderr.write(f"cruiser review: {note}\n")

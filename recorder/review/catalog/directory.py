@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -113,25 +113,29 @@ class Catalog:
         """The wanted columns of the rows, by the logs' beginning. After ``refresh``."""
         return self._table.select(self._columns)
 
-    def refresh(self, faults: Faults, progress: Progress = lambda _: None) -> None:
+    def refresh(
+        self,
+        faults: Faults,
+        progress: Progress = lambda _: None,
+        in_time: Callable[[int, Progress], Progress] = lambda _, progress: progress,
+    ) -> None:
         """Open the logs that have no row, and write the catalog if anything changed.
 
         What was found is written also where the reading is interrupted.
 
         Args:
-            faults: takes the logs that cannot be opened.
+            faults: takes the logs that cannot be opened, or not be read in time.
             progress: receives the number of bytes that were read.
+            in_time: makes the progress of one log of so many bytes, which may give it up.
         """
         found: list[CatalogRow] = []
         try:
             while self.stale:
                 one = self.stale[0]
                 try:
-                    found.append(_row(self._directory, one, progress))
+                    found.append(_row(self._directory, one, in_time(one.bytes, progress)))
                 except CommandError as error:
-                    if error.code is ExitCode.PARTIAL:
-                        raise
-                    faults.add(str(error))
+                    faults.add(f"{one.name}: {error}" if error.code is ExitCode.PARTIAL else str(error))
                 self.stale.pop(0)
         finally:
             self._add(found)

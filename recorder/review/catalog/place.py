@@ -5,7 +5,7 @@ No log is read but one whose row is missing, damaged or of another log: then a c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -100,23 +100,30 @@ class PlaceCatalog:
         table = to_table(self._rows).sort_by([("start_ns", "ascending"), ("file", "ascending")])
         return table.select(self._columns).combine_chunks()
 
-    def refresh(self, faults: Faults, progress: Progress = lambda _: None) -> None:
+    def refresh(
+        self,
+        faults: Faults,
+        progress: Progress = lambda _: None,
+        in_time: Callable[[int, Progress], Progress] = lambda _, progress: progress,
+    ) -> None:
         """Read copies of the logs that have no row.
 
         Args:
-            faults: takes the logs that cannot be read.
+            faults: takes the logs that cannot be read, or not in time.
             progress: receives the number of bytes that were fetched.
+            in_time: makes the progress of one log of so many bytes, which may give it up.
         """
         if self.stale:
             url = shown_url(self._place.url)
             self.notes.append(f"{len(self.stale)} logs of {url} had no row that holds: they were read")
         while self.stale:
+            name = self.stale[0]
             try:
-                self._rows.append(self._made(self.stale[0], progress))
+                self._rows.append(self._made(name, in_time(self._logs[name], progress)))
             except CommandError as error:
-                if error.code in {ExitCode.PARTIAL, ExitCode.UNREACHABLE}:
+                if error.code is ExitCode.UNREACHABLE:
                     raise
-                faults.add(str(error))
+                faults.add(f"{name}: {error}" if error.code is ExitCode.PARTIAL else str(error))
             self.stale.pop(0)
 
     def _singles(self, logs: Sequence[tuple[str, int]]) -> list[CatalogRow | None]:

@@ -82,6 +82,19 @@ def test_each_condition_on_drives_and_logs(search: str, conditions: dict[str, An
     assert [one["file"] for one in found(search, rows, **conditions)] == files
 
 
+def test_a_drive_is_of_its_own_robot_s_operators_and_stops() -> None:
+    """Another robot of the log may have others."""
+    mule = msgspec.structs.replace(DRIVE, robot="mule")
+    drivers = [LoggedDriver("cruiser-1", "alice", 1.0, 2.0), LoggedDriver("mule", "bob", 1.0, 2.0)]
+    rows = [
+        row(
+            drives=[DRIVE, mule], moments=[moment(1), moment(2, robot="mule", reason="deadman")], operators=drivers
+        )
+    ]
+    for condition in ({"operator": "alice"}, {"reason": "front_bumper"}):
+        assert [one["robot"] for one in found("drives", rows, **condition)] == ["cruiser-1"]
+
+
 def test_what_several_logs_hold_is_one_answer_and_a_covered_incident_none() -> None:
     """Of the log that begins first."""
     later = row(file="a-later.mcap", start_ns=WALL_NS + 1, moments=[STOP], drives=[DRIVE])

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from recorder.cli.review import asking
+from recorder.cli.review import asking, catalogs
 from recorder.cli.review.find import page_of
+from recorder.reading.rows import Progress
 from recorder.review.catalog.known import CATALOG_NAME
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
@@ -152,15 +153,23 @@ def test_a_damaged_log_is_answered_as_far_as_it_goes_each_time(
     assert "cut off" in " ".join(answer["damage"])
 
 
-def test_what_takes_too_long_is_given_up(
+def test_a_log_that_takes_too_long_is_given_up_and_keeps_no_other_out(
     logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A log may be made to keep a reader busy. What was read until then is not read again."""
+    """It may be made to keep a reader busy. What was read is not read again."""
+    slow = (logs / "cruiser-1-a.mcap").stat().st_size
     with monkeypatch.context() as patched:
-        patched.setattr(asking, "BUDGET_S", -1.0)
-        with pytest.raises(CommandError, match="given up after") as caught:
-            review("find", "stops", logs)
-    assert caught.value.code == ExitCode.PARTIAL
+        in_time = asking.in_time
+
+        def hurry(size: int, progress: Progress) -> Progress:
+            patched.setattr(asking, "BUDGET_S", -1.0 if size == slow else 30.0)
+            return in_time(size, progress)
+
+        patched.setattr(catalogs, "in_time", hurry)
+        assert review("find", "stops", logs, "--json") == ExitCode.PARTIAL
+        said = capsys.readouterr()
+        assert len(said.out.splitlines()) == 3
+        assert "cruiser-1-a.mcap: given up after" in said.err
     assert review("find", "stops", logs, "--json") == ExitCode.OK
     assert len(capsys.readouterr().out.splitlines()) == 4
 
