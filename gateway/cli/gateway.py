@@ -283,7 +283,7 @@ def _ending(ends: Callable[[], bool], renewal: Renewal, core: Core) -> Callable[
 
 
 def _notes(signed: SignedMode | None, renewal: Renewal, node: ZenohNode | LateNode) -> tuple[str, ...]:
-    """What somebody has to see to, each in one line."""
+    """Notes for people, each one line."""
     ends_s = None if signed is None else signed.certificate_ends_s
     left_s = RENEW_S if ends_s is None else ends_s - time.time()
     soon = f"the robot's certificate ends in {left_s / DAY_S:.1f} days; {renewed('robot')}"
