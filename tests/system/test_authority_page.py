@@ -40,7 +40,7 @@ REPEATS: Final = {
 """What goes on until Ctrl-C, and what shows that it works."""
 
 SAYS: Final = {
-    "cruiser list": "cruiser-1 +connected",
+    "cruiser list": "cruiser-1 +(?!offline)[a-z]",
     "cruiser stop cruiser-1": "cruiser-1: stops",
     "cruiser provision sign operator-ann.request --speed-limit 0.8 --hours 12": "at most 0.8 m/s",
     "cruiser provision show revocations.statement --all": "cruiser-1: taken over",

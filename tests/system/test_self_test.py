@@ -267,7 +267,7 @@ def test_a_latched_stop_outlives_a_renewal(fleet: Fleet) -> None:
         process.wait_says(AGAIN)
         process.wait_says("latched until a reset: a remote stop was received")
         with fleet.connect() as robot:
-            wait_until(lambda: Reason.SELF_TEST not in robot.state().state.blocked_by)
+            wait_until(lambda: is_idle({*robot.state().state.blocked_by} - {Reason.REMOTE_STOP}))
             assert robot.state().state.latched == [Reason.REMOTE_STOP]
             with robot.lease() as lease:
                 with pytest.raises(Refused) as refused:
