@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
@@ -43,6 +44,8 @@ LISTED: Final = 20
 
 TEXT_MAX: Final = 300
 """The longest word of a search."""
+
+Answer = Callable[[Request], Awaitable[Response]]
 
 FLAGS: Final = ("robot", "reason", "operator", "since", "until")
 """Those of ``cruiser review find`` that the page has."""
@@ -128,9 +131,9 @@ class DeskLogs(LogFiles):
         ]
         return [
             Route("/logs/{name}", self.download, methods=["GET", "OPTIONS"], middleware=shared),
-            Route("/reports/{name}", self.report),
-            Route("/whys/{name}", self._why),
-            Route("/find", self._find),
+            Route("/reports/{name}", _ended_with_the_desk(self.report)),
+            Route("/whys/{name}", _ended_with_the_desk(self._why)),
+            Route("/find", _ended_with_the_desk(self._find)),
         ]
 
     async def _find(self, request: Request) -> Response:
@@ -196,6 +199,18 @@ class DeskLogs(LogFiles):
         except OSError:
             return []
         return sorted(names)[-LISTED:]
+
+
+def _ended_with_the_desk(answer: Answer) -> Answer:
+    """A question that is under way at the desk's end is no fault to be logged: its process ends too."""
+
+    async def quiet(request: Request) -> Response:
+        try:
+            return await answer(request)
+        except asyncio.CancelledError:
+            return PlainTextResponse("the desk has ended", 503)
+
+    return quiet
 
 
 def _last_line(text: str) -> str:

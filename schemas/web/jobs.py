@@ -123,6 +123,8 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
                 process.kill()
             await process.wait()
         reading.cancel()
+        with suppress(asyncio.CancelledError):
+            await reading
 
 
 async def _read(stream: asyncio.StreamReader | None, most: int) -> bytes:

@@ -61,7 +61,7 @@ def test_an_answer_is_read_to_a_bound(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (done.code, len(done.output)) == (0, 10)
 
 
-@pytest.mark.parametrize(("mib", "is_made"), [(2048, True), (48, False)])
+@pytest.mark.parametrize(("mib", "is_made"), [(2048, True), (16, False)])
 def test_a_question_takes_so_much_memory_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mib: int, *, is_made: bool
 ) -> None:

@@ -228,6 +228,26 @@ def test_two_questions_are_asked_at_a_time_and_the_line_has_an_end(
     assert set(statuses) == {200, 503}
 
 
+def test_a_question_at_the_end_of_the_desk_is_no_fault(app: Starlette, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server ends it: a traceback would tell nobody anything."""
+
+    async def never(*_: object) -> JobDone:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    monkeypatch.setattr(desk_logs, "ask_review", never)
+
+    async def end(path: str) -> int:
+        asking = asyncio.create_task(asked(app, path))
+        for _ in range(20):
+            await asyncio.sleep(0)
+        asking.cancel()
+        return (await asking).status
+
+    for path in ("/find?search=stops", "/whys/a.mcap?at=1"):
+        assert asyncio.run(end(path)) == 503
+
+
 def test_a_viewer_reads_a_log_by_ranges_and_nothing_else(app: Starlette) -> None:
     """With the headers that Foxglove and Lichtblick look at; pages of other sites see none of it."""
     part = ask(app, "/logs/a.mcap", {"origin": FOXGLOVE, "range": "bytes=2-4"})
