@@ -523,7 +523,7 @@ class Oracle:
             return
         self._left_mps = order.speed_mps
         is_yielded = self._heard.remote_s != NOT_YET_S and not self.is_damaged()
-        is_held = order.parking or self._is_kept_by_motor
+        is_held = order.parking or self._trust.is_given_back
         if is_yielded and order.enabled and (order.speed_mps or not is_held):
             self._fail("left_to_remote", now_s, f"the last word is {_brief(order)}")
         is_true = self._is_reachable(now_s) and not self.is_damaged()

@@ -227,11 +227,12 @@ def slips(stage: Stage) -> None:
 
 
 def yields_held_by_its_motor(stage: Stage) -> None:
-    """The remote control takes it meanwhile: the brake that slips would let it roll once it is given back."""
+    """The remote control takes it, and it is reset: the brake would let it roll once it is given back."""
     slips(stage)
     stage.run(1.0, lambda: stage.burst(GEAR_D))
     stage.plant.sticks = (0.0, 0.0)
     stage.run(0.11, lambda: stage.burst(GEAR_D))
+    stage.state = {**stage.state, "latched": []}
     stage.run(0.3, stage.silence)
 
 
