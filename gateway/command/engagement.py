@@ -149,7 +149,7 @@ class Engagement:
             now_ns,
             returns,
             may_release=not is_stray,
-            stood_by_motor=not is_stray and 0 < output.motion.held_ticks * TICK_NS <= SLIPS_NS,
+            stood_by_motor=not is_stray and last.parking and 0 < output.motion.held_ticks * TICK_NS <= SLIPS_NS,
         )
         if is_stray and Reason.BRAKE_SLIPS in self.latches.details and not last.parking:
             # The motor held it before; the brake that does not is not tried again.

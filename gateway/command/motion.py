@@ -55,8 +55,8 @@ class MotionProfile:
         angle_deg: left is positive.
         gear: neutral until the first gear is wanted.
         parking: the parking brake is asked for.
-        held_ticks: 1 once a robot that stood by its motor was told its parking brake, and one more for each tick
-            in which that reads applied; 0 if it did not stand so.
+        held_ticks: ticks since the parking brake of a robot that stood by its motor read applied, 1 until it does;
+            0 if it did not stand so.
         bounds: the limits that changed what was asked in the last tick.
     """
 
@@ -98,7 +98,8 @@ class MotionProfile:
         speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, constraints)
         self._stood_ticks = self._stood_ticks + 1 if constraints.stands and not self.speed_mps else 0
         self._gear_ticks += 1
-        self.held_ticks += self.held_ticks > 0 and constraints.brake is ParkingStatus.APPLIED
+        is_awaited = self.parking and constraints.brake is not ParkingStatus.APPLIED
+        self.held_ticks += self.held_ticks > 0 and not is_awaited
         speed_mps = self._drive_off(speed_mps, constraints) if speed_mps else self._stand(constraints)
         self._step_speed(speed_mps, limits, constraints.speed_mps, dt_s, dt_s if elapsed_s is None else elapsed_s)
         # While the speed is still on its way down to what the angle allows, the steering waits for it.

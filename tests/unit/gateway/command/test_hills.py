@@ -296,6 +296,21 @@ def test_who_drives_on_uphill_while_the_brake_slips_does_not_roll_away(
     assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
 
 
+def test_who_drives_on_downhill_is_braked_where_the_motor_does_not_hold() -> None:
+    """The same: the motor has it since, so a brake that is asked for at speed is not let go of again."""
+    hill = Hill(-14.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.fault("brake 0.1")
+    hill.operator.drive(0.0)
+    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
+        hill.operator.drive(0.0)
+    hill.operator.drive(0.0, seconds=0.08)
+    hill.fault("motor 0.3")
+    hill.operator.drive(0.5, seconds=2.5)
+    assert Reason.IMPLAUSIBLE_SPEED in hill.says.latched
+    assert Reason.BRAKE_SLIPS not in hill.says.latched
+
+
 @pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
 @pytest.mark.parametrize("parking_delay_s", [0.05, 0.15])
 def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(
