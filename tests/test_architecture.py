@@ -137,6 +137,20 @@ def test_no_docstring_begins_as_a_question() -> None:
     assert found == []
 
 
+def test_no_text_is_read_in_the_encoding_of_the_surroundings() -> None:
+    """Our own files are UTF-8 whatever the locale."""
+    found = [
+        f"{path.relative_to(ROOT)}:{one.lineno}"
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for one in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute)
+        if (one.func.attr == "read_text" and not (one.args or one.keywords))
+        or (one.func.attr == "write_text" and len(one.args) + len(one.keywords) < 2)
+    ]
+    assert found == []
+
+
 def open_ends(tree: ast.Module) -> list[int]:
     """The lines of texts in which ``$`` ends a pattern, or a branch of one, that is not one of lines."""
     nodes = list(ast.walk(tree))

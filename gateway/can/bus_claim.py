@@ -53,7 +53,7 @@ class BusClaim:
 def count_claims(settings: CanSettings) -> int:
     """Count the gateways of this machine that command a bus."""
     try:
-        taken = {line.rpartition(" ")[2].strip() for line in SOCKETS.read_text().splitlines()}
+        taken = {line.rpartition(" ")[2].strip() for line in SOCKETS.read_text("ascii").splitlines()}
     except OSError:
         return 0
     return sum(name.replace("\0", "@") in taken for name in _names(settings))

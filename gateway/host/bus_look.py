@@ -47,8 +47,8 @@ def look_at_interface(settings: Settings, run: Runner, networks: Path = NETWORKS
     if "/" in name or not place.is_dir():
         return CanInterface()
     try:
-        is_up = bool(int((place / "flags").read_text(), 16) & IFF_UP)
-        queue_frames = int((place / "tx_queue_len").read_text())
+        is_up = bool(int((place / "flags").read_text("ascii"), 16) & IFF_UP)
+        queue_frames = int((place / "tx_queue_len").read_text("ascii"))
     except (OSError, ValueError):
         return CanInterface()
     about = _link_of(run, name)
@@ -97,7 +97,7 @@ def can_interfaces(networks: Path = NETWORKS) -> list[str]:
 
 def _kind(place: Path) -> str:
     try:
-        return (place / "type").read_text().strip()
+        return (place / "type").read_text("ascii").strip()
     except OSError:
         return ""
 

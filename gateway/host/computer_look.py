@@ -157,7 +157,7 @@ def was_shut_down(run: Runner = run_program) -> bool | None:
 def _locked_bytes(process: str) -> int | None:
     """Memory that a process has locked; None if there is no such process."""
     try:
-        lines = Path("/proc", process, "status").read_text().splitlines()
+        lines = Path("/proc", process, "status").read_text("utf-8", "replace").splitlines()
     except OSError:
         return None
     found = next((line.split()[1] for line in lines if line.startswith("VmLck:")), None)

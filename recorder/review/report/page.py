@@ -10,6 +10,7 @@ import hashlib
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from string import Template
 from types import MappingProxyType
 from typing import Final
@@ -51,8 +52,8 @@ def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -
         logs: the logs, as a shell has them, for commands that the page names.
     """
     here, vendor = files(__package__), files(schemas.web) / "page" / "vendor"
-    library, script = (vendor / "uPlot.iife.min.js").read_text(), (here / "page.js").read_text()
-    _, name, licence = (vendor / "LICENSES.txt").read_text().partition("uPlot")
+    library, script = _text(vendor / "uPlot.iife.min.js"), _text(here / "page.js")
+    _, name, licence = _text(vendor / "LICENSES.txt").partition("uPlot")
     charts = {"looks": looks(), "drives": [figures(robot) for robot in report.drawn]}
     links = PageLinks(report, whys, logs)
     numbers = {id(one): number for number, one in enumerate(report.drawn)}
@@ -61,10 +62,10 @@ def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -
         robots += _robot(number, robot, report, links, numbers)
     hashes = (b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (library, script))
     allowed = " ".join(f"'sha256-{one}'" for one in hashes)
-    return Template((here / "page.html").read_text()).substitute(
+    return Template(_text(here / "page.html")).substitute(
         policy=f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}",
         names=text(", ".join(robot.summary.name for robot in report.robots)),
-        style=(vendor / "uPlot.min.css").read_text() + (here / "page.css").read_text(),
+        style=_text(vendor / "uPlot.min.css") + _text(here / "page.css"),
         head="\n".join(_head(report)),
         robots="\n".join(robots),
         files="\n".join(_files(report)),
@@ -74,6 +75,10 @@ def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -
         licence=name + licence.partition("@msgpack")[0],
         script=script,
     )
+
+
+def _text(place: Traversable) -> str:
+    return place.read_text(encoding="utf-8")
 
 
 def _head(report: Report) -> Iterator[str]:
