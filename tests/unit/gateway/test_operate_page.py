@@ -36,6 +36,6 @@ def test_the_command_exists_with_these_words(line: str) -> None:
 
 def test_lines_of_each_kind_are_found() -> None:
     """As root, as a service's user, as anybody, and in the text."""
-    wanted = {"doctor", "provision sign robot.request", "why ROBOT", "record start"}
+    wanted = {"doctor", "provision sign robot.request", "why ROBOT", "provision renew viewer"}
     assert wanted < set(lines())
     assert any(line.startswith("provision renew robot --directory /etc/cruiser/gateway") for line in lines())
