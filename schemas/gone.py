@@ -32,7 +32,13 @@ GONE_WORDS: Final[Mapping[str, str]] = {
     "sim --fleet": "'cruiser demo --desk --robots N'",
     "sim --patrol": "'cruiser demo --desk', and 'cruiser drive' to drive one of its robots",
     "sim --endpoint": "'cruiser demo --desk --endpoint ENDPOINT'",
-    "review replay --interface": "put frames on a bus with 'cruiser review export --format candump' and canplayer",
+    **dict.fromkeys(
+        (
+            f"review replay --{flag}"
+            for flag in ("interface", "channel", "bitrate", "fd", "tx", "force-real-bus", "force-command-frames")
+        ),
+        "put frames on a bus with 'cruiser review export --format candump' and canplayer",
+    ),
 }
 """Commands (``serve``) and flags (``review export --add``) as they were typed: what to use."""
 
