@@ -299,7 +299,7 @@ class Scanner:
 
     def _find(self, start: int) -> tuple[int, int] | None:
         """The first mark from there on that a piece may have, and where that piece would begin."""
-        overlap = max(map(len, (CHECK_MARK, *_COMPRESSION_MARKS)))
+        overlap = CHUNK_NAME_AT + 4  # The head of a chunk without compression; the other marks are shorter.
         while start < self._size:
             block = self.file.read(start, SEARCH_BYTES + overlap)
             marks = []
@@ -308,10 +308,12 @@ class Scanner:
                 if at >= 0:
                     marks.append((at, pattern))
             if plain := _PLAIN_CHUNK.search(block):
-                marks.append((plain.start() + CHUNK_NAME_AT, b""))
+                marks.append((plain.start(), b""))
             if marks:
                 at, pattern = min(marks)
                 mark = start + at
+                if not pattern:
+                    return mark, mark
                 if pattern != CHECK_MARK:
                     return mark, mark - CHUNK_NAME_AT
                 length = int.from_bytes(self.file.read(mark + len(pattern), 4), "little")

@@ -193,3 +193,15 @@ def test_a_chunk_that_is_damaged_costs_its_own_messages_alone(data: bytes) -> No
     assert 20 < len(messages(copy)) < 40
     assert copy[17:25] == data[17:25]
     assert not [one for one in walk(BytesIO(copy), len(copy)) if isinstance(one, Fault)]
+
+
+@pytest.mark.parametrize("search_bytes", range(40, 90, 7))
+def test_a_chunk_is_found_across_the_blocks_of_the_search(
+    search_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The head of one without compression is longer than the marks of others."""
+    monkeypatch.setattr("recorder.mcap.proof.SEARCH_BYTES", search_bytes)
+    first = FOREIGN[0].index(b"\x06", 30)
+    # The length of the first chunk's record is wrong, so nothing tells where the next one begins.
+    damaged = FOREIGN[0][: first + 1] + b"\xff" * 3 + FOREIGN[0][first + 4 :]
+    assert len(messages(kept(damaged))) > 25
