@@ -13,7 +13,7 @@ Pure: no I/O, no clock, but for ``web``, the server of pages for browsers, and t
 - ``docstrings`` the texts of docstrings, which documents and JSON Schemas repeat
 - ``snake_case`` a field's name from the DBC's
 - ``printable`` text from outside, made safe for a terminal
-- ``zenoh_link`` the Zenoh session settings that every process shares
+- ``zenoh_session`` the one place that configures and opens Zenoh sessions
 - ``exit_codes`` how a command ends
 
 ``cruiser-coarse.dbc`` and ``cruiser-fine.dbc`` are the one source of the chassis's bits, scales, units and

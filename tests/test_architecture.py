@@ -92,6 +92,14 @@ def test_a_core_that_touched_the_world_would_be_seen(module: str) -> None:
     assert module in parser["importlinter:contract:pure"]["forbidden_modules"].split()
 
 
+def test_only_one_module_opens_zenoh_sessions() -> None:
+    """All others open theirs by ``schemas.zenoh_session``, and so with the same configuration."""
+    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    opening = re.compile(r"\bzenoh\.(open|Config\(|Config\.)")
+    found = {path.relative_to(ROOT) for path in files if opening.search(path.read_text(encoding="utf-8"))}
+    assert found == {Path("schemas/zenoh_session.py")}
+
+
 def framing_in(path: Path) -> set[str]:
     """The modules of MCAP's framing that a file imports: ours, and all of the mcap package but its records."""
     found: set[str] = set()

@@ -32,7 +32,7 @@ from schemas.subjects import (
     SUBJECTS,
     Asking,
 )
-from schemas.zenoh_link import WITH_NAMES, Json, session_settings
+from schemas.zenoh_session import WITH_NAMES, Json, session_settings
 
 
 class TransportRole(Enum):

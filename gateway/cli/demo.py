@@ -27,7 +27,7 @@ from schemas.decisions import ArbiterState, SafetyState
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings
-from schemas.zenoh_link import ANY_LOCAL_PORT
+from schemas.zenoh_session import ANY_LOCAL_PORT
 
 EXAMPLE: Final = """\
   cruiser demo --seconds 40 --out demo-log

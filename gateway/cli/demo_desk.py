@@ -19,13 +19,12 @@ from typing import Final
 
 from gateway.cli.child import Child, address_of, fresh
 from gateway.host.stop_note import StopNote
-from gateway.zenoh.client import close_session
 from gateway.zenoh.router import open_local_router
 from schemas.arguments import ending_after
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import address, shown_address
 from schemas.settings import DEFAULT_ENDPOINT
-from schemas.zenoh_link import split_endpoint, with_port
+from schemas.zenoh_session import close_session, split_endpoint, with_port
 
 HOST: Final = "127.0.0.1"
 DESK_PORT: Final = 8080

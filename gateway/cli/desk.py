@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from gateway.zenoh.client import DeskListener, place
+from gateway.zenoh.client import DeskListener
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
@@ -21,6 +21,7 @@ from schemas.listen_address import shown_address
 from schemas.missing_extra import missing_extra
 from schemas.settings import DeskSettings, Settings
 from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
+from schemas.zenoh_session import place
 
 EXAMPLE: Final = """\
   cruiser desk

@@ -40,7 +40,7 @@ from gateway.host.self_test import find_hole
 from gateway.provisioning.key_files import directory_of
 from gateway.provisioning.tls_files import role_of
 from gateway.telemetry.received import Received, TokenChange
-from gateway.zenoh.client import FleetListener, PendingQuery, place
+from gateway.zenoh.client import FleetListener, PendingQuery
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.authority.identity import KEY_FILE
 from schemas.configuration import TomlSource, merge
@@ -51,6 +51,7 @@ from schemas.printable import plain
 from schemas.recording import RecorderHealth
 from schemas.setting_table import SETTINGS
 from schemas.settings import Settings, ZenohSettings
+from schemas.zenoh_session import place
 
 EXAMPLE: Final = """\
   cruiser doctor

@@ -43,7 +43,6 @@ from gateway.loop import LoopPorts, Manager, NoManager, warn_of_bars
 from gateway.loop import run as run_loop
 from gateway.provisioning.certificates import RENEW_S
 from gateway.provisioning.tls_files import check_tls_files, why_shut_out
-from gateway.zenoh.client import said_of
 from gateway.zenoh.inbox import CommandInbox, open_inbox
 from gateway.zenoh.late_node import Joined, LateInbox, LateNode
 from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
@@ -58,7 +57,7 @@ from schemas.messages import GatewayInfo, Variant
 from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
-from schemas.zenoh_link import SessionError
+from schemas.zenoh_session import SessionError, said_of
 
 log = logging.getLogger(__name__)
 

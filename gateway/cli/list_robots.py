@@ -21,12 +21,13 @@ from gateway.client.fleet import Fleet, RobotStatus
 from gateway.client.roll import RollCall
 from gateway.host.state_directory import state_directory, write_whole
 from gateway.telemetry.received import TokenChange
-from gateway.zenoh.client import RobotListener, place
+from gateway.zenoh.client import RobotListener
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, robot_names, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
+from schemas.zenoh_session import place
 
 EXAMPLE = """\
   cruiser list

@@ -215,7 +215,7 @@ def _run(name: str, words: list[str]) -> int:
 def _fail(name: str, error: CommandError) -> int:
     """Say why the command ended: where no session opened, by the keys and certificates of its Zenoh file."""
     from schemas.exit_codes import ExitCode  # noqa: PLC0415 - only for a failure
-    from schemas.zenoh_link import SessionError  # noqa: PLC0415 - only for a failure
+    from schemas.zenoh_session import SessionError  # noqa: PLC0415 - only for a failure
 
     text, code = error.line, error.code
     if isinstance(error, SessionError):

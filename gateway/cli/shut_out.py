@@ -17,10 +17,9 @@ from typing import Final
 
 from gateway.host.service_manager import ServiceManager
 from gateway.provisioning.tls_files import check_tls_files, why_shut_out
-from gateway.zenoh.client import client_endpoints, close_session, open_session
 from schemas.exit_codes import CommandError
 from schemas.settings import ZenohSettings
-from schemas.zenoh_link import MODE, SessionError
+from schemas.zenoh_session import MODE, SessionError, client_endpoints, close_session, open_session
 
 log = logging.getLogger(__name__)
 

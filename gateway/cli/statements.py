@@ -18,7 +18,6 @@ from gateway.provisioning.key_store import KeyStore, read_input
 from gateway.provisioning.machine_keys import ZENOH_FILE
 from gateway.provisioning.tls_files import check_kinds
 from gateway.telemetry.received import Received
-from gateway.zenoh.client import place
 from gateway.zenoh.statements import StatementPort
 from schemas.authority.identity import AUTHORITY_FILE
 from schemas.authority.statement import Revocations, Rotation, Signed, chain_text
@@ -29,6 +28,7 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
+from schemas.zenoh_session import place
 
 SENDERS: Final = ("desk", "operator", "viewer")
 """The roles whose certificate is used, in order of preference, if the settings name none."""

@@ -15,13 +15,13 @@ from gateway.client import remote_stop
 from gateway.client.reasons_text import LOOK
 from gateway.client.remote_stop import NotSentError, StopReport, Unverified
 from gateway.client.roll import who_is_there
-from gateway.zenoh.client import place
 from schemas import keys
 from schemas.arguments import robot_names
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import cure_of
 from schemas.settings import Settings
+from schemas.zenoh_session import place
 
 EXAMPLE = """\
   cruiser stop cruiser-1

@@ -17,12 +17,13 @@ from gateway.cli.list_robots import Expected
 from gateway.client import view
 from gateway.client.fleet import Fleet, RobotStatus
 from gateway.client.roll import who_is_there
-from gateway.zenoh.client import RobotListener, place
+from gateway.zenoh.client import RobotListener
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.keys import ALL, ROBOTS_PATTERN, in_order
 from schemas.printable import plain
 from schemas.settings import Settings
+from schemas.zenoh_session import place
 
 EXAMPLE = """\
   cruiser watch                                   all robots, one a row

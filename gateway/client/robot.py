@@ -26,7 +26,6 @@ from gateway.client.link import RobotLink, Sighting
 from gateway.client.link_proof import LinkProof, operator_proof
 from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, Unreachable
 from gateway.client.remote_stop import REST_S, StopReport
-from gateway.zenoh.client import place
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import keys
 from schemas.decisions import COMMANDING, ArbiterState, LeaseReply, Reply, SafetyEvent, SafetyState
@@ -49,6 +48,7 @@ from schemas.requests import (
     Unpark,
 )
 from schemas.settings import RESET_MIN_NS, Settings
+from schemas.zenoh_session import place
 
 log = logging.getLogger(__name__)
 

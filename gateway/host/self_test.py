@@ -17,12 +17,11 @@ import msgspec
 from gateway.authority.transport import SHUT_OUT_FILE, TLS_KEY_FILE, TransportRole
 from gateway.provisioning.key_files import directory_of
 from gateway.provisioning.tls_files import check_shut_out
-from gateway.zenoh.client import client_endpoints, close_session, open_session, said_of
 from gateway.zenoh.intruder import access_of, enters_without_certificate, has_certificates, intrude
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings
-from schemas.zenoh_link import MODE, Json, is_loopback
+from schemas.zenoh_session import MODE, Json, client_endpoints, close_session, is_loopback, open_session, said_of
 
 OPENING: Final = ("verify_name_on_connect=false", "enable_mtls=false")
 """Options of an endpoint by which any machine of the network passes for the router, or gets in."""

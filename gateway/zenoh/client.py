@@ -1,19 +1,15 @@
-"""Opens Zenoh sessions, and listens to robots: what a command at the other end needs.
+"""Listens to robots: what a command at the other end needs.
 
 No Python of ours runs on Zenoh's threads: what arrives waits in ring channels until ``drain`` is called.
 """
 
 from __future__ import annotations
 
-import json
-import logging
-import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any, Final, Self
 
-import msgspec
 import zenoh
 from zenoh import ext
 
@@ -21,28 +17,11 @@ from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from schemas import keys
 from schemas.decisions import SafetyEvent
 from schemas.declared_keys import DeclaredKeys
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
-from schemas.printable import plain
 from schemas.recording import RecorderHealth
-from schemas.settings import DEFAULT_ENDPOINT, RobotSettings, Settings, ZenohSettings
+from schemas.settings import RobotSettings, Settings
 from schemas.subjects import BY_NAME, BY_TYPE
-from schemas.zenoh_link import (
-    LEASE,
-    PROTOCOLS,
-    Json,
-    SessionError,
-    ZenohChoice,
-    allows,
-    finds_router,
-    reason,
-    said,
-    session_settings,
-    split_endpoint,
-    with_port,
-)
-
-log = logging.getLogger(__name__)
+from schemas.zenoh_session import close_session, is_connected, join
 
 FURTHER_S: Final = 0.2
 """Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
@@ -67,185 +46,6 @@ REPLIES_WAITING: Final = 16_384
 
 _TIMEOUT: Final = b"Timeout"
 """Zenoh's own reply to a query whose time is over."""
-
-ROBOT_RECEIVES_BYTES: Final = 1 << 20
-"""The largest message that a robot receives; Zenoh drops a larger one while it arrives. Its own bound is 1 GiB.
-
-What a robot receives are requests of up to 1 KiB, questions, and what nodes tell each other of the network.
-"""
-
-ROBOT_CONNECTS_MS: Final = {"router": -1, "peer": -1, "client": 2000}
-"""A robot's client tries so long to connect when it opens, by mode. Without it: 10 s where no answer comes."""
-
-_CONNECT_TIMEOUT: Final = "connect/timeout_ms"
-_MAX_MESSAGE: Final = "transport/link/rx/max_message_size"
-_WAIT_BEFORE_CLOSE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
-
-
-def open_session(
-    settings: ZenohSettings,
-    connect: list[str],
-    listen: list[str],
-    block_max_us: int | None = None,
-    changes: Mapping[str, Json] | None = None,
-) -> zenoh.Session:
-    """Open a session.
-
-    A peer's session opens although nobody answers, and goes on trying in the background. Where none are given
-    here, it connects to the endpoints of the Zenoh configuration file. It listens on those given here and on no
-    others. ``block_max_us`` is a robot's: it cuts off whoever takes nothing for this time while somebody waits to
-    send to it (Zenoh's own is 5 s), and a client's session gives its router up after a bounded time. ``changes``
-    are entries of Zenoh's configuration by path, over all else.
-
-    Raises:
-        CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
-            endpoint to listen on is taken.
-    """
-    config = _configuration(settings, connect, listen)
-    _enter(config, changes or {})
-    if block_max_us is not None:
-        config.insert_json5(_WAIT_BEFORE_CLOSE, str(block_max_us))
-        if _of_file(config, _MAX_MESSAGE) is None:
-            config.insert_json5(_MAX_MESSAGE, str(ROBOT_RECEIVES_BYTES))
-        if _of_file(base_configuration(settings), _CONNECT_TIMEOUT) is None:
-            config.insert_json5(_CONNECT_TIMEOUT, json.dumps(ROBOT_CONNECTS_MS))
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise SessionError("cannot open Zenoh", str(error), settings.config) from error
-
-
-def open_towards_robots(settings: ZenohSettings) -> zenoh.Session:
-    """Open the session of a command that only talks to robots. It listens on nothing.
-
-    A Zenoh router passes nothing from one peer to another (measured with 1.10.2): who finds a router becomes its
-    client, unless the settings say which mode it is to be.
-
-    Raises:
-        CommandError: see ``open_session``.
-    """
-    endpoints, said = client_endpoints(settings), said_of(settings)
-    session = open_session(settings, endpoints, [])
-    if said.mode != "peer" or said.is_mode_given or not finds_router(session.info, time.sleep):
-        return session
-    close_session(session)
-    client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
-    return open_session(client, endpoints, [])
-
-
-def client_endpoints(settings: ZenohSettings) -> list[str]:
-    """Where a command that only talks to robots connects.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
-    return said_of(settings).connect or [DEFAULT_ENDPOINT]
-
-
-def said_of(settings: ZenohSettings) -> ZenohChoice:
-    """Return the entries of a session: from the settings, or else from the Zenoh configuration file.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
-    config = base_configuration(settings)
-    return said(settings, lambda path: _of_file(config, path))
-
-
-def is_allowed(settings: ZenohSettings, endpoint: str) -> bool:
-    """Do the protocols that the configuration file allows include that of this endpoint?
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
-    return allows(_of_file(base_configuration(settings), PROTOCOLS), endpoint)
-
-
-def with_free_ports(listen: list[str]) -> list[str]:
-    """The endpoints, with a port that is free in place of 0, so that it can be told and connected to.
-
-    Raises:
-        CommandError: an address is not one of this machine.
-    """
-    return [_with_free_port(one) if ":0" in one else one for one in listen]
-
-
-def _with_free_port(endpoint: str) -> str:
-    try:
-        protocol, host, port = split_endpoint(endpoint)
-    except ValueError:
-        return endpoint
-    if port:
-        return endpoint
-    kind = socket.SOCK_DGRAM if protocol in ("udp", "quic") else socket.SOCK_STREAM
-    try:
-        family, *_, address = socket.getaddrinfo(host.strip("[]"), 0, type=kind)[0]
-        with socket.socket(family, kind) as probe:
-            probe.bind(address)
-            return with_port(endpoint, probe.getsockname()[1])
-    except OSError as error:
-        raise CommandError(f"cannot listen on {plain(endpoint)}: {error}", ExitCode.UNREACHABLE) from error
-
-
-def lease_in_force_ms(settings: ZenohSettings) -> int:
-    """The lease of a session of these settings, which the configuration file may say.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
-    return int(json.loads(_configuration(settings, [], []).get_json(LEASE)))
-
-
-def close_session(session: zenoh.Session) -> None:
-    """Leave Zenoh. Never raises."""
-    try:
-        session.close()
-    except zenoh.ZError as error:  # The session is of no use any more either way.
-        log.debug("closing Zenoh: %s", error)
-
-
-def _configuration(settings: ZenohSettings, connect: list[str], listen: list[str]) -> zenoh.Config:
-    config = base_configuration(settings)
-    _enter(config, session_settings(settings, connect, listen, lambda path: _of_file(config, path) is not None))
-    return config
-
-
-def _enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
-    for path, value in entries.items():
-        try:
-            config.insert_json5(path, json.dumps(value))
-        except zenoh.ZError as error:
-            shown = plain(json.dumps(value))
-            raise CommandError(
-                f"Zenoh does not take {path} = {shown}: {reason(str(error))}", ExitCode.USAGE
-            ) from error
-
-
-def _of_file(config: zenoh.Config, path: str) -> Json:
-    """Return the configuration file's entry; None if there is none, or if it is Zenoh's own start value."""
-    value: Json = json.loads(config.get_json(path))
-    return None if value == json.loads(zenoh.Config().get_json(path)) else value
-
-
-def base_configuration(settings: ZenohSettings) -> zenoh.Config:
-    """The user's Zenoh file, or Zenoh's own start values.
-
-    Raises:
-        CommandError: the file is wrong.
-    """
-    if not settings.config:
-        return zenoh.Config()
-    try:
-        return zenoh.Config.from_file(settings.config)
-    except zenoh.ZError as error:
-        raise CommandError(
-            f"Zenoh configuration file {plain(settings.config)!r}: {reason(str(error))}", ExitCode.USAGE
-        ) from error
-
-
-def place(settings: ZenohSettings) -> str:
-    """Where a command connects, in words."""
-    return ", ".join(map(plain, client_endpoints(settings)))
 
 
 class PendingQuery:
@@ -352,8 +152,7 @@ class SessionOwner:
 
     def connected(self) -> bool:
         """Is any Zenoh node connected directly? A peer's session is open although none is."""
-        info = self._session.info
-        return bool(info.peers_zid() or info.routers_zid())
+        return is_connected(self._session)
 
     def links(self) -> frozenset[str]:
         """The connections to other nodes."""
@@ -402,9 +201,9 @@ class RobotListener(SessionOwner):
         """Open a session to where the settings say, and listen.
 
         Raises:
-            CommandError: see ``open_session``.
+            CommandError: see ``zenoh_session``.
         """
-        return cls(open_towards_robots(settings.zenoh), settings.robot, name)
+        return cls(join(settings.zenoh), settings.robot, name)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
         """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""

@@ -20,8 +20,7 @@ import zenoh
 from gateway.authority.statement_sieve import StatementSieve
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
-from gateway.zenoh.client import close_session, open_session
-from gateway.zenoh.node import BLOCK_MAX_US, Replier, ZenohPlace
+from gateway.zenoh.node import ROBOT_RULES, ROBOT_VALUES, Replier, ZenohPlace
 from schemas import keys
 from schemas.authority.statement import TEXT_MAX_BYTES
 from schemas.exit_codes import CommandError
@@ -34,7 +33,7 @@ from schemas.settings import (
 )
 from schemas.subjects import BY_VERB, COMMAND_CHUNK, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
 from schemas.versions import encoding_fault, names_schema
-from schemas.zenoh_link import own_endpoint
+from schemas.zenoh_session import close_session, open_session, own_endpoint
 
 log = logging.getLogger(__name__)
 
@@ -276,7 +275,9 @@ def open_inbox(
     """
     own = [own_endpoint(endpoint) for endpoint in place.listen]
     try:
-        session = open_session(settings.zenoh, [*place.connect, *own], place.command_listen, BLOCK_MAX_US)
+        session = open_session(
+            settings.zenoh, [*place.connect, *own], place.command_listen, own=ROBOT_VALUES, changes=ROBOT_RULES
+        )
     except CommandError as error:
         listen = ", ".join(place.command_listen)
         on = f"; commands are listened for on {listen} (zenoh.command_listen)" if listen else ""

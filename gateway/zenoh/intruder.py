@@ -14,12 +14,12 @@ from typing import Any, Final, Self
 import msgspec
 import zenoh
 
-from gateway.zenoh.client import PendingQuery, SessionOwner, base_configuration, open_session
+from gateway.zenoh.client import PendingQuery, SessionOwner
 from schemas import keys
 from schemas.exit_codes import CommandError
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from schemas.zenoh_link import MODE, WITH_NAMES, Json, own_endpoint
+from schemas.zenoh_session import MODE, WITH_NAMES, Json, base_configuration, open_session, own_endpoint
 
 ACCESS: Final = "access_control"
 TLS: Final = "transport/link/tls"
@@ -53,7 +53,7 @@ def access_of(settings: ZenohSettings) -> tuple[dict[str, Json], dict[str, Json]
     Raises:
         CommandError: the configuration file is wrong.
     """
-    config = base_configuration(settings)
+    config = base_configuration(settings.config)
     access, tls = (msgspec.json.decode(config.get_json(path)) for path in (ACCESS, TLS))
     return access, tls
 

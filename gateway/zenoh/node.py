@@ -21,15 +21,7 @@ from gateway.authority.name_proof import QUESTION_BYTES, NameProof, new_name_que
 from gateway.authority.signer import RobotSigner
 from gateway.telemetry.kept_samples import KeptSamples
 from gateway.telemetry.sample import Sample
-from gateway.zenoh.client import (
-    close_session,
-    is_allowed,
-    lease_in_force_ms,
-    links_of,
-    open_session,
-    said_of,
-    with_free_ports,
-)
+from gateway.zenoh.client import links_of
 from schemas import keys
 from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED
 from schemas.authority.statement import TEXT_MAX_BYTES
@@ -38,7 +30,21 @@ from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import DEFAULT_ENDPOINT, Settings
 from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
-from schemas.zenoh_link import ANY_LOCAL_PORT, is_loopback, next_ports
+from schemas.zenoh_session import (
+    ANY_LOCAL_PORT,
+    CONNECT_TIMEOUT,
+    Json,
+    client_endpoints,
+    close_session,
+    is_allowed,
+    is_connected,
+    is_loopback,
+    lease_in_force_ms,
+    next_ports,
+    open_session,
+    said_of,
+    with_free_ports,
+)
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +69,23 @@ BLOCK_MAX_US: Final = 20_000
 A reply has its query's congestion control, which may be to wait for room on the link, and Zenoh would wait for
 5 s. Everything else on that link would wait too, the loop's own samples included.
 """
+
+RECEIVES_BYTES: Final = 1 << 20
+"""The largest message that a robot receives; Zenoh drops a larger one while it arrives. Its own bound is 1 GiB.
+
+What a robot receives are requests of up to 1 KiB, questions, and what nodes tell each other of the network.
+"""
+
+ROBOT_VALUES: Final[dict[str, Json]] = {
+    "transport/link/rx/max_message_size": RECEIVES_BYTES,
+    # A client tries so long to connect when it opens. Without it: 10 s where no answer comes.
+    CONNECT_TIMEOUT: {"router": -1, "peer": -1, "client": 2000},
+}
+"""A robot's values of Zenoh's configuration, unless the user's file says others."""
+
+ROBOT_RULES: Final[dict[str, Json]] = {
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_MAX_US
+}
 
 LOOK_S: Final = 0.05
 """The period in which the thread looks for the shutdown while no reply waits."""
@@ -361,7 +384,7 @@ def open_node(
 
 def client_place(settings: Settings) -> ZenohPlace:
     """Return where a gateway will be that is a client, before it has a session."""
-    return ZenohPlace("", said_of(settings.zenoh).connect or [DEFAULT_ENDPOINT], is_client=True)
+    return ZenohPlace("", client_endpoints(settings.zenoh), is_client=True)
 
 
 def _wait_for_link(session: zenoh.Session, place: ZenohPlace) -> None:
@@ -431,17 +454,16 @@ def _is_namesake(answer: zenoh.Sample, question: bytes, settings: Settings, name
 
 
 def _open_session(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
-    given = settings.zenoh
-    mode, connect, listen, _ = said_of(given)
+    mode, connect, listen, _ = said_of(settings.zenoh)
     if mode == "client":
         place = client_place(settings)
-        session = open_session(given, place.connect, [], BLOCK_MAX_US, _rules(settings))
+        session = _open(settings, place.connect, [])
         return session, msgspec.structs.replace(place, node=str(session.zid()))
     if not connect and not listen:
         return _open_default(settings)
     commands = _command_listen(settings, listen)
     listen = with_free_ports(listen)
-    session = open_session(given, connect, listen, BLOCK_MAX_US, _rules(settings))
+    session = _open(settings, connect, listen)
     return session, ZenohPlace(str(session.zid()), connect, listen, with_free_ports(commands))
 
 
@@ -455,7 +477,7 @@ def _open_default(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
         )
     commands = _command_listen(settings, [DEFAULT_ENDPOINT])
     try:
-        session = open_session(given, [], [DEFAULT_ENDPOINT], BLOCK_MAX_US, _rules(settings))
+        session = _open(settings, [], [DEFAULT_ENDPOINT])
         return session, ZenohPlace(str(session.zid()), [], [DEFAULT_ENDPOINT], commands)
     except CommandError as error:
         if error.code is ExitCode.USAGE:
@@ -480,17 +502,18 @@ def _command_listen(settings: Settings, listen: list[str]) -> list[str]:
         ) from error
 
 
-def _rules(settings: Settings) -> dict[str, Any]:
-    """Rules by which Zenoh leaves out some of what this session publishes, by the interface of a link."""
-    return zenoh_rules(settings.zenoh.profiles, settings.robot.root, settings.robot.name)
+def _open(settings: Settings, connect: list[str], listen: list[str]) -> zenoh.Session:
+    # By the interface of a link, Zenoh leaves out some of what this session publishes.
+    egress = zenoh_rules(settings.zenoh.profiles, settings.robot.root, settings.robot.name)
+    return open_session(settings.zenoh, connect, listen, own=ROBOT_VALUES, changes=ROBOT_RULES | egress)
 
 
 def _join_neighbour(settings: Settings, listen: list[str]) -> zenoh.Session:
     """Another Zenoh node holds our port: several robots on one bench. Connect to it."""
-    session = open_session(settings.zenoh, [DEFAULT_ENDPOINT], listen, BLOCK_MAX_US, _rules(settings))
+    session = _open(settings, [DEFAULT_ENDPOINT], listen)
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while time.monotonic() < deadline_s:
-        if session.info.peers_zid() or session.info.routers_zid():
+        if is_connected(session):
             return session
         time.sleep(0.02)
     close_session(session)

@@ -19,15 +19,13 @@ from gateway.zenoh.client import (
     PendingQuery,
     SessionOwner,
     call_roll,
-    close_session,
-    open_towards_robots,
     receive,
 )
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME, BY_VERB, COMMAND_QOS
-from schemas.zenoh_link import reason
+from schemas.zenoh_session import close_session, join, reason
 
 log = logging.getLogger(__name__)
 
@@ -84,9 +82,9 @@ class CommandPort(SessionOwner):
         """Open a session to where the settings say.
 
         Raises:
-            CommandError: see ``open_session``; or a part of the keys is not of its form.
+            CommandError: see ``zenoh_session``; or a part of the keys is not of its form.
         """
-        session = open_towards_robots(settings.zenoh)
+        session = join(settings.zenoh)
         try:
             return cls(session, settings.robot.root, robot, operator)
         except ValueError as error:
@@ -207,9 +205,9 @@ class SafetyListener(SessionOwner):
         """Open a session to where the settings say, and listen.
 
         Raises:
-            CommandError: see ``open_session``; or a part of the keys is not of its form.
+            CommandError: see ``zenoh_session``; or a part of the keys is not of its form.
         """
-        session = open_towards_robots(settings.zenoh)
+        session = join(settings.zenoh)
         try:
             return cls(session, settings.robot.root, robot)
         except ValueError as error:

@@ -8,11 +8,11 @@ from typing import Final, Self
 import zenoh
 
 from gateway.telemetry.received import Received
-from gateway.zenoh.client import PendingQuery, SessionOwner, call_roll, open_towards_robots
+from gateway.zenoh.client import PendingQuery, SessionOwner, call_roll
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
-from schemas.zenoh_link import reason
+from schemas.zenoh_session import join, reason
 
 AGAIN_S: Final = 0.02
 """A robot that many ask leaves some queries unanswered, and these end at once. They are sent again after this."""
@@ -36,9 +36,9 @@ class StatementPort(SessionOwner):
         """Open a session to where the settings say.
 
         Raises:
-            CommandError: see ``open_session``.
+            CommandError: see ``zenoh_session``.
         """
-        return cls(open_towards_robots(settings.zenoh), settings.robot.root)
+        return cls(join(settings.zenoh), settings.robot.root)
 
     def robots(self, timeout_s: float) -> list[str]:
         """The robots that are connected, by their liveliness tokens."""

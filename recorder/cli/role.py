@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from recorder.disk.key_files import certificate_role
-from recorder.zenoh.session import certificate_file
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.settings import ZenohSettings
+from schemas.zenoh_session import of_file
+
+CERTIFICATE: Final = "transport/link/tls/connect_certificate"
 
 RECORDING: Final = frozenset({"recorder", "router"})
 ORDERING: Final = frozenset({"operator", "desk", "router"})
@@ -30,7 +32,7 @@ def check_role(settings: ZenohSettings, roles: Collection[str], allowed: str) ->
     Raises:
         CommandError: it is of another role of ``cruiser provision``.
     """
-    file = certificate_file(settings)
+    file = str(of_file(settings, CERTIFICATE) or "")
     role = certificate_role(Path(file)) if file else ""
     if role in _PROVISIONED and role not in roles:
         raise CommandError(f"{plain(file)} is a certificate of the role {role}: {allowed}", ExitCode.USAGE)

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.layouts.attached import RobotKeys, layouts
-from recorder.zenoh.session import said_of
 from recorder.zenoh.source import ZenohSource
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, robot_name, seconds
@@ -22,6 +21,7 @@ from schemas.missing_extra import missing_extra
 from schemas.printable import plain
 from schemas.settings import Settings
 from schemas.subjects import SUBJECTS, Pattern
+from schemas.zenoh_session import place
 
 if TYPE_CHECKING:
     from recorder.view.live_channels import LiveChannels
@@ -95,10 +95,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     ):
         channels = LiveChannels(server, version("cruiser-gateway"))
         loop = ViewLoop(source, server, channels, Layouts(arguments.layouts).write)
-        place = ", ".join(map(plain, said_of(settings.zenoh).connect))
-        _wait(loop, channels, source, arguments, place, ends)
+        where = place(settings.zenoh)
+        _wait(loop, channels, source, arguments, where, ends)
         missing = ", ".join(sorted(set(arguments.robots) - channels.robots))
-        _tell(f"{server.where}, {shown} at {place}{missing and f'; not there yet: {missing}'}")
+        _tell(f"{server.where}, {shown} at {where}{missing and f'; not there yet: {missing}'}")
         loop.run(ends)
     if channels.left_out:
         _tell(f"{channels.left_out} samples were too large to be shown")

@@ -14,11 +14,11 @@ import zenoh
 
 from recorder.replay.run import Halt
 from recorder.replay.samples import ReplaySample, overlap, root_of_token
-from recorder.zenoh.session import listens_only, local_port, open_session, said_of
 from schemas import keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from schemas.subjects import Subject
+from schemas.zenoh_session import GOSSIP, close_session, is_connected, join, local_port, open_session, said_of
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,14 @@ def key_checked(text: str) -> str:
         return str(zenoh.KeyExpr.autocanonize(text))
     except zenoh.ZError as error:
         raise CommandError(f"{text!a} is no key expression", ExitCode.USAGE) from error
+
+
+def key_matches(expression: str, topic: str) -> bool:
+    """True if a Zenoh key expression matches a topic. False of what is no key expression."""
+    try:
+        return zenoh.KeyExpr.autocanonize(expression).includes(zenoh.KeyExpr(topic))
+    except zenoh.ZError:
+        return expression == topic
 
 
 class ZenohOutlet:
@@ -68,10 +76,12 @@ class ZenohOutlet:
         self.was_alone = False
         self._root = root
         self._congestion = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
-        self.listen = said_of(settings).listen
-        self._session = open_session(
-            settings, self.listen or local_port(settings), is_apart=listens_only(settings)
-        )
+        _, connect, self.listen, _ = said_of(settings)
+        if self.listen and not connect:
+            # It connects to nobody of itself, and tells no node that connects to it of another.
+            self._session = open_session(settings, [], self.listen, changes={GOSSIP: False})
+        else:
+            self._session = join(settings, self.listen or local_port(settings))
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._gateways: set[str] = set()
         self._tokens: Any = self._session.liveliness().declare_subscriber(
@@ -81,8 +91,7 @@ class ZenohOutlet:
     @property
     def is_connected(self) -> bool:
         """True if any Zenoh node is connected."""
-        info = self._session.info
-        return bool(info.peers_zid() or info.routers_zid())
+        return is_connected(self._session)
 
     def wait_for_link(self, timeout_s: float, stopped: Callable[[], bool]) -> bool:
         """Wait until somebody is connected. False if nobody is in time."""
@@ -154,10 +163,7 @@ class ZenohOutlet:
 
     def close(self) -> None:
         """Leave Zenoh. Never raises."""
-        try:
-            self._session.close()
-        except zenoh.ZError as error:
-            log.debug("leaving Zenoh: %s", error)
+        close_session(self._session)
 
     def _declare(self, key: str, subject: Subject) -> zenoh.Publisher:
         publisher = self._publishers[key] = self._session.declare_publisher(

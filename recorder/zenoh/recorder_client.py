@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import zenoh
 
-from recorder.zenoh.session import open_session, said_of
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.exit_codes import CommandError, ExitCode
@@ -23,7 +22,7 @@ from schemas.requests import Request
 from schemas.settings import ZenohSettings
 from schemas.subjects import RECORDER_BY_VERB, RECORDER_CHUNK
 from schemas.versions import encoding_fault, names_schema
-from schemas.zenoh_link import reason
+from schemas.zenoh_session import close_session, is_connected, join, place, reason
 
 log = logging.getLogger(__name__)
 
@@ -71,8 +70,8 @@ class RecorderClient:
         self._operator = operator
         self._stopped = stopped
         self._name = re.compile(rf"{re.escape(root)}/{RECORDER_CHUNK}/({keys.ROBOT_PATTERN})/.+")
-        self._place = ", ".join(map(plain, said_of(settings).connect))
-        self._session = open_session(settings)
+        self._place = place(settings)
+        self._session = join(settings)
 
     def ask(
         self, recorder: str, verb: str, request: Request, timeout_s: float
@@ -112,8 +111,7 @@ class RecorderClient:
 
     def nobody(self, name: str) -> CommandError:
         """Return the error that no recorder of this name answers, or none at all if it is ALL."""
-        info = self._session.info
-        if not info.peers_zid() and not info.routers_zid():
+        if not is_connected(self._session):
             who = f"no Zenoh node answered at {self._place}"
         else:
             who = "no recorder answers" if name == keys.ALL else f"recorder {name} does not answer"
@@ -121,7 +119,7 @@ class RecorderClient:
 
     def close(self) -> None:
         """Leave Zenoh."""
-        self._session.close()
+        close_session(self._session)
 
     def _samples(self, replies: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - Zenoh's handlers have no common type
         """Yield the replies until the query is over."""

@@ -20,16 +20,18 @@ import msgspec
 import zenoh
 
 from recorder.record.orders import OperatorRequest
-from recorder.zenoh.session import listen_beside, open_session
+from recorder.zenoh.source import SMALL_BATCHES
 from schemas import codec, keys
 from schemas.codec import PayloadFault
+from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Message
 from schemas.printable import plain
 from schemas.recording import RecorderReply
 from schemas.requests import Request
-from schemas.settings import Settings
+from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS
 from schemas.versions import encoding_fault, names_schema
+from schemas.zenoh_session import close_session, join, local_port, next_ports, said_of
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +71,7 @@ class RemoteControl:
         self._root = settings.robot.root
         self.listen = listen_beside(settings.zenoh)
         """Where it listens."""
-        self._session = open_session(settings.zenoh, self.listen)
+        self._session = join(settings.zenoh, self.listen, own=SMALL_BATCHES)
         self.name = self._free_name(settings.recorder.name or host_name())
         """Its name: the one that is set, or with a number behind it where another recorder has that."""
         self._token = self._session.liveliness().declare_token(keys.of_recorder(self._root, self.name))
@@ -113,7 +115,7 @@ class RemoteControl:
     def close(self) -> None:
         """Leave Zenoh."""
         self._replier.shutdown(cancel_futures=True)
-        self._session.close()
+        close_session(self._session)
 
     def _asked(self, query: zenoh.Query) -> OperatorRequest | None:
         operator, name = keys.parse_command(str(query.key_expr))
@@ -173,3 +175,15 @@ class RemoteControl:
 def host_name() -> str:
     """The host's name as a chunk of a key."""
     return re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().partition(".")[0].lower()).strip("-") or "recorder"
+
+
+def listen_beside(settings: ZenohSettings) -> list[str]:
+    """Return the endpoints of a session beside the first: one port on from the settings', or see ``local_port``.
+
+    Raises:
+        CommandError: the settings are wrong.
+    """
+    try:
+        return next_ports(said_of(settings).listen) or local_port(settings)
+    except ValueError as error:
+        raise CommandError(f"wrong Zenoh settings: to listen on: {error}", ExitCode.USAGE) from error

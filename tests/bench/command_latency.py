@@ -22,9 +22,9 @@ import zenoh
 from gateway.can.can_bus import BusLost
 from gateway.can.open_bus import open_bus
 from gateway.chassis.cruiser.layout import load
-from gateway.zenoh.client import close_session, open_session
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings
+from schemas.zenoh_session import close_session, open_session
 from tests.bench.processes import Empty, empty_loop, quantile, start
 from tests.support.fakes.peer import free_endpoint
 

@@ -17,8 +17,8 @@ from pathlib import Path
 import zenoh
 
 from gateway.host.realtime import request_realtime
-from gateway.zenoh.client import close_session, open_session
 from schemas.settings import Settings
+from schemas.zenoh_session import close_session, open_session
 
 KEY = "bench/empty"
 PERIOD_NS = 10_000_000

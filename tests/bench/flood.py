@@ -17,8 +17,8 @@ from typing import Final
 import msgspec
 import zenoh
 
-from gateway.zenoh.client import close_session, open_session
 from schemas.settings import ZenohSettings
+from schemas.zenoh_session import close_session, open_session
 from tests.bench.command_latency import SPEED_MPS, on_the_road, stop_under_way_us
 from tests.bench.processes import Empty, empty_loop, quantile
 

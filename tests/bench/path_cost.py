@@ -26,11 +26,11 @@ from gateway.chassis.frame import Frame
 from gateway.core import Core
 from gateway.loop import LoopPorts, Reader
 from gateway.telemetry.health import Links
-from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.node import ZenohNode
 from schemas.dbc_files import dbc_text
 from schemas.messages import Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.frames import WALL_NS, Feedback
 
@@ -41,7 +41,7 @@ SECONDS_OF_FRAMES = 8
 
 SUBSCRIBER = """
 import sys, zenoh
-from gateway.zenoh.client import open_session
+from schemas.zenoh_session import open_session
 from schemas.settings import ZenohSettings
 session = open_session(ZenohSettings(), [sys.argv[1]], [])
 subscriber = session.declare_subscriber("**", zenoh.handlers.RingChannel(1000))

@@ -18,11 +18,11 @@ from typing import IO, Any
 import msgspec
 import zenoh
 
-from gateway.zenoh.client import close_session, open_session
 from schemas import codec
 from schemas.messages import Message
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_NAME
+from schemas.zenoh_session import close_session, open_session
 from tests.bench.empty_loop import KEY as EMPTY_KEY
 from tests.support.fakes.peer import free_endpoint
 

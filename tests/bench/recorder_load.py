@@ -28,12 +28,12 @@ from gateway.chassis.frame import Frame
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from gateway.telemetry.sample import Sample
-from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.egress import FULL, PROFILES
 from schemas.messages import CanFrames, Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, Pattern
+from schemas.zenoh_session import close_session, open_session
 from tests.bench.path_cost import SECONDS_OF_FRAMES
 from tests.support.frames import STANDING, WALL_NS, Feedback
 

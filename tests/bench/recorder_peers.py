@@ -32,7 +32,6 @@ from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from msgspec import inspect
 
-from gateway.zenoh.client import close_session, open_session
 from recorder.encoding.protobuf_schema import descriptor_set, fields, message_class, schema_name
 from recorder.encoding.transcode import compile_encoder, compile_row_encoder
 from schemas import codec, keys
@@ -40,6 +39,7 @@ from schemas.can_word import EXTENDED, FD, IDENTIFIER_MASK
 from schemas.messages import CanFrame, CanFrames, Message
 from schemas.settings import ZenohSettings
 from schemas.subjects import Subject
+from schemas.zenoh_session import close_session, open_session
 
 IDLE_S: Final = 0.005
 

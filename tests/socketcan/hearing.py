@@ -7,10 +7,10 @@ from typing import Final
 import zenoh
 
 from gateway.chassis.frame import Frame
-from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.messages import CanFrames, GatewayHealth, RobotState
 from schemas.settings import ZenohSettings
+from schemas.zenoh_session import close_session, open_session
 from tests.support.waiting import wait_until
 
 _ROBOT: Final = "fleet/cruiser-1/"

@@ -12,10 +12,10 @@ import zenoh
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.frame import Frame
 from gateway.sim.model import VirtualChassis
-from gateway.zenoh.client import close_session, open_session
 from schemas.messages import CanFrames, Variant
 from schemas.settings import ZenohSettings
 from schemas.subjects import SUBJECTS
+from schemas.zenoh_session import close_session, open_session
 from tests.socketcan.can_utils import Candump, play, write_log
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import gateway

@@ -19,13 +19,13 @@ from mcap.reader import make_reader
 
 from gateway.client.refusal import LeaseLost
 from gateway.client.robot import Lease, Robot
-from gateway.zenoh.client import close_session, open_session
 from schemas import keys
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.journal import Kind
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import ROOT
 from tests.support.nights import by_night

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 import msgspec
 import zenoh
 
-from gateway.zenoh.client import close_session, open_session
 from schemas import keys
 from schemas.decisions import Reply
 from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import ROOT
 from tests.support.processes.gateway import chassis, gateway, run, wait_for_chassis

@@ -17,7 +17,6 @@ from gateway.client import remote_stop
 from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Lease, Robot
-from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.statements import StatementPort
 from schemas import codec, keys
 from schemas.authority.statement import GrantRole, chain_text
@@ -29,6 +28,7 @@ from schemas.reasons import Reason
 from schemas.requests import Drive, Renew
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_VERB
+from schemas.zenoh_session import close_session, open_session
 from tests.support.authority import DAY_S, Fleet, Party
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night

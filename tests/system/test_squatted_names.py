@@ -9,9 +9,9 @@ import msgpack
 import pytest
 import zenoh
 
-from gateway.zenoh.client import close_session, open_session
 from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
 from tests.support.processes.gateway import Managed, chassis, gateway, run

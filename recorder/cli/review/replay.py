@@ -31,8 +31,7 @@ from recorder.replay.samples import (
     overlap,
     roots_of,
 )
-from recorder.replay.zenoh import ZenohOutlet, key_checked
-from recorder.zenoh.session import key_matches
+from recorder.replay.zenoh import ZenohOutlet, key_checked, key_matches
 from schemas import keys
 from schemas.arguments import add_link_arguments, seconds
 from schemas.exit_codes import CommandError, ExitCode

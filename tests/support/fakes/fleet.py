@@ -8,12 +8,12 @@ from typing import Any, Self
 import msgspec
 import zenoh
 
-from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.decisions import Reply
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE, BY_VERB
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import ROOT, STANDBY, STATE
 

@@ -6,11 +6,11 @@ from typing import Any, Self
 
 from zenoh import ext
 
-from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.messages import GatewayHealth, Message
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import ROOT
 

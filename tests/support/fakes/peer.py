@@ -12,7 +12,7 @@ import zenoh
 
 from recorder.encoding.received_sample import ReceivedSample
 from schemas.settings import ZenohSettings
-from schemas.zenoh_link import session_settings
+from schemas.zenoh_session import session_settings
 
 PORTS: Final = range(10_000, 32_000)
 """Ports below those that Linux gives to whoever connects: a gateway that starts again finds its own free."""

@@ -14,12 +14,12 @@ from zenoh import ext
 from gateway.command.chassis_state import ChassisState
 from gateway.command.flow import CommandFlow
 from gateway.command.request import RawRequest
-from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
 from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, RobotState
 from schemas.settings import TICK_NS, CommandSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_TYPE, BY_VERB
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, ROOT, STATE
 from tests.support.processes.busy import PATIENT_DEADMAN_S

@@ -11,8 +11,8 @@ import time
 import zenoh
 
 from gateway.client.robot import Robot
-from gateway.zenoh.client import open_session
 from schemas.settings import Settings, ZenohSettings
+from schemas.zenoh_session import open_session
 from tests.support.processes.holding import hold
 
 HANG = signal.SIGUSR1

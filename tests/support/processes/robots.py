@@ -15,11 +15,11 @@ from contextlib import contextmanager
 import msgspec
 import zenoh
 
-from gateway.zenoh.client import close_session, open_session
 from schemas import codec, keys
 from schemas.messages import Message
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, ROOT, STANDBY, STATE
 

@@ -17,9 +17,9 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page
 
 from gateway.authority.enrolment import read_request, request_fingerprint
-from gateway.zenoh.client import open_session
 from schemas.exit_codes import ExitCode
 from schemas.settings import ZenohSettings
+from schemas.zenoh_session import open_session
 from tests.support.messages import STATE
 from tests.support.metrics import received
 from tests.support.nights import by_night

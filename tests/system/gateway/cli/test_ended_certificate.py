@@ -113,7 +113,7 @@ def test_a_recorder_waits_for_its_router(
     words = ["--connect", endpoint, "--out", str(tmp_path / "logs")]
     away = rf"nobody answers at {endpoint}: look at the router .*; off the network until then"
 
-    status = f"STATUS=standby, off the network: cannot join Zenoh: nobody answers at {endpoint}"
+    status = f"STATUS=standby, off the network: cannot open Zenoh: nobody answers at {endpoint}"
     with Running("record", *words) as recorder:
         recorder.wait_says(away)
         assert status in systemd.recv(1000).decode()
@@ -140,7 +140,7 @@ def test_by_hand_it_ends_with_the_same_line(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setenv("CRUISER_ZENOH_MODE", "client")
     endpoint = free_endpoint()
     with Running("record", "--connect", endpoint, "--out", str(tmp_path)) as recorder:
-        recorder.wait_says(f"cruiser record: cannot join Zenoh: nobody answers at {endpoint}: look at ")
+        recorder.wait_says(f"cruiser record: cannot open Zenoh: nobody answers at {endpoint}: look at ")
         assert recorder.process.wait(30) == ExitCode.UNREACHABLE
 
 

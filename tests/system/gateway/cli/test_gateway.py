@@ -26,13 +26,13 @@ from gateway.guard.beat import GuardView
 from gateway.host.guard_process import NoGuard
 from gateway.host.stop_note import StopNote
 from gateway.loop import LoopPorts
-from gateway.zenoh.client import close_session, open_session
 from schemas.dbc_files import dbc_text
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import CanSettings, GatewaySettings, Settings, ZenohSettings
 from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
 from tests.support.processes.gateway import chassis, gateway, run

@@ -10,10 +10,10 @@ import msgspec
 import pytest
 
 from gateway.authority.transport import TransportRole
-from gateway.zenoh.client import close_session, open_session
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.settings import ZenohSettings
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
 from tests.support.processes.gateway import Running, chassis, gateway, run, wait_for_chassis

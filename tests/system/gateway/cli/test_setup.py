@@ -19,7 +19,7 @@ from gateway.cli.setup import Machine, run_to_end
 from gateway.doctor.facts import BusReport
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ChassisSettings
-from schemas.zenoh_link import split_endpoint
+from schemas.zenoh_session import split_endpoint
 from tests.support import provisioning
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, STATE

@@ -13,11 +13,11 @@ import zenoh
 from gateway.can.open_bus import open_bus
 from gateway.chassis.cruiser.layout import load
 from gateway.client.robot import Robot
-from gateway.zenoh.client import close_session, open_session
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent
 from schemas.messages import Mode, Variant
 from schemas.reasons import Reason
 from schemas.settings import CanSettings, Settings, ZenohSettings
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
 from tests.support.processes import operator_session as operator_program

@@ -20,9 +20,9 @@ from zenoh import ext
 
 from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
 from gateway.provisioning.certificates import LEAF_DAYS
-from gateway.zenoh.client import open_session
 from schemas.exit_codes import CommandError
 from schemas.settings import ZenohSettings
+from schemas.zenoh_session import open_session
 from tests.support.access import (
     COMMANDING,
     DRIVE,

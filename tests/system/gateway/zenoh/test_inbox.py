@@ -13,7 +13,6 @@ import zenoh
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.zenoh import inbox as zenoh_inbox
-from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.inbox import (
     DRIVES_WAITING,
     STOPS_WAITING,
@@ -33,6 +32,7 @@ from schemas.settings import (
     ZenohSettings,
 )
 from schemas.subjects import BY_VERB, COMMANDS, STOP_VERB, Asking, Command
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.newer import newer
 from tests.support.requests import REQUESTS

@@ -12,7 +12,7 @@ from zenoh import ext
 
 from gateway.telemetry.sample import Sample
 from gateway.zenoh import late_node
-from gateway.zenoh.client import PendingQuery, close_session, open_session
+from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.inbox import CommandInbox, open_inbox
 from gateway.zenoh.late_node import Joined, LateInbox, LateNode
 from gateway.zenoh.node import ZenohNode, client_place, open_node
@@ -20,6 +20,7 @@ from gateway.zenoh.router import open_local_router
 from schemas.exit_codes import CommandError
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 

@@ -11,11 +11,11 @@ import zenoh
 
 from gateway.telemetry.sample import Sample
 from gateway.zenoh import node as zenoh_node
-from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.node import ZenohNode, open_node
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_PIECE
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import wait_until

@@ -12,7 +12,6 @@ import zenoh
 
 from gateway.command.flow import PendingReply
 from gateway.telemetry.sample import Sample
-from gateway.zenoh.client import close_session, open_session
 from gateway.zenoh.inbox import CommandInbox, open_inbox
 from gateway.zenoh.node import ZenohNode, open_node
 from gateway.zenoh.operator import CommandPort
@@ -20,6 +19,7 @@ from gateway.zenoh.router import open_local_router
 from schemas.egress import PUBLISHED
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
+from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.links import LINKS
 from tests.support.nights import by_night

@@ -149,7 +149,7 @@ def test_a_directory_that_cannot_be_is_one_clear_line(tmp_path: Path) -> None:
     ("words", "complaint"),
     [
         (["-k", "fleet//x"], "is no key expression"),
-        (["--connect", "nonsense"], "wrong Zenoh settings"),
+        (["--connect", "nonsense"], "Zenoh does not take connect/endpoints"),
     ],
 )
 def test_wrong_words_are_a_usage_error(tmp_path: Path, words: list[str], complaint: str) -> None:

@@ -8,8 +8,7 @@ import zenoh
 
 from recorder.replay.samples import ReplaySample
 from recorder.replay.zenoh import ZenohOutlet
-from recorder.zenoh import session
-from schemas import codec, keys
+from schemas import codec, keys, zenoh_session
 from schemas.decisions import SafetyEvent, SafetyState
 from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
@@ -222,12 +221,12 @@ def test_nobody_is_waited_for_in_vain() -> None:
 def test_where_it_only_listens_it_is_a_network_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """It does not join this machine's gateway, and tells those who connect to it nothing of each other."""
     machine, here = free_endpoint(), free_endpoint()
-    monkeypatch.setattr(session, "DEFAULT_ENDPOINT", machine)
+    monkeypatch.setattr(zenoh_session, "DEFAULT_ENDPOINT", machine)
     with (
         Peer(machine) as gateway,
         closing(ZenohOutlet(ZenohSettings(listen=[here]), "replay", waits=True)) as outlet,
-        session.open_session(ZenohSettings(connect=[here]), [free_endpoint()]) as robot,
-        session.open_session(ZenohSettings(connect=[here])) as viewer,
+        zenoh_session.join(ZenohSettings(connect=[here]), [free_endpoint()]) as robot,
+        zenoh_session.join(ZenohSettings(connect=[here])) as viewer,
     ):
         token = robot.liveliness().declare_token(keys.liveliness("fleet", "cruiser-1"))
         wait_until(lambda: bool(robot.info.peers_zid()) and bool(viewer.info.peers_zid()))

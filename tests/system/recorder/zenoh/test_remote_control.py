@@ -12,7 +12,6 @@ import zenoh
 from recorder.record.orders import OperatorRequest
 from recorder.zenoh import remote_control
 from recorder.zenoh.remote_control import RemoteControl
-from recorder.zenoh.session import open_session
 from schemas import codec
 from schemas.codec import PayloadFault
 from schemas.decisions import Severity
@@ -27,6 +26,7 @@ from schemas.recording import (
 from schemas.requests import Request
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_TYPE, RECORDER_BY_VERB, RECORDER_COMMANDS, RecorderCommand
+from schemas.zenoh_session import join
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.messages import WALL_NS, recorder_health
 from tests.support.newer import newer
@@ -56,7 +56,7 @@ class Client:
     """Somebody who asks, with a session of their own."""
 
     def __init__(self, endpoint: str) -> None:
-        self._session = open_session(ZenohSettings(connect=[endpoint]))
+        self._session = join(ZenohSettings(connect=[endpoint]))
         self._waiting: list[Any] = []
 
     def ask(

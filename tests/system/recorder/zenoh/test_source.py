@@ -214,6 +214,6 @@ def _settled(peer: Peer, endpoint: str) -> Callable[[], bool]:
 def test_a_client_without_a_router_is_told_so(endpoint: str) -> None:
     """A client cannot wait: it is nothing by itself."""
     settings = ZenohSettings(mode="client", connect=[endpoint])
-    with pytest.raises(CommandError, match="cannot join Zenoh") as caught:
+    with pytest.raises(CommandError, match="cannot open Zenoh") as caught:
         ZenohSource(settings, ["fleet/**"], 100)
     assert caught.value.code == ExitCode.UNREACHABLE

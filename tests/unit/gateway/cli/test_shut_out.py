@@ -11,7 +11,7 @@ from gateway.cli import shut_out
 from gateway.cli.shut_out import has_waited, is_service
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import ZenohSettings
-from schemas.zenoh_link import SessionError
+from schemas.zenoh_session import SessionError
 
 ENDPOINT = "tcp/router.example:7447"
 AWAY = SessionError("cannot open Zenoh", f"Unable to connect to any of [Single({ENDPOINT})]")

@@ -22,7 +22,7 @@ def test_a_wrong_key_expression_is_a_usage_error(expression: str) -> None:
 
 def test_a_wrong_endpoint_is_a_usage_error() -> None:
     """In one line."""
-    with pytest.raises(CommandError, match="wrong Zenoh settings") as caught:
+    with pytest.raises(CommandError, match="Zenoh does not take connect/endpoints") as caught:
         source("nonsense")
     assert caught.value.code == ExitCode.USAGE
     assert "\n" not in str(caught.value)

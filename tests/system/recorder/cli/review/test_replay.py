@@ -16,12 +16,12 @@ import zenoh
 from recorder.cli.review import command as review
 from recorder.cli.review import replay
 from recorder.replay.samples import ReplaySample
-from recorder.zenoh.session import open_session
 from schemas import codec, keys
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import CanFrames, Gear, Message
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_TYPE
+from schemas.zenoh_session import join
 from tests.support.commands import run_command
 from tests.support.drives import drive_samples, write_samples
 from tests.support.fakes.peer import Peer, free_endpoint
@@ -246,7 +246,7 @@ def test_a_viewer_connects_to_the_replay_itself_and_ctrl_c_ends_it(log: str) -> 
     try:
         assert process.stderr is not None
         assert "waits for somebody" in process.stderr.readline()
-        with open_session(ZenohSettings(connect=[endpoint])) as session:
+        with join(ZenohSettings(connect=[endpoint])) as session:
             subscriber = session.declare_subscriber("replay/**", zenoh.handlers.RingChannel(10))
             wait_until(lambda: subscriber.try_recv() is not None)
             process.send_signal(signal.SIGINT)
@@ -266,7 +266,7 @@ def test_a_connection_alone_does_not_begin_it(log: str, capsys: pytest.CaptureFi
     endpoint = free_endpoint()
     subscribed: list[zenoh.Subscriber[None]] = []
     looks = 0
-    with open_session(ZenohSettings(connect=[endpoint])) as session:
+    with join(ZenohSettings(connect=[endpoint])) as session:
 
         def subscribe_late() -> bool:
             nonlocal looks

@@ -10,13 +10,13 @@ import pytest
 
 from gateway.client.refusal import LeaseLost
 from gateway.client.robot import Robot
-from gateway.zenoh.client import open_towards_robots
 from recorder import read_log
 from schemas.authority.statement import GrantRole, Signed
 from schemas.decisions import EventKind, Journal, SafetyEvent
 from schemas.journal import Kind
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
+from schemas.zenoh_session import join
 from tests.support.authority import Fleet, Party
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, run
@@ -75,7 +75,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> SignedDrive:
 
 def show(settings: Settings, statement: Signed) -> None:
     """Show the robot a statement, which it takes over."""
-    session = open_towards_robots(settings.zenoh)
+    session = join(settings.zenoh)
     try:
 
         def is_taken() -> bool:

@@ -1,4 +1,4 @@
-"""The Zenoh session settings that every process of ours shares. Pure: it builds a mapping, it opens nothing.
+"""Zenoh sessions: the one place that makes their configuration, and opens and closes them.
 
 Multicast scouting is off and gossip is on: nodes find each other through those they are connected to. A lease
 of 1 s and a fast reconnection keep a stalled link from delivering old samples in a burst.
@@ -6,13 +6,22 @@ of 1 s and a fast reconnection keep a stalled link from delivering old samples i
 
 from __future__ import annotations
 
+import json
+import logging
 import re
-from collections.abc import Callable, Sequence
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
+
+import msgspec
+import zenoh
 
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
-from schemas.settings import ZenohSettings
+from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
+
+log = logging.getLogger(__name__)
 
 RECONNECT_MIN_MS: Final = 100
 RECONNECT_MAX_MS: Final = 500
@@ -60,6 +69,7 @@ LISTEN: Final = "listen/endpoints"
 MULTICAST: Final = "scouting/multicast/enabled"
 GOSSIP: Final = "scouting/gossip/enabled"
 SCOUTING: Final = "scouting/delay"
+CONNECT_TIMEOUT: Final = "connect/timeout_ms"
 PROTOCOLS: Final = "transport/link/protocols"
 
 Says = Callable[[str], bool]
@@ -72,7 +82,11 @@ def nothing_said(_path: str) -> bool:
 
 
 def session_settings(
-    zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str], says: Says = nothing_said
+    settings: ZenohSettings,
+    connect: Sequence[str],
+    listen: Sequence[str],
+    says: Says = nothing_said,
+    own: Mapping[str, Json] | None = None,
 ) -> dict[str, Json]:
     """Return our values for Zenoh's configuration, on top of the user's file or of Zenoh's start values.
 
@@ -80,21 +94,22 @@ def session_settings(
     mode or a lease that a source of the settings gave, and always the endpoints to listen on.
 
     Args:
-        zenoh: the settings; its own ``connect`` and ``listen`` are not read here.
+        settings: their own ``connect`` and ``listen`` are not read here.
         connect: endpoints to connect to; retried for ever, in the background.
         listen: endpoints to listen on; none if it is empty. Failing to is an error at once.
         says: True if the file sets a path.
+        own: values of this kind of session, in place of those of all, or beside them.
 
     Returns:
         Values by their path in Zenoh's configuration, ``scouting/multicast/enabled``.
     """
     given = {
-        MODE: "mode" in zenoh.given,
-        LEASE: "lease_ms" in zenoh.given,
+        MODE: "mode" in settings.given,
+        LEASE: "lease_ms" in settings.given,
         CONNECT: bool(connect),
         LISTEN: True,
     }
-    entries = _entries(zenoh, connect, listen)
+    entries = _entries(settings, connect, listen) | dict(own or {})
     return {path: value for path, value in entries.items() if given.get(path) or not says(path)}
 
 
@@ -107,19 +122,19 @@ class ZenohChoice(NamedTuple):
     is_mode_given: bool = False
 
 
-def said(zenoh: ZenohSettings, of_file: Callable[[str], Json]) -> ZenohChoice:
+def said(settings: ZenohSettings, of_file: Callable[[str], Json]) -> ZenohChoice:
     """Return a session's mode and endpoints; a client listens on nothing.
 
     Args:
-        zenoh: the settings.
+        settings: of the session.
         of_file: the file's own value at a path; None if it sets none. Zenoh's start value, which listens on every
             address, does not count.
     """
     files = of_file(MODE)
-    mode = zenoh.mode if "mode" in zenoh.given or files is None else str(files)
-    connect = list(zenoh.connect) or _endpoints(of_file(CONNECT), mode)
-    listen = list(zenoh.listen) or _endpoints(of_file(LISTEN), mode)
-    is_given = "mode" in zenoh.given or files is not None
+    mode = settings.mode if "mode" in settings.given or files is None else str(files)
+    connect = list(settings.connect) or _endpoints(of_file(CONNECT), mode)
+    listen = list(settings.listen) or _endpoints(of_file(LISTEN), mode)
+    is_given = "mode" in settings.given or files is not None
     return ZenohChoice(mode, connect, [] if mode == "client" else listen, is_given)
 
 
@@ -144,11 +159,6 @@ def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
             return True
         pause(LOOK_EVERY_S)
     return False
-
-
-def allows(protocols: Json, endpoint: str) -> bool:
-    """Return True if the protocols of a Zenoh configuration file, which may set none, allow this endpoint."""
-    return not isinstance(protocols, list) or endpoint.partition("/")[0] in protocols
 
 
 def split_endpoint(endpoint: str) -> tuple[str, str, int]:
@@ -224,6 +234,227 @@ class SessionError(CommandError):
         self.is_unanswered = bool(_places(message))
 
 
+def open_session(
+    settings: ZenohSettings,
+    connect: Sequence[str],
+    listen: Sequence[str],
+    *,
+    own: Mapping[str, Json] | None = None,
+    changes: Mapping[str, Json] | None = None,
+) -> zenoh.Session:
+    """Open a session.
+
+    A peer's session opens although nobody answers, and goes on trying in the background.
+
+    Args:
+        settings: their own ``connect`` and ``listen`` are not read here.
+        connect: endpoints to connect to; those of the Zenoh configuration file if it is empty.
+        listen: endpoints to listen on, and no others.
+        own: values of this kind of session, by path, where the file sets none.
+        changes: values by path, over all else.
+
+    Raises:
+        CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
+            endpoint to listen on is taken.
+    """
+    config = _configuration(settings, connect, listen, own)
+    enter(config, changes or {})
+    return open_configured(config, settings.config)
+
+
+def join(
+    settings: ZenohSettings, listen: Sequence[str] = (), *, own: Mapping[str, Json] | None = None
+) -> zenoh.Session:
+    """Open a session that connects where the settings say, or else to this machine's gateway.
+
+    A Zenoh router passes nothing from one peer to another (measured with 1.10.2): a session that listens on
+    nothing and finds a router becomes its client, unless the settings say which mode it is to be.
+
+    Raises:
+        CommandError: see ``open_session``.
+    """
+    endpoints, choice = client_endpoints(settings), said_of(settings)
+    session = open_session(settings, endpoints, listen, own=own)
+    is_set = choice.mode != "peer" or choice.is_mode_given
+    if listen or is_set or not finds_router(session.info, time.sleep):
+        return session
+    close_session(session)
+    client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
+    return open_session(client, endpoints, [], own=own)
+
+
+def open_configured(config: zenoh.Config, file: str = "") -> zenoh.Session:
+    """Open a session with a configuration that is complete.
+
+    Args:
+        config: of the session.
+        file: the Zenoh file that it was read from; empty without one.
+
+    Raises:
+        SessionError: the client finds nobody to connect to, or an endpoint to listen on is taken.
+    """
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise SessionError("cannot open Zenoh", str(error), file) from error
+
+
+def close_session(session: zenoh.Session) -> None:
+    """Leave Zenoh. Never raises."""
+    try:
+        session.close()
+    except zenoh.ZError as error:  # The session is of no use any more either way.
+        log.debug("closing Zenoh: %s", error)
+
+
+def is_connected(session: zenoh.Session) -> bool:
+    """Return True if any Zenoh node is connected directly. A peer's session is open although none is."""
+    return bool(session.info.peers_zid() or session.info.routers_zid())
+
+
+def base_configuration(file: str) -> zenoh.Config:
+    """Read the user's Zenoh file; Zenoh's own start values without one.
+
+    Raises:
+        CommandError: the file is wrong.
+    """
+    if not file:
+        return zenoh.Config()
+    try:
+        return zenoh.Config.from_file(file)
+    except zenoh.ZError as error:
+        raise CommandError(
+            f"Zenoh configuration file {plain(file)!r}: {reason(str(error))}", ExitCode.USAGE
+        ) from error
+
+
+def enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
+    """Set values of a configuration, by path.
+
+    Raises:
+        CommandError: Zenoh takes one of them not.
+    """
+    for path, value in entries.items():
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            shown = plain(json.dumps(value))
+            raise CommandError(
+                f"Zenoh does not take {path} = {shown}: {reason(str(error))}", ExitCode.USAGE
+            ) from error
+
+
+def of_file(settings: ZenohSettings, path: str) -> Json:
+    """Return what the configuration file says at a path; None if it is nothing, or Zenoh's own start value.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    return _said_at(base_configuration(settings.config), path)
+
+
+def said_of(settings: ZenohSettings) -> ZenohChoice:
+    """Return a session's mode and endpoints, from the settings or else from the Zenoh configuration file.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    config = base_configuration(settings.config)
+    return said(settings, lambda path: _said_at(config, path))
+
+
+def client_endpoints(settings: ZenohSettings) -> list[str]:
+    """Return where a session connects that only talks to robots, or only listens to them.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    return said_of(settings).connect or [DEFAULT_ENDPOINT]
+
+
+def place(settings: ZenohSettings) -> str:
+    """Where a command connects, in words."""
+    return ", ".join(map(plain, client_endpoints(settings)))
+
+
+def is_allowed(settings: ZenohSettings, endpoint: str) -> bool:
+    """Return True if the protocols that the configuration file allows include that of this endpoint.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    protocols = of_file(settings, PROTOCOLS)
+    return not isinstance(protocols, list) or endpoint.partition("/")[0] in protocols
+
+
+def lease_in_force_ms(settings: ZenohSettings) -> int:
+    """The lease of a session of these settings, which the configuration file may say.
+
+    Raises:
+        CommandError: the configuration file is wrong.
+    """
+    return int(json.loads(_configuration(settings, [], []).get_json(LEASE)))
+
+
+def local_port(settings: ZenohSettings) -> list[str]:
+    """A free port of this machine's loopback address, for others on it, where nothing is said of listening.
+
+    None for a client, for who connects to another machine, and where the protocols do not allow it.
+
+    Raises:
+        CommandError: the settings are wrong.
+    """
+    is_local = all(map(is_loopback, client_endpoints(settings)))
+    if said_of(settings).mode == "client" or not is_local or not is_allowed(settings, ANY_LOCAL_PORT):
+        return []
+    return with_free_ports([ANY_LOCAL_PORT])
+
+
+def with_free_ports(listen: list[str]) -> list[str]:
+    """The endpoints, with a port that is free in place of 0, so that it can be told and connected to.
+
+    Raises:
+        CommandError: an address is not one of this machine.
+    """
+    return [_with_free_port(one) if ":0" in one else one for one in listen]
+
+
+def _with_free_port(endpoint: str) -> str:
+    try:
+        protocol, host, port = split_endpoint(endpoint)
+    except ValueError:
+        return endpoint
+    if port:
+        return endpoint
+    kind = socket.SOCK_DGRAM if protocol in ("udp", "quic") else socket.SOCK_STREAM
+    try:
+        family, *_, address = socket.getaddrinfo(host.strip("[]"), 0, type=kind)[0]
+        with socket.socket(family, kind) as probe:
+            probe.bind(address)
+            return with_port(endpoint, probe.getsockname()[1])
+    except OSError as error:
+        raise CommandError(f"cannot listen on {plain(endpoint)}: {error}", ExitCode.UNREACHABLE) from error
+
+
+def _configuration(
+    settings: ZenohSettings,
+    connect: Sequence[str],
+    listen: Sequence[str],
+    own: Mapping[str, Json] | None = None,
+) -> zenoh.Config:
+    config = base_configuration(settings.config)
+    enter(
+        config,
+        session_settings(settings, connect, listen, lambda path: _said_at(config, path) is not None, own),
+    )
+    return config
+
+
+def _said_at(config: zenoh.Config, path: str) -> Json:
+    value: Json = json.loads(config.get_json(path))
+    return None if value == json.loads(zenoh.Config().get_json(path)) else value
+
+
 def _places(text: str) -> list[str]:
     """The endpoints to none of which a session could connect."""
     return _NOT_CONNECTED.findall(text) if "Unable to connect" in text else []
@@ -258,12 +489,12 @@ def _parts(endpoint: str) -> re.Match[str]:
     return parts
 
 
-def _entries(zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str]) -> dict[str, Json]:
+def _entries(settings: ZenohSettings, connect: Sequence[str], listen: Sequence[str]) -> dict[str, Json]:
     return {
-        MODE: zenoh.mode,
+        MODE: settings.mode,
         CONNECT: list(connect),
         # By mode, whoever says which it is.
-        "connect/timeout_ms": {"router": -1, "peer": -1, "client": 0},
+        CONNECT_TIMEOUT: {"router": -1, "peer": -1, "client": 0},
         "connect/exit_on_failure": {"router": False, "peer": False, "client": True},
         "connect/retry": {
             "period_init_ms": RECONNECT_MIN_MS,
@@ -281,7 +512,7 @@ def _entries(zenoh: ZenohSettings, connect: Sequence[str], listen: Sequence[str]
         "transport/unicast/accept_pending": ACCEPT_PENDING,
         # Whoever shares memory with a process can end it, by cutting the memory off, and can fill it.
         "transport/shared_memory/enabled": False,
-        LEASE: zenoh.lease_ms,
+        LEASE: settings.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
         # Zenoh's own one batch drops a command whenever the one before it is still being sent.

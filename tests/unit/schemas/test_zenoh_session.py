@@ -1,10 +1,14 @@
 """The Zenoh session settings that every process shares."""
 
+import json
+from pathlib import Path
+
 import pytest
 
-from schemas.exit_codes import ExitCode
-from schemas.settings import ZenohSettings
-from schemas.zenoh_link import (
+from schemas.configuration import merge
+from schemas.exit_codes import CommandError, ExitCode
+from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
+from schemas.zenoh_session import (
     CONNECT,
     LEASE,
     LISTEN,
@@ -15,13 +19,18 @@ from schemas.zenoh_link import (
     SCOUTING_MS,
     Json,
     SessionError,
-    allows,
+    _configuration,
+    client_endpoints,
     finds_router,
+    is_allowed,
     is_loopback,
+    lease_in_force_ms,
     next_ports,
     own_endpoint,
+    place,
     reason,
     said,
+    said_of,
     session_settings,
 )
 
@@ -115,11 +124,14 @@ def test_where_no_port_comes_next_there_is_none(listen: str, fault: str) -> None
         next_ports([listen])
 
 
-def test_protocols_that_a_file_does_not_name_are_not_allowed() -> None:
+def test_protocols_that_a_file_does_not_name_are_not_allowed(tmp_path: Path) -> None:
     """A file that says nothing of protocols allows all."""
-    assert allows(None, ENDPOINT)
-    assert allows(["tls", "tcp"], ENDPOINT)
-    assert not allows(["tls"], ENDPOINT)
+    file = tmp_path / "zenoh.json5"
+    settings = ZenohSettings(config=str(file))
+    for protocols, expected in ((None, True), (["tls", "tcp"], True), (["tls"], False)):
+        link = {} if protocols is None else {"protocols": protocols}
+        file.write_text(json.dumps({"transport": {"link": link}}))
+        assert is_allowed(settings, ENDPOINT) == expected
 
 
 class Nodes:
@@ -215,3 +227,80 @@ def test_where_nobody_answers_it_is_said_in_plain_words(places: str, says: str) 
     )
     assert str(error).startswith(f"cannot open Zenoh: {says}")
     assert (error.code, error.config) == (ExitCode.UNREACHABLE, "z.json5")
+
+
+def test_multicast_is_off_and_nothing_listens_unless_asked() -> None:
+    """A session neither scouts by multicast nor listens on any interface by itself."""
+    config = _configuration(ZenohSettings(), ["tcp/127.0.0.1:7447"], [])
+    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
+    assert json.loads(config.get_json("listen/endpoints")) == []
+
+
+def test_a_zenoh_file_that_says_nothing_of_it_changes_neither(tmp_path: Path) -> None:
+    """Multicast stays off unless a Zenoh file asks for it; a command listens on nothing, whatever it says."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ transport: { link: { tx: { keep_alive: 5 } } } }")
+    config = _configuration(ZenohSettings(config=str(file)), [], [])
+    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
+    assert json.loads(config.get_json("listen/endpoints")) == []
+    file.write_text(
+        "{ scouting: { multicast: { enabled: true } }, listen: { endpoints: ['tcp/127.0.0.1:7500'] },"
+        " connect: { endpoints: ['tcp/127.0.0.1:7501'] } }"
+    )
+    config = _configuration(ZenohSettings(config=str(file)), [], [])
+    assert json.loads(config.get_json("scouting/multicast/enabled")) is True
+    assert json.loads(config.get_json("listen/endpoints")) == []
+    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7501"]
+    config = _configuration(ZenohSettings(config=str(file)), ["tcp/127.0.0.1:7502"], [])
+    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7502"]
+
+
+def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) -> None:
+    """Mode, lease and what is no setting of ours are the file's; a given setting wins, as its start value too."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text(
+        "{ mode: 'client', timestamping: { enabled: false },"
+        " transport: { link: { tx: { lease: 3000, queue: { size: { data: 4 } } } } } }"
+    )
+    others = ("timestamping/enabled", "transport/link/tx/queue/size/data")
+
+    def in_force_with(flags: dict[str, object]) -> list[object]:
+        settings = merge(None, {"CRUISER_ZENOH_CONFIG": str(file)}, flags).zenoh
+        config = _configuration(settings, [], [])
+        read = [json.loads(config.get_json(path)) for path in others]
+        return [said_of(settings).mode, lease_in_force_ms(settings), *read]
+
+    assert in_force_with({}) == ["client", 3000, False, 4]
+    assert in_force_with({"zenoh.mode": "peer", "zenoh.lease_ms": 1000}) == ["peer", 1000, False, 4]
+    file.write_text("{}")
+    assert in_force_with({}) == ["peer", 1000, True, 8]
+
+
+def test_a_command_connects_to_this_machine_unless_told_otherwise(tmp_path: Path) -> None:
+    """The settings say where to connect, else the Zenoh file, else it is the gateway's own start endpoint."""
+    assert client_endpoints(ZenohSettings()) == [DEFAULT_ENDPOINT]
+    assert client_endpoints(ZenohSettings(connect=["tcp/127.0.0.1:1"])) == ["tcp/127.0.0.1:1"]
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{ connect: { endpoints: ['tcp/127.0.0.1:7501'] } }")
+    assert client_endpoints(ZenohSettings(config=str(file))) == ["tcp/127.0.0.1:7501"]
+    assert place(ZenohSettings(config=str(file))) == "tcp/127.0.0.1:7501"
+    file.write_text("{}")
+    assert client_endpoints(ZenohSettings(config=str(file))) == [DEFAULT_ENDPOINT]
+
+
+def test_values_of_a_kind_of_session_hold_where_the_file_says_nothing(tmp_path: Path) -> None:
+    """What a file says wins over them; a file that cannot be read is a usage error."""
+    path, own = "transport/link/tx/batch_size", {"transport/link/tx/batch_size": 16_384}
+    file = tmp_path / "zenoh.json5"
+    settings = ZenohSettings(config=str(file))
+    assert _configuration(ZenohSettings(), [], [], own).get_json(path) == "16384"
+    file.write_text(json.dumps({"transport": {"link": {"tx": {"batch_size": 30_000}}}}))
+    assert _configuration(settings, [], [], own).get_json(path) == "30000"
+    for broken in ("{", None):
+        file.unlink()
+        if broken:
+            file.write_text(broken)
+        with pytest.raises(CommandError, match="Zenoh configuration file") as caught:
+            said_of(settings)
+        assert caught.value.code == ExitCode.USAGE
+        file.touch()
