@@ -23,7 +23,7 @@ from schemas.decisions import Severity
 from schemas.reasons import Reason
 
 FORMAT: Final = "cruiser-catalog"
-VERSION: Final = 2
+VERSION: Final = 3
 """Rises with each change of what a row says; a catalog of another version is made anew."""
 
 INCIDENT: Final = "incident"
@@ -48,7 +48,7 @@ class LoggedMoment(msgspec.Struct, frozen=True):
         last_ns: ...and when the last of ``count`` alike ones was.
         kind: those of ``events``, or ``incident``.
         operator: who did it; where nobody did, the lease's holder.
-        is_stop: the robot was commanded no longer, or its gateway died.
+        is_stop: a stop begins with it.
     """
 
     time_ns: int

@@ -11,7 +11,7 @@ import msgspec
 
 from recorder.record.accounting import KeyReport
 from recorder.review.report.drives import REST_NS, Drives
-from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog, is_stop
+from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog
 from recorder.review.report.findings import (
     Driver,
     Outage,
@@ -159,7 +159,7 @@ class Account:
         """The next entry of the timeline that is about this robot."""
         if entry.last_ns >= self._begins_ns and entry.time_ns < self._ends_ns:
             self.event_log.take(entry)
-            self._drives.take_entry(entry, is_stop=is_stop(entry))
+            self._drives.take_entry(entry)
 
     def lose(self, topic: str, reason: str, count: int) -> None:
         """The recorder says that it could not keep so many messages."""
@@ -209,7 +209,8 @@ class Account:
             known_s=speeds.known_ns / 1e9,
             top_mps=speeds.top_mps,
             top_ns=speeds.top_ns,
-            stops=dict(happened.stops.most_common()),
+            stops={cause: count for cause, count in happened.stops.most_common() if count},
+            ends=dict(happened.ends.most_common()),
             outages=happened.outages,
             more_outages=happened.more_outages,
             ends_commanding=self._ends_commanding,

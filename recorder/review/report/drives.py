@@ -62,11 +62,11 @@ class Drives:
         now.log_start_ns, now.log_end_ns = min(now.log_start_ns, log_ns), max(now.log_end_ns, log_ns)
         now.distance_m += grew_m
 
-    def take_entry(self, entry: Entry, *, is_stop: bool) -> None:
+    def take_entry(self, entry: Entry) -> None:
         """An entry of the timeline: it belongs to the drive of its time, if any."""
         for one in reversed(self._found):
             if one.start_ns - MARGIN_NS <= entry.time_ns <= one.end_ns + MARGIN_NS:
-                one.stops += is_stop
+                one.stops += entry.is_stop
                 if _RANKS[entry.severity] > _RANKS[one.worst]:
                     one.worst, one.worst_text = entry.severity, entry.text
                 return

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Final
 
 import msgspec
 
 from recorder.review.report.findings import Moment, Outage, Silence
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import STOPS, Entry, EntryKind, EntrySource
+from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 
@@ -25,7 +23,7 @@ OUTAGES_MAX: Final = 200
 SILENCES_MAX: Final = 200
 
 RECENT: Final = 50
-"""Silences among which the one before a restart is, and stops by the guard that a restart may report again."""
+"""Silences among which the one before a restart is."""
 
 BEYOND_NS: Final = 24 * 3600 * 1_000_000_000
 """A time that is further from all that the robot said is of no use."""
@@ -33,8 +31,8 @@ BEYOND_NS: Final = 24 * 3600 * 1_000_000_000
 CLOCKS_APART_NS: Final = 2_000_000_000
 """The robot's clock and the recorder's may differ by so much, and the log times are the recorder's."""
 
-_NOTED: Final = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00")
-"""The time at which the guard began to stop, in its note."""
+DIED: Final = "gateway_died"
+"""The cause of a stop of which no more is known."""
 
 _IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
 
@@ -44,6 +42,7 @@ class EventLog:
 
     Attributes:
         stops: number of stops, by reason.
+        ends: likewise what was asked for.
         counts: entries by kind.
         outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
         silences: other gaps of the log; ``more_silences`` are left out.
@@ -51,23 +50,24 @@ class EventLog:
 
     def __init__(self) -> None:
         self.stops: Counter[str] = Counter()
+        self.ends: Counter[str] = Counter()
         self.counts: Counter[str] = Counter()
         self.outages: list[Outage] = []
         self.silences: list[Silence] = []
         self.more_outages = self.more_silences = 0
         self._entries: list[Entry] = []
         self._recent: deque[Silence] = deque(maxlen=RECENT)
-        self._guard_stops_ns: deque[int] = deque(maxlen=RECENT)
+        self._cause = ""
+        self._stop_at = 0
 
     def take(self, entry: Entry) -> None:
         """Add the next one."""
         if entry.kind in _IN_OTHER_TABLES:
             return
         self._keep(entry)
-        if entry.kind is EntryKind.STOP:
-            self.stops[entry.reason.value] += 1
-        elif entry.kind is EntryKind.LATCH and entry.reason is Reason.GUARD:
-            self._take_guard_stop(entry)
+        self._count_stop(entry)
+        if entry.kind is EntryKind.END:
+            self.ends[entry.reason.value] += 1
         elif entry.kind is EntryKind.GAP and entry.source is EntrySource.LOG and entry.last_ns > entry.time_ns:
             self._take_silence(entry)
         elif _is_restart(entry):
@@ -110,13 +110,20 @@ class EventLog:
         if len(self._entries) < room:
             self._entries.append(entry)
 
-    def _take_guard_stop(self, entry: Entry) -> None:
-        """Add a stop by the guard; each gateway that finds it latched at its start reports it again."""
-        noted = _NOTED.search(entry.text)
-        began_ns = entry.time_ns if noted is None else round(datetime.fromisoformat(noted[0]).timestamp() * 1e9)
-        if not any(abs(began_ns - other_ns) < CLOCKS_APART_NS for other_ns in self._guard_stops_ns):
-            self._guard_stops_ns.append(began_ns)
-            self.stops[entry.reason.value] += 1
+    def _count_stop(self, entry: Entry) -> None:
+        """Count a stop by its cause; of a gateway that died the next one may say it."""
+        if entry.is_stop:
+            self._cause = DIED if entry.reason is Reason.NONE else entry.reason.value
+            self._stop_at = len(self._entries) - 1
+            self.stops[self._cause] += 1
+        elif entry.kind is EntryKind.ENGAGED:
+            self._cause = ""
+        elif entry.kind is EntryKind.LATCH and self._cause == DIED:
+            self.stops[DIED] -= 1
+            self._cause = entry.reason.value
+            self.stops[self._cause] += 1
+            stop = self._entries[self._stop_at]
+            self._entries[self._stop_at] = msgspec.structs.replace(stop, reason=entry.reason)
 
     def _take_silence(self, entry: Entry) -> None:
         silence = Silence(entry.time_ns, entry.last_ns, entry.text)
@@ -175,13 +182,5 @@ def _moment(entry: Entry, time_ns: int, place: Place | None) -> Moment:
         text=entry.text,
         x_m=None if place is None else place.x_m,
         y_m=None if place is None else place.y_m,
-        is_stop=is_stop(entry),
+        is_stop=entry.is_stop,
     )
-
-
-def is_stop(entry: Entry) -> bool:
-    """Report whether the robot was commanded no longer then, or its gateway died."""
-    is_latch = entry.kind is EntryKind.LATCH and entry.reason is Reason.GUARD
-    is_death = entry.kind is EntryKind.GATEWAY and entry.severity is Severity.ERROR
-    stops = entry.kind in STOPS and entry.reason is not Reason.NONE and not entry.tells_of_guard
-    return stops or is_latch or is_death

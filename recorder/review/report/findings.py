@@ -19,7 +19,7 @@ class Moment(msgspec.Struct, frozen=True):
         operator: the operator behind it; empty if there is none.
         holder: the lease's holder then, as far as the log shows; empty if nobody.
         x_m, y_m: where, as far as the path is known.
-        is_stop: the robot was commanded no longer, or its gateway died.
+        is_stop: a stop begins with it.
     """
 
     time_ns: int
@@ -128,6 +128,7 @@ class RobotSummary(msgspec.Struct, frozen=True):
         moving_s: the time that it moved, of ``known_s`` of which its speed is known.
         top_mps: its highest speed, negative in reverse; at ``top_ns``.
         stops: number of stops, by reason.
+        ends: number of times that a drive was ended by request, by reason.
         outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
         ends_commanding: the log ends while the chassis was under command.
         events: their number, by kind.
@@ -155,6 +156,7 @@ class RobotSummary(msgspec.Struct, frozen=True):
     top_mps: float
     top_ns: int
     stops: dict[str, int]
+    ends: dict[str, int]
     outages: list[Outage]
     more_outages: int
     ends_commanding: bool

@@ -79,6 +79,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
         tick: the arbiter's; None where there is none.
         text: the event in a sentence.
         is_late: entries that happened later come before it.
+        is_stop: a stop begins with it; what is said of that stop afterwards is none.
     """
 
     time_ns: TimeNs
@@ -95,6 +96,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     request: str = ""
     tick: Tick | None = None
     is_late: bool = False
+    is_stop: bool = False
 
     @property
     def is_derived(self) -> bool:

@@ -11,6 +11,7 @@ from recorder.review.timeline.clock import RobotClock
 from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from recorder.review.timeline.repeats import Sequences
 from recorder.review.timeline.state_changes import EventTicks
+from recorder.review.timeline.stops import Stops
 from schemas.decisions import ArbiterState, SafetyState, Severity, is_same_run
 from schemas.messages import GatewayHealth
 
@@ -25,6 +26,7 @@ class RobotTrack:
         name: empty for what is no robot's.
         clock: its clock.
         ticks: of its events.
+        stops: its stops.
         state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
             ``state_sequence``.
         ended_tick: the tick of the last announcement of a shutdown; None if there was none.
@@ -35,6 +37,7 @@ class RobotTrack:
         self.name = name
         self.clock = RobotClock()
         self.ticks = EventTicks()
+        self.stops = Stops()
         self.state: SafetyState | None = None
         self.state_ns = self.state_log_ns = 0
         self.state_sequence = 0

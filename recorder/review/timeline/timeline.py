@@ -191,10 +191,11 @@ class Timeline:
 
     def _next(self) -> Iterator[Entry]:
         time_ns, _, entry, change = heappop(self._held)
-        if change is not None and self._robots[entry.robot].ticks.tells(
-            change.kind, change.after_tick, change.tick
-        ):
-            return
+        robot = self._robots.get(entry.robot)
+        if robot is not None:
+            if change is not None and robot.ticks.tells(change.kind, change.after_tick, change.tick):
+                return
+            entry = robot.stops.mark(entry)
         is_late = time_ns < self._told_ns
         self._told_ns = max(self._told_ns, time_ns)
         yield msgspec.structs.replace(entry, is_late=True) if is_late else entry

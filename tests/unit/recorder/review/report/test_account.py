@@ -206,7 +206,7 @@ def test_names_without_end_cost_no_memory_without_end() -> None:
     assert OTHERS in {driver.name for driver in summary.drivers}
     assert (len(summary.refusals), summary.refused) == (REFUSALS_MAX, many)
     assert summary.other_refusals == many - REFUSALS_MAX
-    assert summary.stops == {"front_bumper": MOMENTS_MAX + 5}
+    assert summary.stops == {"front_bumper": 1}
     charts = charts_of(*(event(number) for number in range(MOMENTS_MAX + 5)))
     assert (len(charts.moments), charts.more_moments) == (MOMENTS_MAX, 5)
 

@@ -19,7 +19,7 @@ DAY_NS = 24 * 3600 * SECOND
 
 
 def entry(time_ns: int, severity: Severity, text: str = "") -> Entry:
-    """An entry of that time."""
+    """A stop of that time."""
     return Entry(
         time_ns=time_ns,
         last_ns=time_ns,
@@ -28,6 +28,7 @@ def entry(time_ns: int, severity: Severity, text: str = "") -> Entry:
         severity=severity,
         source=EntrySource.EVENT,
         text=text,
+        is_stop=True,
     )
 
 
@@ -63,7 +64,7 @@ def test_what_happens_near_a_drive_belongs_to_it(off_ns: int, is_in: bool) -> No
     """Up to its margins."""
     found = Drives()
     found.add(10**18, 10**18)
-    found.take_entry(entry(10**18 + off_ns, Severity.ERROR, "bad"), is_stop=True)
+    found.take_entry(entry(10**18 + off_ns, Severity.ERROR, "bad"))
     (drive,) = found.drives()
     assert (drive.stops, drive.worst, drive.severity) == ((1, "bad", "error") if is_in else (0, "", "info"))
 
@@ -73,7 +74,7 @@ def test_the_worst_finding_is_the_first_of_the_gravest() -> None:
     found = Drives()
     found.add(10**18, 10**18)
     for severity, text in (("info", "a"), ("warning", "b"), ("error", "c"), ("error", "d"), ("warning", "e")):
-        found.take_entry(entry(10**18, Severity(severity), text), is_stop=False)
+        found.take_entry(entry(10**18, Severity(severity), text))
     assert found.drives()[0].worst == "c"
 
 
@@ -83,7 +84,7 @@ def test_drives_beyond_the_limit_are_counted(monkeypatch: pytest.MonkeyPatch) ->
     found = Drives()
     for number in range(5):
         found.add(10**18 + number * DAY_NS, 10**18)
-        found.take_entry(entry(10**18 + number * DAY_NS, Severity.ERROR), is_stop=True)
+        found.take_entry(entry(10**18 + number * DAY_NS, Severity.ERROR))
     assert (len(found.drives()), found.more) == (2, 3)
     assert [one.stops for one in found.drives()] == [1, 1]
 

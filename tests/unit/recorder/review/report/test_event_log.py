@@ -1,14 +1,13 @@
 """What happened to one robot, from the entries of the timeline."""
 
-from datetime import UTC, datetime
-
 import msgspec
 import pytest
 
-from recorder.review.report.event_log import ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, EventLog, is_stop
+from recorder.review.report.event_log import DIED, ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, EventLog
 from recorder.review.report.findings import Outage
 from recorder.review.report.odometry import Place
 from recorder.review.timeline.entries import Entry, EntryKind, EntrySource, kind_of
+from recorder.review.timeline.stops import Stops
 from schemas.decisions import Severity
 from schemas.reasons import AS_ASKED, Reason
 from tests.support.messages import SECOND, WALL_NS
@@ -38,9 +37,9 @@ def silence(from_s: float, to_s: float, **fields: object) -> Entry:
 
 def happened(*entries: Entry) -> EventLog:
     """All of them."""
-    found = EventLog()
+    found, stops = EventLog(), Stops()
     for one in entries:
-        found.take(one)
+        found.take(stops.mark(one))
     return found
 
 
@@ -52,8 +51,8 @@ def test_an_end_that_somebody_asked_for_is_no_stop(reason: Reason) -> None:
         for why in (reason, Reason.DEADMAN)
     )
     assert (end.kind, stop.kind) == (EntryKind.END, EntryKind.STOP)
-    assert happened(end, stop).stops == {"deadman": 1}
-    assert (is_stop(end), is_stop(stop)) == (False, True)
+    found = happened(end, stop)
+    assert (found.stops, found.ends) == ({"deadman": 1}, {reason.value: 1})
 
 
 def test_the_silence_before_a_restart_is_its_own() -> None:
@@ -92,9 +91,10 @@ def test_refusals_and_requests_have_a_table_of_their_own() -> None:
         entry(1, EntryKind.REFUSAL),
         entry(2, EntryKind.REQUEST),
         entry(3, EntryKind.STOP, reason=Reason.DEADMAN),
+        entry(3.5, EntryKind.ENGAGED),
         entry(4, EntryKind.STOP, reason=Reason.DEADMAN),
     )
-    assert found.counts == {"stop": 2}
+    assert found.counts == {"stop": 2, "engaged": 1}
     assert found.stops == {"deadman": 2}
 
 
@@ -137,16 +137,11 @@ def test_a_time_beyond_reason_is_put_where_the_robot_was(far_ns: int) -> None:
     assert moment.last_ns == moment.time_ns
 
 
-def test_a_stop_by_the_guard_is_a_stop_and_is_counted_once() -> None:
-    """Each gateway that finds it latched at its start says so again; another one of another time is another."""
-
-    def latch(at_s: float, text: str = "latched until a reset") -> Entry:
-        return entry(at_s, EntryKind.LATCH, reason=Reason.GUARD, text=text)
-
-    def noted(at_s: float, began_s: float) -> Entry:
-        began = datetime.fromtimestamp(WALL_NS / 1e9 + began_s, UTC).isoformat(timespec="milliseconds")
-        return latch(at_s, f"latched until a reset: ...; {began} guard: the gateway is gone; {began} guard: done")
-
-    assert happened(noted(5, 1), noted(50, 1), noted(500, 1)).stops == {"guard": 1}
-    assert happened(latch(1), noted(50, 1.2)).stops == {"guard": 1}
-    assert happened(noted(5, 1), noted(50, 40), latch(60)).stops == {"guard": 3}
+def test_the_cause_of_a_gateways_death_is_what_the_next_one_latches() -> None:
+    """Without a word of it the cause is that the gateway died."""
+    died = entry(1, EntryKind.GATEWAY, severity=Severity.ERROR)
+    latch = entry(9, EntryKind.LATCH, reason=Reason.GUARD)
+    found = happened(died, latch)
+    assert +found.stops == {"guard": 1}
+    assert [one.reason for one in found.moments([], WALL_NS, WALL_NS) if one.is_stop] == ["guard"]
+    assert happened(died).stops == {DIED: 1}

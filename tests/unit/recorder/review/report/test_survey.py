@@ -166,7 +166,8 @@ def test_what_comes_again_much_later_is_told_once(tmp_path: Path) -> None:
         log.receive(sample_of(message), wall_ns=message.time_ns + 60 * SECOND)
     (tmp_path / "b.mcap").write_bytes(log.close())
     (robot,) = report_of(first, tmp_path / "b.mcap").robots
-    assert robot.summary.stops == {"front_bumper": 600}
+    assert robot.summary.stops == {"front_bumper": 1}
+    assert robot.summary.events["stop"] == 600
 
 
 def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path: Path) -> None:
