@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+from cantools.database.can import Database
+from cantools.database.can import Message as CanMessage
 
 from schemas import json_schema, keys
-from schemas.dbc_files import DBC_FILES, dbc_text, signal_comments
+from schemas.dbc_files import DBC_FILES, dbc_text
 from schemas.docstrings import summary
 from schemas.egress import FULL, PROFILES, PUBLISHED, rate_in_words
-from schemas.messages import UNIT_KEYWORD, Message
+from schemas.messages import UNIT_KEYWORD, Message, Variant
 from schemas.reasons import TEXTS
 from schemas.requests import Leased
 from schemas.setting_table import SETTINGS
@@ -292,7 +294,11 @@ def _signal_comments() -> dict[str, dict[str, str]]:
     A sentence that only one variant's file has describes that variant's scale, not the field, and is left out.
     """
     coarse, fine = (
-        {key: _sentences(comment) for key, comment in signal_comments(dbc_text(variant)).items()}
+        {
+            (message.name, signal.name): _sentences(str(signal.comment or ""))
+            for message in _messages(variant)
+            for signal in message.signals
+        }
         for variant in DBC_FILES
     )
     comments: dict[str, dict[str, str]] = {}
@@ -306,6 +312,12 @@ def _signal_comments() -> dict[str, dict[str, str]]:
         named = [field for field in fields if field == snake or field.startswith(f"{snake}_")]
         comments.setdefault(frame, {}).update(dict.fromkeys(named, text))
     return comments
+
+
+def _messages(variant: Variant) -> list[CanMessage]:
+    database = Database()
+    database.add_dbc_string(dbc_text(variant))
+    return database.messages
 
 
 def _sentences(comment: str) -> list[str]:

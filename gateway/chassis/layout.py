@@ -36,6 +36,13 @@ class SignalLayout(msgspec.Struct, frozen=True):
     choices: dict[int, str]
     start_raw: int
 
+    def value(self, data: bytes) -> float:
+        """Return the scaled value in a frame's bytes; of a choice its raw value."""
+        raw = int.from_bytes(data, "little") >> self.start_bit & (1 << self.length) - 1
+        if self.is_signed and raw >> self.length - 1:
+            raw -= 1 << self.length
+        return raw if self.scale == 1 and self.offset == 0 else raw * self.scale + self.offset
+
     @property
     def field(self) -> str:
         """The message field of this signal: snake_case, with the unit as a suffix."""

@@ -9,9 +9,10 @@ from typing import Final
 
 import msgspec
 
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.layout import MessageLayout
 from schemas.alive_counter import COUNTER_SPAN, UnseenRounds
 from schemas.can_word import IDENTIFIER_MASK
-from schemas.dbc_files import DbcFrame, dbc_text, frames
 from schemas.messages import Variant
 
 FRAME_BYTES: Final = 8
@@ -30,14 +31,10 @@ _CYCLE: Final = bytes(range(COUNTER_SPAN))
 
 
 @cache
-def feedback_frames() -> dict[int, DbcFrame]:
+def feedback_frames() -> dict[int, MessageLayout]:
     """The chassis's periodic feedback frames by identifier; all are extended."""
     # Either variant would do: both have the same frames and cycle times.
-    return {
-        frame.can_id & IDENTIFIER_MASK: frame
-        for frame in frames(dbc_text(Variant.COARSE))
-        if frame.is_feedback and frame.period_ns
-    }
+    return {frame.can_id & IDENTIFIER_MASK: frame for frame in load(Variant.COARSE).feedback if frame.period_ns}
 
 
 class ClockStep(msgspec.Struct, frozen=True):
@@ -65,7 +62,7 @@ class AliveCount:
         first_ns: when each of these was seen for the first time, by the name of the count.
     """
 
-    def __init__(self, frame: DbcFrame) -> None:
+    def __init__(self, frame: MessageLayout) -> None:
         self.name = frame.name
         self.frames = self.lost = self.repeated = self.corrupt = self.outages = 0
         self.first_ns: dict[str, int] = {}

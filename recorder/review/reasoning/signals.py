@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any, Final
+from typing import Final
 
-import cantools
 import msgspec
-from cantools.database.can import Database
 
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.layout import MessageLayout
 from schemas.can_word import IDENTIFIER_MASK
-from schemas.dbc_files import DbcFrame, dbc_text, frames
 from schemas.messages import Variant
 from schemas.settings import SILENCE_MIN_NS, SILENCE_PERIODS
 
@@ -61,8 +59,8 @@ class DecodedFrame(msgspec.Struct, frozen=True):
         return f"0x{self.identifier:08X}{name}, {self.data.hex(' ').upper()}"
 
 
-BY_IDENTIFIER: Final[dict[int, DbcFrame]] = {
-    frame.can_id & IDENTIFIER_MASK: frame for frame in frames(dbc_text(Variant.COARSE))
+BY_IDENTIFIER: Final[dict[int, MessageLayout]] = {
+    frame.can_id & IDENTIFIER_MASK: frame for frame in load(Variant.COARSE).messages.values()
 }
 """Every frame of the DBC. Both variants have the same frames and cycle times."""
 
@@ -77,18 +75,9 @@ def silence_ns(name: str) -> int:
     return max(SILENCE_PERIODS * BY_IDENTIFIER[IDENTIFIERS[name]].period_ns, SILENCE_MIN_NS)
 
 
-@cache
-def _database(variant: Variant) -> Database:
-    database = cantools.database.load_string(dbc_text(variant), "dbc", strict=True)
-    assert isinstance(database, Database)  # noqa: S101 - a DBC is a CAN database
-    return database
-
-
-def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str, Any]:
+def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str, float]:
     """A frame's signals by name, scaled, whatever its checksum is; empty if it is none of the DBC."""
-    if frame.identifier not in BY_IDENTIFIER or len(frame.data) != FRAME_BYTES:
+    known = BY_IDENTIFIER.get(frame.identifier)
+    if known is None or len(frame.data) != FRAME_BYTES:
         return {}
-    message = _database(variant).get_message_by_frame_id(frame.identifier)
-    decoded = message.decode(frame.data, decode_choices=False)
-    assert isinstance(decoded, dict)  # noqa: S101 - no container message is in the DBC
-    return decoded
+    return {signal.name: signal.value(frame.data) for signal in load(variant).messages[known.name].signals}

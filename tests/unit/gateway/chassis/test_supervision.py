@@ -4,15 +4,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.cruiser.layout import load
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period, silence_ns
 from recorder.review.checking.alive import AliveCount
-from schemas.can_word import EXTENDED
-from schemas.dbc_files import DbcFrame
-from tests.support.messages import GEAR_FEEDBACK, feedback
+from schemas.messages import Variant
+from tests.support.messages import feedback
 
 MS = 1_000_000
-GEAR = DbcFrame(EXTENDED | GEAR_FEEDBACK, "Auto_GearFeedBack", "Chassis", 10 * MS)
+GEAR = load(Variant.COARSE).messages["Auto_GearFeedBack"]
 
 
 @given(first=st.integers(0, 15), frames=st.integers(1, 100))

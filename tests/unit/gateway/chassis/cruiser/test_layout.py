@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 
+import cantools
 import pytest
+from cantools.database.can import Database
 
 from gateway.chassis.cruiser import layout as layout_module
 from gateway.chassis.cruiser.layout import load
-from gateway.chassis.cruiser.layout_file import FILE, layouts_text
-from gateway.chassis.dbc import read_layout
-from schemas.dbc_files import CHASSIS_NODE, DBC_FILES, dbc_text
+from gateway.chassis.cruiser.layout_file import FILE, layouts_text, read_layout
+from schemas.dbc_files import DBC_FILES, dbc_text
 from schemas.messages import Variant
 
 
@@ -27,7 +28,7 @@ def test_the_file_is_current() -> None:
 @pytest.mark.parametrize("variant", DBC_FILES)
 def test_a_layout_is_what_cantools_reads_from_the_dbc(variant: Variant) -> None:
     """To the letter, though it went through a file."""
-    assert load(variant) == read_layout(variant, dbc_text(variant), CHASSIS_NODE)
+    assert load(variant) == read_layout(variant, dbc_text(variant))
 
 
 @pytest.mark.usefixtures("_read_anew")
@@ -38,3 +39,21 @@ def test_a_layout_of_another_dbc_is_not_used(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(layout_module, "dbc_text", lambda _: changed)
     with pytest.raises(ValueError, match=r"was not made of this cruiser-fine\.dbc; 'make generate' makes it anew"):
         load(Variant.FINE)
+
+
+def test_every_known_variant_has_a_file() -> None:
+    """A variant that is not known has none."""
+    assert set(DBC_FILES) == set(Variant) - {Variant.UNKNOWN}
+
+
+@pytest.mark.parametrize("variant", DBC_FILES)
+def test_a_signal_has_the_value_that_cantools_decodes(variant: Variant) -> None:
+    """Of every signal of every frame, with all patterns of one byte around it."""
+    database = cantools.database.load_string(dbc_text(variant), "dbc")
+    assert isinstance(database, Database)
+    for message in load(variant).messages.values():
+        known = database.get_message_by_name(message.name)
+        for byte in range(256):
+            data = bytes([byte, 255 - byte] * 4)
+            decoded = known.decode(data, decode_choices=False)
+            assert {signal.name: signal.value(data) for signal in message.signals} == decoded

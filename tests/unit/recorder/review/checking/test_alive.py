@@ -6,15 +6,15 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.cruiser.layout import load
 from recorder.review.checking.alive import AliveCount, feedback_frames
 from schemas.alive_counter import COUNTER_SPAN
-from schemas.can_word import EXTENDED
-from schemas.dbc_files import DBC_FILES, DbcFrame, dbc_text
+from schemas.dbc_files import DBC_FILES, dbc_text
 from schemas.messages import Variant
 from tests.support.messages import GEAR_FEEDBACK, MS, feedback
 
 PERIOD_NS = 10 * MS
-GEAR = DbcFrame(EXTENDED | GEAR_FEEDBACK, "Auto_GearFeedBack", "Chassis", PERIOD_NS)
+GEAR = load(Variant.COARSE).messages["Auto_GearFeedBack"]
 
 
 def gear_count() -> AliveCount:
