@@ -3,7 +3,8 @@
 - ``find``, ``catalog``  which of very many logs; their rows
 - ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``)
 - ``cut``                a part of a log, as a log
-- ``timeline``, ``why``  what happened; why the robot stopped or stood (``reasoning``)
+- ``events``             what happened (``entries``, ``stops``, ``repeats``, ``clock``)
+- ``why``                why the robot stopped or stood (``reasoning``)
 - ``verify``             who commanded, with which grant; is each file as it was signed (``verifying``)
 - ``rerun``              the recorded run again, with its settings or with others
 - ``report``             a drive on one page

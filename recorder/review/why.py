@@ -20,6 +20,8 @@ from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import END_OF_TIME_NS, Progress
 from recorder.reading.survey import Survey
 from recorder.reading.times import in_words
+from recorder.review.clock import NEAR_NS
+from recorder.review.entries import Entry
 from recorder.review.reasoning import silence as silences
 from recorder.review.reasoning import story as stories
 from recorder.review.reasoning.blockers import PLAIN, blocked_words, blocks, cures
@@ -31,8 +33,6 @@ from recorder.review.reasoning.silence import GatewaySilence, last_silence, next
 from recorder.review.reasoning.stopping import actions
 from recorder.review.reasoning.story import Story
 from recorder.review.reasoning.window import BEFORE_NS, EvidenceWindow, Heard, WindowReader, is_other_run
-from recorder.review.timeline.clock import NEAR_NS
-from recorder.review.timeline.entries import Entry
 from schemas.decisions import COMMANDING, ArbiterState, SafetyState, is_same_run
 from schemas.messages import TimeNs
 from schemas.reasons import Reason

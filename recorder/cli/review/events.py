@@ -25,8 +25,8 @@ from recorder.cli.show import json_line
 from recorder.reading.faults import Faults
 from recorder.reading.survey import survey
 from recorder.reading.times import in_words
-from recorder.review.timeline.entries import Entry, EntryKind
-from recorder.review.timeline.timeline import read_events
+from recorder.review.entries import Entry, EntryKind
+from recorder.review.events import read_events
 from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings

@@ -11,11 +11,11 @@ import msgspec
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Selection
+from recorder.review.entries import EntryKind
 from recorder.review.info import LogInfo, lost, read_info
 from recorder.review.report.findings import Report, RobotReport
 from recorder.review.report.survey import read_report
 from recorder.review.report.words import moment_words
-from recorder.review.timeline.entries import EntryKind
 from recorder.review.verify import shown_statements
 from recorder.review.verifying.commands import COMMANDING_ROLES
 from schemas.authority.statement import Grant, StatementFault, read_chain

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
+from recorder.review.entries import Entry, EntryKind
 from recorder.review.reasoning.blockers import is_told, kept_by
 from recorder.review.reasoning.chain import Link, Step, before, missing, mps, span, zero
 from recorder.review.reasoning.request_evidence import last_command
 from recorder.review.reasoning.window import EvidenceWindow, Heard, Said
-from recorder.review.timeline.entries import Entry, EntryKind
 from schemas.decisions import COMMANDING, ArbiterState, Bound, Decision, SafetyState, StopPhase
 from schemas.messages import Body, Drive, Gear, GearPosition, Parking, ParkingStatus, RobotState, Steering
 from schemas.reasons import OF_A_ROBOT, TEXTS, Reason

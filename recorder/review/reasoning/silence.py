@@ -8,9 +8,9 @@ from typing import Final
 
 import msgspec
 
+from recorder.review.entries import Entry, EntryKind
 from recorder.review.reasoning.chain import Link, Step, before, evidence, missing, span
 from recorder.review.reasoning.window import EvidenceWindow, Heard, is_other_run
-from recorder.review.timeline.entries import Entry, EntryKind
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, is_same_run
 from schemas.messages import Drive
 from schemas.reasons import TEXTS, Reason

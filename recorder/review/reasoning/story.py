@@ -10,14 +10,13 @@ import msgspec
 
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
-from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, decoded_rows, read_rows
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, decoded_rows
+from recorder.review.clock import NEAR_NS
+from recorder.review.entries import ENDS, STOPS, Entry, EntryKind, EntrySource
+from recorder.review.events import read_events
 from recorder.review.reasoning.window import EvidenceWindow, Heard, is_other_run
-from recorder.review.timeline.clock import NEAR_NS
-from recorder.review.timeline.entries import ENDS, STOPS, Entry, EntryKind, EntrySource
-from recorder.review.timeline.timeline import Timeline, read_events
 from schemas.decisions import ArbiterState, SafetyEvent, SafetyState, Severity, is_same_run
 from schemas.reasons import Reason
-from schemas.recording import RecorderEvent
 
 KEPT: Final = 50_000
 """Entries that are kept; the oldest go first."""
@@ -115,18 +114,7 @@ def _is_same_run(one: Entry, other: Entry) -> bool:
 
 def told(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
     """The story by the robot's own events, and the recorders'. Most of a log need not be read for it."""
-    selection = Selection(
-        lambda topic: topic.kind is RecorderEvent or (topic.robot == robot and topic.kind is SafetyEvent),
-    )
-    timeline = Timeline(faults, has_states=False)
-
-    def entries() -> Iterator[Entry]:
-        for row in read_rows(logs, selection, faults, progress):
-            timeline.take(row)
-            yield from timeline.tell()
-        yield from timeline.end()
-
-    return Story(one for one in entries() if one.robot == robot and one.kind is not EntryKind.RECORDER)
+    return derived(robot, logs, faults, progress)
 
 
 def derived(robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:

@@ -15,10 +15,10 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE
+from recorder.review.clock import FAR_NS, NEAR_NS
 from recorder.review.reasoning.chain import before
 from recorder.review.reasoning.given import GivenInputs, given_until
 from recorder.review.reasoning.signals import IDENTIFIERS, DecodedFrame
-from recorder.review.timeline.clock import FAR_NS, NEAR_NS
 from schemas import keys
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import (

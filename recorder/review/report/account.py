@@ -10,6 +10,10 @@ from typing import Final
 import msgspec
 
 from recorder.record.accounting import KeyReport
+from recorder.review.clock import RobotClock
+from recorder.review.entries import FRAME_COUNTS, Entry, fault_words
+from recorder.review.events import SILENT_NS, LogEnding
+from recorder.review.repeats import Repeats
 from recorder.review.report.drives import REST_NS, Drives
 from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog
 from recorder.review.report.findings import (
@@ -26,11 +30,6 @@ from recorder.review.report.odometry import GAP_NS, PLACES_MAX, STANDING_MPS, Od
 from recorder.review.report.series import BUCKETS_MAX, Series
 from recorder.review.report.spans import Spans
 from recorder.review.report.versions import Versions
-from recorder.review.timeline.clock import RobotClock
-from recorder.review.timeline.ending import SILENT_NS, LogEnding
-from recorder.review.timeline.entries import Entry
-from recorder.review.timeline.health_changes import FRAME_COUNTS, fault_words
-from recorder.review.timeline.repeats import Repeats
 from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
 

@@ -9,8 +9,8 @@ from typing import Final
 
 import msgspec
 
+from recorder.review.entries import Entry
 from recorder.review.report.findings import ReportedDrive
-from recorder.review.timeline.entries import Entry
 from schemas.decisions import Severity
 
 REST_NS: Final = 600_000_000_000

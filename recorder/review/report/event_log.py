@@ -9,9 +9,9 @@ from typing import Final
 
 import msgspec
 
+from recorder.review.entries import Entry, EntryKind, EntrySource
 from recorder.review.report.findings import Moment, Outage, Silence
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 

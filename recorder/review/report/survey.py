@@ -11,14 +11,14 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile, logs_of
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Row, Selection, decoded_rows
 from recorder.reading.topics import Topic
+from recorder.review.entries import Entry
+from recorder.review.events import BEFORE_NS, Timeline, is_within
 from recorder.review.report.account import TAKEN, Account
 from recorder.review.report.drives import MARGIN_NS
 from recorder.review.report.event_log import CLOCKS_APART_NS
 from recorder.review.report.findings import Report, ReportedDrive, ReportedFile, RobotReport
 from recorder.review.report.margins import Margins, of_robot, read_margins, versions_of
 from recorder.review.report.versions import Versions
-from recorder.review.timeline.entries import Entry
-from recorder.review.timeline.timeline import BEFORE_NS, Timeline, is_within
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayInfo
 from schemas.recording import RecorderEvent, RecordGap

@@ -11,8 +11,8 @@ from typing import Final
 
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport, total
+from recorder.review.entries import EntryKind
 from recorder.review.report.findings import InForce, Moment, Outage, Report, ReportedFile, RobotSummary
-from recorder.review.timeline.entries import EntryKind
 from schemas.reasons import TEXTS
 
 STANDING_M: Final = 0.05

@@ -11,9 +11,9 @@ from gateway.chassis.frame import Frame
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection
+from recorder.review.entries import ENDS, Entry, EntryKind
+from recorder.review.events import read_events
 from recorder.review.reasoning.chain import Step
-from recorder.review.timeline.entries import ENDS, Entry, EntryKind
-from recorder.review.timeline.timeline import read_events
 from recorder.review.why import Explanation
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant

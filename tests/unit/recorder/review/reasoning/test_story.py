@@ -4,8 +4,8 @@ from pathlib import Path
 
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
+from recorder.review.entries import Entry, EntryKind, EntrySource
 from recorder.review.reasoning.story import RunEnding, Story, endings
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import RUN_TICKS, ArbiterState, Severity
 from schemas.reasons import Reason
 from tests.support.messages import MS, ROBOT, SECOND

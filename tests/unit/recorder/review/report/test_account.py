@@ -9,6 +9,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row
 from recorder.reading.topics import Topic
+from recorder.review.events import Timeline
 from recorder.review.report.account import (
     DRIVERS_MAX,
     FAULTS_MAX,
@@ -19,7 +20,6 @@ from recorder.review.report.account import (
 )
 from recorder.review.report.event_log import MOMENTS_MAX
 from recorder.review.report.findings import RobotCharts, RobotReport, RobotSummary
-from recorder.review.timeline.timeline import Timeline
 from schemas.decisions import ArbiterState, EventKind, Verdict
 from schemas.messages import Message, Mode
 from schemas.reasons import Reason
@@ -231,7 +231,7 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState)
     )
     assert report.summary.ends_commanding is (engaged is not ArbiterState.STANDBY)
     texts = [moment.text for moment in report.charts.moments]
-    assert texts == ([f"the log ends here: {engaged.value}, and told 1.00 m/s"] * report.summary.ends_commanding)
+    assert texts == ([f"the log ends here: {engaged.value}, commanded 1.00 m/s"] * report.summary.ends_commanding)
 
 
 def test_a_period_that_ends_in_the_middle_of_a_drive_is_no_end_of_the_log() -> None:
@@ -251,7 +251,7 @@ def test_a_period_that_ends_in_a_pause_of_the_recorder_accuses_no_gateway() -> N
     report = report_of(*(arbiter(number) for number in range(5)), spans=spans, to_ns=WALL_NS + 30 * SECOND)
     assert report.summary.outages == []
     (moment,) = report.charts.moments
-    assert moment.text == "the log ends here: engaged, and told 1.00 m/s"
+    assert moment.text == "the log ends here: engaged, commanded 1.00 m/s"
 
 
 @pytest.mark.parametrize("is_commanding", [True, False])

@@ -5,10 +5,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from recorder.review.entries import Entry, EntryKind, EntrySource
 from recorder.review.report import drives, survey
 from recorder.review.report.drives import MARGIN_NS, REST_NS, Drives
 from recorder.review.report.findings import Report
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Message
 from tests.support.drives import drive_messages, drives_over, write_messages

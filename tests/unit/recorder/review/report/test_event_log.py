@@ -3,11 +3,11 @@
 import msgspec
 import pytest
 
+from recorder.review.entries import Entry, EntryKind, EntrySource, kind_of
 from recorder.review.report.event_log import DIED, ERRORS_MAX, MOMENTS_MAX, OUTAGES_MAX, SILENCES_MAX, EventLog
 from recorder.review.report.findings import Outage
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource, kind_of
-from recorder.review.timeline.stops import Stops
+from recorder.review.stops import Stops
 from schemas.decisions import Severity
 from schemas.reasons import AS_ASKED, Reason
 from tests.support.messages import SECOND, WALL_NS

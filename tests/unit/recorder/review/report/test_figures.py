@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from recorder.review.entries import EntryKind
 from recorder.review.report.figures import (
     BANDS,
     COLOURS,
@@ -20,7 +21,6 @@ from recorder.review.report.figures import (
 )
 from recorder.review.report.findings import RobotCharts, RobotReport
 from recorder.review.report.odometry import Place
-from recorder.review.timeline.entries import EntryKind
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from tests.support.drives import HOSTILE, drive_messages, restart, write_messages

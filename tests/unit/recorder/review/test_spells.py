@@ -4,8 +4,8 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
-from recorder.review.timeline.spells import LATE_NS, NAMES_MAX, SPELL_NS, SPELLS_MAX, Spells
+from recorder.review.entries import Entry, EntryKind, EntrySource
+from recorder.review.repeats import LATE_NS, NAMES_MAX, SPELL_NS, SPELLS_MAX, Spells
 from schemas.decisions import Severity
 
 

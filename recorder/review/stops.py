@@ -11,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.timeline.entries import STOPS, Entry, EntryKind
+from recorder.review.entries import STOPS, Entry, EntryKind
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 

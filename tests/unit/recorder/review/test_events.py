@@ -11,10 +11,10 @@ import pytest
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection, read_rows
+from recorder.review import events
+from recorder.review.entries import Change, Entry, EntryKind, EntrySource
+from recorder.review.events import read_events
 from recorder.review.reasoning.signals import BY_IDENTIFIER
-from recorder.review.timeline import timeline as events
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
-from recorder.review.timeline.timeline import read_events
 from schemas.decisions import (
     ArbiterState,
     Decision,
@@ -23,11 +23,11 @@ from schemas.decisions import (
     SafetyState,
     Severity,
 )
-from schemas.messages import Message
+from schemas.messages import GatewayHealth, Message
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
 from tests.support.logs import Log
-from tests.support.messages import MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, safety_event, sample_of
+from tests.support.messages import HEALTH, MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, safety_event, sample_of
 from tests.support.messages import refusal as refused
 from tests.support.rigs import gateway, scenarios
 from tests.support.rigs.recorded import RecordedRig
@@ -243,7 +243,7 @@ def test_a_gateway_that_begins_anew_is_told(path: Path) -> None:
     said += [(100, msgspec.structs.replace(state(100, 0), tick=5))]
     entries = told(path, log_of(said))
     assert [(one.kind, one.text) for one in entries] == [
-        (EntryKind.GATEWAY, "the gateway began anew: nothing of before holds any more")
+        (EntryKind.GATEWAY, "another run of the gateway began: leases, engagement and latches of before are void")
     ]
 
 
@@ -268,9 +268,9 @@ def test_a_gateway_behind_a_step_of_the_clock_did_not_fall_silent(path: Path, *,
     start_ns = gateway.WALL_NS
     found = told(path, rig.log(), Selection(from_ns=start_ns + SECOND, to_ns=start_ns + 6 * SECOND))
     assert not [one.text for one in found if "fell silent" in one.text]
+    assert [one.text for one in found if one.kind is EntryKind.GAP and "ends here" not in one.text] == []
     if steps_recorder:
-        (gap,) = [one for one in found if one.kind is EntryKind.GAP]
-        assert gap.text == "nothing of the arbiter for 3600.0 s: the gateway made 2 ticks meanwhile"
+        assert EntryKind.CLOCK in {one.kind for one in told(path, rig.log())}
 
 
 def test_a_gateway_that_dies_is_a_silence(path: Path) -> None:
@@ -284,7 +284,7 @@ def test_a_gateway_that_dies_is_a_silence(path: Path) -> None:
         (EntryKind.GATEWAY, Severity.ERROR, at(350), at(350)),
     ]
     assert entries[0].text == (
-        "nothing of the arbiter for 3.3 s: the gateway fell silent, engaged, and told 1.20 m/s"
+        "nothing of the arbiter for 3.3 s: the gateway fell silent, engaged, commanded 1.20 m/s"
     )
 
 
@@ -320,7 +320,7 @@ def test_a_gateway_that_only_listens_has_faults_and_no_more(path: Path) -> None:
     safety = ("safety/event", "safety/state", "safety/decision", "journal")
     entries = told(path, recorded(scenarios.one_silent_frame, *safety))
     assert {one.source for one in entries} == {EntrySource.HEALTH}
-    assert f"faults of frames: silence{AFTER}" in {one.text for one in entries}
+    assert f"frames stayed away{AFTER}" in {one.text for one in entries}
 
 
 def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
@@ -333,7 +333,7 @@ def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
     entries = [one for one in told(path, rig.log()) if one.source is EntrySource.HEALTH]
     faults = [(one.count, one.text.partition(": ")[2]) for one in entries if "silen" in one.text]
     assert faults == [(10, f"silent{AFTER}"), (10, "no longer at fault (silence)")]
-    assert sum(one.count for one in entries if "should have come" in one.text) == 1890
+    assert sum(one.count for one in entries if "missing frames" in one.text) == 1890
     assert len(entries) <= 4
     for one in entries:
         assert one.text.startswith("10 frames (")
@@ -344,7 +344,7 @@ def test_a_fault_stands_before_what_it_causes(path: Path) -> None:
     """The health that tells of it comes later: it began behind the health before."""
     entries = told(path, recorded(scenarios.one_silent_frame))
     (stop,) = (one for one in entries if one.kind is EntryKind.STOP)
-    faults = [one for one in entries if one.source is EntrySource.HEALTH and "should have come" not in one.text]
+    faults = [one for one in entries if one.source is EntrySource.HEALTH and "missing frames" not in one.text]
     assert faults
     for one in faults:
         assert one.time_ns <= stop.time_ns <= one.last_ns
@@ -423,7 +423,7 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(path: Path) -> None:
     assert (last.kind, last.severity, last.text) == (
         EntryKind.GAP,
         Severity.WARNING,
-        "the log ends here: engaged, and told 0.60 m/s",
+        "the log ends here: engaged, commanded 0.60 m/s",
     )
     rig.rest_after(1.0)
     assert told(path, rig.log())[-1].kind is not EntryKind.GAP
@@ -461,3 +461,173 @@ def test_a_gateway_that_a_recorder_saw_die_is_told_of_its_robot(path: Path) -> N
     log.add_own("fleet/@recorder/bench/event", gone, 0)
     (entry,) = (one for one in told(path, log.close()) if one.kind is EntryKind.GATEWAY)
     assert (entry.robot, entry.severity, entry.source) == (ROBOT, Severity.ERROR, EntrySource.RECORDER)
+
+
+HOUR = 360_000
+"""In ticks."""
+
+DRIVEN: dict[str, Any] = {"state": ArbiterState.ENGAGED, "engaged": True, "output_speed_mps": 0.8}
+
+
+def health(tick: int, sequence: int, up_ticks: int, **changes: Any) -> GatewayHealth:  # noqa: ANN401 - any field
+    """A health that is well, after so many ticks of the gateway's own."""
+    said = {"time_ns": at(tick), "sequence": sequence, "uptime_s": up_ticks / 100, "faults": {}, "feedback": []}
+    return msgspec.structs.replace(HEALTH, **{**said, **changes})
+
+
+def run_of(first: int, ticks: range, later: int = 0, **changes: Any) -> list[tuple[int, Message]]:  # noqa: ANN401
+    """States of a run, each with its tick of receipt: so many ticks later by both clocks."""
+    return [
+        (
+            tick + later,
+            msgspec.structs.replace(
+                state(tick, tick // 5, **changes), tick=first + tick, time_ns=at(tick + later)
+            ),
+        )
+        for tick in ticks
+    ]
+
+
+def stop(tick: int, sequence: int, later: int = 0) -> tuple[int, Message]:
+    """A stop, likewise."""
+    said = event(tick, sequence, EventKind.STOP, f"stop {sequence}")
+    return tick + later, msgspec.structs.replace(said, time_ns=at(tick + later), reason=Reason.DEADMAN)
+
+
+def token_gone(tick: int) -> RecorderEvent:
+    """What a recorder says of a gateway whose token is gone."""
+    return RecorderEvent(at(tick), 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", "the gateway died")
+
+
+RUN = FIRST_TICK
+
+NEXT_HEALTH = " (after this time, as the next gateway/health says)"
+SAME = "the recorder heard nothing of the gateway for {}, and then the same again: "
+BEGAN = "another run of the gateway began: leases, engagement and latches of before are void"
+
+STORIES: dict[str, tuple[list[tuple[int, Message]], list[tuple[EntryKind, Severity, str]]]] = {
+    "a clock set forward is one entry, and no silence": (
+        [
+            *run_of(RUN, range(0, 200, 5)),
+            (100, health(100, 0, 100)),
+            stop(150, 0),
+            *run_of(RUN, range(200, 400, 5), HOUR),
+            (HOUR + 300, health(HOUR + 300, 1, 300)),
+            stop(350, 1, HOUR),
+        ],
+        [
+            (EntryKind.STOP, Severity.INFO, "stop 0"),
+            (EntryKind.CLOCK, Severity.WARNING, "the computer's clock was set by +3600.0 s"),
+            (EntryKind.STOP, Severity.INFO, "stop 1"),
+        ],
+    ),
+    "a clock set back is one entry, and the order is that of the ticks": (
+        [
+            *run_of(RUN, range(0, 200, 5)),
+            stop(150, 0),
+            *run_of(RUN, range(200, 400, 5), -HOUR),
+            stop(350, 1, -HOUR),
+        ],
+        [
+            (EntryKind.STOP, Severity.INFO, "stop 0"),
+            (EntryKind.CLOCK, Severity.WARNING, "the computer's clock was set by -3600.0 s"),
+            (EntryKind.STOP, Severity.INFO, "stop 1"),
+        ],
+    ),
+    "a gateway that hung is no dead one": (
+        [
+            *run_of(RUN, range(0, 200, 5), **DRIVEN),
+            (100, health(100, 0, 100)),
+            (210, token_gone(210)),
+            *run_of(RUN, range(200, 300, 5), 398, **DRIVEN),
+            (700, health(700, 1, 700, inbox_drops=10)),
+            *run_of(RUN, range(300, 305, 5), 398, **DRIVEN),
+        ],
+        [
+            (
+                EntryKind.FAULT,
+                Severity.WARNING,
+                f"requests were dropped unread: the loop did not read for 4.0 s{NEXT_HEALTH}",
+            ),
+            (
+                EntryKind.GAP,
+                Severity.WARNING,
+                "nothing of the arbiter for 4.0 s: the gateway made 5 ticks meanwhile: its loop stood still",
+            ),
+            (EntryKind.GATEWAY, Severity.WARNING, f"{SAME.format('4.0 s')}its loop had stood still"),
+        ],
+    ),
+    "a recorder that stood still heard of no death": (
+        [
+            *run_of(RUN, range(0, 200, 5)),
+            (210, token_gone(210)),
+            *((max(tick, 800), said) for tick, said in run_of(RUN, range(200, 1000, 5))),
+        ],
+        [
+            (
+                EntryKind.GATEWAY,
+                Severity.WARNING,
+                f"{SAME.format('6.0 s')}it had run on: the recorder or the link stood still",
+            ),
+        ],
+    ),
+    "a gateway that another run follows has died": (
+        [*run_of(RUN, range(0, 200, 5), **DRIVEN), (210, token_gone(210)), *run_of(5, range(500, 600, 5))],
+        [
+            (
+                EntryKind.GAP,
+                Severity.ERROR,
+                "nothing of the arbiter for 3.0 s: the gateway fell silent, engaged, commanded 0.80 m/s",
+            ),
+            (EntryKind.GATEWAY, Severity.ERROR, "the gateway died"),
+            (
+                EntryKind.GATEWAY,
+                Severity.ERROR,
+                f"{BEGAN}; the one before was engaged, commanded 0.80 m/s",
+            ),
+        ],
+    ),
+    "two gateways of one name are said once": (
+        sorted(
+            [*run_of(RUN, range(0, 1000, 5)), *run_of(5, range(302, 1000, 5), **DRIVEN)], key=lambda one: one[0]
+        ),
+        [
+            (
+                EntryKind.GATEWAY,
+                Severity.WARNING,
+                "two gateways speak under this name: these entries are of both",
+            )
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("story", STORIES)
+def test_what_a_log_holds_is_told_as_what_it_was(story: str, path: Path) -> None:
+    """A clock that was set, a gateway or a recorder that stood still, one that died, two of one name."""
+    said, expected = STORIES[story]
+    log = Log()
+    for tick, message in said:
+        if isinstance(message, RecorderEvent):
+            log.add_own("fleet/@recorder/bench/event", message, 0)
+        else:
+            log.receive(sample_of(message), wall_ns=at(tick) + 2 * MS)
+    found = [one for one in told(path, log.close()) if "ends here" not in one.text]
+    assert [(one.kind, one.severity, one.text) for one in found] == expected
+
+
+def test_ticks_of_events_are_bounded() -> None:
+    """An event between two ticks is found, in whatever order they came; the oldest are forgotten."""
+    robot = events.RobotTrack(ROBOT)
+    for tick in (30, 10, 20):
+        robot.add_event(EntryKind.STOP, tick)
+
+    def tells(kind: EntryKind, after_tick: int, tick: int) -> bool:
+        return robot.tells(Change(kind, Severity.INFO, Reason.NONE, "", "", after_tick, tick))
+
+    assert tells(EntryKind.STOP, 19, 20)
+    assert not tells(EntryKind.STOP, 20, 29)
+    assert not tells(EntryKind.LATCH, 0, 100)
+    for tick in range(events.TICKS_MAX):
+        robot.add_event(EntryKind.STOP, 100 + tick)
+    assert not tells(EntryKind.STOP, 0, 99)

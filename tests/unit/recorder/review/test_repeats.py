@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.timeline import repeats
-from recorder.review.timeline.repeats import Repeats, SequenceHole, Sequences
+from recorder.review import repeats
+from recorder.review.repeats import Repeats, SequenceHole, Sequences
 
 
 @given(there=st.sets(st.integers(0, 60), min_size=1), chance=st.randoms())

@@ -2,8 +2,8 @@
 
 import pytest
 
-from recorder.review.timeline.entries import Entry, EntryKind, EntrySource
-from recorder.review.timeline.stops import Stops
+from recorder.review.entries import Entry, EntryKind, EntrySource
+from recorder.review.stops import Stops
 from schemas.decisions import GUARD_STOP_ENDED, Severity
 from schemas.reasons import Reason
 from tests.support.messages import SECOND, WALL_NS

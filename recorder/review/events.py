@@ -1,0 +1,655 @@
+"""Events in order: leases, engages, stops, latches, faults, takeovers, refusals, and gaps of the log.
+
+One pass over the messages of arbiter, gateway and recorder. Entries are held back, up to a bound, so that a late
+one, which the log holds behind newer messages, appears in its place, and so that a later message can correct it.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from heapq import heappop, heappush
+from typing import Any, Final
+
+import msgspec
+
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile, logs_of
+from recorder.reading.rows import Progress, Row, Selection, Wants, read_rows
+from recorder.reading.topics import UNREADABLE
+from recorder.review.clock import NEAR_NS, RobotClock
+from recorder.review.entries import (
+    DROPPED,
+    OF_EVENT,
+    Change,
+    Entry,
+    EntryKind,
+    EntrySource,
+    changes,
+    kind_of,
+    risen,
+)
+from recorder.review.repeats import IDS_KEPT, Repeats, Sequences, Spells
+from recorder.review.stops import Stops
+from schemas import keys
+from schemas.decisions import (
+    ArbiterState,
+    Decision,
+    EventKind,
+    SafetyEvent,
+    SafetyState,
+    Severity,
+    Verdict,
+    is_same_run,
+)
+from schemas.messages import GatewayHealth
+from schemas.reasons import TEXTS, Reason
+from schemas.recording import RecorderEvent, RecorderEventKind, RecordGap
+from schemas.settings import SAFETY_STATE_PERIOD_NS, TICK_NS
+
+HELD_MAX: Final = 20_000
+"""Entries that are held back. One that comes after so many newer ones is shown out of order, and marked so."""
+
+LATER_NS: Final = 15 * 60 * 1_000_000_000
+"""The log is read this far beyond the end of the wanted time, for late messages about that time."""
+
+BEFORE_NS: Final = 5 * 1_000_000_000
+"""The states this long before the wanted time are read too, so that a change at its beginning is seen as one."""
+
+SILENT_NS: Final = 1_000_000_000
+"""The arbiter's state comes 20 times a second; without it for so long, what happened meanwhile is not known."""
+
+TICKS_MAX: Final = 100_000
+"""Ticks of events that are remembered, of each kind."""
+
+HOLDERS_KEPT: Final = 10_000
+"""Changes of the lease that are remembered."""
+
+_UNTOLD: Final = frozenset(
+    {"drive", "renew", "acquire", "take", "release", "engage", "disengage", "stop", "reset"}
+)
+"""Requests that, once accepted, have an event of their own, or are of a stream."""
+
+_EXPECTED: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.ALREADY_ENGAGED, Reason.BUSY})
+"""A stream goes on for a while: such a refusal is no fault."""
+
+
+def is_within(entry: Entry, selection: Selection) -> bool:
+    """Report whether an entry is of the time of a selection."""
+    return entry.time_ns < selection.to_ns and entry.last_ns >= selection.from_ns
+
+
+def hung_ns(was: SafetyState, now: SafetyState, silent_ns: int) -> int:
+    """For how long a gateway's loop stood still between two states of one run, by its ticks; 0 if it ran on."""
+    lacking_ns = silent_ns - (now.tick - was.tick) * TICK_NS
+    return silent_ns if is_same_run(was.tick, now.tick) and lacking_ns > 2 * SAFETY_STATE_PERIOD_NS else 0
+
+
+def read_events(
+    logs: Sequence[LogFile],
+    selection: Selection,
+    faults: Faults,
+    progress: Progress = lambda _: None,
+    *,
+    robots: Collection[str] = (),
+    kinds: Collection[EntryKind] = (),
+) -> Iterator[Entry]:
+    """The entries, in order: by their time, as long as no clock is set back.
+
+    Args:
+        logs: in the order of their beginnings, as ``find_logs`` gives them.
+        selection: of which time, by which topics.
+        faults: collects what cannot be read; the rest is shown all the same.
+        progress: receives the number of bytes that were read or passed over.
+        robots: of these alone, and what is about all; empty is every robot.
+        kinds: of these alone; empty is every kind.
+    """
+
+    def is_of(robot: str) -> bool:
+        return not robots or not robot or robot in robots
+
+    def is_wanted(entry: Entry) -> bool:
+        return is_within(entry, selection) and (not kinds or entry.kind in kinds) and is_of(entry.robot)
+
+    looked_at = Selection(
+        lambda topic: topic.kind in _TAKES and is_of(topic.robot) and selection.wants(topic),
+        max(0, selection.from_ns - BEFORE_NS),
+        selection.to_ns + LATER_NS,
+    )
+    timeline = Timeline(faults)
+    for row in read_rows(logs, looked_at, faults, progress):
+        timeline.take(row)
+        yield from filter(is_wanted, timeline.tell())
+    timeline.hear_behind_silence(logs, looked_at.to_ns)
+    for _ in timeline.endings(logs, looked_at.to_ns):
+        pass
+    yield from filter(is_wanted, timeline.end())
+
+
+class LogEnding(msgspec.Struct, frozen=True):
+    """A notable end of a robot's log.
+
+    Attributes:
+        entry: that in words.
+        is_silent: the gateway fell silent, and the log continues; else the log ends.
+        is_commanding: the chassis was under command in the gateway's last message.
+    """
+
+    entry: Entry
+    is_silent: bool
+    is_commanding: bool
+
+
+class _Held(msgspec.Struct):
+    """An entry that is held back, and may be corrected or taken back; with the change that it was derived from."""
+
+    entry: Entry
+    change: Change | None = None
+    is_void: bool = False
+
+    def correct(self, **fields: Any) -> None:  # noqa: ANN401 - any field of an entry
+        self.entry = msgspec.structs.replace(self.entry, **fields)
+
+
+class RobotTrack:
+    """One robot as the log gives it so far.
+
+    Attributes:
+        name: empty for what is no robot's.
+        stops: its stops.
+        state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
+            ``state_sequence``.
+        ended_tick: the tick of the last announcement of a shutdown; None if there was none.
+        health: the newest; ``health_ns``, when it was.
+        is_shared: two gateways speak under its name.
+        steps: after each tick at which the computer's clock was set back, by how much it has been in all.
+        hung: from when to when the gateway's loop stood still last.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.clock = RobotClock()
+        self.stops = Stops()
+        self.state: SafetyState | None = None
+        self.state_ns = self.state_log_ns = self.state_sequence = 0
+        self.ended_tick: int | None = None
+        self.health: GatewayHealth | None = None
+        self.health_ns = 0
+        self.is_shared = False
+        self.steps: list[tuple[int, int]] = []
+        self.hung = (0, 0)
+        self.doubtful: _Held | None = None
+        """A silence that the clock may have made."""
+        self.begun: list[_Held] = []
+        """Entries on the last gateway that began."""
+        self.died: _Held | None = None
+        """The death that a recorder saw, until the gateway is heard again."""
+        self._ticks: dict[EntryKind, list[int]] = {}
+        self._holder_ticks: deque[int] = deque(maxlen=HOLDERS_KEPT)
+        self._holders: deque[str] = deque(maxlen=HOLDERS_KEPT)
+        self._runs: list[int] = []
+        self._state_runs: list[int] = []
+        self._sequences: dict[tuple[str, int], Sequences] = {}
+
+    def place(self, row: Row, tick: int | None = None) -> int:
+        """Return the time of a row's event by the recorder's clock."""
+        return self.clock.place(row.publish_ns, row.log_ns, tick)
+
+    def count(self, row: Row, tick: int, time_ns: int) -> None:
+        """A sample of a subject of which every one should be in the log."""
+        self._sequences.setdefault((row.topic.name, self.run_of(tick)), Sequences()).add(row.sequence, time_ns)
+
+    def order_ns(self, time_ns: int, tick: int | None = None) -> int:
+        """The time as it would be had the computer's clock never been set back."""
+        set_ns = [by_ns for at_tick, by_ns in self.steps if tick is None or tick >= at_tick]
+        return time_ns - (set_ns[-1] if set_ns else 0)
+
+    @property
+    def is_ended(self) -> bool:
+        """True if the gateway of the newest state shut down as requested, at rest."""
+        state, ended = self.state, self.ended_tick
+        return state is not None and ended is not None and not self.is_active and is_same_run(state.tick, ended)
+
+    @property
+    def is_active(self) -> bool:
+        """True if the gateway of the newest state commanded the chassis."""
+        return self.state is not None and self.state.state is not ArbiterState.STANDBY
+
+    @property
+    def left(self) -> str:
+        """The gateway's state and commanded speed in its newest message, for people."""
+        if self.state is None or not self.is_active:
+            return "standby"
+        return f"{self.state.state.value}, commanded {self.state.output_speed_mps:.2f} m/s"
+
+    def hear_state(self, state: SafetyState, sequence: int, time_ns: int, log_ns: int) -> None:
+        """The arbiter's newest state."""
+        if not self._holders or self._holders[-1] != state.lease_holder:
+            if self._holder_ticks and state.tick < self._holder_ticks[-1]:
+                self._holder_ticks.clear()
+                self._holders.clear()
+            self._holder_ticks.append(state.tick)
+            self._holders.append(state.lease_holder)
+        if not self._state_runs or not is_same_run(state.tick, self._state_runs[-1]):
+            self._state_runs.append(state.tick)
+        self.state, self.state_sequence = state, sequence
+        self.state_ns, self.state_log_ns = time_ns, log_ns
+
+    def holder_at(self, tick: int) -> str:
+        """Return the holder of the lease before this tick; empty if there was none, or the log does not say."""
+        at = bisect_right(self._holder_ticks, tick - 1)
+        return self._holders[at - 1] if at else ""
+
+    def add_event(self, kind: EntryKind, tick: int) -> None:
+        """An event is there: it need not be derived."""
+        ticks = self._ticks.setdefault(kind, [])
+        insort(ticks, tick)
+        if len(ticks) > TICKS_MAX:
+            del ticks[0]
+
+    def tells(self, change: Change) -> bool:
+        """There is an event that says what the change does."""
+        ticks = self._ticks.get(change.kind, [])
+        at = bisect_right(ticks, change.after_tick)
+        return at < len(ticks) and ticks[at] <= change.tick
+
+    def holes(self) -> Iterator[Entry]:
+        """Yield an entry for each range of missing events and decisions."""
+        for (topic, _), sequences in self._sequences.items():
+            for hole in sequences.holes():
+                text = f"{hole.count} samples of {topic} are not in the log"
+                entry = _plain(self.name, EntryKind.GAP, Severity.WARNING, hole.after_ns, text, EntrySource.LOG)
+                last_ns = max(hole.after_ns, hole.before_ns)
+                yield msgspec.structs.replace(entry, count=hole.count, last_ns=last_ns)
+
+    def run_of(self, tick: int) -> int:
+        """The number of the run of a tick, counted from the first that was heard."""
+        for number, newest in enumerate(self._runs):
+            if is_same_run(tick, newest):
+                self._runs[number] = max(tick, newest)
+                return number
+        self._runs.append(tick)
+        return len(self._runs) - 1
+
+    def is_back(self, tick: int) -> bool:
+        """States of this run have come before those of another one."""
+        return any(is_same_run(tick, one) for one in self._state_runs[:-1])
+
+
+class Timeline:
+    """Makes entries of rows.
+
+    Args:
+        faults: takes what cannot be read.
+        kept: so many samples of each topic are known again when they come a second time.
+    """
+
+    def __init__(self, faults: Faults, *, kept: int = IDS_KEPT) -> None:
+        self._faults = faults
+        self._kept = kept
+        self._robots: dict[str, RobotTrack] = {}
+        self._repeats: dict[str, Repeats] = {}
+        self._held: list[tuple[int, int, _Held]] = []
+        self._count = 0
+        self._spells = Spells()
+        self._spells_due_ns = 0
+        self._told_ns = 0
+        self._log_ns = 0
+
+    def take(self, row: Row, decoded: Any = None) -> None:  # noqa: ANN401 - any message of ours
+        """The next row, by log time; of a class of ours. ``decoded`` if it has been decoded already."""
+        topic = row.topic
+        take = _TAKES.get(topic.kind)
+        if take is None or topic.decode is None:
+            return
+        if not self._repeats.setdefault(topic.name, Repeats(self._kept)).is_new(row.publish_ns, row.sequence):
+            return
+        try:
+            message = topic.decode(row.data) if decoded is None else decoded
+        except UNREADABLE as error:
+            self._faults.add(f"{topic.name}: a message that cannot be read: {error}")
+            return
+        self._log_ns = row.log_ns
+        take(self, self.robot(topic.robot), row, message)
+        if not 0 <= self._spells_due_ns - row.log_ns <= SILENT_NS:
+            self._spells_due_ns = row.log_ns + SILENT_NS
+            for entry in self._spells.take(row.log_ns):
+                self._hold(entry)
+
+    def robot(self, name: str) -> RobotTrack:
+        """The robot of this name, as the rows have given it so far."""
+        found = self._robots.get(name)
+        if found is None:
+            found = self._robots[name] = RobotTrack(name)
+        return found
+
+    def tell(self) -> Iterator[Entry]:
+        """Yield the entries for which there is no more capacity."""
+        while len(self._held) > HELD_MAX:
+            yield from self._next()
+
+    def hear_behind_silence(self, logs: Sequence[LogFile], to_ns: int) -> None:
+        """Read the next state of each robot that is silent up to a time, and where that leaves a doubt the health.
+
+        Its tick shows whether the gateway is the same, and how long it was silent: a clock that is set forward
+        leaves a hole in the log times, too.
+
+        Args:
+            logs: that were read.
+            to_ns: the first log time that was not.
+        """
+        for robot in list(self._robots.values()):
+            found = self._ending(robot, logs, to_ns)
+            if found is not None and found.is_silent:
+                for row in read_rows(logs, Selection(_says_of_itself(robot.name), to_ns), self._faults):
+                    self.take(row)
+                    if robot.doubtful is None and row.topic.kind is SafetyState:
+                        break
+
+    def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[LogEnding]:
+        """Yield the ends of each robot's logs, which ``end`` yields as entries too. After the last row.
+
+        Args:
+            logs: that were read.
+            to_ns: the first log time that was not.
+        """
+        for robot in self._robots.values():
+            found = self._ending(robot, logs, to_ns)
+            if found is not None:
+                self._hold(found.entry)
+                yield found
+
+    def end(self) -> Iterator[Entry]:
+        """Yield the rest of the entries. After the last row."""
+        for entry in self._spells.take():
+            self._hold(entry)
+        for robot in self._robots.values():
+            for entry in robot.holes():
+                self._hold(entry)
+        while self._held:
+            yield from self._next()
+
+    def _hold(self, entry: Entry, change: Change | None = None) -> _Held:
+        held = _Held(entry, change)
+        robot = self._robots.get(entry.robot)
+        order_ns = entry.time_ns if robot is None else robot.order_ns(entry.time_ns, entry.tick)
+        self._count += 1
+        heappush(self._held, (order_ns, self._count, held))
+        return held
+
+    def _next(self) -> Iterator[Entry]:
+        order_ns, _, held = heappop(self._held)
+        entry, robot = held.entry, self._robots.get(held.entry.robot)
+        if held.is_void:
+            return
+        if robot is not None:
+            if held.change is not None and robot.tells(held.change):
+                return
+            entry = robot.stops.mark(entry)
+        is_late = order_ns < self._told_ns
+        self._told_ns = max(self._told_ns, order_ns)
+        yield msgspec.structs.replace(entry, is_late=True) if is_late else entry
+
+    def _ending(self, robot: RobotTrack, logs: Sequence[LogFile], to_ns: int) -> LogEnding | None:
+        """Return a notable end of a robot's log; None if it ended as it should.
+
+        Between two files there was no recorder to hear the gateway.
+        """
+        ends = [log.end_ns for log in logs_of(robot.name, logs) if log.start_ns < to_ns]
+        if robot.state is None or robot.is_ended or not ends:
+            return None
+        # The log times of before a clock was set back say nothing of the end.
+        end_ns = self._log_ns if robot.steps else max(ends)
+        silent_ns = min(end_ns, to_ns) - robot.state_log_ns
+        is_silent = silent_ns > SILENT_NS
+        if is_silent:
+            text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s, up to the end: the gateway fell silent, "
+        elif robot.is_active and end_ns < to_ns:
+            text = "the log ends here: "
+        else:
+            return None
+        severity = Severity.ERROR if is_silent and robot.is_active else Severity.WARNING
+        entry = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text + robot.left, EntrySource.LOG)
+        entry = msgspec.structs.replace(entry, last_ns=robot.state_ns + (silent_ns if is_silent else 0))
+        return LogEnding(entry, is_silent, robot.is_active)
+
+    # One for each class of messages.
+
+    def _take_event(self, robot: RobotTrack, row: Row, event: SafetyEvent) -> None:
+        kind = OF_EVENT.get(event.kind, EntryKind.FAULT)
+        robot.add_event(kind, event.tick)
+        if event.kind is EventKind.GATEWAY:
+            robot.ended_tick = event.tick
+        time_ns = robot.place(row, event.tick)
+        robot.count(row, event.tick, time_ns)
+        entry = _plain(robot.name, kind_of(kind, event.reason), event.severity, time_ns, event.text)
+        self._hold(
+            msgspec.structs.replace(
+                entry,
+                source=EntrySource.EVENT,
+                reason=event.reason,
+                operator=event.operator,
+                holder=robot.holder_at(event.tick),
+                tick=event.tick,
+            )
+        )
+
+    def _take_decision(self, robot: RobotTrack, row: Row, decision: Decision) -> None:
+        time_ns = robot.place(row, decision.tick)
+        robot.count(row, decision.tick, time_ns)
+        is_refused = decision.verdict is Verdict.REFUSED
+        if not is_refused and decision.request in _UNTOLD:
+            return
+        if is_refused:
+            text = f"{decision.request or 'nothing'} refused: {decision.detail or TEXTS[decision.reason].means}"
+        else:
+            text = f"{decision.request}, as asked"
+        expected = not is_refused or decision.reason in _EXPECTED
+        entry = Entry(
+            time_ns=time_ns,
+            last_ns=time_ns,
+            robot=robot.name,
+            kind=EntryKind.REFUSAL if is_refused else EntryKind.REQUEST,
+            severity=Severity.INFO if expected else Severity.WARNING,
+            source=EntrySource.DECISION,
+            text=text,
+            reason=decision.reason,
+            operator=decision.operator,
+            holder=robot.holder_at(decision.tick),
+            request=decision.request,
+            tick=decision.tick,
+        )
+        key = (robot.name, decision.operator, decision.request, decision.reason)
+        self._spells.add(key, entry, row.log_ns)
+
+    def _take_state(self, robot: RobotTrack, row: Row, state: SafetyState) -> None:
+        was = robot.state
+        is_other_run = was is not None and not is_same_run(state.tick, was.tick)
+        if is_other_run and robot.is_back(state.tick) and not robot.is_shared:
+            self._share(robot, robot.place(row, state.tick))
+        if robot.is_shared:
+            robot.state, robot.state_ns, robot.state_log_ns = state, robot.place(row), row.log_ns
+            return
+        said = robot.clock.hear(state.tick, row.publish_ns, row.log_ns)
+        time_ns = robot.place(row, state.tick)
+        if was is not None and is_other_run:
+            self._take_other_run(robot, time_ns)
+        elif was is not None:
+            if state.tick <= was.tick:
+                return
+            said = self._take_step(robot, state, was, time_ns) or said
+            self._look_for_silence(robot, row, state, was, time_ns)
+            if _says(state) != _says(was):
+                for change in changes(was, state):
+                    self._hold(_entry_of(change, robot.name, time_ns, state.lease_holder), change)
+        if said:
+            self._hold(_plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, EntrySource.LOG))
+        robot.hear_state(state, row.sequence, time_ns, row.log_ns)
+
+    def _share(self, robot: RobotTrack, time_ns: int) -> None:
+        """A run goes on that another one had followed: two gateways speak at the same time."""
+        robot.is_shared = True
+        for held in robot.begun:
+            held.is_void = True
+        text = "two gateways speak under this name: these entries are of both"
+        self._hold(_plain(robot.name, EntryKind.GATEWAY, Severity.WARNING, time_ns, text))
+
+    def _take_other_run(self, robot: RobotTrack, time_ns: int) -> None:
+        """The first state of a gateway that was started."""
+        left, active = robot.left, robot.is_active
+        severity = Severity.INFO if robot.is_ended else Severity.ERROR if active else Severity.WARNING
+        robot.begun, robot.died, robot.doubtful = [], None, None
+        robot.steps = [(0, robot.steps[-1][1])] if robot.steps else []
+        silent_ns = time_ns - robot.state_ns
+        if silent_ns > SILENT_NS and not robot.is_ended:
+            text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: the gateway fell silent, {left}"
+            silence = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text, EntrySource.LOG)
+            robot.begun.append(self._hold(msgspec.structs.replace(silence, last_ns=time_ns)))
+        text = "another run of the gateway began: leases, engagement and latches of before are void"
+        text += f"; the one before was {left}" if active else ""
+        robot.begun.append(self._hold(_plain(robot.name, EntryKind.GATEWAY, severity, time_ns, text)))
+
+    def _take_step(self, robot: RobotTrack, state: SafetyState, was: SafetyState, time_ns: int) -> str:
+        """A clock that was set back, by the ticks; returns that in words, else nothing."""
+        by_ns = time_ns - robot.state_ns - robot.clock.corrected_ns - (state.tick - was.tick) * TICK_NS
+        if by_ns >= -NEAR_NS or time_ns >= robot.state_ns:
+            return ""
+        before_ns = robot.steps[-1][1] if robot.steps else 0
+        robot.steps.append((state.tick, before_ns + by_ns))
+        return f"the computer's clock was set by {by_ns / 1e9:+.1f} s"
+
+    def _look_for_silence(
+        self, robot: RobotTrack, row: Row, state: SafetyState, was: SafetyState, time_ns: int
+    ) -> None:
+        # What the clock was thought to be when the last one came may have been wrong.
+        was_ns = robot.state_ns + robot.clock.corrected_ns
+        silent_ns = time_ns - was_ns
+        missed = (row.sequence - robot.state_sequence - 1) % 2**32
+        stood_ns = 0 if missed else hung_ns(was, state, silent_ns)
+        if stood_ns:
+            robot.hung = (was_ns, time_ns)
+        if robot.died is not None:
+            heard_ns = row.log_ns - robot.state_log_ns
+            how = "its loop had stood still" if stood_ns else "it had run on: the recorder or the link stood still"
+            text = f"the recorder heard nothing of the gateway for {heard_ns / 1e9:.1f} s, and then the same again"
+            robot.died.correct(text=f"{text}: {how}", severity=Severity.WARNING)
+            robot.died = None
+        if silent_ns <= SILENT_NS:
+            return
+        ticks = state.tick - was.tick
+        made = f"the gateway made {ticks} tick{'' if ticks == 1 else 's'} meanwhile"
+        why = f"{missed} samples are missing" if missed else made
+        text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: {why}"
+        entry = _plain(robot.name, EntryKind.GAP, Severity.WARNING, was_ns, text, EntrySource.LOG)
+        held = self._hold(msgspec.structs.replace(entry, last_ns=time_ns, count=max(1, missed)))
+        robot.doubtful = held if stood_ns else None
+
+    def _take_health(self, robot: RobotTrack, row: Row, health: GatewayHealth) -> None:
+        if robot.is_shared:
+            return
+        time_ns = robot.place(row)
+        was, was_ns = robot.health, min(robot.health_ns, time_ns)
+        if was is not None and health.uptime_s < was.uptime_s:
+            was = None
+            if robot.state is None:
+                text = f"the gateway was started {health.uptime_s:.1f} s before"
+                entry = _plain(robot.name, EntryKind.GATEWAY, Severity.WARNING, time_ns, text, EntrySource.HEALTH)
+                self._hold(entry)
+        if robot.doubtful is not None and was is not None:
+            self._judge(robot, robot.doubtful, round((health.uptime_s - was.uptime_s) * 1e9), time_ns - was_ns)
+        robot.health, robot.health_ns = health, time_ns
+        for one in risen(was, health):
+            if one.what == "controller" and robot.state is not None:
+                continue  # An event says so.
+            text, is_dated = one.text, was is None or one.is_end
+            if one.what == DROPPED and was_ns <= robot.hung[1] <= time_ns:
+                seconds = (robot.hung[1] - robot.hung[0]) / 1e9
+                text = f"requests were dropped unread: the loop did not read for {seconds:.1f} s"
+            began_ns = time_ns if is_dated else was_ns
+            text += "" if is_dated else " (after this time, as the next gateway/health says)"
+            entry = _plain(robot.name, one.kind, one.severity, began_ns, text, EntrySource.HEALTH)
+            entry = msgspec.structs.replace(entry, last_ns=time_ns, count=one.count)
+            if one.severity is Severity.INFO and one.count == 1 and not one.about:
+                self._hold(entry)
+            else:
+                self._spells.add((robot.name, one.what), entry, row.log_ns, one.about)
+
+    def _judge(self, robot: RobotTrack, silence: _Held, up_ns: int, time_ns: int) -> None:
+        """Judge a silence by the gateway's own measure of time: it, or the clock, was the cause."""
+        set_ns = time_ns - up_ns
+        if set_ns > NEAR_NS:
+            text = f"the computer's clock was set by {set_ns / 1e9:+.1f} s"
+            silence.correct(kind=EntryKind.CLOCK, text=text, time_ns=silence.entry.last_ns)
+            robot.hung = (0, 0)
+        else:
+            silence.correct(text=f"{silence.entry.text}: its loop stood still")
+        robot.doubtful = None
+
+    def _take_recorder_event(self, _robot: RobotTrack, row: Row, event: RecorderEvent) -> None:
+        kind = EntryKind.GATEWAY if event.kind is RecorderEventKind.GATEWAY else EntryKind.RECORDER
+        entry = _plain(event.robot, kind, event.severity, row.publish_ns, event.text, EntrySource.RECORDER)
+        held = self._hold(msgspec.structs.replace(entry, operator=event.operator))
+        robot = self._robots.get(event.robot)
+        if robot is not None and kind is EntryKind.GATEWAY:
+            robot.died = held
+
+    def _take_gap(self, _robot: RobotTrack, _row: Row, gap: RecordGap) -> None:
+        parts = keys.parse(gap.key)
+        words = _GAPS.get(gap.reason.value, gap.reason.value)
+        text = f"{gap.count} messages of {gap.key} reached the recorder and are not in the log: {words}"
+        robot = ""
+        if parts is not None:
+            of_root = f"{parts.root}/{parts.robot}"
+            robot = of_root if of_root in self._robots else parts.robot
+        entry = _plain(robot, EntryKind.GAP, Severity.WARNING, gap.first_ns, text, EntrySource.RECORDER)
+        self._hold(msgspec.structs.replace(entry, last_ns=max(gap.first_ns, gap.last_ns), count=gap.count))
+
+
+_GAPS: Final = {
+    "queue": "they came faster than they could be recorded",
+    "disk": "the disk did not take or keep them",
+    "full": "the disk was full",
+    "size": "they were too large",
+}
+
+_TAKES: Final[dict[type[msgspec.Struct] | None, Callable[[Timeline, RobotTrack, Row, Any], None]]] = {
+    SafetyEvent: Timeline._take_event,  # noqa: SLF001 - its own table
+    Decision: Timeline._take_decision,  # noqa: SLF001
+    SafetyState: Timeline._take_state,  # noqa: SLF001
+    GatewayHealth: Timeline._take_health,  # noqa: SLF001
+    RecorderEvent: Timeline._take_recorder_event,  # noqa: SLF001
+    RecordGap: Timeline._take_gap,  # noqa: SLF001
+}
+"""The handler of each class; other classes are not read."""
+
+
+def _plain(
+    robot: str,
+    kind: EntryKind,
+    severity: Severity,
+    time_ns: int,
+    text: str,
+    source: EntrySource = EntrySource.STATE,
+) -> Entry:
+    """An entry without an operator and without a reason of the arbiter's."""
+    return Entry(
+        time_ns=time_ns, last_ns=time_ns, robot=robot, kind=kind, severity=severity, source=source, text=text
+    )
+
+
+def _entry_of(change: Change, robot: str, time_ns: int, holder: str) -> Entry:
+    kind = kind_of(change.kind, change.reason)
+    entry = _plain(robot, kind, change.severity, time_ns, change.text)
+    return msgspec.structs.replace(
+        entry, reason=change.reason, operator=change.operator, holder=holder, tick=change.tick
+    )
+
+
+def _says_of_itself(robot: str) -> Wants:
+    return lambda topic: topic.robot == robot and topic.kind in {SafetyState, GatewayHealth}
+
+
+def _says(state: SafetyState) -> tuple[object, ...]:
+    """Return the part of a state whose changes make entries."""
+    return state.state, state.lease_holder, state.latched, state.guarded

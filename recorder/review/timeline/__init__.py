@@ -1,1 +1,0 @@
-"""The entries of ``events``: how what a log holds becomes a line of what happened."""
