@@ -8,7 +8,8 @@ Else the chunk is walked, record by record.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
@@ -28,7 +29,7 @@ from recorder.mcap.framing import (
     RECORD_HEADER,
     SEQUENCE_AT,
 )
-from recorder.mcap.pieces import Declared, Fault, MessageBlock, split
+from recorder.mcap.pieces import Declared, Fault, Index, MessageBlock, has_too_many, split
 
 Numbers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
@@ -70,21 +71,31 @@ class Places(msgspec.Struct, frozen=True):
         """Some of them."""
         return Places(self.offsets[which], self.lengths[which])
 
+    @property
+    def starts(self) -> Numbers:
+        """Offsets of their records."""
+        return self.offsets - DATA_AT
+
+    @property
+    def size(self) -> int:
+        """Bytes of their records."""
+        return len(self.offsets) * DATA_AT + int(self.lengths.sum())
+
     def moved(self, base: int) -> Places:
         """The same in a row in which so many bytes stand before."""
         return Places(self.offsets + base, self.lengths)
 
     def log_ns(self, content: Bytes) -> NDArray[np.uint64]:
         """Log times, in nanoseconds since 1970."""
-        return _words(content, "<u8", LOG_AT)[self.offsets - DATA_AT]
+        return _words(content, "<u8", LOG_AT)[self.starts]
 
     def publish_ns(self, content: Bytes) -> NDArray[np.uint64]:
         """Publish times, in nanoseconds since 1970."""
-        return _words(content, "<u8", PUBLISH_AT)[self.offsets - DATA_AT]
+        return _words(content, "<u8", PUBLISH_AT)[self.starts]
 
     def sequences(self, content: Bytes) -> NDArray[np.uint32]:
         """Sequence numbers."""
-        return _words(content, "<u4", SEQUENCE_AT)[self.offsets - DATA_AT]
+        return _words(content, "<u4", SEQUENCE_AT)[self.starts]
 
 
 def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[int, Places] | None:
@@ -126,19 +137,143 @@ def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[
     return _by_channel(channels, counts, places + DATA_AT, lengths - DATA_AT)
 
 
-def walked_places(block: MessageBlock) -> tuple[dict[int, Places], list[Declared | Fault]]:
-    """The places of the messages of each channel, record by record; and all else that is there."""
-    index, others = block.read_index()
-    content = np.frombuffer(block.content + bytes(PADDING), np.uint8)
-    found = {}
-    for channel, entries in index.items():
-        starts = np.frombuffer(entries[1::2], np.uint64).astype(np.int64)
-        lengths = _words(content, "<u8", LENGTH_AT)[starts].astype(np.int64) - HEADER_IN_LENGTH
-        found[channel] = Places(starts + DATA_AT, lengths)
-    return found, others
+class Read(msgspec.Struct, frozen=True):
+    """The messages of many blocks.
+
+    Attributes:
+        content: the records of all blocks, one block after the other, and PADDING bytes.
+        places: of the messages in ``content``, by channel.
+        others: what else stands in blocks that were walked, each with its block's number.
+        wrong: numbers of the blocks whose index is wrong.
+    """
+
+    content: Bytes
+    places: dict[int, Places]
+    others: list[tuple[int, Declared | Fault]]
+    wrong: list[int]
 
 
-def joined(parts: Sequence[Places]) -> Places:
+class Blocks:
+    """Blocks that wait to be read together.
+
+    Attributes:
+        blocks: chunks, unpacked, and messages outside of chunks.
+        bases: where the records of each begin in those of all; the last is where they end.
+    """
+
+    def __init__(self) -> None:
+        self.blocks: list[MessageBlock] = []
+        self.bases = [0]
+        self._indexes: list[Index | None] = []
+
+    @property
+    def size(self) -> int:
+        """Bytes of all records."""
+        return self.bases[-1]
+
+    def add(self, block: MessageBlock, index: Index | None = None) -> None:
+        """Add a chunk's records with what its index says, or a message outside of chunks."""
+        self.blocks.append(block)
+        self.bases.append(self.size + len(block.content))
+        self._indexes.append(index)
+
+    def read(self, known: Container[int] | None = None) -> Read:
+        """Find all messages.
+
+        Args:
+            known: channels that chunks with an index need not be searched for. None: all schemas and channels are
+                wanted, and no message of a block that holds anything wrong.
+        """
+        content = np.frombuffer(b"".join([*(one.content for one in self.blocks), bytes(PADDING)]), np.uint8)
+        read = Read(content, {}, [], [])
+        found = self._proven(content, 0, len(self.blocks), known)
+        if found is not None:
+            read.places.update(found)
+            return read
+        parts: dict[int, list[Places]] = {}
+        for first, behind in self._runs():
+            found = self._proven(content, first, behind, known)
+            if found is None:
+                found = self._walked(first, read, is_strict=known is None)
+            for channel, places in found.items():
+                parts.setdefault(channel, []).append(places.moved(self.bases[first]))
+        read.places.update((channel, _joined(of_channel)) for channel, of_channel in parts.items())
+        return read
+
+    def _runs(self) -> Iterator[tuple[int, int]]:
+        """Each chunk by itself, and messages outside of chunks that follow each other at once."""
+        single = [
+            index is None and block.is_single for block, index in zip(self.blocks, self._indexes, strict=True)
+        ]
+        first = 0
+        for place, is_single in enumerate(single, start=1):
+            if not (is_single and place < len(single) and single[place]):
+                yield first, place
+                first = place
+
+    def _proven(
+        self, content: Bytes, first: int, behind: int, known: Container[int] | None
+    ) -> dict[int, Places] | None:
+        """The places in these blocks if nothing has to be walked for them, else None."""
+        base, size = self.bases[first], self.bases[behind] - self.bases[first]
+        within = content[base : base + size + PADDING]
+        indexed = [
+            Indexed(start - base, end - base, index)
+            for index, (start, end) in zip(
+                self._indexes[first:behind], pairwise(self.bases[first : behind + 1]), strict=True
+            )
+            if index is not None and not has_too_many(index)
+        ]
+        if len(indexed) == behind - first:
+            found = proven_places(within, size, indexed)
+        elif not indexed and all(block.is_single for block in self.blocks[first:behind]):
+            found = _singles(within, np.array(self.bases[first : behind + 1]) - base)
+        else:
+            return None
+        if found is None or (known is None and sum(one.size for one in found.values()) != size):
+            return None
+        return found if known is None or all(channel in known for channel in found) else None
+
+    def _walked(self, place: int, read: Read, *, is_strict: bool) -> dict[int, Places]:
+        """The places in a block, record by record; all else that is there goes to ``read``."""
+        said = self._indexes[place]
+        index, others = self.blocks[place].read_index()
+        read.others.extend((place, one) for one in others)
+        if said is not None and not _is_same(index, said):
+            read.wrong.append(place)
+        if is_strict and any(isinstance(one, Fault) for one in others):
+            return {}
+        content = read.content[self.bases[place] :]
+        found = {}
+        for channel, entries in index.items():
+            starts = np.frombuffer(entries, "<u8")[1::2].astype(np.int64)
+            lengths = _words(content, "<u8", LENGTH_AT)[starts].astype(np.int64) - HEADER_IN_LENGTH
+            found[channel] = Places(starts + DATA_AT, lengths)
+        return found
+
+
+def _is_same(index: Index, other: Index) -> bool:
+    """Report whether two indexes have the same entries, in any order."""
+    return index.keys() == {channel for channel, entries in other.items() if entries} and all(
+        np.array_equal(_in_place_order(entries), _in_place_order(other[channel]))
+        for channel, entries in index.items()
+    )
+
+
+def _in_place_order(entries: array[int]) -> NDArray[np.uint64]:
+    pairs = np.frombuffer(entries, np.uint64).reshape(-1, 2)
+    return pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]
+
+
+def _singles(content: Bytes, bounds: Numbers) -> dict[int, Places]:
+    """The places of messages that stand one behind the other."""
+    channels = _words(content, "<u2", CHANNEL_AT)[bounds[:-1]].astype(np.int64)
+    order = np.argsort(channels, kind="stable")
+    offsets, lengths = bounds[:-1] + DATA_AT, np.diff(bounds) - DATA_AT
+    return _by_channel(channels[order], [1] * len(order), offsets[order], lengths[order])
+
+
+def _joined(parts: Sequence[Places]) -> Places:
     """The messages of all parts, in the order of the file."""
     offsets = np.concatenate([one.offsets for one in parts])
     lengths = np.concatenate([one.lengths for one in parts])

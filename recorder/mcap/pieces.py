@@ -1,7 +1,7 @@
 """The pieces that a reader finds in an MCAP file, and the one way to take a chunk apart. Pure, but for the stream.
 
 A chunk is still packed when it is found. Unpacked it is a block of messages, as is a single message outside of
-chunks; a block is read message by message, by its index, or as columns (``columns``; with numpy ``arrays``).
+chunks; a block is read message by message, by its index, or with many others as numpy's arrays (``arrays``).
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap import records
 from mcap.opcode import Opcode
 
-from recorder.mcap.columns import Messages, unpack_at, unpack_indexed
 from recorder.mcap.framing import (
     BROKEN,
     DECLARED_MAX,
@@ -120,6 +119,15 @@ class MessageBlock(msgspec.Struct, frozen=True):
     content: bytes
     room: DeclaredRoom = msgspec.field(default_factory=DeclaredRoom)
 
+    @property
+    def is_single(self) -> bool:
+        """It is one message, and nothing else."""
+        content = self.content
+        return len(content) >= MESSAGE_HEADER.size and RECORD_HEADER.unpack_from(content) == (
+            MESSAGE_OPCODE,
+            len(content) - RECORD_HEADER.size,
+        )
+
     def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
         """The records one by one; a Fault is the last."""
         content = self.content
@@ -156,7 +164,7 @@ class MessageBlock(msgspec.Struct, frozen=True):
             from_ns: the first log time.
             to_ns: the first one that is too late.
         """
-        if _has_too_many(index):
+        if has_too_many(index):
             return None
         places: list[tuple[int, int, int]] = []
         for channel, entries in index.items():
@@ -181,23 +189,6 @@ class MessageBlock(msgspec.Struct, frozen=True):
             # Beyond the content, or beyond what this machine can address.
             return None
         return made
-
-    def columns(self, index: Index | None = None) -> tuple[Messages | None, list[Declared]]:
-        """The messages as columns, None if there are none; and the schemas and channels between them.
-
-        Args:
-            index: as the message indexes behind the chunk say; it is proven, and makes this several times faster.
-
-        Raises:
-            DamagedError: these are no records.
-        """
-        with parsing():
-            found = None if index is None or _has_too_many(index) else unpack_indexed(self.content, index)
-            if found is not None:
-                return found, []
-            true, declared = index_content(self.content, self.room)
-            starts = sorted(start for entries in true.values() for start in entries[1::2])
-            return (unpack_at(self.content, starts) if starts else None), declared
 
 
 class PackedChunk(msgspec.Struct, frozen=True):
@@ -380,7 +371,8 @@ def split(content: bytes) -> Iterator[tuple[int, int, int]]:
         start = end
 
 
-def _has_too_many(index: Index) -> bool:
+def has_too_many(index: Index) -> bool:
+    """True of an index that names more records than a chunk may hold."""
     return sum(map(len, index.values())) > 2 * RECORDS_MAX
 
 

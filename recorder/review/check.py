@@ -5,13 +5,14 @@ In one pass, in memory that does not grow with the log but for 16 bytes a chunk 
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from pathlib import Path
 from typing import BinaryIO, Final
 
 import msgspec
 from mcap import records
 
-from recorder.mcap.columns import Messages
+from recorder.mcap.arrays import Blocks
 from recorder.mcap.reader import (
     FIRST_RECORD,
     DamagedError,
@@ -27,15 +28,14 @@ from recorder.mcap.reader import (
 )
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
-from recorder.review.checking.alive import ClockStep
 from recorder.review.checking.channel import Channel, ChannelCheck
 from recorder.review.checking.findings import About, Finding, Findings
-from recorder.review.checking.frames import FrameInfo
-from recorder.review.checking.proofs import faults_of_schema
+from recorder.review.checking.frames import ClockStep, FrameInfo
+from recorder.review.checking.messages import faults_of_schema
 from recorder.review.checking.structure import Structure
 from schemas import keys
 
-WAITING_BYTES_MAX: Final = 16_000_000
+WAITING_BYTES_MAX: Final = 4_000_000
 """Size at which the messages that wait are judged together."""
 
 
@@ -47,7 +47,7 @@ class LogCheck(msgspec.Struct, frozen=True):
         is_being_written: a recorder has it open; that it has no end yet is no finding.
         messages: that were read.
         missed: samples missed on all channels.
-        frames_lost: raw frames that never came, by their alive counters; see ``alive.AliveCount``.
+        frames_lost: raw frames that never came, by their alive counters; see ``frames.AliveCount``.
         frames: the alive counters of each identifier.
         findings: the faults, those of the file first; ``untold`` more are about the file, too. Last is what is no
             fault, and worth knowing.
@@ -105,7 +105,8 @@ class _Check:
         self._structure = Structure(self._findings)
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._waiting_bytes = 0
+        self._pending = Blocks()
+        self._pieces: list[PackedChunk | MessageBlock] = []
         self._statistics: records.Statistics | None = None
         self._has_header = self._is_in_summary = self._has_ended = False
         self._read_to = 0
@@ -116,6 +117,7 @@ class _Check:
             if isinstance(piece, PackedChunk):
                 progress(piece.end - self._read_to)
                 self._read_to = piece.end
+        self._judge()
         progress(self._size - self._read_to)
         if not self._has_header:
             self._findings.file("the file has no header", FIRST_RECORD)
@@ -150,10 +152,11 @@ class _Check:
     def _take(self, piece: Piece) -> None:
         match piece:
             case PackedChunk():
-                self._take_chunk(piece)
+                self._unpack(piece)
             case MessageBlock():
-                self._take_loose(piece)
+                self._add(piece, piece)
             case records.Schema() | records.Channel():
+                self._judge()
                 self._declare(piece)
             case records.Statistics():
                 self._statistics = piece
@@ -161,13 +164,13 @@ class _Check:
                 what = f"a record of a later version of MCAP (opcode {piece.opcode:#04x}) is not read"
                 self._findings.allowed(what, piece.offset)
             case SummaryStart():
+                self._judge()
                 self._is_in_summary = True
             case End():
                 self._has_ended = True
-            case Fault() if piece.cuts and self._is_being_written:
-                pass
             case Fault():
-                self._findings.file(piece.detail, piece.offset)
+                if not (piece.cuts and self._is_being_written):
+                    self._findings.file(piece.detail, piece.offset)
             case _:
                 self._has_header = self._has_header or isinstance(piece, records.Header)
                 self._structure.count(type(piece))
@@ -181,48 +184,55 @@ class _Check:
         elif self._structure.take_channel(record, is_repeated=self._is_in_summary):
             self._channels[record.id] = Channel(record, self._schemas.get(record.schema_id), self._findings)
 
-    def _take_loose(self, piece: MessageBlock) -> None:
-        try:
-            self._take_block(piece)
-        except DamagedError as error:
-            self._findings.file(f"a message cannot be read: {error}", piece.offset)
-
-    def _take_chunk(self, piece: PackedChunk) -> None:
+    def _unpack(self, piece: PackedChunk) -> None:
         try:
             block = piece.unpack()
-            found = self._take_block(block, piece.index)
         except DamagedError as error:
+            self._broken(piece, str(error))
+        else:
+            self._add(piece, block, piece.index)
+
+    def _add(self, piece: PackedChunk | MessageBlock, block: MessageBlock, index: Index | None = None) -> None:
+        self._pieces.append(piece)
+        self._pending.add(block, index)
+        if self._pending.size > WAITING_BYTES_MAX:
+            self._judge()
+
+    def _broken(self, piece: PackedChunk | MessageBlock, why: str) -> None:
+        if isinstance(piece, PackedChunk):
             # Without the figures, which differ from chunk to chunk.
-            why = str(error).partition(",")[0]
-            self._findings.file(f"a chunk cannot be read: {why}", piece.offset)
+            self._findings.file(f"a chunk cannot be read: {why.partition(',')[0]}", piece.offset)
             self._structure.take_broken_chunk(piece)
         else:
-            self._structure.take_chunk(piece, len(block.content), found)
-            self._waiting_bytes += len(block.content)
-            if self._waiting_bytes > WAITING_BYTES_MAX:
-                for channel in self._channels.values():
-                    channel.judge()
-                self._waiting_bytes = 0
+            self._findings.file(f"a message cannot be read: {why}", piece.offset)
 
-    def _take_block(self, block: MessageBlock, index: Index | None = None) -> Messages | None:
-        """The messages of a chunk, or one outside of chunks, and what is declared between them.
-
-        Raises:
-            DamagedError: these are no records.
-        """
-        found, declared = block.columns(index)
-        for record in declared:
-            self._declare(record)
-        if found is not None:
-            self._take_messages(found, block.offset)
-        return found
-
-    def _take_messages(self, found: Messages, offset: int) -> None:
-        self._structure.take_messages(found, offset)
-        for messages in found.by_channel:
-            channel = self._channels.get(messages.channel_id)
-            if channel is None:
-                what = f"messages of channel {messages.channel_id}, which the file does not hold"
-                self._findings.file(what, offset, count=len(messages.starts))
+    def _judge(self) -> None:
+        """Judge the messages that wait."""
+        pieces, pending = self._pieces, self._pending
+        if not pieces:
+            return
+        self._pieces, self._pending = [], Blocks()
+        read = pending.read()
+        broken = set()
+        for place, one in read.others:
+            if isinstance(one, Fault):
+                broken.add(place)
+                self._broken(pieces[place], one.detail)
             else:
-                channel.take(messages, offset)
+                self._declare(one)
+        offsets = [piece.offset for piece in pieces]
+        spans = self._structure.take_messages(read, pending.bases, offsets)
+        for place, (piece, span) in enumerate(zip(pieces, spans, strict=True)):
+            if isinstance(piece, PackedChunk) and place not in broken:
+                size = len(pending.blocks[place].content)
+                self._structure.take_chunk(piece, size, span, is_indexed=place not in read.wrong)
+        for channel_id, places in sorted(read.places.items()):
+            channel = self._channels.get(channel_id)
+            if channel is None:
+                what = f"messages of channel {channel_id}, which the file does not hold"
+                block = bisect_right(pending.bases, int(places.starts[0])) - 1
+                self._findings.file(what, offsets[block], count=len(places.offsets))
+                continue
+            for number in channel.take(read.content, places):
+                block = bisect_right(pending.bases, int(places.starts[number])) - 1
+                self._findings.file("messages are not what their schema says", offsets[block], topic=channel.topic)

@@ -11,7 +11,7 @@ from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, message_cl
 from recorder.mcap.channel import LogChannel
 from recorder.reading.other_versions import means_the_same
 from recorder.reading.topics import topic_of
-from recorder.review.checking.proofs import faults_of_schema
+from recorder.review.checking.messages import faults_of_schema
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.reasons import Reason
 from schemas.versions import is_foreign

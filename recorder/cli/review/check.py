@@ -13,19 +13,18 @@ from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, t
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.check import LogCheck, check_log
-from recorder.review.checking.between import Between, ChannelEnds, between
 from recorder.review.checking.findings import About, Finding
+from recorder.review.checking.samples import Between, ChannelEnds, between
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review check logs\n  cruiser review check --json logs/cruiser-1-20260102T030405Z.mcap"
 DESCRIPTION: Final = (
-    "Reads every byte of logs and verifies all that can be: checksums, the heads of chunks, indexes, statistics, "
-    "the order of log times, schemas, and every message against its schema; then what the data lacks: samples by "
-    "the gaps in their sequences, raw frames by their checksums and alive counters, and what the recorder says "
-    "that it could not write. Each finding tells whether it is about the file or about the data in it. Of several "
-    "logs, the samples between two that are in none of them are told at the end, by their sequences. Exit code "
-    "1 if there is any finding, 3 if a file takes too long to read."
+    "Reads every byte of logs and verifies checksums, the heads of chunks, indexes, statistics, the order of log "
+    "times, schemas, and every message against its schema. Then looks for losses: samples by the gaps in their "
+    "sequences, raw frames by their checksums and alive counters, and what the recorder says that it could not "
+    "write. Each finding is about the file or about the data in it. For several logs, the last lines list the "
+    "samples that none of them holds. Exit code 1 if there is any finding, 3 if a file takes too long to read."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each file, and of several one for what is in none of them"
 
@@ -65,7 +64,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 def _missing(found: Sequence[Between]) -> Iterator[str]:
     """Yield what is in none of several logs as lines for people."""
-    yield f"between the logs:{'' if found else ' nothing is missing that could be told'}"
+    yield f"between the logs:{'' if found else ' no loss detected'}"
     for one in found:
         place = f"between {in_words(one.from_ns)} and {in_words(one.to_ns)}"
         logs = f"{Path(one.before).name}, then {Path(one.after).name}"
@@ -77,21 +76,24 @@ def describe(found: LogCheck) -> Iterator[str]:
     about_file = [one for one in found.findings if one.about is About.FILE]
     about_data = [one for one in found.findings if one.about is About.DATA]
     yield f"{found.path}: {found.messages} messages, {found.bytes} bytes"
-    state = " nothing is wrong with it" if found.whole or not about_file else ""
-    yield f"  the file:{state}{' so far; it is being written' if state and found.is_being_written else ''}"
+    state = (
+        ""
+        if about_file
+        else " no fault found so far, it is being written"
+        if found.is_being_written
+        else " no fault found"
+    )
+    yield f"  file:{state}"
     yield from (f"    {_finding(one)}" for one in about_file)
     if found.untold:
         yield f"    and {found.untold} more"
-    if about_data:
-        yield "  the data:"
-    elif about_file and not found.messages:
-        yield "  the data: no message could be read, so nothing is known of it"
-    else:
-        yield "  the data: nothing is missing that could be told"
+    is_unknown = about_file and not found.messages
+    state = "" if about_data else " unknown, no message could be read" if is_unknown else " no loss detected"
+    yield f"  data:{state}"
     yield from (f"    {line}" for line in _alike(about_data))
     allowed = [one for one in found.findings if one.about is About.ALLOWED]
     if allowed:
-        yield "  allowed, and worth knowing:"
+        yield "  allowed, but worth knowing:"
     yield from (f"    {line}" for line in _alike(allowed))
     unread = [one.encoding or "no encoding" for one in found.channels if one.messages and not one.is_read]
     if unread:

@@ -1,33 +1,25 @@
-"""The state of one channel while a log is checked.
-
-Messages wait until many of them can be judged at once: most of what that costs does not depend on how many.
-"""
+"""The state of one channel while a log is checked."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import Final
 
 import msgspec
+import numpy as np
 from mcap import records
 
 from recorder.encoding.key_counters import SEQUENCE_SPAN
 from recorder.encoding.protobuf_schema import schema_name
-from recorder.mcap.columns import ChannelMessages
+from recorder.mcap.arrays import Bytes, Places
 from recorder.reading.topics import UNREADABLE, typed_decoder
-from recorder.review.checking.alive import FAR_NS, ClockStep
-from recorder.review.checking.between import ChannelEnds
 from recorder.review.checking.findings import Findings
-from recorder.review.checking.frames import FrameCount
-from recorder.review.checking.proofs import Proof, proof_of
-from recorder.review.checking.sequences import KEPT, sequence_count
+from recorder.review.checking.frames import FAR_NS, ClockStep, FrameCount
+from recorder.review.checking.messages import datas, proof_of
+from recorder.review.checking.samples import KEPT, ChannelEnds, FollowingCount, InTimeCount, has_sequence
 from schemas.decisions import Journal
 from schemas.messages import CanFrame
 from schemas.recording import RecordGap
-
-WAITING_MAX: Final = 1024
-"""Messages of a channel that wait at most, but for the rest of their chunk."""
 
 _CAN_FRAME: Final = schema_name(CanFrame)
 _JOURNAL: Final = schema_name(Journal)
@@ -38,6 +30,8 @@ _AGREE_NS: Final = 1_000_000_000
 
 STEPS_MAX: Final = 1000
 """Steps of the clock that are remembered."""
+
+_TWO_SOURCES: Final = "two gateways speak under one name: what either lost is not known"
 
 _FRAME_FAULTS: Final = {
     "lost": "frames lost, by the alive counter",
@@ -75,99 +69,100 @@ class Channel:
         record: the channel.
         schema: its schema, if the log holds it.
         findings: takes what is wrong.
+
+    Attributes:
+        frames: the counts of raw frames, if it has any.
+        clock_steps: of the robot's clock, as the journal tells them.
     """
 
     def __init__(self, record: records.Channel, schema: records.Schema | None, findings: Findings) -> None:
         self.topic = record.topic
+        self.clock_steps: list[ClockStep] = []
         self._encoding = record.message_encoding
         self._schema = "" if schema is None else schema.name
         self._findings = findings
-        is_protobuf = record.message_encoding == "protobuf"
-        self.frames = FrameCount() if is_protobuf and self._schema == _CAN_FRAME else None
-        self._proof: Proof | None = self.frames.take if self.frames else proof_of(record, schema)
-        self._sequence = sequence_count(self._schema) if is_protobuf else None
-        self._is_journal = is_protobuf and self._schema == _JOURNAL
+        # Which of our own it is; of others nothing more is known.
+        self._kind = self._schema if record.message_encoding == "protobuf" else ""
+        self.frames = FrameCount() if self._kind == _CAN_FRAME else None
+        self._proof = proof_of(record, schema)
+        self._samples: FollowingCount | InTimeCount | None = None
+        if has_sequence(self._kind):
+            self._samples = InTimeCount() if self._kind in KEPT else FollowingCount()
         self._last_journal: tuple[int, bytes] | None = None
-        self.clock_steps: list[ClockStep] = []
-        self._is_gaps = is_protobuf and self._schema == _RECORD_GAP
         self._messages = self._unreadable = 0
         self._ends: ChannelEnds | None = None
         self._newest = 0
-        self._begun_anew = 0
-        self._begun_anew_ns: int | None = None
-        self._sequences: list[int] = []
-        self._publish_ns: list[int] = []
-        self._log_ns: list[int] = []
-        self._datas: list[bytes] = []
-        # Where in the file the chunk is that a message has come from, by its place among those that wait.
-        self._offsets: list[tuple[int, int]] = []
+        self._restarts = 0
+        self._restarted_ns: int | None = None
 
-    def take(self, messages: ChannelMessages, offset: int) -> None:
-        """Messages of the channel, of the chunk at this offset."""
-        self._messages += len(messages.starts)
-        if self._sequence is not None:
-            self._sequences += messages.sequences
-            self._publish_ns += messages.publish_ns
-            self._log_ns += messages.log_ns
-        if self._is_journal:
-            self._look_for_clock_steps(messages)
-        if self._proof is not None:
-            self._offsets.append((len(self._datas), offset))
-            self._datas += messages.datas
-        if len(self._sequences) >= WAITING_MAX or len(self._datas) >= WAITING_MAX:
-            self.judge()
+    def take(self, content: Bytes, places: Places) -> list[int]:
+        """Take messages of the channel; returns the numbers of those that are not what their schema says."""
+        self._messages += len(places.offsets)
+        restarts = self._take_sequences(content, places) if self._samples is not None else []
+        if self._kind == _JOURNAL:
+            self._look_for_clock_steps(content, places)
+        elif self._kind == _RECORD_GAP:
+            self._tell_gaps(content, places)
+        wrong: Sequence[int] = []
+        if self.frames is not None:
+            wrong = self.frames.take(content, places, restarts)
+        elif self._proof is not None:
+            wrong = self._proof(content, places)
+        self._unreadable += len(wrong)
+        return list(wrong)
 
-    def judge(self) -> None:
-        """Judge the messages that wait."""
-        # Of raw frames as many sequences wait as there are data.
-        anew = self._look_for_other_gateways() if self.frames else []
-        if self._sequence is not None and self._sequences:
-            self._sequence.take(self._sequences, self._publish_ns, self._log_ns)
-            self._note_ends()
-            self._sequences, self._publish_ns, self._log_ns = [], [], []
-        if self._proof is not None and self._datas:
-            for place in self._proven(self._proof, anew):
-                self._unreadable += 1
-                offset = max(one for one in self._offsets if one[0] <= place)[1]
-                self._findings.file("messages are not what their schema says", offset, topic=self.topic)
-            if self._is_gaps:
-                self._tell_gaps()
-            self._datas, self._offsets = [], []
+    def _take_sequences(self, content: Bytes, places: Places) -> list[int]:
+        """Returns the numbers of raw frames before which another gateway began: it counts its batches from 0."""
+        sequences = places.sequences(content).astype(np.int64)
+        log_ns = places.log_ns(content)
+        if isinstance(self._samples, InTimeCount):
+            self._samples.take(sequences, places.publish_ns(content))
+            return []
+        if self._samples is not None:
+            self._samples.take(sequences, log_ns)
+        first = self._ends or ChannelEnds(int(sequences[0]), 0, int(log_ns[0]), 0)
+        self._ends = ChannelEnds(first.first, int(sequences[-1]), first.first_ns, int(log_ns[-1]))
+        if self.frames is None:
+            return []
+        back = -np.diff(sequences, prepend=self._newest)
+        self._newest = int(sequences[-1])
+        restarts: list[int] = np.flatnonzero((back > 0) & (back < SEQUENCE_SPAN // 2)).tolist()
+        if restarts and self._restarted_ns is None:
+            self._restarted_ns = int(log_ns[restarts[0]])
+        self._restarts += len(restarts)
+        return restarts
 
-    def _note_ends(self) -> None:
-        if self._schema in KEPT:
-            return
-        first = self._ends or ChannelEnds(self._sequences[0], 0, self._log_ns[0], 0)
-        self._ends = msgspec.structs.replace(first, last=self._sequences[-1], last_ns=self._log_ns[-1])
-
-    def _look_for_clock_steps(self, messages: ChannelMessages) -> None:
+    def _look_for_clock_steps(self, content: Bytes, places: Places) -> None:
         """Hold the journal's wall times against its monotonic ones, where there is a far gap between two."""
-        for publish_ns, data in zip(messages.publish_ns, messages.datas, strict=True):
-            last, self._last_journal = self._last_journal, (publish_ns, data)
-            if last is None or publish_ns - last[0] <= FAR_NS or len(self.clock_steps) >= STEPS_MAX:
+        publish_ns = places.publish_ns(content).tolist()
+        for time_ns, data in zip(publish_ns, datas(content, places), strict=True):
+            last, self._last_journal = self._last_journal, (time_ns, data)
+            if last is None or time_ns - last[0] <= FAR_NS or len(self.clock_steps) >= STEPS_MAX:
                 continue
             passed_ns = _passed_ns(last[1], data)
-            if passed_ns is not None and publish_ns - last[0] - passed_ns > _AGREE_NS:
-                self.clock_steps.append(ClockStep(last[0], publish_ns))
+            if passed_ns is not None and time_ns - last[0] - passed_ns > _AGREE_NS:
+                self.clock_steps.append(ClockStep(last[0], time_ns))
+
+    def _tell_gaps(self, content: Bytes, places: Places) -> None:
+        """Add what the recorder says that it could not write."""
+        for data in datas(content, places):
+            try:
+                gap: RecordGap = typed_decoder(RecordGap)(data)
+            except UNREADABLE:
+                continue
+            what = f"not in the log, as its recorder says ({gap.reason.value})"
+            self._findings.data(what, gap.key, gap.count, gap.first_ns)
 
     def sum_up(self, clock_steps: Sequence[ClockStep] = ()) -> ChannelCheck:
         """All of it, and what is missing; ``clock_steps`` are those of the robot's clock."""
-        self.judge()
-        missed, missed_ns = (None, None) if self._sequence is None else self._sequence.missed()
-        if missed:
-            self._findings.data("samples missed, by the sequence", self.topic, missed, missed_ns)
-        if self._begun_anew and self.frames and any(self.frames.counts):
-            what = "times without a gateway, whose frames nobody received: another one began then"
-            self._findings.data(what, self.topic, self._begun_anew, self._begun_anew_ns)
-        for _, alive in self.frames.counts if self.frames else ():
-            if left_out := alive.leave_out(clock_steps):
-                what = "steps of the robot's clock, over which whole rounds of the alive counter are not judged"
-                self._findings.data(f"{alive.name}: {what}", self.topic, left_out, clock_steps[0].before_ns)
-            for name, what in _FRAME_FAULTS.items():
-                count = getattr(alive, name)
-                if count:
-                    first_ns = alive.first_ns.get("outages" if name == "unseen" else name)
-                    self._findings.data(f"{alive.name}: {what}", self.topic, count, first_ns)
+        has_two_sources = self._samples is not None and self._samples.has_two_sources
+        missed = None if self._samples is None else 0 if has_two_sources else self._samples.missed
+        if has_two_sources:
+            self._findings.data(_TWO_SOURCES, self.topic, 1, None if self._ends is None else self._ends.first_ns)
+        elif missed and self._samples is not None:
+            self._findings.data("samples missed, by the sequence", self.topic, missed, self._samples.first_ns)
+        if self.frames is not None:
+            self._sum_up_frames(self.frames, clock_steps, has_two_sources=has_two_sources)
         return ChannelCheck(
             topic=self.topic,
             schema=self._schema,
@@ -179,38 +174,23 @@ class Channel:
             ends=self._ends,
         )
 
-    def _look_for_other_gateways(self) -> list[int]:
-        """Before which of the frames that wait another gateway began: it counts its batches from 0."""
-        sequences, before = self._sequences, self._newest
-        if not sequences:
-            return []
-        self._newest = sequences[-1]
-        if sequences[0] >= before and sequences == sorted(sequences):
-            return []
-        steps = enumerate(pairwise([before, *sequences]))
-        places = [place for place, (was, now) in steps if 0 < was - now < SEQUENCE_SPAN // 2]
-        if places and self._begun_anew_ns is None:
-            self._begun_anew_ns = self._log_ns[places[0]]
-        self._begun_anew += len(places)
-        return places
-
-    def _proven(self, proof: Proof, anew: Sequence[int]) -> Iterator[int]:
-        """The places of data that are not what their schema says."""
-        for start, end in pairwise([0, *anew, len(self._datas)]):
-            if start in anew and self.frames:
-                self.frames.begin_anew()
-            if start < end:
-                yield from (start + place for place in proof(self._datas[start:end] if anew else self._datas))
-
-    def _tell_gaps(self) -> None:
-        """Add what the recorder says that it could not write."""
-        for data in self._datas:
-            try:
-                gap: RecordGap = typed_decoder(RecordGap)(data)
-            except UNREADABLE:
-                continue
-            what = f"not in the log, as its recorder says ({gap.reason.value})"
-            self._findings.data(what, gap.key, gap.count, gap.first_ns)
+    def _sum_up_frames(
+        self, frames: FrameCount, clock_steps: Sequence[ClockStep], *, has_two_sources: bool
+    ) -> None:
+        if self._restarts and frames.counts and not has_two_sources:
+            what = "times without a gateway, whose frames nobody received: another one began then"
+            self._findings.data(what, self.topic, self._restarts, self._restarted_ns)
+        for _, alive in sorted(frames.counts.items()):
+            if has_two_sources:
+                alive.forget_losses()
+            if left_out := alive.leave_out(clock_steps):
+                what = "steps of the robot's clock, over which whole rounds of the alive counter are not judged"
+                self._findings.data(f"{alive.name}: {what}", self.topic, left_out, clock_steps[0].before_ns)
+            for name, what in _FRAME_FAULTS.items():
+                count = getattr(alive, name)
+                if count:
+                    first_ns = alive.first_ns.get("outages" if name == "unseen" else name)
+                    self._findings.data(f"{alive.name}: {what}", self.topic, count, first_ns)
 
 
 def _passed_ns(before: bytes, after: bytes) -> int | None:

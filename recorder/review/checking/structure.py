@@ -8,12 +8,12 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import BinaryIO
 
+import numpy as np
 from mcap import records
 
-from recorder.mcap.columns import Messages
+from recorder.mcap.arrays import Read
 from recorder.mcap.reader import DamagedError, PackedChunk, record_at
 from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.review.checking.findings import Findings
@@ -80,48 +80,57 @@ class Structure:
         """One more record of this kind."""
         self._counts[kind] += 1
 
-    def take_messages(self, found: Messages, offset: int) -> None:
-        """The messages of a chunk, or a single one outside of chunks, at this offset of the file."""
-        for messages in found.by_channel:
-            self.messages[messages.channel_id] += len(messages.starts)
-        self._start_ns = found.start_ns if self._start_ns is None else min(self._start_ns, found.start_ns)
-        self._end_ns = max(self._end_ns, found.end_ns)
-        times = self._receipts(found)
-        if times:
-            backwards = sum(after < before for before, after in pairwise((self._newest_ns, *times)))
-            if backwards:
-                self._findings.allowed("the log time goes backwards", offset, count=backwards)
-            self._newest_ns = times[-1]
+    def take_messages(
+        self, read: Read, bases: Sequence[int], offsets: Sequence[int]
+    ) -> list[tuple[int, int] | None]:
+        """Take the messages of blocks; returns the first and the last log time of each, None if it has none.
 
-    def _receipts(self, found: Messages) -> Sequence[int]:
-        """Log times in the order of the chunk; where all are in order, the first and the last will do.
-
-        What a recorder says itself is left out: where it had to wait for a file, it is older than its neighbours.
+        Args:
+            read: the messages.
+            bases: where each block begins in ``read.content``, and where all end.
+            offsets: of the blocks in the file.
         """
-        has_own = any(messages.channel_id in self._own for messages in found.by_channel)
-        if not has_own and not found.backwards:
-            return found.first_ns, found.last_ns
-        places = sorted(
-            place
-            for messages in found.by_channel
-            if messages.channel_id not in self._own
-            for place in zip(messages.starts, messages.log_ns, strict=True)
-        )
-        return [time_ns for _, time_ns in places]
+        for channel, places in read.places.items():
+            self.messages[channel] += len(places.offsets)
+        spans: list[tuple[int, int] | None] = [None] * len(offsets)
+        if not read.places:
+            return spans
+        starts = np.concatenate([places.starts for places in read.places.values()])
+        order = np.argsort(starts, kind="stable")
+        log_ns = np.concatenate([places.log_ns(read.content) for places in read.places.values()])[order]
+        self._start_ns = min(int(log_ns.min()), int(log_ns[0]) if self._start_ns is None else self._start_ns)
+        self._end_ns = max(self._end_ns, int(log_ns.max()))
+        # What a recorder says itself is left out: it may have waited for a file.
+        is_own = np.concatenate([np.full(len(one.offsets), key in self._own) for key, one in read.places.items()])
+        received = ~is_own[order]
+        times = np.concatenate([[np.uint64(self._newest_ns)], log_ns[received]])
+        self._newest_ns = int(times[-1])
+        block_of = np.searchsorted(bases, starts[order], "right") - 1
+        for block, count in Counter(block_of[received][times[1:] < times[:-1]].tolist()).items():
+            self._findings.allowed("the log time goes backwards", offsets[block], count=count)
+        filled, first = np.unique(block_of, return_index=True)
+        lowest, highest = np.minimum.reduceat(log_ns, first), np.maximum.reduceat(log_ns, first)
+        for block, start_ns, end_ns in zip(filled.tolist(), lowest.tolist(), highest.tolist(), strict=True):
+            spans[block] = start_ns, end_ns
+        return spans
 
-    def take_chunk(self, piece: PackedChunk, size: int, found: Messages | None) -> None:
-        """A chunk that could be read, the bytes of its records, and the messages in it, if there are any."""
+    def take_chunk(self, piece: PackedChunk, size: int, span: tuple[int, int] | None, *, is_indexed: bool) -> None:
+        """Take a chunk that could be read.
+
+        Args:
+            piece: the chunk.
+            size: of its records in bytes.
+            span: the first and the last log time in it; None if there is no message.
+            is_indexed: the message indexes behind it say what is there, or there are none.
+        """
         chunk = piece.described()
         if chunk.unpacked != size:
             self._findings.file("a chunk's size is not the one that it says", piece.offset)
-        times = (0, 0) if found is None else (found.start_ns, found.end_ns)
-        if (chunk.start_ns, chunk.end_ns) != times:
+        if (chunk.start_ns, chunk.end_ns) != (span or (0, 0)):
             self._findings.file("a chunk's times are not those of its messages", piece.offset)
-        if found is not None and not piece.places:
+        if span is not None and not piece.places:
             self._findings.allowed("a chunk has no message indexes", piece.offset)
-        if piece.index is not None and not (
-            found.is_indexed(piece.index) if found else not any(piece.index.values())
-        ):
+        if not is_indexed:
             self._findings.file("the message indexes behind a chunk are wrong", piece.offset)
         self._offsets.append(piece.offset)
         self._digests.append(chunk.digest())

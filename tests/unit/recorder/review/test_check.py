@@ -406,6 +406,21 @@ def test_the_time_without_a_gateway_is_no_loss_on_the_way(away_ms: int, *, is_on
     ]
 
 
+def test_two_gateways_under_one_name_are_told_and_no_loss_is_made_up() -> None:
+    """Their samples and frames stand among each other, by turns."""
+    log = Log()
+    for number in range(30):
+        for start, behind_ns in ((0, 0), (5000, 3 * MS)):
+            frames = [(WALL_NS + number * 100 * MS + at * 10 * MS + behind_ns, feedback(at)) for at in range(10)]
+            log.receive(sample_of(gear(start + number)), sample_of(batch(start + number, frames)))
+    found = check(log.close())
+    assert (found.missed, found.frames_lost) == (0, 0)
+    assert {one.what for one in found.findings} == {
+        "two gateways speak under one name: what either lost is not known"
+    }
+    assert not found.is_sound
+
+
 def test_what_was_asked_for_later_is_not_missed() -> None:
     """It stands behind what came by itself; its time tells its place."""
     log = Log()
@@ -503,6 +518,12 @@ def test_chunks_of_many_channels_are_told_apart() -> None:
     without_index = rebuilt(lambda one: None if isinstance(one, records.MessageIndex) else one, data)
     again = check(without_index)
     assert [(one.messages, one.missed) for one in again.channels] == [(30, 0), (29, 1), (30, 0)]
+
+
+def test_a_message_without_data_is_in_its_own_chunk() -> None:
+    """At the end of one, and alone in one."""
+    chunks = [[gear_message(0, 10), (1, 1, 20, b"")], [(1, 2, 30, b"")]]
+    assert check(own_log(chunks)).findings == []
 
 
 def test_an_index_in_another_order_is_right() -> None:

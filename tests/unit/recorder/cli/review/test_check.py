@@ -15,8 +15,8 @@ def test_a_sound_log_is_no_finding(whole: Path, capsys: pytest.CaptureFixture[st
     """Exit code 0; and the frames that were counted."""
     assert review("check", str(whole)) == ExitCode.OK
     out = capsys.readouterr().out
-    assert "the file: nothing is wrong with it" in out
-    assert "the data: nothing is missing" in out
+    assert "file: no fault found" in out
+    assert "data: no loss detected" in out
     assert "Auto_GearFeedBack" in out
 
 
@@ -25,7 +25,7 @@ def test_findings_are_told_by_what_they_are_about(tmp_path: Path, capsys: pytest
     data = own_log([gears(0, 3, 10), gears(5, 3, 100)])
     assert review("check", str(saved(tmp_path / "a.mcap", data[:-20]))) == ExitCode.FAILURE
     out = capsys.readouterr().out
-    about_file, about_data = out.split("  the data:")
+    about_file, about_data = out.split("  data:")
     assert "the file is cut off within a record (1, first at byte" in about_file
     assert "fleet/cruiser-1/chassis/gear: samples missed, by the sequence (2, first at 1970-" in about_data
 
@@ -74,8 +74,8 @@ def test_where_no_message_can_be_read_nothing_is_claimed(
     assert review("check", str(log)) == ExitCode.FAILURE
     out = capsys.readouterr().out
     assert ": 0 messages" in out
-    assert "the data: no message could be read, so nothing is known of it" in out
-    assert "nothing is missing" not in out
+    assert "data: unknown, no message could be read" in out
+    assert "no loss" not in out
 
 
 def test_what_is_in_none_of_several_logs_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
