@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Final
 
 GONE_WORDS: Final[Mapping[str, str]] = {
@@ -58,7 +59,12 @@ Logs hold the settings that were in force, so those of earlier versions hold the
 def gone_word(words: Sequence[str]) -> str:
     """Return what to say about the first of a command line's words that is gone; empty if none is."""
     flags = [word.partition("=")[0] for word in words if word.startswith("--")]
-    names = next((words[:at] for at, word in enumerate(words) if word.startswith("-")), words)
+    # A word behind a flag may be its value.
+    names = [
+        word
+        for before, word in pairwise(["", *words])
+        if not word.startswith("-") and (not before.startswith("-") or "=" in before)
+    ]
     commands = [" ".join(names[:length]) for length in (1, 2) if len(names) >= length]
     typed = [*commands, *(f"{command} {flag}" for flag in flags for command in commands)]
     return next((f"'{word}' is gone: {GONE_WORDS[word]}" for word in typed if word in GONE_WORDS), "")

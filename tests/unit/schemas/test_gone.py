@@ -24,6 +24,22 @@ def test_what_is_gone_is_an_error_that_says_what_to_use(
     assert capsys.readouterr().err.startswith(f"cruiser: '{typed}' is gone: ")
 
 
+@pytest.mark.parametrize(
+    ("words", "gone_one"),
+    [
+        ("record --connect tcp/127.0.0.1:7447 stop", "record stop"),
+        ("record --log-level=debug start", "record start"),
+        ("review --config c.toml evidence a.mcap", "review evidence"),
+        ("record --name stop", ""),
+        ("review why evidence", ""),
+    ],
+)
+def test_what_is_gone_is_found_behind_flags(words: str, gone_one: str) -> None:
+    """A flag's value, and the word after the question, are neither."""
+    assert gone.gone_word(words.split()).startswith(f"'{gone_one}' is gone" if gone_one else "")
+    assert bool(gone.gone_word(words.split())) == bool(gone_one)
+
+
 def test_what_is_gone_is_not_there() -> None:
     """A word is not in two tables."""
     questions = {f"review {question}" for question in QUESTIONS}
