@@ -100,6 +100,26 @@ def test_only_one_module_opens_zenoh_sessions() -> None:
     assert found == {Path("schemas/zenoh_session.py")}
 
 
+def named_modules(path: Path) -> set[str]:
+    """The modules of gateway and recorder that a file names in strings, alone or with an object in them."""
+    texts = {
+        node.value.partition(":")[0]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    dotted = {text for text in texts if re.fullmatch(r"(gateway|recorder)(\.\w+)+", text)}
+    places = {text: ROOT.joinpath(*text.split(".")) for text in dotted}
+    return {text for text, place in places.items() if place.is_dir() or place.with_suffix(".py").exists()}
+
+
+def test_no_string_names_a_module_of_the_other_package() -> None:
+    """But for the one table of commands; nor does an entry point. Contracts on imports see neither."""
+    files = [path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    crossing = {path for path in files if {one.partition(".")[0] for one in named_modules(path)} - {path.parts[0]}}
+    assert crossing == {Path("gateway/cli/main.py")}
+    assert "entry-points" not in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
 def framing_in(path: Path) -> set[str]:
     """The modules of MCAP's framing that a file imports: ours, and all of the mcap package but its records."""
     found: set[str] = set()
