@@ -27,11 +27,6 @@ def message_record(channel_id: int, sequence: int, log_ns: int, publish_ns: int,
     return MESSAGE_HEADER.pack(MESSAGE_OPCODE, length, channel_id, sequence, log_ns, publish_ns) + data
 
 
-def record_size(data: bytes) -> int:
-    """Bytes of the record of a message with this data."""
-    return MESSAGE_HEADER.size + len(data)
-
-
 def head_source(length: str) -> tuple[str, str]:
     """The head of a message's record for code that packs it with the data at once.
 
@@ -63,12 +58,6 @@ class Chunk(msgspec.Struct, frozen=True):
     def counts(self) -> dict[int, int]:
         """Messages of each channel."""
         return {channel_id: len(entries) // 2 for channel_id, entries in self.index.items()}
-
-    def message_at(self, offset: int) -> tuple[int, int, int, bytes]:
-        """Return sequence, log time, publish time and data of the message at an offset of the index."""
-        _, length, _, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(self.records, offset)
-        start = offset + MESSAGE_HEADER.size
-        return sequence, log_ns, publish_ns, bytes(self.records[start : start + length - HEADER_IN_LENGTH])
 
 
 class _Index(dict[int, "array[int]"]):

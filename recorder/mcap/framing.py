@@ -11,7 +11,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from io import BytesIO
+from io import SEEK_END, BytesIO
 from typing import Any, BinaryIO, Final, TypeVar, cast
 
 import zstandard
@@ -171,6 +171,21 @@ class RecordFile:
             return None
         return header[0], self.read(offset, header[1] - offset)
 
+    def records(self, start: int, end: int) -> Iterator[tuple[int, int, bytes]]:
+        """Opcode, offset and body of each record there.
+
+        Raises:
+            ValueError: a record reaches beyond the end.
+        """
+        at = start
+        while at < end:
+            opcode, behind = self.header(at) or (0, end + 1)
+            body_at = at + RECORD_HEADER.size
+            if behind > end or behind - body_at > RECORD_MAX:
+                raise ValueError("a record is cut off")
+            yield opcode, at, self.read(body_at, behind - body_at)
+            at = behind
+
     def message_index(self, offset: int) -> tuple[int, array[int], int] | None:
         """The message index there: its channel, its entries, and where it ends; None if there is none."""
         head = self.read(offset, INDEX_HEADER.size)
@@ -219,16 +234,11 @@ def record_at(stream: BinaryIO, offset: int, kind: type[Record], size: int | Non
     Raises:
         DamagedError: it cannot be read.
     """
-    stream.seek(offset)
-    head = stream.read(RECORD_HEADER.size)
-    if len(head) < RECORD_HEADER.size:
-        return None
-    opcode, length = RECORD_HEADER.unpack(head)
-    is_of_size = size is None or size == RECORD_HEADER.size + length
-    if opcode != _OPCODES[kind] or length > RECORD_MAX or not is_of_size:
+    found = RecordFile(stream, stream.seek(0, SEEK_END)).record(offset)
+    if found is None or found[0] != _OPCODES[kind] or size not in {None, len(found[1])}:
         return None
     with parsing():
-        record: Record = parse(opcode, stream.read(length))
+        record: Record = parse(found[0], found[1][RECORD_HEADER.size :])
         return record
 
 

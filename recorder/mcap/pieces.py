@@ -221,11 +221,21 @@ class PackedChunk(msgspec.Struct, frozen=True):
         Raises:
             DamagedError: it is damaged, or packed in a way that nobody here knows.
         """
-        return unpack_chunk(self.stream, self.offset, self.length, self.room)
+        with parsing():
+            size = self.length - RECORD_HEADER.size
+            if size > RECORD_MAX:
+                raise DamagedError(f"a chunk of {size} bytes is too large")
+            self.stream.seek(self.offset + RECORD_HEADER.size)
+            return MessageBlock(self.offset, _content(self.stream.read(size)), self.room)
 
     def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
         """The records one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
-        return messages_at(self.stream, self.offset, self.length, self.room)
+        try:
+            block = self.unpack()
+        except DamagedError as error:
+            yield Fault(self.offset, f"a chunk cannot be read: {error}")
+        else:
+            yield from block.messages()
 
     def read_index(self) -> tuple[Index, list[Declared | Fault]]:
         """As ``MessageBlock.read_index``, whatever the message indexes say."""
@@ -249,41 +259,6 @@ class PackedChunk(msgspec.Struct, frozen=True):
             packed=int.from_bytes(self.stream.read(8), "little"),
             unpacked=unpacked,
         )
-
-
-def unpack_chunk(
-    stream: BinaryIO, offset: int, length: int | None = None, room: DeclaredRoom | None = None
-) -> MessageBlock:
-    """The records of the chunk there; its checksum is verified.
-
-    Args:
-        stream: the file.
-        offset: of the chunk's record.
-        length: of the whole record, if it is known.
-        room: for the schemas and channels of the file; None: this chunk has its own.
-
-    Raises:
-        DamagedError: it is damaged, or packed in a way that nobody here knows.
-    """
-    with parsing():
-        stream.seek(offset)
-        head = stream.read(RECORD_HEADER.size)
-        size = RECORD_HEADER.unpack(head)[1] if length is None else length - RECORD_HEADER.size
-        if size > RECORD_MAX:
-            raise DamagedError(f"a chunk of {size} bytes is too large")
-        return MessageBlock(offset, _content(stream.read(size)), room or DeclaredRoom())
-
-
-def messages_at(
-    stream: BinaryIO, offset: int, length: int | None = None, room: DeclaredRoom | None = None
-) -> Iterator[LoggedMessage | Declared | Fault]:
-    """The same one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
-    try:
-        block = unpack_chunk(stream, offset, length, room)
-    except DamagedError as error:
-        yield Fault(offset, f"a chunk cannot be read: {error}")
-    else:
-        yield from block.messages()
 
 
 def content_of(chunk: records.Chunk) -> bytes:

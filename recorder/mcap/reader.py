@@ -13,8 +13,8 @@ What is wrong with a file is a value, a Fault. Behind a damaged record the reade
 proves itself by a checksum (``proof``). Nothing of a chunk is read from the disk before it is unpacked, so who
 wants few of them pays for few.
 
-Besides: ``walk`` gives the messages themselves; ``messages_at`` those of a chunk whose place is known;
-``record_at`` a single record; ``summary_reader`` the end of a file; ``recovery`` what is proven of a damaged one.
+Besides: ``record_at`` gives a single record, ``summary_reader`` the end of a file, ``recovery`` what is proven of
+a damaged one.
 """
 
 from __future__ import annotations
@@ -52,7 +52,6 @@ from recorder.mcap.pieces import (
     LoggedMessage,
     MessageBlock,
     PackedChunk,
-    messages_at,
 )
 from recorder.mcap.proof import Scanner
 
@@ -69,12 +68,9 @@ __all__ = [
     "PassedOver",
     "Piece",
     "SummaryStart",
-    "Walked",
     "is_mcap",
-    "messages_at",
     "read_pieces",
     "record_at",
-    "walk",
 ]
 
 _BLOCK_BYTES: Final = 1 << 20
@@ -101,18 +97,20 @@ class SummaryStart(msgspec.Struct, frozen=True):
     """The data ends here; what follows repeats some of it."""
 
 
-Around = (
+Piece = (
     records.Header
     | records.Schema
     | records.Channel
     | records.Attachment
     | records.Metadata
     | records.Statistics
+    | MessageBlock
+    | PackedChunk
+    | PassedOver
+    | SummaryStart
     | Fault
     | End
 )
-Piece = Around | MessageBlock | PackedChunk | PassedOver | SummaryStart
-Walked = Around | LoggedMessage
 
 
 def is_mcap(stream: BinaryIO) -> bool:
@@ -131,23 +129,6 @@ def read_pieces(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> It
             byte. A chunk's own is verified whenever it is unpacked.
     """
     return _Reading(stream, size, is_verifying=is_verifying).pieces()
-
-
-def walk(stream: BinaryIO, size: int) -> Iterator[Walked]:
-    """The messages of a file one by one, and the records around them. Every checksum is verified.
-
-    Args:
-        stream: the file, which begins as MCAP does.
-        size: its length in bytes.
-    """
-    for piece in read_pieces(stream, size):
-        match piece:
-            case PackedChunk() | MessageBlock():
-                yield from piece.messages()
-            case SummaryStart() | PassedOver():
-                pass
-            case _:
-                yield piece
 
 
 class _Reading:

@@ -16,7 +16,7 @@ import msgspec
 from mcap import records
 from mcap.opcode import Opcode
 
-from recorder.mcap.framing import BROKEN, FOOTER, MAGIC, RECORD_HEADER, RECORD_MAX, parse, parsing
+from recorder.mcap.framing import BROKEN, FOOTER, MAGIC, RECORD_HEADER, RecordFile, parse, parsing
 
 _CHUNK_PLACE: Final = struct.Struct("<QQQQI")
 _CHUNK_REST: Final = struct.Struct("<QI")
@@ -209,33 +209,7 @@ def _take_records(stream: BinaryIO, summary: LogSummary, start: int, end: int) -
 
 
 def _read_records(stream: BinaryIO, start: int, end: int) -> Iterator[tuple[int, int, bytes]]:
-    """Opcode, offset and body of each record there.
-
-    Raises:
-        ValueError: a record reaches beyond.
-    """
-    block, block_at, at = b"", start, start
-    while at < end:
-        place = at - block_at
-        if place + RECORD_HEADER.size > len(block):
-            block, block_at, place = _block(stream, at, end), at, 0
-        opcode, length = RECORD_HEADER.unpack_from(block, place)
-        behind = at + RECORD_HEADER.size + length
-        if behind > end or length > RECORD_MAX:
-            raise ValueError("a record of the summary is cut off")
-        place += RECORD_HEADER.size
-        if place + length > len(block):
-            stream.seek(at + RECORD_HEADER.size)
-            yield opcode, at, stream.read(length)
-            block, block_at = b"", behind
-        else:
-            yield opcode, at, block[place : place + length]
-        at = behind
-
-
-def _block(stream: BinaryIO, at: int, end: int) -> bytes:
-    stream.seek(at)
-    return stream.read(min(_BLOCK_BYTES, end - at))
+    return RecordFile(stream, end, _BLOCK_BYTES).records(start, end)
 
 
 def _indexed_chunk(body: bytes) -> IndexedChunk:

@@ -26,9 +26,6 @@ COMPRESSION: Final = "zstd"
 COMPRESSION_LEVEL: Final = 3
 """zstd's own default: full chunks are a tenth smaller than at its fastest level, and it runs beside the loop."""
 
-SCHEMA_ENCODING: Final = "protobuf"
-MESSAGE_ENCODING: Final = "protobuf"
-
 
 class LogStream(Protocol):
     """A binary stream, buffered or not: ``write`` may take less than it is given."""

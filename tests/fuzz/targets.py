@@ -27,7 +27,7 @@ from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.telemetry.received import Received
 from recorder.mcap import recovery
-from recorder.mcap.reader import is_mcap, read_pieces, walk
+from recorder.mcap.reader import is_mcap, read_pieces
 from recorder.mcap.summary_reader import read_summary
 from recorder.record.orders import Orders
 from recorder.record.recorder import Recorder
@@ -69,6 +69,7 @@ from tests.support.messages import (
     safety_event,
     sample_of,
 )
+from tests.support.walking import walk
 
 ROOT, ROBOT = "fleet", "cruiser-1"
 BOOT: Final = b"boot no1"

@@ -17,7 +17,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from recorder.mcap.reader import Fault, LoggedMessage, walk
+from recorder.mcap.reader import Fault, LoggedMessage
 from recorder.mcap.recovery import copy_good, survey
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
@@ -25,6 +25,7 @@ from recorder.reading.rows import LogReader, Selection
 from schemas.exit_codes import ExitCode
 from tests.support.commands import review
 from tests.support.mcap_conformance import hashes, make
+from tests.support.walking import walk
 
 CASES = {
     "NoData": 0,

@@ -19,11 +19,10 @@ from recorder.mcap.reader import (
     PackedChunk,
     Piece,
     SummaryStart,
-    Walked,
     read_pieces,
-    walk,
 )
 from tests.support.logs import foreign_log, gears, own_log
+from tests.support.walking import walk
 
 LOG = own_log([gears(3 * number, 3, 100 * number) for number in range(1, 5)], metadata=[("m", {"a": "b"})])
 
@@ -46,7 +45,7 @@ def pieces(data: bytes, **given: Any) -> list[Piece]:  # noqa: ANN401 - the read
     return list(read_pieces(BytesIO(data), len(data), **given))
 
 
-def walked(data: bytes) -> list[Walked]:
+def walked(data: bytes) -> list[Piece | LoggedMessage]:
     """All that a walk over the file brings."""
     return list(walk(BytesIO(data), len(data)))
 

@@ -3,7 +3,6 @@
 import fcntl
 import json
 import tracemalloc
-from io import BytesIO
 from pathlib import Path
 
 import lz4.frame
@@ -15,7 +14,7 @@ from recorder.cli.review import asking
 from recorder.cli.review.command import QUESTIONS
 from recorder.mcap.arrays import Blocks
 from recorder.mcap.framing import BROKEN, MAGIC, RECORD_MAX, UNPACKED_MAX, encode
-from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock, content_of, unpack_chunk
+from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock, content_of
 from recorder.mcap.reader import DamagedError
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
@@ -153,7 +152,7 @@ def test_a_packed_chunk_that_promises_a_gigabyte_is_left_packed(compression: str
         tracemalloc.start()
         try:
             with pytest.raises(DamagedError, match="too large"):
-                unpack_chunk(BytesIO(encode(records.Chunk(compression, packed, 2, 1, 7, promised))), 0)
+                content_of(records.Chunk(compression, packed, 2, 1, 7, promised))
             peak = tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

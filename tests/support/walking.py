@@ -1,0 +1,17 @@
+"""The messages of an MCAP file one by one, and the records around them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import BinaryIO
+
+from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, Piece, read_pieces
+
+
+def walk(stream: BinaryIO, size: int) -> Iterator[Piece | LoggedMessage]:
+    """Read a file whole; every checksum is verified."""
+    for piece in read_pieces(stream, size):
+        if isinstance(piece, PackedChunk | MessageBlock):
+            yield from piece.messages()
+        else:
+            yield piece
