@@ -16,7 +16,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX
 from recorder.disk.upload_note import NONE_SAFE, SafeLogReader, SafeLogs
 from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry, judge

@@ -22,7 +22,8 @@ from typing import BinaryIO, Final
 
 import msgspec
 
-from recorder.disk.log_directory import PART_SUFFIX, SUFFIX, free_path, lock
+from recorder.disk.log_directory import free_path, lock
+from recorder.disk.log_names import PART_SUFFIX, SUFFIX
 from recorder.disk.part_file import sync_directory, write_signature
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.notices import DiskBack, DiskRoom, Notice, Recovered

@@ -18,15 +18,11 @@ from io import FileIO
 from pathlib import Path
 from typing import Final
 
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
 from recorder.disk.part_file import PartFile, clear_errors, sync_directory
 from recorder.record.retention import START_FORMAT
 from recorder.record.signature import LogSigner
 from schemas.exit_codes import CommandError
-
-SUFFIX: Final = ".mcap"
-PART_SUFFIX: Final = ".mcap.part"
-INCIDENT_SUFFIX: Final = ".incident"
-"""Stands before ``.mcap`` in the name of an incident: such a file is never deleted for want of room."""
 
 SYNC_THREADS: Final = 4
 """Files that are synced at once: a file system syncs several in about the time of one."""
@@ -36,11 +32,6 @@ STEM_MAX: Final = 150
 
 NAMESAKES_MAX: Final = 1000
 """Files of one name and second that are numbered; any more have the time of the try in their place."""
-
-
-def is_log(name: str) -> bool:
-    """True of the names of logs. Hidden files are none: macOS puts a ``._NAME`` beside each file of a stick."""
-    return name.endswith((SUFFIX, PART_SUFFIX)) and not name.startswith(".")
 
 
 class LogDirectory:

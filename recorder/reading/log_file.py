@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 import msgspec
 
-from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
 
 
 class LogFile(msgspec.Struct, frozen=True):

@@ -15,7 +15,7 @@ from typing import BinaryIO, Protocol
 import msgspec
 from mcap import records
 
-from recorder.disk.log_directory import is_log
+from recorder.disk.log_names import is_log
 from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, is_mcap, read_pieces
 from recorder.mcap.summary_reader import read_summary
 from recorder.reading.covered import without_covered

@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol
 
 import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
-from obstore.store import ObjectStore
+from obstore.store import LocalStore, ObjectStore
 
 from recorder.objects.interface import StoredObject, StoreError
 from recorder.objects.store import line_of, open_store
@@ -74,6 +74,13 @@ class ObstoreLogs:
                 await obstore.put_async(self._store, name, data, mode="create")
             except (AlreadyExistsError, PreconditionError, FileExistsError):
                 return False
+            except BaseError:
+                # A disk without hard links, as FAT has none, cannot see to it that there is none yet.
+                if not isinstance(self._store, LocalStore):
+                    raise
+                if await self.look(name) is not None:
+                    return False
+                await self.replace(name, data)
         return True
 
     async def replace(self, name: str, data: bytes) -> None:

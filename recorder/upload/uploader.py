@@ -20,7 +20,7 @@ from typing import BinaryIO, Final
 import msgspec
 
 from recorder.disk.keeper import read_entries
-from recorder.disk.log_directory import SUFFIX
+from recorder.disk.log_names import SUFFIX
 from recorder.disk.upload_note import UploadedLog, UploadNote
 from recorder.objects.interface import StoreError
 from recorder.record.retention import LogEntry

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from recorder.disk.log_directory import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
 from tests.robot.box import Box
 from tests.robot.outside import Life, Outside
 from tests.support.reading import Read

@@ -24,7 +24,7 @@ from recorder.cli.review.asking import (
     needing_extra,
     table,
 )
-from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
+from recorder.disk.log_names import PART_SUFFIX, SUFFIX
 from recorder.objects.address import is_address
 from recorder.reading.faults import Faults
 from recorder.reading.times import date_of, in_words

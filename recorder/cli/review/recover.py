@@ -11,7 +11,7 @@ from typing import Final
 
 from recorder.cli.show import show
 from recorder.disk.leftovers import Recovery, RecoveryOutcome, recover
-from recorder.disk.log_directory import PART_SUFFIX
+from recorder.disk.log_names import PART_SUFFIX
 from schemas.exit_codes import ExitCode
 from schemas.printable import plain
 from schemas.settings import Settings

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from recorder.cli.review.asking import progress_bar
-from recorder.disk.log_directory import PART_SUFFIX, SUFFIX
+from recorder.disk.log_names import PART_SUFFIX, SUFFIX
 from recorder.objects.address import SCHEMES, StoreAddress, shown_url
 from recorder.objects.cache import LogCache, cache_directory
 from recorder.objects.interface import Objects, StoreError

@@ -11,7 +11,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from recorder.disk.log_directory import PART_SUFFIX, is_log
+from recorder.disk.log_names import PART_SUFFIX, is_log
 from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile

@@ -14,7 +14,7 @@ from typing import Final
 import msgspec
 import pyarrow as pa
 
-from recorder.disk.log_directory import SUFFIX
+from recorder.disk.log_names import SUFFIX
 from recorder.objects.address import StoreAddress, shown_url
 from recorder.objects.cache import LogCache
 from recorder.objects.interface import Objects, StoreError

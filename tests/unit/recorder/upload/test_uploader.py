@@ -8,7 +8,9 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import msgspec
+import obstore
 import pytest
+from obstore.exceptions import GenericError
 
 from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
 from recorder.objects.interface import StoreError
@@ -304,6 +306,22 @@ def test_a_store_that_answers_with_very_much_fills_no_memory(
     assert asyncio.run(logs.read("r/1000.json")) == bytes(1000)
     with pytest.raises(StoreError, match="larger than 1000"):
         asyncio.run(logs.read("r/1001.json"))
+
+
+def test_a_disk_without_hard_links_is_a_store_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As FAT is: what is there is not overwritten all the same."""
+
+    async def put(store: object, name: str, data: bytes, **how: object) -> object:
+        if how.get("mode") == "create":
+            raise GenericError("Unable to rename file: Operation not permitted")
+        return await whole(store, name, data, **how)  # type: ignore[arg-type]  # all are as they were given
+
+    whole = obstore.put_async
+    monkeypatch.setattr(obstore, "put_async", put)
+    logs = ObstoreLogs(f"file://{tmp_path}/store", {})
+    assert asyncio.run(logs.create("r/1.json", b"first"))
+    assert not asyncio.run(logs.create("r/1.json", b"second"))
+    assert asyncio.run(logs.read("r/1.json")) == b"first"
 
 
 def test_another_log_of_the_same_name_is_never_overwritten(tmp_path: Path, store: FakeLogStore) -> None:
