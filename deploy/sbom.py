@@ -20,7 +20,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 BUILD = ROOT / "build"
 
-VENDORED = ROOT / "schemas" / "web" / "page" / "vendor"
+VENDORED = ROOT / "schemas" / "page" / "vendor"
 NOTICES = "LICENSES.txt"
 
 SCRIPT_LICENCES = {"uPlot": "MIT", "@msgpack/msgpack": "ISC"}
@@ -95,7 +95,7 @@ def vendored(directory: Path) -> list[dict[str, Any]]:
                 "licenses": [{"license": {"id": SCRIPT_LICENCES[name]}}],
                 # One hash for each algorithm and component: that of the script, which is the first file.
                 "hashes": [{"alg": "SHA-256", "content": sha256((directory / names[0]).read_bytes()).hexdigest()}],
-                "properties": [{"name": "file", "value": f"schemas/web/page/vendor/{one}"} for one in names],
+                "properties": [{"name": "file", "value": f"schemas/page/vendor/{one}"} for one in names],
             }
         )
     there = {one.name for one in directory.iterdir()} - {NOTICES}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import socket
+import ssl
 import sys
 import time
 from collections.abc import Callable
@@ -17,10 +19,9 @@ from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.listen_address import address as listen_address
-from schemas.listen_address import shown_address
+from schemas.listen_address import certificate_files, shown_address
 from schemas.missing_extra import missing_extra
 from schemas.settings import DeskSettings, Settings
-from schemas.web.address import LOCAL_NAMES, PACKAGES, listening_socket, usable_certificate
 from schemas.zenoh_session import place
 
 EXAMPLE: Final = """\
@@ -28,6 +29,13 @@ EXAMPLE: Final = """\
   cruiser desk --config ~/.config/cruiser/desk.toml
   cruiser desk --logs logs --logs-only
   cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --key desk.key --name desk.example"""
+
+
+PACKAGES: Final = frozenset({"starlette", "uvicorn", "websockets"})
+"""Packages that a server needs, by the names under which they are imported. The extra 'desk' brings them."""
+
+LOCAL_NAMES: Final = ("127.0.0.1", "localhost", "::1", "[::1]")
+"""Names under which browsers of this machine reach it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,9 +95,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     try:
         from gateway.cli.desk_hub import Hub  # noqa: PLC0415 - needs the extra 'desk'
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
-        from gateway.cli.desk_server import make_app, make_logs_app  # noqa: PLC0415 - the same
+        from gateway.cli.desk_server import make_app, make_logs_app, serve  # noqa: PLC0415 - the same
         from gateway.desk.words import FROM_BROWSER_BYTES  # noqa: PLC0415 - the same
-        from schemas.web.server import serve  # noqa: PLC0415 - the same
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in PACKAGES:
             raise
@@ -166,3 +173,34 @@ def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
         return usable_certificate(settings.certificate, settings.key, host)
     except CommandError as error:
         raise CommandError(f"{error} (desk.certificate, desk.key)", error.code) from None
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Return a socket that listens.
+
+    Raises:
+        CommandError: the address is taken, or not one of this machine.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        text = f"cannot listen on {shown_address(host, port)}: {error.strerror or error}"
+        raise CommandError(text, ExitCode.UNREACHABLE) from error
+
+
+def usable_certificate(chain: Path | str | None, key: Path | str | None, host: str) -> tuple[Path, Path] | None:
+    """Return the files of the certificate and its key; None where browsers come from this machine alone.
+
+    Raises:
+        CommandError: one of them is missing where it is needed, or cannot be used.
+    """
+    files = certificate_files(chain, key, host, "browsers")
+    if files is None:
+        return None
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(*files)
+    except (OSError, ValueError) as error:
+        text = f"{files[0]} and {files[1]} are no certificate with its key: {error}"
+        raise CommandError(text, ExitCode.USAGE) from None
+    return files

@@ -13,7 +13,7 @@ import msgspec
 
 from gateway.cli.desk_hub import Hub
 from gateway.cli.desk_logs import DeskLogs
-from gateway.cli.desk_server import make_app
+from gateway.cli.desk_server import make_app, serve
 from gateway.client.remote_stop import StopReport
 from gateway.client.robot_word import WORDS
 from gateway.desk.words import FROM_BROWSER_BYTES
@@ -23,7 +23,6 @@ from schemas.decisions import ArbiterState, Severity, StopPhase
 from schemas.messages import Message, Mode
 from schemas.reasons import Reason
 from schemas.settings import Settings
-from schemas.web.server import serve
 from tests.support.fakes.desk import FakeCommandPort, FakeDeskListener
 from tests.support.messages import HEALTH, STANDBY, STATE, event, recorder_health
 from tests.support.metrics import received

@@ -17,7 +17,7 @@ from typing import Final
 
 import msgspec
 
-import schemas.web
+import schemas
 from recorder.reading.times import in_words
 from recorder.review.report.drive_cards import drawn, events, refusals
 from recorder.review.report.figures import figures, looks
@@ -51,7 +51,7 @@ def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -
         whys: the reasons of the stops, as far as they were looked for.
         logs: the logs, as a shell has them, for commands that the page names.
     """
-    here, vendor = files(__package__), files(schemas.web) / "page" / "vendor"
+    here, vendor = files(__package__), files(schemas) / "page" / "vendor"
     library, script = _text(vendor / "uPlot.iife.min.js"), _text(here / "page.js")
     _, name, licence = _text(vendor / "LICENSES.txt").partition("uPlot")
     charts = {"looks": looks(), "drives": [figures(robot) for robot in report.drawn]}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gateway.desk
-import schemas.web
+import schemas
 from gateway.client.robot_word import WORDS
 from gateway.desk.overview import reasons_in_words
 from schemas.decisions import EventKind
@@ -17,7 +17,7 @@ from schemas.recording import RecorderState
 from tests.support.rigs.scenarios import Scenario, acted, deadman, front_bumper, guard_acts, hand_transmitter
 
 PLACE = Path(gateway.desk.__file__).parent / "page"
-PAGE = (Path(schemas.web.__file__).parent / "page" / "words.js").read_text("utf-8")
+PAGE = (Path(schemas.__file__).parent / "page" / "words.js").read_text("utf-8")
 ENGLISH, CHINESE = re.findall(r"^const (?:EN|ZH) = \{\n(.*?)^\};$", PAGE, flags=re.DOTALL | re.MULTILINE)
 HAN = re.compile(r"[\u4e00-\u9fff]")
 

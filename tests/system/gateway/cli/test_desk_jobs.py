@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from gateway.cli import desk_jobs as jobs
+from gateway.cli.desk_jobs import ask_review
 from recorder.cli.review.command import QUESTIONS
-from schemas.web import jobs
-from schemas.web.jobs import ask_review
 from tests.support.rigs.scenarios import front_bumper, recorded
 
 

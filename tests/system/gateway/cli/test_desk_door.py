@@ -14,10 +14,10 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
+from gateway.cli import desk_door as door
+from gateway.cli.desk import listening_socket
+from gateway.cli.desk_server import serve
 from schemas.peers import FRAME_BYTES, PEER_CONNECTIONS_MAX, PIECES_MAX, SOCKET_BURST_S, SOCKET_BYTES_PER_S
-from schemas.web import door
-from schemas.web.address import listening_socket
-from schemas.web.server import serve
 from tests.support.waiting import wait_until
 
 LONG_S = 20.0
