@@ -4,7 +4,7 @@
 On Debian: `apt-get install chromium fonts-wqy-microhei`.
 
 - ``demo.svg``    the terminal while the demo runs, and why the robot stopped, as the commands print it
-- ``report.png``  the top of the drive report of the same demo, without its summary in words
+- ``report.png``  the top of the drive report of the same demo
 - ``desk.png``    the desk with a virtual fleet: all robots, of which one was stopped, and below it one that drives
 """
 
@@ -36,7 +36,6 @@ DRIVEN_MS: Final = 10_000
 """So long a robot has driven in the picture."""
 
 DEADLINE_MS: Final = 300_000
-CSS: Final = "<style>ul + .card { display: none }</style></head>"
 
 
 def cruiser(*words: str, where: Path) -> str:
@@ -69,7 +68,6 @@ def chromium() -> str:
 
 def report(page: Path, picture: Path) -> None:
     """The page as a browser shows it in the light."""
-    page.write_text(page.read_text("utf-8").replace("</head>", CSS, 1), "utf-8")
     flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=10000")
     size = (f"--window-size={WIDTH},{HEIGHT}", f"--screenshot={picture}")
     subprocess.run([chromium(), *flags, *size, page.as_uri()], check=True, stderr=subprocess.DEVNULL)

@@ -6,6 +6,7 @@
 - ``events``             what happened (``entries``, ``stops``, ``repeats``, ``clock``)
 - ``why``                why the robot stopped or stood (``reasoning``)
 - ``verify``             who commanded, with which grant; is each file as it was signed (``verifying``)
+- ``drives``             drives, distances and stops, as report, catalog and searches count them
 - ``rerun``              the recorded run again, with its settings or with others
 - ``report``             a drive on one page
 - ``export``, ``query``  Parquet, CSV and raw frames; SQL (``querying``); both on ``columns``

@@ -53,7 +53,7 @@ _MOMENTS: Final = Search(
       AND last_ns >= $since_ns AND time_ns < $until_ns
       AND ($robots IS NULL OR list_contains($robots, robot))
       AND ($reason IS NULL OR reason = $reason)
-      AND ($operator IS NULL OR operator = $operator)
+      AND ($operator IS NULL OR operator = $operator OR holder = $operator)
     GROUP BY ALL ORDER BY time_ns, robot, kind, text
     """,
     (*_ALWAYS, "moments"),

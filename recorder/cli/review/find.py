@@ -28,7 +28,7 @@ from recorder.disk.log_names import PART_SUFFIX, SUFFIX
 from recorder.objects.address import is_address
 from recorder.reading.faults import Faults
 from recorder.reading.times import date_of, in_words
-from recorder.review.report.links import iso
+from recorder.review.report.words import iso
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
 from schemas.reasons import Reason
@@ -202,11 +202,12 @@ _LOG: Final = ("begin", "robots", "lasted", "distance", "stops", "lost", "faults
 def _event_cells(one: dict[str, Any]) -> list[str]:
     reason = "" if one["reason"] == Reason.NONE.value else one["reason"]
     where = link(one["file"], one["robot"], one["time_ns"])
-    return [in_words(one["time_ns"]), one["robot"], one["kind"], reason, one["operator"], one["text"], where]
+    operator = one["operator"] or (f"({one['holder']})" if one["holder"] else "")
+    return [in_words(one["time_ns"]), one["robot"], one["kind"], reason, operator, one["text"], where]
 
 
 def _drive_cells(one: dict[str, Any]) -> list[str]:
-    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", f"{one['distance_m']:.1f} m"
+    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", _distance(one, "missing_s")
     where = link(one["file"], one["robot"], one["start_ns"])
     begin = in_words(one["start_ns"])
     return [begin, one["robot"], lasted, distance, str(one["stops"]), one["text"] or "-", where]
@@ -214,7 +215,11 @@ def _drive_cells(one: dict[str, Any]) -> list[str]:
 
 def _log_cells(one: dict[str, Any]) -> list[str]:
     begin = in_words(one["start_ns"]) if one["messages"] else "no time"
-    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", f"{one['distance_m']:.1f} m"
+    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", _distance(one, "gap_s")
     lost = "unknown" if one["lost"] is None else str(one["lost"])
     counts = [str(sum(one["stops"].values())), lost, str(one["faults"])]
     return [begin, ", ".join(one["names"]), lasted, distance, *counts, one["file"]]
+
+
+def _distance(one: dict[str, Any], missing: str) -> str:
+    return f"{'at least ' if one[missing] else ''}{one['distance_m']:.1f} m"

@@ -22,7 +22,7 @@ from recorder.reading.survey import survey
 from recorder.review.report.findings import Report, Why
 from recorder.review.report.page import page
 from recorder.review.report.survey import read_report
-from recorder.review.report.words import headline, summary_lines
+from recorder.review.report.words import summary_lines, verdict
 from recorder.review.why import Explainer
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain
@@ -97,8 +97,8 @@ def summary(report: Report) -> dict[str, Any]:
     fields["robots"] = [
         {
             **msgspec.structs.asdict(robot.summary),
-            "moments": robot.charts.moments,
-            "drives": [msgspec.structs.replace(drive, report=None) for drive in robot.drives],
+            "moments": robot.moments,
+            "drives": robot.drives,
             "more_drives": robot.more_drives,
         }
         for robot in report.robots
@@ -114,8 +114,8 @@ def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict
     found: dict[tuple[str, int], Why] = {}
     contents = survey(logs, Faults())
     explainers: dict[str, Explainer] = {}
-    for robot in report.drawn:
-        stops = dict.fromkeys(one.time_ns for one in robot.charts.moments if one.is_stop)
+    for robot in report.robots:
+        stops = dict.fromkeys(one.time_ns for drawn in robot.drawn for one in drawn.moments if one.is_stop)
         if not stops or len(found) >= WHYS_MAX:
             continue
         name = robot.summary.name
@@ -131,8 +131,8 @@ def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict
 def describe(report: Report, out: Path | None) -> Iterator[str]:
     """Yield the summaries as lines for people, and where the page was written."""
     for robot in report.robots:
-        yield f"{robot.summary.name}: {headline(robot.summary)}"
-        yield from (f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot.summary, report))
+        yield f"{robot.summary.name}: {verdict(robot)}"
+        yield from (f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot, report))
     if out is not None:
         yield f"written: {out}"
 

@@ -23,7 +23,7 @@ from schemas.decisions import Severity
 from schemas.reasons import Reason
 
 FORMAT: Final = "cruiser-catalog"
-VERSION: Final = 3
+VERSION: Final = 4
 """Rises with each change of what a row says; a catalog of another version is made anew."""
 
 INCIDENT: Final = "incident"
@@ -47,7 +47,8 @@ class LoggedMoment(msgspec.Struct, frozen=True):
         time_ns: by the robot's clock, nanoseconds since 1970...
         last_ns: ...and when the last of ``count`` alike ones was.
         kind: those of ``events``, or ``incident``.
-        operator: who did it; where nobody did, the lease's holder.
+        operator: who did it; empty if it was nobody's doing.
+        holder: the lease's holder then.
         is_stop: a stop begins with it.
     """
 
@@ -58,6 +59,7 @@ class LoggedMoment(msgspec.Struct, frozen=True):
     severity: str
     reason: str
     operator: str
+    holder: str
     count: int
     is_stop: bool
     text: str
@@ -67,14 +69,18 @@ class LoggedDrive(msgspec.Struct, frozen=True):
     """A time of being commanded, or of moving, between long rests.
 
     Attributes:
-        severity: that of the worst finding, and ``text`` what that is.
+        missing_s: time in it of which nothing is known: the distance is at least ``distance_m``.
+        stops: their number; ``ends`` that of the ends that were asked for.
+        severity: that of the worst moment, and ``text`` what that is.
     """
 
     start_ns: int
     end_ns: int
     robot: str
     distance_m: float
+    missing_s: float
     stops: int
+    ends: int
     severity: str
     text: str
 
@@ -124,7 +130,7 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
         is_covered: ...and the other logs of the directory hold all of it.
         distance_m, moving_s, top_mps: of all robots together; the highest speed in either direction.
         accepted, refused: requests.
-        events, stops: their numbers by kind and by reason.
+        events, stops, ends: their numbers by kind, by cause, and of ends that were asked for by reason.
         outages: times that a gateway fell silent or began anew.
         lost, lost_bus, lost_source: by the recorder's own account; None if it gives none.
         gap_s: time for which nothing is known of a robot's motion.
@@ -156,6 +162,7 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     refused: int
     events: dict[str, int]
     stops: dict[str, int]
+    ends: dict[str, int]
     outages: int
     lost: int | None
     lost_bus: int | None
@@ -187,7 +194,7 @@ def summarize(
     """
     faults = Faults()
     info = read_info(log.path)
-    report = read_report([log], Selection(), faults, progress, is_drawing=False)
+    report = read_report([log], Selection(), faults, progress)
     moments = sorted(_moments(info, report), key=lambda one: (one.time_ns, one.robot, one.kind, one.text))
     accounts = info.completeness.values()
     found = faults.told or info.faults
@@ -220,6 +227,7 @@ def summarize(
         refused=sum(one.refused for one in summaries),
         events=_added(one.events for one in summaries),
         stops=_added(one.stops for one in summaries),
+        ends=_added(one.ends for one in summaries),
         outages=sum(len(one.outages) + one.more_outages for one in summaries),
         lost=lost(info),
         lost_bus=sum(one.lost_bus or 0 for one in accounts) if accounts else None,
@@ -231,7 +239,7 @@ def summarize(
         drives=[drive for robot in report.robots for drive in _drives(robot)],
         more_drives=sum(robot.more_drives for robot in report.robots),
         moments=moments,
-        more_moments=sum(robot.charts.more_moments + robot.summary.other_refusals for robot in report.robots),
+        more_moments=sum(robot.more_moments + robot.summary.other_refusals for robot in report.robots),
     )
 
 
@@ -250,8 +258,10 @@ def _drives(robot: RobotReport) -> Iterator[LoggedDrive]:
             end_ns=_bounded(one.end_ns),
             robot=robot.summary.name,
             distance_m=one.distance_m,
+            missing_s=one.missing_s,
             stops=one.stops,
-            severity=one.severity,
+            ends=one.ends,
+            severity=one.severity.value,
             text=one.worst,
         )
 
@@ -259,7 +269,7 @@ def _drives(robot: RobotReport) -> Iterator[LoggedDrive]:
 def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
     for robot in report.robots:
         name = robot.summary.name
-        for one in robot.charts.moments:
+        for one in robot.moments:
             yield LoggedMoment(
                 time_ns=_bounded(one.time_ns),
                 last_ns=_bounded(one.last_ns),
@@ -267,7 +277,8 @@ def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
                 kind=one.kind,
                 severity=one.severity,
                 reason=one.reason,
-                operator=one.operator or one.holder,
+                operator=one.operator,
+                holder=one.holder,
                 count=one.count,
                 is_stop=one.is_stop,
                 text=moment_words(one),
@@ -281,6 +292,7 @@ def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
                 severity=Severity.WARNING.value,
                 reason=refusal.reason,
                 operator=refusal.operator,
+                holder="",
                 count=refusal.count,
                 is_stop=False,
                 text=f"{refusal.request} refused{'' if refusal.count == 1 else f' {refusal.count} times'}",
@@ -298,6 +310,7 @@ def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
                 severity=Severity.WARNING.value,
                 reason=Reason.NONE.value,
                 operator="",
+                holder="",
                 count=1,
                 is_stop=False,
                 text=entries.get("because", ""),

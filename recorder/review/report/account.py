@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from bisect import bisect_right
+from collections import Counter, deque
 from collections.abc import Sequence
 from math import isfinite
 from typing import Final
@@ -11,34 +12,28 @@ import msgspec
 
 from recorder.record.accounting import KeyReport
 from recorder.review.clock import RobotClock
+from recorder.review.drives import GAP_NS, MARGIN_NS, REST_NS, Drives, Outage, RecordedDrive
 from recorder.review.entries import FRAME_COUNTS, Entry, fault_words
-from recorder.review.events import SILENT_NS, LogEnding
+from recorder.review.events import LogEnding
 from recorder.review.repeats import Repeats
-from recorder.review.report.drives import REST_NS, Drives
-from recorder.review.report.event_log import CLOCKS_APART_NS, EventLog
-from recorder.review.report.findings import (
-    Driver,
-    Outage,
-    Refusal,
-    ReportedDrive,
-    RobotCharts,
-    RobotReport,
-    RobotSummary,
-    Unwritten,
-)
-from recorder.review.report.odometry import GAP_NS, PLACES_MAX, STANDING_MPS, Odometer
-from recorder.review.report.series import BUCKETS_MAX, Series
-from recorder.review.report.spans import Spans
+from recorder.review.report.charts import Charts, Place
+from recorder.review.report.findings import Drawn, Driver, Moment, Refusal, RobotReport, RobotSummary, Unwritten
 from recorder.review.report.versions import Versions
 from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, Message, Mode, RobotState
 
 REMOTE_CONTROL: Final = "the remote control (RC)"
+OTHERS: Final = "(others)"
 
 REFUSALS_MAX: Final = 200
 DRIVERS_MAX: Final = 200
 FAULTS_MAX: Final = 200
-OTHERS: Final = "(others)"
+
+DRAWN_MAX: Final = 30
+"""Drives that are drawn, the newest ones; the others have a command."""
+
+WHOLE_SHARES: Final = 4
+"""Drives that are drawn with all points that a chart can show; more of them share as many."""
 
 REMEMBERED: Final = 4096
 """Messages of a subject that are known again when they come a second time."""
@@ -46,26 +41,23 @@ REMEMBERED: Final = 4096
 CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000
 """A time that is further from the receipt is of no use."""
 
+CLOCKS_APART_NS: Final = 2_000_000_000
+"""The robot's clock and the recorder's may differ by so much, and the log times are the recorder's."""
+
+_ANGLE_MAX_DEG: Final = 80.0
+"""The chassis steers to 24 deg; what is beyond sense must not end the path."""
+
+_LOST, _CHECKSUM = "lost frames", "frames with a wrong checksum"
 _COUNTED_BY_FRAME: Final = frozenset(kind for _, kind, _ in FRAME_COUNTS)
 """Kinds of faults that each frame of the health counts for itself."""
 
-LINES: Final = (
-    "speed_mps",
-    "target_speed_mps",
-    "output_speed_mps",
-    "speed_limit_mps",
-    "angle_deg",
-    "target_angle_deg",
-    "output_angle_deg",
-    "steering_limit_deg",
+TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
+    {RobotState, SafetyState, SafetyEvent, Decision, GatewayHealth}
 )
-"""Values that are drawn over time: measured ones of ``state``, commanded ones of ``safety/state``."""
+"""Classes of messages that an account is made of."""
 
-TARGETS: Final = frozenset({"target_speed_mps", "target_angle_deg"})
-"""Commanded values. The state repeats them until others come; they hold while the arbiter is engaged."""
-
-BANDS: Final = ("mode", "arbiter", "lease")
-"""The chassis's mode, the arbiter's state, and the holder of the lease."""
+_Sample = tuple[int, RobotState | SafetyState, float | None, bool]
+"""Time, message, the way since the one before, and whether the path begins with it."""
 
 
 class Account:
@@ -77,34 +69,21 @@ class Account:
         versions: of its gateways, as far as they are known before.
         begins_ns: its logs, or the period that is asked about, begin then. A recorder may have asked a gateway for
             what was before; it is left out.
-        ends_ns: likewise what was later.
-        share: the part of the points that a chart usually has.
     """
 
-    def __init__(
-        self,
-        name: str,
-        key: str,
-        versions: Versions | None = None,
-        begins_ns: int = 0,
-        *,
-        ends_ns: int = 2**64,
-        share: float = 1.0,
-    ) -> None:
+    def __init__(self, name: str, key: str, versions: Versions | None = None, begins_ns: int = 0) -> None:
         self.name = name
         self.key = key
-        self._begins_ns, self._ends_ns = begins_ns - CLOCKS_APART_NS, ends_ns
         self.versions = Versions() if versions is None else versions
-        self.event_log = EventLog()
+        self.drives = Drives()
+        self._begins_ns = begins_ns - CLOCKS_APART_NS
         self._start_ns, self._end_ns = 2**64, 0
         self._clock = RobotClock()
-        self._drives = Drives()
-        self._odometer = Odometer(round(PLACES_MAX * share))
-        self._lines = {line: Series(GAP_NS, round(BUCKETS_MAX * share)) for line in LINES}
-        self._bands = {band: Spans(GAP_NS) for band in BANDS}
+        self._charts: deque[tuple[RecordedDrive | None, Charts]] = deque([(None, Charts())], DRAWN_MAX)
+        self._lead: deque[_Sample] = deque()
+        """The newest samples: a drive is drawn with those before it."""
         self._seen: dict[type[Message], Repeats] = {}
         self._held_by = ""
-        """The operator who drives the robot over Zenoh at present."""
         self._state_ns = 0
         self._driven: dict[str, list[float]] = {}
         self._ends_commanding = False
@@ -115,27 +94,24 @@ class Account:
         self._unwritten: Counter[tuple[str, str]] = Counter()
 
     def take(self, message: Message, publish_ns: int, log_ns: int) -> bool:
-        """The next message, of a kind that TAKEN lists: when the robot says it was, and when it was received.
-
-        Returns:
-            whether it is new, and not there for the second time.
-        """
+        """Take the next message, of a kind in TAKEN. Returns False if it is there for the second time."""
         seen = self._seen.get(type(message))
         if seen is None:
             seen = self._seen[type(message)] = Repeats(REMEMBERED)
         if not seen.is_new(message.time_ns, message.sequence):
             return False
         time_ns = self._place(message, publish_ns, log_ns)
-        if not self._begins_ns <= time_ns < self._ends_ns:
+        if time_ns < self._begins_ns:
             return True
         self._start_ns, self._end_ns = min(self._start_ns, time_ns), max(self._end_ns, time_ns)
         match message:
             case RobotState():
                 self._take_state(message, time_ns, log_ns)
             case SafetyState():
-                self._take_arbiter(message, time_ns)
+                self._held_by = message.lease_holder if message.state is ArbiterState.ENGAGED else ""
                 if message.state in COMMANDING:
-                    self._drives.add(time_ns, log_ns)
+                    self.drives.command(time_ns, log_ns)
+                self._draw((time_ns, message, None, False))
             case Decision():
                 self._take_decision(message, time_ns)
             case GatewayHealth():
@@ -155,10 +131,9 @@ class Account:
         return time_ns if abs(time_ns - log_ns) < CLOCK_TRUST_NS else log_ns
 
     def take_entry(self, entry: Entry) -> None:
-        """The next entry of the timeline that is about this robot."""
-        if entry.last_ns >= self._begins_ns and entry.time_ns < self._ends_ns:
-            self.event_log.take(entry)
-            self._drives.take_entry(entry)
+        """Take the next entry of the timeline that is about this robot."""
+        if entry.last_ns >= self._begins_ns:
+            self.drives.take(entry)
 
     def lose(self, topic: str, reason: str, count: int) -> None:
         """The recorder says that it could not keep so many messages."""
@@ -168,17 +143,17 @@ class Account:
     def end(self, found: LogEnding) -> None:
         """The logs end in the middle of a drive, or after the gateway fell silent. The timeline says so, too."""
         if found.is_silent:
-            self.event_log.add_outage(Outage(found.entry.time_ns, None, found.is_commanding))
+            self.drives.fall_silent(Outage(found.entry.time_ns, None, found.is_commanding))
         else:
             self._ends_commanding = True
 
-    def set_apart(self, spans: Sequence[tuple[int, int]]) -> None:
-        """Between two logs nobody knows whether a gateway was silent.
-
-        Args:
-            spans: first and last log time of each of this robot's logs.
-        """
-        self.event_log.set_apart(_pauses(spans))
+    def miss(self, from_ns: int | None, to_ns: int | None) -> None:
+        """Note what is missing between the time that was asked about and what is there of it."""
+        motion = self.drives.motion
+        if from_ns is not None and motion.last_ns is not None and self._start_ns - from_ns > CLOCKS_APART_NS:
+            motion.miss(self._start_ns - from_ns)
+        if to_ns is not None and motion.last_ns is not None and to_ns - motion.last_ns > GAP_NS:
+            motion.miss(to_ns - motion.last_ns)
 
     def sum_up(
         self, completeness: dict[str, KeyReport], facts: dict[str, str], from_ns: int = 0, to_ns: int = 2**64
@@ -193,71 +168,141 @@ class Account:
         """
         if not self._end_ns:
             return None
-        happened = self.event_log
-        speeds = self._odometer.speeds
+        found, motion = self.drives, self.drives.motion
         drivers = [Driver(name, seconds, metres) for name, (seconds, metres) in self._driven.items()]
         refusals = [Refusal(*about, *counted) for about, counted in self._refusals.items()]
         refused = self._verdicts[Verdict.REFUSED]
+        drawn = self._drawn()
+        worst = found.worst
+        accounts = completeness.values()
+        # A frame with a wrong checksum was passed over by the counter too.
+        health = Counter(self._health)
+        health[_LOST] = max(0, health[_LOST] - health[_CHECKSUM])
         summary = RobotSummary(
             name=self.name,
             key=self.key,
             start_ns=self._start_ns,
             end_ns=self._end_ns,
-            distance_m=speeds.distance_m,
-            moving_s=speeds.moving_ns / 1e9,
-            known_s=speeds.known_ns / 1e9,
-            top_mps=speeds.top_mps,
-            top_ns=speeds.top_ns,
-            stops={cause: count for cause, count in happened.stops.most_common() if count},
-            ends=dict(happened.ends.most_common()),
-            outages=happened.outages,
-            more_outages=happened.more_outages,
+            distance_m=motion.distance_m,
+            moving_s=motion.moving_ns / 1e9,
+            known_s=motion.known_ns / 1e9,
+            top_mps=motion.top_mps,
+            top_ns=motion.top_ns,
+            stops={cause: count for cause, count in found.stops.most_common() if count},
+            ends=dict(found.ends.most_common()),
+            worst=None if worst is None else self._moment(worst, drawn),
+            outages=found.outages,
+            more_outages=found.more_outages,
             ends_commanding=self._ends_commanding,
-            events=dict(happened.counts.most_common()),
+            events=dict(found.counts.most_common()),
             drivers=sorted(drivers, key=lambda one: -one.seconds),
             accepted=self._verdicts[Verdict.ACCEPTED],
             refused=refused,
             refusals=sorted(refusals, key=lambda one: -one.count),
             other_refusals=refused - sum(one.count for one in refusals),
-            gaps=speeds.gaps,
-            gap_s=speeds.gap_ns / 1e9,
-            stale=speeds.stale,
-            silences=happened.silences,
-            more_silences=happened.more_silences,
-            health={name: count for name, count in self._health.items() if count},
+            gaps=motion.gaps,
+            gap_s=motion.gap_ns / 1e9,
+            silences=found.silences,
+            health={name: count for name, count in health.items() if count},
+            lost_samples=sum(one.lost for one in accounts) if accounts else None,
+            lost_frames=sum((one.lost_bus or 0) + one.lost_source for one in accounts) if accounts else None,
             completeness=completeness,
             unwritten=[Unwritten(*about, count) for about, count in self._unwritten.most_common()],
             facts=facts,
             in_force=self.versions.in_force(self._clock.offset_ns, from_ns, to_ns),
             more_in_force=self.versions.left_out,
         )
-        drives = self._drives.drives()
-        return RobotReport(summary, self._draw(), drives, self._drives.more, self._is_apart(drives))
+        moments = sorted((self._moment(one, drawn) for one in found.entries), key=lambda one: one.time_ns)
+        drawn = [
+            msgspec.structs.replace(
+                one, moments=[each for each in moments if one.start_ns <= each.time_ns <= one.end_ns]
+            )
+            for one in drawn
+        ]
+        return RobotReport(summary, moments, found.more_entries, found.drives(), found.more, drawn)
 
-    def _is_apart(self, drives: Sequence[ReportedDrive]) -> bool:
-        if len(drives) != 1:
-            return bool(drives)
-        return max(drives[0].start_ns - self._start_ns, self._end_ns - drives[0].end_ns) > REST_NS
-
-    def _draw(self) -> RobotCharts:
-        places = self._odometer.end()
-        ordered = sorted(places, key=lambda place: place.time_ns)
-        return RobotCharts(
-            lines={name: series.points() for name, series in self._lines.items()},
-            bands={name: spans.spans() for name, spans in self._bands.items()},
-            places=places,
-            moments=self.event_log.moments(ordered, self._start_ns, self._end_ns),
-            more_moments=self.event_log.more_moments,
-            outages=[(one.heard_ns, one.began_ns) for one in self.event_log.outages if one.began_ns is not None],
+    def _moment(self, entry: Entry, drawn: Sequence[Drawn]) -> Moment:
+        """An entry with its place. A time far from all that the robot said is moved to the nearest one."""
+        is_near = self._start_ns - CLOCK_TRUST_NS < entry.time_ns < self._end_ns + CLOCK_TRUST_NS
+        time_ns = entry.time_ns if is_near else min(max(entry.time_ns, self._start_ns), self._end_ns)
+        place = next(
+            (_place_at(one.places, time_ns) for one in drawn if one.start_ns <= time_ns <= one.end_ns), None
+        )
+        return Moment(
+            time_ns=time_ns,
+            last_ns=max(time_ns, entry.last_ns + time_ns - entry.time_ns),
+            kind=entry.kind.value,
+            severity=entry.severity.value,
+            count=entry.count,
+            reason=entry.reason.value,
+            operator=entry.operator,
+            holder=entry.holder,
+            text=entry.text,
+            x_m=None if place is None else place.x_m,
+            y_m=None if place is None else place.y_m,
+            is_stop=entry.is_stop,
         )
 
+    # What is drawn.
+
+    def _draw(self, sample: _Sample) -> None:
+        """Draw a sample, unless the robot rests for long. A drive behind a long rest has charts of its own."""
+        time_ns = sample[0]
+        self._lead.append(sample)
+        while time_ns - self._lead[0][0] > MARGIN_NS:
+            self._lead.popleft()
+        now, (drawn, charts) = self.drives.now, self._charts[-1]
+        if now is drawn:
+            if now is None or now.start_ns - REST_NS <= time_ns <= now.end_ns + REST_NS:
+                _add(charts, sample)
+            return
+        if drawn is None and time_ns - self._start_ns <= REST_NS:
+            self._charts[-1] = now, charts
+            _add(charts, sample)
+            return
+        if drawn is None:
+            self._charts.clear()
+        charts = Charts()
+        for one in self._lead:
+            _add(charts, one)
+        self._charts.append((now, charts))
+        for _, each in self._charts:
+            each.bound(min(1.0, WHOLE_SHARES / len(self._charts)))
+
+    def _drawn(self) -> list[Drawn]:
+        """The charts, without what is beyond the margins of one drive among several, or between long rests."""
+        outages = [(one.heard_ns, one.began_ns) for one in self.drives.outages if one.began_ns is not None]
+        found = []
+        for drive, charts in self._charts:
+            from_ns, to_ns = self._start_ns, self._end_ns
+            if drive is not None and (
+                len(self._charts) > 1 or max(drive.start_ns - from_ns, to_ns - drive.end_ns) > REST_NS
+            ):
+                from_ns, to_ns = max(from_ns, drive.start_ns - MARGIN_NS), min(to_ns, drive.end_ns + MARGIN_NS)
+            found.append(
+                Drawn(
+                    start_ns=from_ns,
+                    end_ns=to_ns,
+                    drive=drive,
+                    lines={name: list(line.points(from_ns, to_ns)) for name, line in charts.lines.items()},
+                    bands={
+                        name: [one for one in band.spans() if one.end_ns >= from_ns and one.start_ns <= to_ns]
+                        for name, band in charts.bands.items()
+                    },
+                    places=[one for one in charts.path.places() if from_ns <= one.time_ns <= to_ns],
+                    moments=[],
+                    outages=[one for one in outages if one[1] >= from_ns and one[0] <= to_ns],
+                )
+            )
+        return found
+
+    # One for each class of messages.
+
     def _take_state(self, state: RobotState, time_ns: int, log_ns: int) -> None:
-        grew_m = self._odometer.add(time_ns, state.speed_mps, state.angle_deg)
-        if state.speed_mps is not None and abs(state.speed_mps) > STANDING_MPS:
-            self._drives.add(time_ns, log_ns, grew_m)
-        self._draw_on("speed_mps", time_ns, state.speed_mps)
-        self._draw_on("angle_deg", time_ns, state.angle_deg)
-        self._bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
+        angle_deg = state.angle_deg
+        is_steered = angle_deg is not None and isfinite(angle_deg) and abs(angle_deg) <= _ANGLE_MAX_DEG
+        step_m = self.drives.move(time_ns, log_ns, state.speed_mps if is_steered else None)
+        self._draw((time_ns, state, step_m, self.drives.motion.begun_ns == time_ns))
         span_ns = time_ns - self._state_ns
         self._state_ns = time_ns
         driver = REMOTE_CONTROL if state.mode is Mode.REMOTE else self._held_by
@@ -267,25 +312,7 @@ class Account:
             driver = OTHERS
         driven = self._driven.setdefault(driver, [0.0, 0.0])
         driven[0] += span_ns / 1e9 if 0 < span_ns <= GAP_NS else 0.0
-        driven[1] += grew_m
-
-    def _take_arbiter(self, state: SafetyState, time_ns: int) -> None:
-        self._held_by = state.lease_holder if state.state is ArbiterState.ENGAGED else ""
-        self._bands["arbiter"].add(time_ns, state.state.value)
-        self._bands["lease"].add(time_ns, state.lease_holder)
-        self._draw_on("speed_limit_mps", time_ns, state.speed_limit_mps)
-        self._draw_on("steering_limit_deg", time_ns, state.steering_limit_deg)
-        # In standby the chassis is told nothing.
-        is_told = state.state is not ArbiterState.STANDBY
-        for name in ("target_speed_mps", "output_speed_mps", "target_angle_deg", "output_angle_deg"):
-            is_drawn = state.state is ArbiterState.ENGAGED if name in TARGETS else is_told
-            self._draw_on(name, time_ns, getattr(state, name) if is_drawn else None)
-
-    def _draw_on(self, line: str, time_ns: int, value: float | None) -> None:
-        if value is None or not isfinite(value):
-            self._lines[line].cut()
-        else:
-            self._lines[line].add(time_ns, value)
+        driven[1] += abs(step_m or 0.0)
 
     def _take_decision(self, decision: Decision, time_ns: int) -> None:
         self._verdicts[decision.verdict] += 1
@@ -301,8 +328,8 @@ class Account:
 
     def _take_health(self, health: GatewayHealth) -> None:
         counts = {
-            "lost frames": sum(frame.lost for frame in health.feedback),
-            "frames with a wrong checksum": sum(frame.checksum_faults for frame in health.feedback),
+            _LOST: sum(frame.lost for frame in health.feedback),
+            _CHECKSUM: sum(frame.checksum_faults for frame in health.feedback),
             "frames with an implausible value": sum(frame.implausible for frame in health.feedback),
             "frames that were dropped unread": health.bus_drops,
             "losses of the bus": health.bus_losses,
@@ -318,18 +345,14 @@ class Account:
         self._counts = counts
 
 
-TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
-    {RobotState, SafetyState, SafetyEvent, Decision, GatewayHealth}
-)
-"""Classes of messages that an account is made of."""
+def _add(charts: Charts, sample: _Sample) -> None:
+    time_ns, message, step_m, begins = sample
+    if isinstance(message, RobotState):
+        charts.add_state(time_ns, message, step_m, begins=begins)
+    else:
+        charts.add_arbiter(time_ns, message)
 
 
-def _pauses(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """From when to when no log holds anything, between the first and the last one; a change of files is none."""
-    found: list[tuple[int, int]] = []
-    ends_ns: int | None = None
-    for start_ns, end_ns in sorted(spans):
-        if ends_ns is not None and start_ns - ends_ns > SILENT_NS:
-            found.append((ends_ns, start_ns))
-        ends_ns = end_ns if ends_ns is None else max(ends_ns, end_ns)
-    return found
+def _place_at(places: Sequence[Place], time_ns: int) -> Place | None:
+    at = bisect_right(places, time_ns, key=lambda place: place.time_ns)
+    return places[max(0, at - 1)] if places else None

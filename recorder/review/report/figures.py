@@ -12,9 +12,8 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.review.report.findings import Moment, RobotCharts, RobotReport
-from recorder.review.report.odometry import Place
-from recorder.review.report.series import Point
+from recorder.review.report.charts import BANDS, Place, Point, Span
+from recorder.review.report.findings import Drawn, Moment, RobotSummary
 from recorder.review.report.words import moment_words, reason_words
 from schemas.printable import plain
 
@@ -38,9 +37,6 @@ COLOURS: Final = {
 """Of the bands' values; others take their turns of PALETTE."""
 
 PALETTE: Final = (BLUE, ORANGE, VIOLET, OLIVE, GREEN)
-
-BANDS: Final = ("mode", "arbiter", "lease")
-"""The rows below the events, from above."""
 
 STOP_LINES_MAX: Final = 40
 """More lines across the charts would hide them: then there are none."""
@@ -99,7 +95,7 @@ class Line(msgspec.Struct, frozen=True):
     """A line of a chart: 0 of speed, 1 of angle.
 
     Attributes:
-        key: its name in ``RobotCharts``.
+        key: its name in ``Drawn``.
         name: in the legend.
         dash: lengths of dashes and of what is between them, in pixels.
         is_stepped: each value holds until the next one; else the line goes straight from one to the next.
@@ -117,12 +113,12 @@ class Line(msgspec.Struct, frozen=True):
 
 LINES: Final = (
     Line(0, "speed_limit_mps", "limit", GREY, (2, 4)),
-    Line(0, "target_speed_mps", "asked for", ORANGE, (8, 4)),
-    Line(0, "output_speed_mps", "told to the chassis", GREEN),
+    Line(0, "target_speed_mps", "requested", ORANGE, (8, 4)),
+    Line(0, "output_speed_mps", "commanded", GREEN),
     Line(0, "speed_mps", "measured", BLUE, is_stepped=False),
     Line(1, "steering_limit_deg", "limit", GREY, (2, 4), is_mirrored=True),
-    Line(1, "target_angle_deg", "asked for", ORANGE, (8, 4)),
-    Line(1, "output_angle_deg", "told to the chassis", GREEN),
+    Line(1, "target_angle_deg", "requested", ORANGE, (8, 4)),
+    Line(1, "output_angle_deg", "commanded", GREEN),
     Line(1, "angle_deg", "measured", BLUE, is_stepped=False),
 )
 
@@ -140,20 +136,19 @@ def looks() -> dict[str, Any]:
     }
 
 
-def figures(robot: RobotReport) -> dict[str, Any]:
-    """Return the charts of a robot, or of one of its drives."""
-    charts, summary = robot.charts, robot.summary
-    stops = [moment.time_ns for moment in charts.moments if moment.kind == "stop"]
+def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
+    """Return the charts of a drive."""
+    stops = [moment.time_ns for moment in drawn.moments if moment.is_stop]
     return {
-        "robot": summary.name,
-        "from_ms": _ms(summary.start_ns),
-        "to_ms": -(-summary.end_ns // 1_000_000),
-        "lines": [_line(charts.lines.get(line.key, [])) for line in LINES],
-        "bands": [_band(charts, row) for row in BANDS],
-        "outages": [(_ms(begin), _ms(end)) for begin, end in _few(charts.outages)],
+        "robot": robot.name,
+        "from_ms": _ms(drawn.start_ns),
+        "to_ms": -(-drawn.end_ns // 1_000_000),
+        "lines": [_line(drawn.lines.get(line.key, [])) for line in LINES],
+        "bands": [_band(drawn.bands.get(row, [])) for row in BANDS],
+        "outages": [(_ms(begin), _ms(end)) for begin, end in _few(drawn.outages)],
         "stops": [_ms(time_ns) for time_ns in _few(stops)],
-        "moments": [_moment(one) for one in charts.moments],
-        "path": _path(charts.places),
+        "moments": [_moment(one) for one in drawn.moments],
+        "path": _path(drawn.places),
     }
 
 
@@ -206,9 +201,8 @@ def _line(points: Sequence[Point | None]) -> tuple[list[int], list[float | None]
     return _steps(times_ms), values
 
 
-def _band(charts: RobotCharts, row: str) -> list[tuple[int, int, str, str]]:
+def _band(spans: Sequence[Span]) -> list[tuple[int, int, str, str]]:
     """Beginning, end, value and colour of each span."""
-    spans = charts.bands.get(row, [])
     colours = band_colours(span.value for span in spans)
     return [(_ms(span.start_ns), _ms(span.end_ns), plain(span.value), colours[span.value]) for span in spans]
 

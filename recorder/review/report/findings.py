@@ -5,9 +5,8 @@ from __future__ import annotations
 import msgspec
 
 from recorder.record.accounting import KeyReport
-from recorder.review.report.odometry import Place
-from recorder.review.report.series import Point
-from recorder.review.report.spans import Span
+from recorder.review.drives import Outage, RecordedDrive, Silence
+from recorder.review.report.charts import Place, Point, Span
 
 
 class Moment(msgspec.Struct, frozen=True):
@@ -16,6 +15,7 @@ class Moment(msgspec.Struct, frozen=True):
     Attributes:
         last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
         kind: stop, latch, takeover, ..., gateway, gap: those of ``cruiser review events``.
+        reason: of a stop its cause.
         operator: the operator behind it; empty if there is none.
         holder: the lease's holder then, as far as the log shows; empty if nobody.
         x_m, y_m: where, as far as the path is known.
@@ -48,30 +48,6 @@ class Why(msgspec.Struct, frozen=True):
     links: list[tuple[str, str, str, str]]
 
 
-class Outage(msgspec.Struct, frozen=True):
-    """The gateway fell silent, or began anew.
-
-    Attributes:
-        heard_ns: when a message of the arbiter was last received.
-        began_ns: when the first one of another arbiter was received; None if the log holds none.
-        is_commanding: the chassis was under command in the last message.
-        is_between_logs: one log ends and another one begins meanwhile; whether it was silent is not known.
-    """
-
-    heard_ns: int
-    began_ns: int | None
-    is_commanding: bool
-    is_between_logs: bool = False
-
-
-class Silence(msgspec.Struct, frozen=True):
-    """Something of one and the same gateway is not in the log: from when to when, and what, in words."""
-
-    from_ns: int
-    to_ns: int
-    text: str
-
-
 class InForce(msgspec.Struct, frozen=True):
     """A gateway, as it was in force until the next one was.
 
@@ -79,7 +55,6 @@ class InForce(msgspec.Struct, frozen=True):
         since_ns: since when: since it was started, as far as it is the first of this start.
         configuration_sha256: of its configuration.
         versions: of its packages.
-        changes: the differences from the one before, in words.
         settings: changed settings, as far as the log holds both configurations; in words.
     """
 
@@ -87,7 +62,6 @@ class InForce(msgspec.Struct, frozen=True):
     variant: str
     configuration_sha256: str
     versions: dict[str, str]
-    changes: list[str]
     settings: list[str]
 
 
@@ -124,24 +98,26 @@ class RobotSummary(msgspec.Struct, frozen=True):
     Attributes:
         name: as it is called in this report.
         key: the beginning of its keys.
-        distance_m: the length of its path, by speed and time.
+        distance_m: the length of its path, by speed and time; at least that where ``gap_s`` is not 0.
         moving_s: the time that it moved, of ``known_s`` of which its speed is known.
         top_mps: its highest speed, negative in reverse; at ``top_ns``.
-        stops: number of stops, by reason.
+        stops: number of stops, by cause.
         ends: number of times that a drive was ended by request, by reason.
-        outages: when the gateway fell silent or began anew; ``more_outages`` are left out.
-        ends_commanding: the log ends while the chassis was under command.
+        worst: the worst moment; None if nothing is worse than news.
+        outages: when the gateway fell silent or was replaced; ``more_outages`` are left out.
+        ends_commanding: the recording ends while the chassis was under command.
         events: their number, by kind.
         drivers: its operators.
         accepted: requests that were; ``refused`` those that were not.
         refusals: these, with ``other_refusals`` of further kinds.
         gaps: number of gaps in its known motion; ``gap_s`` in all.
-        stale: states that came late or twice, and are not in the path.
-        silences: other gaps of the log; ``more_silences`` are left out.
+        silences: other gaps of the log.
         health: the gateway's counts while this log was written: lost frames, faults, losses.
-        completeness: the recorder's own account of each topic; empty if it gives none.
+        lost_samples: of the recorder's account; None if it gives none.
+        lost_frames: likewise, of the bus and of the gateway's raw frames.
+        completeness: the recorder's own account of each topic.
         unwritten: messages that reached the recorder and are not in the log.
-        facts: variant, bus, versions and hash of the configuration, as the logs' metadata have them at their ends.
+        facts: variant, bus, versions and hash of the configuration, as the logs' metadata have them.
         in_force: all gateways that the logs mention, one after the other, with their configurations;
             ``more_in_force`` are left out.
     """
@@ -157,6 +133,7 @@ class RobotSummary(msgspec.Struct, frozen=True):
     top_ns: int
     stops: dict[str, int]
     ends: dict[str, int]
+    worst: Moment | None
     outages: list[Outage]
     more_outages: int
     ends_commanding: bool
@@ -168,10 +145,10 @@ class RobotSummary(msgspec.Struct, frozen=True):
     other_refusals: int
     gaps: int
     gap_s: float
-    stale: int
     silences: list[Silence]
-    more_silences: int
     health: dict[str, int]
+    lost_samples: int | None
+    lost_frames: int | None
     completeness: dict[str, KeyReport]
     unwritten: list[Unwritten]
     facts: dict[str, str]
@@ -179,60 +156,44 @@ class RobotSummary(msgspec.Struct, frozen=True):
     more_in_force: int
 
 
-class RobotCharts(msgspec.Struct, frozen=True):
-    """A robot over time.
+class Drawn(msgspec.Struct, frozen=True):
+    """A drive over time, or a robot that has none.
 
     Attributes:
+        start_ns, end_ns: the first and the last time that is drawn.
+        drive: the drive; None if the robot has none.
         lines: by name: times and values, None where a line is broken.
         bands: by name: what was so from when to when.
         places: the path.
-        moments: the events; ``more_moments`` are left out.
+        moments: the events.
         outages: beginning and end of each silence of the gateway, before another one began.
-    """
-
-    lines: dict[str, list[Point | None]]
-    bands: dict[str, list[Span]]
-    places: list[Place]
-    moments: list[Moment]
-    more_moments: int
-    outages: list[tuple[int, int]]
-
-
-class ReportedDrive(msgspec.Struct, frozen=True):
-    """A time of being commanded, or of moving, behind a long rest and before another one.
-
-    Attributes:
-        log_start_ns, log_end_ns: the log times of its first and last message.
-        stops: their number.
-        severity: that of the worst finding.
-        worst: that in words; empty if nothing is worse than ``info``.
-        report: all of it, where it is drawn.
     """
 
     start_ns: int
     end_ns: int
-    log_start_ns: int
-    log_end_ns: int
-    distance_m: float
-    stops: int
-    severity: str
-    worst: str
-    report: RobotReport | None = None
+    drive: RecordedDrive | None
+    lines: dict[str, list[Point | None]]
+    bands: dict[str, list[Span]]
+    places: list[Place]
+    moments: list[Moment]
+    outages: list[tuple[int, int]]
 
 
 class RobotReport(msgspec.Struct, frozen=True):
     """A robot.
 
     Attributes:
+        moments: the events; ``more_moments`` are left out.
         drives: its drives; ``more_drives`` are left out.
-        is_apart: each drive is for itself: there are several, or the robot rested for long before or behind one.
+        drawn: the newest of these, and a robot without a drive as it stood.
     """
 
     summary: RobotSummary
-    charts: RobotCharts
-    drives: list[ReportedDrive] = []
-    more_drives: int = 0
-    is_apart: bool = False
+    moments: list[Moment]
+    more_moments: int
+    drives: list[RecordedDrive]
+    more_drives: int
+    drawn: list[Drawn]
 
 
 class ReportedFile(msgspec.Struct, frozen=True):
@@ -272,9 +233,6 @@ class Report(msgspec.Struct, frozen=True):
     version: str
 
     @property
-    def drawn(self) -> list[RobotReport]:
-        """All that is drawn on one time axis, in the order of the page: whole robots, and drives."""
-        found = []
-        for robot in self.robots:
-            found += [one.report for one in robot.drives if one.report is not None] if robot.is_apart else [robot]
-        return found
+    def drawn(self) -> list[tuple[RobotSummary, Drawn]]:
+        """All that is drawn, in the order of the page."""
+        return [(robot.summary, one) for robot in self.robots for one in robot.drawn]

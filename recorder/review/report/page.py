@@ -7,40 +7,67 @@ than those whose hashes it names, and nothing be fetched.
 from __future__ import annotations
 
 import hashlib
+import re
+import shlex
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from string import Template
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
+from urllib.parse import quote
 
 import msgspec
 
 import schemas
 from recorder.reading.times import in_words
-from recorder.review.report.drive_cards import drawn, events, refusals
-from recorder.review.report.figures import figures, looks
-from recorder.review.report.findings import Report, ReportedDrive, ReportedFile, RobotReport, RobotSummary
-from recorder.review.report.links import PageLinks, Whys
-from recorder.review.report.markup import card, counted, definitions, folded, safe_json, table_of, text
-from recorder.review.report.overview import is_needed, overview
+from recorder.review.drives import MARGIN_NS, RecordedDrive, operators_stops
+from recorder.review.report.figures import clock, figures, looks
+from recorder.review.report.findings import Drawn, Moment, Report, RobotReport, RobotSummary, Why
 from recorder.review.report.words import (
-    SHOWN,
+    ABSENT,
+    Line,
+    counted,
+    distance,
+    drive_distance,
     duration,
-    gateway_lines,
-    headline,
     is_lossy,
+    iso,
+    moment_words,
+    reason_words,
     size,
     summary_lines,
-    times,
-    way,
+    verdict,
+    who,
 )
+from schemas.printable import plain
 
+MOMENTS_SHOWN: Final = 300
+"""Rows of the table of events; the chart has all."""
+
+DRIVES_SHOWN: Final = 1000
+_OPENED: Final = 15
+"""A longer table is folded."""
+
+_ZOOM: Final = "Drag to zoom, with shift to pan; click twice to go back."
+_RANKS: Final = {"error": -2, "warning": -1}
 _LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "queue", "size", "full", "disk")
-_GATEWAY: Final = "cruiser-gateway"
-_OTHER_FACTS: Final = ("bus", "recorder_version")
-"""Facts that a gateway does not report with its version."""
+_MS: Final = 1_000_000
+
+Whys = Mapping[tuple[str, int], Why]
+"""The reasons of stops, by the key of the robot and the time of the stop."""
+
+
+class Html(msgspec.Struct, frozen=True):
+    """Markup of this module, of which all that comes from a log is escaped."""
+
+    markup: str
+
+
+Row = tuple[str | int | Html | None, ...]
+"""The cells of a table's row: texts, numbers, and None for a number that is not known."""
 
 
 def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -> str:
@@ -54,20 +81,15 @@ def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -
     here, vendor = files(__package__), files(schemas) / "page" / "vendor"
     library, script = _text(vendor / "uPlot.iife.min.js"), _text(here / "page.js")
     _, name, licence = _text(vendor / "LICENSES.txt").partition("uPlot")
-    charts = {"looks": looks(), "drives": [figures(robot) for robot in report.drawn]}
-    links = PageLinks(report, whys, logs)
-    numbers = {id(one): number for number, one in enumerate(report.drawn)}
-    robots = [*overview(report, links)] if is_needed(report) else []
-    for number, robot in enumerate(report.robots):
-        robots += _robot(number, robot, report, links, numbers)
     hashes = (b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (library, script))
     allowed = " ".join(f"'sha256-{one}'" for one in hashes)
+    charts = {"looks": looks(), "drives": [figures(*one) for one in report.drawn]}
     return Template(_text(here / "page.html")).substitute(
         policy=f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}",
         names=text(", ".join(robot.summary.name for robot in report.robots)),
         style=_text(vendor / "uPlot.min.css") + _text(here / "page.css"),
         head="\n".join(_head(report)),
-        robots="\n".join(robots),
+        robots="\n".join(_Page(report, whys, logs).robots()),
         files="\n".join(_files(report)),
         version=text(report.version),
         charts=safe_json(charts),
@@ -94,62 +116,216 @@ def _head(report: Report) -> Iterator[str]:
         yield f'<p class="note">{counted(report.more_robots, "more robot")} in these logs are not shown.</p>'
 
 
-def _robot(
-    number: int, robot: RobotReport, report: Report, links: PageLinks, numbers: Mapping[int, int]
-) -> Iterator[str]:
-    """Yield a robot, with a section for each drive if they are apart. ``numbers`` are of what is drawn, by id."""
-    summary = robot.summary
-    yield f'<section id="robot-{number}" aria-labelledby="head-{number}">'
-    yield f'<h2 id="head-{number}">{text(summary.name)}</h2>'
-    yield from _beginning(summary)
-    yield from card("Summary", definitions(summary_lines(summary, report)))
-    if robot.is_apart:
-        for drive in robot.drives:
-            if drive.report is not None:
-                yield from _drive(numbers[id(drive.report)], drive, drive.report, links)
-        others = [one for one in robot.charts.moments if not links.is_drawn(summary, one.time_ns)]
+class _Page:
+    """The robots of a report, with links from an event to its moment, and from a stop to its reason."""
+
+    def __init__(self, report: Report, whys: Whys, logs: str) -> None:
+        self._report = report
+        self._whys = whys
+        self._logs = logs
+        self._is_alone = len(report.robots) == 1
+        self._numbers = {id(one): number for number, (_, one) in enumerate(report.drawn)}
+
+    def robots(self) -> Iterator[str]:
+        """Yield the table of drives, if there are several, and each robot."""
+        robots = self._report.robots
+        if not self._is_alone:
+            for number, robot in enumerate(robots):
+                name = f'<a href="#robot-{number}">{text(robot.summary.name)}</a>'
+                yield f'<p class="verdict">{name}: {text(verdict(robot))}</p>'
+            yield from self._overview()
+        for number, robot in enumerate(robots):
+            yield f'<section id="robot-{number}" aria-labelledby="head-{number}">'
+            yield f'<h2 id="head-{number}">{text(robot.summary.name)}</h2>'
+            yield from self._robot(robot)
+            yield "</section>"
+
+    def _robot(self, robot: RobotReport) -> Iterator[str]:
+        summary = robot.summary
+        yield f'<p class="verdict">{text(verdict(robot))}</p>'
+        yield from _tiles(robot)
+        if summary.worst is not None:
+            at = self._at(summary, summary.worst.time_ns, clock(summary.worst.time_ns))
+            yield f'<p class="note">Worst moment, {at}: {text(moment_words(summary.worst))}</p>'
+        if self._is_alone and len(robot.drives) > 1:
+            yield from self._overview()
+        for one in robot.drawn:
+            yield from self._drawn(robot, one)
+        others = [one for one in robot.moments if not self._is_drawn(summary, one.time_ns)]
         if others:
-            yield from card("Events outside of the drives that are drawn", events(robot, others, links))
-    else:
-        yield from drawn(numbers[id(robot)], robot, links)
-    if summary.refusals:
-        yield from card("Refusals", refusals(summary, links))
-    yield from card("Completeness", _completeness(summary))
-    yield from card("Versions and configurations", _in_force(summary))
-    yield "</section>"
+            yield from card("Events outside of the drives that are drawn", self._events(robot, others))
+        yield from card("Details", definitions(summary_lines(robot, self._report)))
+        if summary.refusals:
+            yield from card("Refusals", self._refusals(summary))
+        yield from card("Completeness", _completeness(summary))
+        yield from card("Versions and configurations", _in_force(summary))
+
+    def _overview(self) -> Iterator[str]:
+        """Yield all drives in a table; one that is not drawn has the command that draws it."""
+        drawn = {id(one.drive): self._numbers[id(one)] for _, one in self._report.drawn}
+        found = [(number, robot, one) for number, robot in enumerate(self._report.robots) for one in robot.drives]
+        found.sort(key=lambda line: line[2].start_ns)
+        rows: list[Row] = []
+        for number, robot, drive in found[:DRIVES_SHOWN]:
+            when = text(in_words(drive.start_ns).removesuffix(" UTC").partition(".")[0])
+            worst = "-"
+            if drive.worst:
+                worst = f"<b>{self._at(robot.summary, drive.worst_ns, drive.worst)}</b>"
+            if id(drive) in drawn:
+                when = f'<a href="#drive-{drawn[id(drive)]}">{when}</a>'
+            else:
+                command = text(self._command(robot.summary.name, drive))
+                worst += f"<details><summary>a report of its own</summary><code>{command}</code></details>"
+            way = drive_distance(robot.summary, drive)
+            lasted = duration((drive.end_ns - drive.start_ns) / 1e9)
+            name = Html(f'<a href="#robot-{number}">{text(robot.summary.name)}</a>')
+            rows.append((name, Html(when), lasted, way, drive.stops, Html(worst)))
+        if not rows:
+            return
+        more = len(found) - len(rows) + sum(robot.more_drives for robot in self._report.robots)
+        caption = counted(len(found), "drive")
+        if len(drawn) < len(found):
+            caption += "; the newest are drawn here, the others have the command for a report of their own"
+        yield '<section aria-labelledby="overview"><h2 id="overview">Drives</h2><div class="card overview">'
+        yield from table_of(caption, ("robot", "when, UTC", "how long", "distance", "stops", "worst moment"), rows)
+        if more:
+            yield f"<p>{counted(more, 'more drive')} for which there was no room.</p>"
+        yield "</div></section>"
+
+    def _drawn(self, robot: RobotReport, one: Drawn) -> Iterator[str]:
+        """Path, charts, stops and events of a drive, and what plays them."""
+        summary, number = robot.summary, self._numbers[id(one)]
+        yield f'<section class="drive" id="drive-{number}" data-number="{number}" aria-labelledby="of-{number}">'
+        title = f"{in_words(one.start_ns)}: {duration((one.end_ns - one.start_ns) / 1e9)}"
+        if one.drive is not None:
+            title += f", {drive_distance(summary, one.drive)}, {counted(one.drive.stops, 'stop')}"
+        yield f'<h3 id="of-{number}">{text(title)}</h3>'
+        yield (
+            f'<div class="player" id="player-{number}" role="group" hidden '
+            f'aria-label="{text(f"Play the drive of {summary.name}")}">'
+            '<button type="button">Play</button>'
+            '<select aria-label="How fast"><option value="1">1x</option><option value="4">4x</option>'
+            '<option value="16">16x</option></select>'
+            '<input type="range" min="0" max="1" step="1" value="0" aria-label="Time">'
+            '<span><a href="#" title="This moment: a link to share"></a> <span class="said"></span></span></div>'
+        )
+        about = f"Map of the path of {summary.name}"
+        marks = '<path class="robot"/><path class="ghost"/>'
+        caption = f"Odometry from speed and steering angle. Click to go to a place. {_ZOOM}"
+        yield from card("Path", _chart(f"map-{number}", "map", about, caption, marks), 4)
+        about = f"Speed, steering angle, mode, arbiter state, lease and events of {summary.name} over time"
+        caption = f"Point at a time to see the place on the map, click to go there. {_ZOOM}"
+        marks = '<path class="outage"/><path class="stop"/><path class="now"/>'
+        yield from card("Over time", _chart(f"time-{number}", "time", about, caption, marks), 4)
+        stops = [moment for moment in one.moments if moment.is_stop]
+        if stops:
+            yield from card("Stops", self._stops(summary, stops), 4)
+        if one.moments:
+            yield from card("Events", self._events(robot, one.moments), 4)
+        yield "</section>"
+
+    def _stops(self, robot: RobotSummary, stops: Sequence[Moment]) -> Iterator[str]:
+        """Each stop, with its reason to be opened. Those without one stand behind the others, as commands."""
+        others: list[Row] = []
+        for stop in stops:
+            why = self._whys.get((robot.key, stop.time_ns))
+            if why is None:
+                named = shlex.quote(robot.name)
+                command = f"cruiser review why {self._logs} --robot {named} --at {iso(stop.time_ns)}"
+                others.append((clock(stop.time_ns), moment_words(stop), command))
+                continue
+            reason = "" if stop.reason == "none" else reason_words(stop.reason)
+            said = stop.text if reason in stop.text else f"{stop.text}: {reason}"
+            yield f'<details class="why"><summary>{text(clock(stop.time_ns))} {text(said)}</summary>'
+            yield f"<p>{text(why.headline)} {self._at(robot, stop.time_ns, 'Show it on path and charts.')}</p><ol>"
+            for link in why.links:
+                when, at, step, said = map(text, link)
+                yield f"<li><span>{when}</span> <span>{at}</span> <b>{step}</b> <span>{said}</span></li>"
+            yield "</ol></details>"
+        if others:
+            caption = f"{counted(len(others), 'stop')} without a reason here, and the command that finds it"
+            table = table_of(caption, ("time, UTC", "what", "command"), others[:MOMENTS_SHOWN])
+            yield from folded(caption, table, others)
+
+    def _events(self, robot: RobotReport, all_moments: Sequence[Moment]) -> Iterator[str]:
+        """Yield a table of events; of too many, those that matter most."""
+        moments = all_moments
+        if len(moments) > MOMENTS_SHOWN:
+            worst = sorted(range(len(moments)), key=lambda number: _RANKS.get(moments[number].severity, 0))
+            moments = [moments[number] for number in sorted(worst[:MOMENTS_SHOWN])]
+        rows: list[Row] = [
+            (
+                Html(self._at(robot.summary, one.time_ns, clock(one.time_ns))),
+                one.kind,
+                "" if one.reason == "none" else one.reason,
+                who(one),
+                moment_words(one),
+            )
+            for one in moments
+        ]
+        left_out = len(all_moments) - len(rows) + robot.more_moments
+        caption = "In parentheses: the holder of the lease"
+        if left_out:
+            caption += f"; {left_out} of less weight, or later, are left out"
+        head = ("time, UTC", "what", "reason", "operator", "text")
+        looks = [(one.severity, f' data-ms="{one.time_ns // _MS}"') for one in moments]
+        yield from folded(caption, table_of(caption, head, rows, looks), rows)
+
+    def _refusals(self, summary: RobotSummary) -> Iterator[str]:
+        rows: list[Row] = [
+            (
+                one.count,
+                one.request,
+                one.operator,
+                one.reason,
+                reason_words(one.reason),
+                Html(self._at(summary, one.first_ns, clock(one.first_ns))),
+            )
+            for one in summary.refusals
+        ]
+        caption = "Refused requests by verb, operator and reason" + (
+            f"; {summary.other_refusals} of further kinds" if summary.other_refusals else ""
+        )
+        yield from folded(
+            caption, table_of(caption, ("count", "request", "operator", "reason", "in words", "first"), rows), rows
+        )
+
+    def _at(self, robot: RobotSummary, time_ns: int, words: str) -> str:
+        """A link to a moment; the words alone where it is not drawn."""
+        if not self._is_drawn(robot, time_ns):
+            return text(words)
+        named = "" if self._is_alone else f"&robot={quote(robot.name, safe='')}"
+        return f'<a href="{text(f"#t={iso(time_ns)}{named}")}">{text(words)}</a>'
+
+    def _is_drawn(self, robot: RobotSummary, time_ns: int) -> bool:
+        """Report whether a moment is on a time axis, which has whole milliseconds."""
+        return any(
+            one.start_ns // _MS * _MS <= time_ns <= -(-one.end_ns // _MS) * _MS
+            for summary, one in self._report.drawn
+            if summary is robot
+        )
+
+    def _command(self, robot: str, drive: RecordedDrive) -> str:
+        """The command that makes the report of one drive."""
+        from_ns, to_ns = max(0, drive.log_start_ns - MARGIN_NS), drive.log_end_ns + MARGIN_NS
+        file = shlex.quote(f"{robot}-{re.sub('[-:]', '', iso(drive.start_ns)[:19])}Z.html".replace("/", "-"))
+        period = f"--from {iso(from_ns)} --to {iso(to_ns)}"
+        return f"cruiser review report {self._logs} --robot {shlex.quote(robot)} {period} -o {file}"
 
 
-def _beginning(summary: RobotSummary, *, is_part: bool = False) -> Iterator[str]:
-    yield f'<p class="lead">{text(headline(summary))}</p>'
-    notes = gateway_lines(summary)
-    for note in notes[:SHOWN]:
-        yield f'<p class="note">Gateway: {text(note)}.</p>'
-    if len(notes) > SHOWN:
-        yield f'<p class="note">Gateway: {len(notes) - SHOWN} more such; see the events.</p>'
-    yield from _figures(summary, is_part=is_part)
-
-
-def _drive(number: int, drive: ReportedDrive, robot: RobotReport, links: PageLinks) -> Iterator[str]:
-    lasted = duration((drive.end_ns - drive.start_ns) / 1e9)
-    yield f'<section class="drive" aria-labelledby="of-{number}">'
-    yield f'<h3 id="of-{number}">{text(robot.summary.name)}, {text(in_words(drive.start_ns))}: {text(lasted)}</h3>'
-    yield from _beginning(robot.summary, is_part=True)
-    yield from drawn(number, robot, links, level=4)
-    yield "</section>"
-
-
-def _figures(summary: RobotSummary, *, is_part: bool) -> Iterator[str]:
-    stops = sum(summary.stops.values())
-    outages = sum(not one.is_between_logs for one in summary.outages) + summary.more_outages
-    lost = sum(one.lost + one.lost_source + (one.lost_bus or 0) for one in summary.completeness.values())
+def _tiles(robot: RobotReport) -> Iterator[str]:
+    summary = robot.summary
+    stops, by_operators = sum(summary.stops.values()), operators_stops(summary.stops)
+    faults, ends = stops - by_operators, sum(summary.ends.values())
+    drives = len(robot.drives) + robot.more_drives
     tiles = [
-        ("", way(summary), "path"),
-        ("", duration(summary.moving_s), "moving"),
-        ("", f"{abs(summary.top_mps):.2f} m/s", "highest speed"),
-        ("", str(stops), "stop" if stops == 1 else "stops"),
-        *([("bad", str(outages), "gateway outage" if outages == 1 else "gateway outages")] if outages else []),
-        ("bad" if summary.refused else "", str(summary.refused), "refused requests"),
-        *([] if is_part else [_lost_tile(lost, is_known=bool(summary.completeness))]),
+        ("", distance(summary, is_short=True), f"in {counted(drives, 'drive')}"),
+        ("bad" if faults else "good", str(faults), "stops by faults"),
+        ("", str(by_operators), "stops by operators"),
+        ("", str(ends), "normal ends"),
+        ("", f"{abs(summary.top_mps):.2f} m/s", "top speed"),
+        (_badly(summary.lost_samples), _or_absent(summary.lost_samples), "samples lost"),
+        (_badly(summary.lost_frames), _or_absent(summary.lost_frames), "frames lost"),
     ]
     yield '<ul class="figures">'
     for kind, value, name in tiles:
@@ -157,23 +333,33 @@ def _figures(summary: RobotSummary, *, is_part: bool) -> Iterator[str]:
     yield "</ul>"
 
 
-def _lost_tile(lost: int, *, is_known: bool) -> tuple[str, str, str]:
-    if not is_known:
-        return "bad", "?", "lost: not told"
-    return ("bad" if lost else "good"), str(lost), "samples lost"
+def _badly(count: int | None) -> str:
+    return "good" if count == 0 else "bad"
+
+
+def _or_absent(count: int | None) -> str:
+    return ABSENT if count is None else str(count)
+
+
+def _chart(name: str, kind: str, about: str, caption: str, marks: str) -> Iterator[str]:
+    """A chart, with the marks that move over it."""
+    yield '<figure><div class="stage">'
+    yield f'<div class="chart {kind}" id="{name}" role="group" aria-label="{text(about)}"></div>'
+    yield f'<svg aria-hidden="true">{marks}</svg></div>'
+    yield f"<figcaption>{text(caption)}</figcaption></figure>"
 
 
 def _completeness(summary: RobotSummary) -> Iterator[str]:
     lossy = {topic: one for topic, one in summary.completeness.items() if is_lossy(one)}
     if not summary.completeness:
-        yield "<p>The log holds no account of what its recorder received and lost: it was not finished.</p>"
+        yield f"<p>The recorder's account is {ABSENT}.</p>"
     elif not lossy:
         yield f"<p>{counted(len(summary.completeness), 'topic')}, nothing lost.</p>"
     if summary.unwritten:
-        unwritten = [(one.topic, one.reason, one.count) for one in summary.unwritten]
-        yield from table_of("Reached the recorder, and is not in the log", ("topic", "why", "count"), unwritten)
+        unwritten: list[Row] = [(one.topic, one.reason, one.count) for one in summary.unwritten]
+        yield from table_of("Received by the recorder and not stored", ("topic", "why", "count"), unwritten)
     if summary.completeness:
-        rows = [
+        rows: list[Row] = [
             (topic.removeprefix(f"{summary.key}/"), *msgspec.structs.astuple(one))
             for topic, one in (lossy or summary.completeness).items()
         ]
@@ -183,48 +369,38 @@ def _completeness(summary: RobotSummary) -> Iterator[str]:
 
 
 def _in_force(summary: RobotSummary) -> Iterator[str]:
-    if summary.in_force:
-        rows = [
-            (
-                in_words(one.since_ns),
-                one.variant,
-                one.configuration_sha256[:12] or "not told",
-                one.versions.get(_GATEWAY, "not told"),
-                "; ".join([*one.changes, *one.settings]),
-            )
-            for one in summary.in_force
-        ]
-        caption = "Gateways that were in force, each until the next" + (
-            f"; there was no room for what was told {times(summary.more_in_force)} more"
-            if summary.more_in_force
-            else ""
+    if not summary.in_force:
+        yield f"<p>{ABSENT.capitalize()}.</p>"
+        return
+    rows: list[Row] = [
+        (
+            in_words(one.since_ns),
+            one.variant,
+            one.configuration_sha256[:12] or ABSENT,
+            ", ".join(f"{name} {value}" for name, value in sorted(one.versions.items())) or ABSENT,
+            "; ".join(one.settings),
         )
-        head = ("since", "variant", "configuration", "version", "what is otherwise")
-        kinds = [("changed" if one.changes else "", "") for one in summary.in_force]
-        yield from folded(caption, table_of(caption, head, rows, kinds), rows)
-    facts = {name: value for name, value in summary.facts.items() if name in _OTHER_FACTS}
-    if summary.in_force:
-        first = summary.in_force[0].versions
-        facts["packages of the first"] = ", ".join(f"{name} {value}" for name, value in sorted(first.items()))
-    if facts:
-        yield from definitions([(name.replace("_", " "), value) for name, value in sorted(facts.items())])
-    else:
-        yield "<p>The log does not tell.</p>"
-
-
-def _state(file: ReportedFile) -> str:
-    if file.is_accounted:
-        return "finished"
-    return "being written" if file.is_being_written else "not finished by its recorder"
+        for one in summary.in_force
+    ]
+    more = f"; {summary.more_in_force} more are left out" if summary.more_in_force else ""
+    caption = f"Gateways, each in force until the next{more}"
+    head = ("since", "variant", "configuration", "packages", "changed settings")
+    yield from folded(caption, table_of(caption, head, rows), rows)
 
 
 def _files(report: Report) -> Iterator[str]:
-    rows = [
-        (file.name, size(file.bytes), in_words(file.start_ns), in_words(file.end_ns), _state(file))
+    rows: list[Row] = [
+        (
+            file.name,
+            size(file.bytes),
+            in_words(file.start_ns),
+            in_words(file.end_ns),
+            "finished" if file.is_accounted else "being written" if file.is_being_written else "not finished",
+        )
         for file in report.files
     ]
     yield '<section aria-labelledby="files"><h2 id="files">Files</h2><div class="card">'
-    yield from table_of("What this report was made of", ("file", "size", "from", "to", "state"), rows)
+    yield from table_of("Source of this report", ("file", "size", "from", "to", "state"), rows)
     if report.faults:
         yield "<h3>What could not be read</h3><ul>"
         yield from (f"<li>{text(fault)}</li>" for fault in report.faults)
@@ -232,3 +408,68 @@ def _files(report: Report) -> Iterator[str]:
             yield f"<li>and {report.fault_count - len(report.faults)} more</li>"
         yield "</ul>"
     yield "</div></section>"
+
+
+# Pieces of the page.
+
+
+def text(value: object) -> str:
+    """Anything as text of the page: no tag, no attribute, no character that rules the line."""
+    return escape(plain(str(value)))
+
+
+def safe_json(value: Any) -> str:  # noqa: ANN401 - whatever JSON can hold
+    """JSON that can stand in a script element: nothing in it ends that, or begins a comment."""
+    encoded = msgspec.json.encode(value).decode()
+    for character in "<>&\u2028\u2029":
+        encoded = encoded.replace(character, f"\\u{ord(character):04x}")
+    return encoded
+
+
+def card(title: str, inner: Iterable[str], level: int = 3) -> Iterator[str]:
+    """A box with a heading."""
+    yield f'<div class="card"><h{level}>{text(title)}</h{level}>'
+    yield from inner
+    yield "</div>"
+
+
+def definitions(lines: Sequence[Line]) -> Iterator[str]:
+    """Names, and what is said of each."""
+    yield "<dl>"
+    for name, said in lines:
+        yield f"<dt>{text(name)}</dt><dd>{text(said)}</dd>"
+    yield "</dl>"
+
+
+def folded(title: str, table: Iterable[str], rows: Sequence[Row] | None = None) -> Iterator[str]:
+    """The table, below a title to be opened if these rows of it are many; without rows in any case."""
+    if rows is not None and len(rows) <= _OPENED:
+        yield from table
+        return
+    yield f"<details><summary>{text(title)}</summary>"
+    yield from table
+    yield "</details>"
+
+
+def table_of(
+    caption: str, head: Sequence[str], rows: Sequence[Row], looks: Sequence[tuple[str, str]] | None = None
+) -> Iterator[str]:
+    """A table; a column is of numbers if the first row has one there. Rows may have a class, and attributes."""
+    heads = "".join(
+        f'<th scope="col"{_look(one)}>{text(name)}</th>' for name, one in zip(head, rows[0], strict=True)
+    )
+    yield f'<div class="scroll"><table><caption>{text(caption)}</caption><thead><tr>{heads}</tr></thead><tbody>'
+    for (kind, more), cells in zip(looks or [("", "")] * len(rows), rows, strict=True):
+        written = "".join(f"<td{_look(one)}>{_written(one)}</td>" for one in cells)
+        yield f'<tr class="{text(kind)}"{more}>{written}</tr>'
+    yield "</tbody></table></div>"
+
+
+def _written(cell: str | int | Html | None) -> str:
+    if isinstance(cell, Html):
+        return cell.markup
+    return "-" if cell is None else text(cell)
+
+
+def _look(cell: str | int | Html | None) -> str:
+    return "" if isinstance(cell, str | Html) else " class=number"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
@@ -12,14 +13,10 @@ import msgspec
 from recorder.review.report.findings import InForce
 from schemas.messages import GatewayInfo, Variant
 
-STARTS_MAX: Final = 200
-EACH_MAX: Final = 10
-"""Variants, configurations and packages kept of one gateway."""
+MOST: Final = 200
+"""Gateways, and configurations, that are kept."""
 
-TEXTS_MAX: Final = 50
 TEXT_MAX: Final = 100_000
-"""Configurations that are kept to be compared, and their length."""
-
 CHANGES_MAX: Final = 20
 VALUE_MAX: Final = 60
 
@@ -38,11 +35,9 @@ class _Told(msgspec.Struct):
 
     def is_like(self, other: _Told) -> bool:
         """Both say the same, as far as both know."""
-        return (
-            self.configuration_sha256 == other.configuration_sha256
-            and self.versions == other.versions
-            and (self.variant == other.variant or UNKNOWN in {self.variant, other.variant})
-        )
+        is_same = (self.started_ns, self.configuration_sha256) == (other.started_ns, other.configuration_sha256)
+        is_of_variant = self.variant == other.variant or UNKNOWN in {self.variant, other.variant}
+        return is_same and self.versions == other.versions and is_of_variant
 
 
 class Versions:
@@ -53,14 +48,14 @@ class Versions:
     """
 
     def __init__(self) -> None:
-        self._starts: dict[int, list[_Told]] = {}
+        self._told: list[_Told] = []
         self._texts: dict[str, str] = {}
         self.left_out = 0
 
     def hear(self, info: GatewayInfo, log_ns: int) -> None:
         """A gateway's own answer, which was received then."""
         sha256 = info.configuration_sha256
-        if len(self._texts) < TEXTS_MAX and len(info.configuration) <= TEXT_MAX:
+        if len(self._texts) < MOST and len(info.configuration) <= TEXT_MAX:
             self._texts.setdefault(sha256, info.configuration)
         self._add(_Told(info.started_ns, log_ns, info.variant.value, sha256, dict(info.versions)))
 
@@ -75,34 +70,19 @@ class Versions:
             if 0 <= started_ns < 2**63:
                 self._add(_Told(started_ns, None, variant, sha256, packages))
 
-    def join(self, other: Versions) -> None:
-        """Add what another one has gathered of the same robot from metadata."""
-        for of_start in other._starts.values():
-            for told in of_start:
-                self._add(told)
-        self.left_out += other.left_out
-
     def _add(self, told: _Told) -> None:
-        of_start = self._starts.get(told.started_ns)
-        if of_start is None:
-            if len(self._starts) >= STARTS_MAX:
-                self.left_out += 1
-                return
-            of_start = self._starts[told.started_ns] = []
-        same = next((one for one in of_start if one.is_like(told)), None)
-        if same is None:
-            if len(of_start) < EACH_MAX:
-                of_start.append(told)
-            else:
-                self.left_out += 1
-            return
-        # It is asked again until the chassis has told which one it is.
-        same.variant = told.variant if same.variant == UNKNOWN else same.variant
-        if told.heard_ns is not None:
-            same.heard_ns = told.heard_ns if same.heard_ns is None else min(same.heard_ns, told.heard_ns)
+        same = next((one for one in self._told if one.is_like(told)), None)
+        if same is not None:
+            same.variant = told.variant if same.variant == UNKNOWN else same.variant
+            if told.heard_ns is not None:
+                same.heard_ns = told.heard_ns if same.heard_ns is None else min(same.heard_ns, told.heard_ns)
+        elif len(self._told) < MOST:
+            self._told.append(told)
+        else:
+            self.left_out += 1
 
     def in_force(self, offset_ns: int = 0, from_ns: int = 0, to_ns: int = 2**64) -> list[InForce]:
-        """The gateways, by the time since when they were in force.
+        """Return the gateways, by the time since when they were in force.
 
         Args:
             offset_ns: to be added to the robot's times.
@@ -112,72 +92,45 @@ class Versions:
         dated = sorted(self._dated(offset_ns), key=lambda one: one[0])
         ends_ns = [since_ns for since_ns, _ in dated[1:]] + [2**64]
         kept = [one for one, end_ns in zip(dated, ends_ns, strict=False) if one[0] < to_ns and end_ns > from_ns]
-        befores = [None, *(told for _, told in kept[:-1])]
+        changed = [[], *(self._settings(before, now) for (_, before), (_, now) in pairwise(kept))]
         return [
-            InForce(
-                since_ns,
-                told.variant,
-                told.configuration_sha256,
-                told.versions,
-                [] if before is None else _changes(before, told),
-                [] if before is None else self._settings(before, told),
-            )
-            for before, (since_ns, told) in zip(befores, kept, strict=False)
+            InForce(since_ns, told.variant, told.configuration_sha256, told.versions, settings)
+            for (since_ns, told), settings in zip(kept, changed, strict=False)
         ]
 
     def _dated(self, offset_ns: int) -> Iterator[tuple[int, _Told]]:
-        for started_ns, of_start in self._starts.items():
-            for number, told in enumerate(of_start):
-                since_ns = max(0, started_ns + offset_ns)
-                if told.heard_ns is not None:
-                    # What is told later of one that was there before holds since then, for all that is known.
-                    since_ns = told.heard_ns if number else min(since_ns, told.heard_ns)
-                yield since_ns, told
+        starts = set()
+        for told in self._told:
+            since_ns = max(0, told.started_ns + offset_ns)
+            if told.heard_ns is not None:
+                # What is told later of one that was there before holds since then, for all that is known.
+                since_ns = told.heard_ns if told.started_ns in starts else min(since_ns, told.heard_ns)
+            starts.add(told.started_ns)
+            yield since_ns, told
 
     def _settings(self, before: _Told, now: _Told) -> list[str]:
-        texts = (self._texts.get(one.configuration_sha256, "") for one in (before, now))
-        return _bounded(changed_settings(*texts))
-
-
-def _changes(before: _Told, now: _Told) -> list[str]:
-    said = []
-    if now.variant != before.variant and UNKNOWN not in {now.variant, before.variant}:
-        said.append(f"variant {now.variant}, {before.variant} before")
-    if now.configuration_sha256 != before.configuration_sha256:
-        said.append(f"configuration {now.configuration_sha256[:12] or 'not told'}")
-    for name in sorted(now.versions.keys() | before.versions.keys()):
-        was, has = before.versions.get(name, "none"), now.versions.get(name, "none")
-        if was != has:
-            said.append(f"{name} {has}, {was} before")
-    return _bounded(said)
-
-
-def _bounded(said: list[str]) -> list[str]:
-    return said[:CHANGES_MAX] + ([f"and {len(said) - CHANGES_MAX} more"] if len(said) > CHANGES_MAX else [])
+        return changed_settings(*(self._texts.get(one.configuration_sha256, "") for one in (before, now)))
 
 
 def changed_settings(before: str, now: str) -> list[str]:
     """The settings in which two configurations differ, in words; none if one of the two cannot be read."""
-    if not before or not now:
+    if not before or not now or before == now:
         return []
     try:
         was, has = (dict(_flat(tomllib.loads(text), ())) for text in (before, now))
     except (ValueError, RecursionError):
         return []
-    return [
-        f"{name} {_short(has.get(name, 'not set'))}, {_short(was.get(name, 'not set'))} before"
+    said = [
+        f"{name} {has.get(name, 'not set')[:VALUE_MAX]}, {was.get(name, 'not set')[:VALUE_MAX]} before"
         for name in sorted(was.keys() | has.keys())
         if was.get(name) != has.get(name)
     ]
+    return said[:CHANGES_MAX] + ([f"and {len(said) - CHANGES_MAX} more"] if len(said) > CHANGES_MAX else [])
 
 
-def _flat(table: Mapping[str, Any], path: Sequence[str]) -> Iterator[tuple[str, str]]:
+def _flat(table: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[str, str]]:
     for name, value in table.items():
         if isinstance(value, dict):
             yield from _flat(value, (*path, name))
         else:
             yield ".".join((*path, name)), str(value)
-
-
-def _short(value: str) -> str:
-    return value if len(value) <= VALUE_MAX else f"{value[:VALUE_MAX]}..."

@@ -26,7 +26,7 @@ def found(search: str, rows: list[CatalogRow], **conditions: Any) -> list[dict[s
 
 MOMENTS = [
     moment(1),
-    moment(2, last_ns=WALL_NS + 9 * SECOND, kind="fault", reason="deadman", operator="", is_stop=False),
+    moment(2, last_ns=WALL_NS + 9 * SECOND, kind="fault", reason="deadman", holder="", is_stop=False),
     moment(3, robot="mule", kind="incident", reason="none", is_stop=False),
     moment(4, robot="mule", kind="gateway", reason="none", operator="bob"),
 ]
@@ -44,6 +44,7 @@ MOMENTS = [
         ("events", {"reason": "deadman"}, [2]),
         ("stops", {"reason": "deadman"}, []),
         ("events", {"operator": "bob"}, [4]),
+        ("stops", {"operator": "alice"}, [1, 4]),
         ("events", {"operator": "bo%"}, []),
         ("events", {"operator": "' OR true --"}, []),
         ("events", {"since_ns": WALL_NS + 3 * SECOND}, [2, 3, 4]),

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from recorder.cli.review import report
-from recorder.review.report import survey
+from recorder.review.report import account
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, restart, write_messages
@@ -46,7 +46,7 @@ def test_a_page_is_written_whole(log: Path, tmp_path: Path, capsys: pytest.Captu
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "r.html"]
     said = capsys.readouterr()
-    assert "cruiser-1: It went 2.9 m, and was stopped once." in said.out
+    assert "cruiser-1: 1 drive, 2.9 m; 1 stop: the front bumper was hit" in said.out
     assert "written: r.html" in said.out
     assert not said.err
 
@@ -58,8 +58,8 @@ def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
     path = write_messages(tmp_path / "a.mcap", restart(60, 40))
     assert ask(path) == ExitCode.OK
     said = capsys.readouterr().out
-    assert "Its gateway fell silent while it commanded the robot, and began anew." in said.splitlines()[0]
-    assert "  Gateway          it fell silent at " in said
+    assert "1 stop: the gateway died." in said.splitlines()[0]
+    assert "  Gateway          silent for 2.0 s from " in said
     assert ask(path, "--json") == ExitCode.OK
     (robot,) = json.loads(capsys.readouterr().out)["robots"]
     (outage,) = robot["outages"]
@@ -140,7 +140,7 @@ def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The command works as it stands, and its report is of this drive alone."""
-    monkeypatch.setattr(survey, "DRAWN_MAX", 1)
+    monkeypatch.setattr(account, "DRAWN_MAX", 1)
     write_messages(tmp_path / "a b.mcap", drives_over(3, 3), robots=["r-1"])
     assert ask("a b.mcap", "--json") == ExitCode.OK
     (robot,) = json.loads(capsys.readouterr().out)["robots"]

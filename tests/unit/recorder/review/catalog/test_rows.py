@@ -46,6 +46,7 @@ def test_an_incident_is_a_moment(tmp_path: Path, at_ns: str, time_ns: int) -> No
             severity="warning",
             reason="none",
             operator="",
+            holder="",
             count=1,
             is_stop=False,
             text="it swerved",

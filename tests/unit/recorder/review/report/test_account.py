@@ -9,6 +9,7 @@ from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row
 from recorder.reading.topics import Topic
+from recorder.review.drives import ENTRIES_MAX
 from recorder.review.events import Timeline
 from recorder.review.report.account import (
     DRIVERS_MAX,
@@ -18,12 +19,11 @@ from recorder.review.report.account import (
     REMOTE_CONTROL,
     Account,
 )
-from recorder.review.report.event_log import MOMENTS_MAX
-from recorder.review.report.findings import RobotCharts, RobotReport, RobotSummary
+from recorder.review.report.findings import Drawn, RobotReport, RobotSummary
 from schemas.decisions import ArbiterState, EventKind, Verdict
 from schemas.messages import Message, Mode
 from schemas.reasons import Reason
-from tests.support.drives import drive_messages, restart
+from tests.support.drives import drive_messages
 from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, arbiter, event, health, key_of, refusal, state
 
 
@@ -55,7 +55,6 @@ def report_of(
         account.end(ending)
     for entry in timeline.end():
         account.take_entry(entry)
-    account.set_apart(spans)
     report = account.sum_up({}, {})
     assert report is not None
     return report
@@ -66,9 +65,10 @@ def summary_of(*messages: Message) -> RobotSummary:
     return report_of(*messages).summary
 
 
-def charts_of(*messages: Message) -> RobotCharts:
+def charts_of(*messages: Message) -> Drawn:
     """Over time."""
-    return report_of(*messages).charts
+    (drawn,) = report_of(*messages).drawn
+    return drawn
 
 
 def test_a_drive_in_figures() -> None:
@@ -153,7 +153,7 @@ def test_what_was_asked_for_later_stands_where_it_happened() -> None:
     late = event(20)
     drive_on = (one for number in range(100) for one in (state(number), arbiter(number)))
     report = report_of(*drive_on, late=[(late.time_ns + 60 * SECOND, late)])
-    assert [moment.time_ns for moment in report.charts.moments] == [late.time_ns]
+    assert [moment.time_ns for moment in report.moments] == [late.time_ns]
     assert report.summary.end_ns < WALL_NS + 10 * SECOND
 
 
@@ -201,14 +201,14 @@ def test_names_without_end_cost_no_memory_without_end() -> None:
     for number in range(1, many + 1):
         name = f"operator-{number}"
         messages += [arbiter(number, lease_holder=name), state(number), refusal(number, operator=name)]
-    summary = summary_of(*messages, *(event(number) for number in range(MOMENTS_MAX + 5)))
+    summary = summary_of(*messages, *(event(number) for number in range(ENTRIES_MAX + 5)))
     assert len(summary.drivers) == DRIVERS_MAX + 1
     assert OTHERS in {driver.name for driver in summary.drivers}
     assert (len(summary.refusals), summary.refused) == (REFUSALS_MAX, many)
     assert summary.other_refusals == many - REFUSALS_MAX
     assert summary.stops == {"front_bumper": 1}
-    charts = charts_of(*(event(number) for number in range(MOMENTS_MAX + 5)))
-    assert (len(charts.moments), charts.more_moments) == (MOMENTS_MAX, 5)
+    report = report_of(*(event(number) for number in range(ENTRIES_MAX + 5)))
+    assert (len(report.moments), report.more_moments) == (ENTRIES_MAX, 5)
 
 
 def test_accepted_requests_and_other_events_are_no_stops() -> None:
@@ -230,7 +230,7 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState)
         *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 5 * PERIOD_NS)]
     )
     assert report.summary.ends_commanding is (engaged is not ArbiterState.STANDBY)
-    texts = [moment.text for moment in report.charts.moments]
+    texts = [moment.text for moment in report.moments]
     assert texts == ([f"the log ends here: {engaged.value}, commanded 1.00 m/s"] * report.summary.ends_commanding)
 
 
@@ -250,7 +250,7 @@ def test_a_period_that_ends_in_a_pause_of_the_recorder_accuses_no_gateway() -> N
     spans = [(WALL_NS, WALL_NS + 5 * PERIOD_NS), (WALL_NS + 60 * SECOND, WALL_NS + 90 * SECOND)]
     report = report_of(*(arbiter(number) for number in range(5)), spans=spans, to_ns=WALL_NS + 30 * SECOND)
     assert report.summary.outages == []
-    (moment,) = report.charts.moments
+    (moment,) = report.moments
     assert moment.text == "the log ends here: engaged, commanded 1.00 m/s"
 
 
@@ -264,20 +264,7 @@ def test_a_gateway_of_which_nothing_comes_any_more_fell_silent(is_commanding: bo
     (outage,) = report.summary.outages
     assert (outage.heard_ns, outage.began_ns) == (WALL_NS + 4 * PERIOD_NS, None)
     assert outage.is_commanding is is_commanding
-    (moment,) = report.charts.moments
+    (moment,) = report.moments
     assert moment.severity == ("error" if is_commanding else "warning")
     assert moment.text.startswith("nothing of the arbiter for 59.8 s, up to the end: the gateway fell silent")
     assert not report.summary.ends_commanding
-
-
-def test_between_two_logs_nobody_knows_whether_a_gateway_was_silent() -> None:
-    """As after a night in which nothing was recorded; a log that goes on meanwhile tells that it was."""
-    for spans, is_between in (
-        ([(WALL_NS, WALL_NS + 10 * SECOND), (WALL_NS + 13 * SECOND, WALL_NS + 15 * SECOND)], True),
-        ([(WALL_NS, WALL_NS + 15 * SECOND), (WALL_NS + 13 * SECOND, WALL_NS + 15 * SECOND)], False),
-        ([(WALL_NS, WALL_NS + 11 * SECOND), (WALL_NS + 11 * SECOND + 1, WALL_NS + 15 * SECOND)], False),
-    ):
-        report = report_of(*restart(), spans=spans)
-        (outage,) = report.summary.outages
-        assert outage.is_between_logs is is_between
-        assert outage.is_commanding

@@ -14,13 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.report.drive_cards import MOMENTS_SHOWN
-from recorder.review.report.findings import Outage, Report
-from recorder.review.report.markup import safe_json, text
-from recorder.review.report.page import page
-from recorder.review.report.words import SHOWN
+from recorder.review.report.findings import Report
+from recorder.review.report.page import MOMENTS_SHOWN, page, safe_json, text
 from schemas.messages import Message
-from tests.support.drives import HOSTILE, drive_messages, restart, write_messages
+from tests.support.drives import HOSTILE, drive_messages, drives_over, restart, write_messages
 from tests.support.messages import arbiter, event, gateway_info, refusal, state
 from tests.support.reading import report_of
 
@@ -124,43 +121,45 @@ def test_what_the_summary_says_is_on_the_page(report: Report) -> None:
     assert "<b>a&b" not in html
 
 
-def test_a_gateway_that_died_stands_before_all_else(tmp_path: Path) -> None:
-    """As a note, a figure, and among the events; each configuration is in a table, with since when."""
+def test_the_verdict_comes_first(tmp_path: Path) -> None:
+    """The sentence, the figures, and the worst moment with its link stand before all charts and tables."""
     log = [gateway_info(0, "a = 1\n"), *restart(100, 60), gateway_info(160, "a = 2\n")]
     html = page(report_of(write_messages(tmp_path / "a.mcap", sorted(log, key=lambda one: one.time_ns))))
-    before, _, after = html.partition(">Summary<")
-    assert '<p class="note">Gateway: it fell silent at 2027-01-15 08:00:04.950 UTC while it commanded' in before
-    assert "Gateway: since 2027-01-15 08:00:08.000 UTC it has another configuration: a 2, 1 before.</p>" in before
-    assert "<strong>1</strong><span>gateway outage</span>" in before
-    row = (
-        '<tr class="error" data-ms="1800000008000"><td><a href="#t=2027-01-15T08:00:08.000Z">08:00:08.000</a></td>'
+    before, _, after = html.partition(">Path<")
+    assert (
+        '<p class="verdict">1 drive, at least 4.9 m (3.0 s not recorded); 1 stop: the gateway died.</p>' in before
     )
-    assert f"{row}<td>gateway</td>" in after
+    assert "<strong>1</strong><span>stops by faults</span>" in before
+    assert '<p class="note">Worst moment, <a href="#t=2027-01-15T08:00:08.000Z">08:00:08.000</a>: ' in before
+    row = '<tr class="error" data-ms="1800000008000"><td><a href="#t=2027-01-15T08:00:08.000Z">'
+    assert f"{row}08:00:08.000</a></td><td>gateway</td>" in after
     for text_of_one in ("a = 1\n", "a = 2\n"):
         assert f"<td>{gateway_info(0, text_of_one).configuration_sha256[:12]}</td>" in after
+    assert "<td>a 2, 1 before</td>" in after
 
 
 def test_errors_are_shown_however_many_events_there_are(report: Report) -> None:
     """The table has room for so many; those that matter least are left out."""
     robot = report.robots[0]
-    lease = msgspec.structs.replace(robot.charts.moments[0], severity="info", kind="lease")
+    lease = msgspec.structs.replace(robot.moments[0], severity="info", kind="lease")
     death = msgspec.structs.replace(lease, severity="error", kind="gateway", time_ns=lease.time_ns + 1)
     moments = [lease] * (MOMENTS_SHOWN + 50) + [death]
-    charts = msgspec.structs.replace(robot.charts, moments=moments, more_moments=2)
-    html = page(msgspec.structs.replace(report, robots=[msgspec.structs.replace(robot, charts=charts)]))
+    drawn = msgspec.structs.replace(robot.drawn[0], moments=moments)
+    changed = msgspec.structs.replace(robot, drawn=[drawn], moments=moments, more_moments=2)
+    html = page(msgspec.structs.replace(report, robots=[changed]))
     assert html.count("<td>lease</td>") == MOMENTS_SHOWN - 1
     assert html.count("<td>gateway</td>") == 1
     assert "53 of less weight, or later, are left out" in html
 
 
-def test_a_gateway_that_dies_without_end_fills_no_page(report: Report) -> None:
-    """A few notes, and how many more."""
-    robot = report.robots[0]
-    outages = [Outage(number, number, is_commanding=True) for number in range(100)]
-    summary = msgspec.structs.replace(robot.summary, outages=outages)
-    html = page(msgspec.structs.replace(report, robots=[msgspec.structs.replace(robot, summary=summary)]))
-    assert html.count('<p class="note">Gateway: it began anew') == SHOWN
-    assert "more such; see the events" in html
+def test_several_drives_have_a_table_with_links(tmp_path: Path) -> None:
+    """Each with its distance, its stops, its worst moment, and a section of its own."""
+    html = page(report_of(write_messages(tmp_path / "a.mcap", drives_over(3, 3))))
+    table = html.partition('id="overview"')[2].partition("</table>")[0]
+    assert table.count("<td>2.9 m</td><td class=number>1</td>") == 3
+    assert re.findall(r'href="(#drive-\d)"', table) == ["#drive-0", "#drive-1", "#drive-2"]
+    assert table.count('<b><a href="#t=') == 3
+    assert html.count('class="drive" id="drive-') == 3
 
 
 @given(st.recursive(st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))

@@ -9,14 +9,14 @@ from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.rows import Selection
 from recorder.record.robot_log import LogPlan
-from recorder.review.report import survey
-from recorder.review.report.findings import Outage
-from recorder.review.report.survey import read_report
+from recorder.review.drives import MARGIN_NS, Outage
+from recorder.review.report import account, survey
+from recorder.review.report.survey import read_margins, read_report
 from schemas.decisions import ArbiterState, Severity
 from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
-from tests.support.drives import drive_messages, restart, undecodable, write_messages
+from tests.support.drives import drive_messages, drives_over, restart, undecodable, write_messages
 from tests.support.logs import Log
 from tests.support.messages import (
     PERIOD_NS,
@@ -94,7 +94,7 @@ def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
         assert one.summary.name == f"{root}/cruiser-1"
         assert [known.configuration_sha256 for known in one.summary.in_force] == [hash_of_its_own]
         assert one.summary.facts["configuration_sha256"] == hash_of_its_own
-        assert [moment.text for moment in one.charts.moments if moment.kind == "recorder"] == [f"of {root}"]
+        assert [moment.text for moment in one.moments if moment.kind == "recorder"] == [f"of {root}"]
 
 
 def died(path: Path) -> Path:
@@ -116,12 +116,12 @@ def test_a_gateway_that_died_and_another_that_began_are_told(tmp_path: Path) -> 
     (robot,) = report_of(died(tmp_path / "a.mcap")).robots
     heard_ns, began_ns = WALL_NS + 199 * PERIOD_NS, WALL_NS + 260 * PERIOD_NS
     assert robot.summary.outages == [Outage(heard_ns, began_ns, is_commanding=True)]
-    told = [(one.kind, one.severity, one.time_ns) for one in robot.charts.moments if one.severity == "error"]
+    told = [(one.kind, one.severity, one.time_ns) for one in robot.moments if one.severity == "error"]
     assert told == [("gap", "error", heard_ns), ("gateway", "error", began_ns)]
     assert [one.since_ns for one in robot.summary.in_force] == [WALL_NS, began_ns]
     assert robot.summary.in_force[1].settings == ["command.speed_limit_mps 0.6, 2.222 before"]
     assert robot.summary.silences == []
-    assert robot.charts.outages == [(heard_ns, began_ns)]
+    assert robot.drawn[0].outages == [(heard_ns, began_ns)]
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_an_incident_beside_its_log_tells_nothing_twice(tmp_path: Path) -> None:
     once = report_of(tmp_path / "a.mcap").robots[0]
     (tmp_path / "b.mcap").write_bytes(data)
     twice = report_of(tmp_path / "a.mcap", tmp_path / "b.mcap").robots[0]
-    assert twice.charts.moments == once.charts.moments
+    assert twice.moments == once.moments
     assert twice.summary.outages == once.summary.outages
     assert twice.summary.in_force == once.summary.in_force
 
@@ -183,7 +183,7 @@ def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path:
     (robot,) = report_of(path).robots
     assert robot.summary.start_ns == WALL_NS
     assert (robot.summary.stops, robot.summary.refused) == ({"front_bumper": 1}, 1)
-    assert [moment.time_ns for moment in robot.charts.moments] == [WALL_NS + 50 * PERIOD_NS]
+    assert [moment.time_ns for moment in robot.moments] == [WALL_NS + 50 * PERIOD_NS]
 
 
 def test_stops_are_told_where_their_events_are_lost(tmp_path: Path) -> None:
@@ -231,6 +231,114 @@ def test_a_log_that_was_not_finished_has_no_account(tmp_path: Path) -> None:
     assert not report.files[0].is_accounted
     assert report.robots[0].summary.facts["variant"] == "coarse"
     assert faults
+
+
+def test_metadata_tell_of_each_gateway_not_only_of_the_last(tmp_path: Path) -> None:
+    """Of two robots of one name, too: their recorder calls only the second one by its root."""
+    log = Log()
+    log.receive(sample_of(gateway_info(0), root="fleet"))
+    for root in ("fleet", "depot"):
+        log.receive(sample_of(gateway_info(50, f"root = '{root}'\n"), root=root))
+        log.receive(sample_of(state(0), root=root), wall_ns=WALL_NS)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    for robot, root in zip(report_of(path).robots, ("depot", "fleet"), strict=True):
+        own = gateway_info(50, f"root = '{root}'\n").configuration_sha256
+        hashes = [one.configuration_sha256 for one in robot.summary.in_force]
+        assert hashes == [*([gateway_info(0).configuration_sha256] if root == "fleet" else []), own]
+        assert robot.summary.facts["configuration_sha256"] == own
+        assert robot.summary.facts["recorder_version"] == "0.1.0"
+
+
+def test_a_file_that_is_gone_says_nothing_and_names_are_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who reads the rows tells of it; names can be made up."""
+    monkeypatch.setattr(survey, "NAMES_MAX", 2)
+    path = write_messages(tmp_path / "a.mcap", drive_messages(1), robots=["r-1", "r-2", "r-3"])
+    (log,) = find_logs([path], Faults())
+    assert len(read_margins(log).facts) == 2
+    log.path.unlink()
+    assert (read_margins(log).facts, read_margins(log).completeness) == ({}, {})
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "gap_s"),
+    [(0, 8, 3.9 + 0.05), (6, 14, 6.4), (0, 20, 8.3), (0, 4, 0.05), (None, None, 8.3)],
+)
+def test_a_pause_of_the_recorder_is_missing_in_any_period(
+    tmp_path: Path, from_s: float | None, to_s: float | None, gap_s: float
+) -> None:
+    """Also in one that ends or begins within it: the distance is at least what is told."""
+    paths = []
+    for first, last in ((0, 82), (248, 400)):
+        log = Log()
+        for number in range(first, last):
+            for message in (state(number), arbiter(number)):
+                log.receive(sample_of(message), wall_ns=message.time_ns)
+        paths.append(tmp_path / f"{first}.mcap")
+        paths[-1].write_bytes(log.close())
+    faults = Faults()
+    period = Selection()
+    if from_s is not None and to_s is not None:
+        period = Selection(from_ns=WALL_NS + round(from_s * SECOND), to_ns=WALL_NS + round(to_s * SECOND))
+    (robot,) = read_report(find_logs(paths, faults), period, faults).robots
+    assert robot.summary.gap_s == pytest.approx(gap_s if gap_s > 0.5 else 0.0, abs=0.15)
+    assert robot.summary.outages == []
+
+
+def test_each_drive_of_many_days_is_for_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its path, its stop and its time are its own; the newest are drawn."""
+    monkeypatch.setattr(account, "DRAWN_MAX", 5)
+    (robot,) = report_of(write_messages(tmp_path / "a.mcap", drives_over(25, 12))).robots
+    assert len(robot.drives) == 12
+    assert [one.drive for one in robot.drawn] == robot.drives[-5:]
+    for drawn in robot.drawn:
+        drive = drawn.drive
+        assert drive is not None
+        assert (drive.stops, drive.missing_s, drive.worst) == (1, 0.0, "stopping: the front bumper was hit")
+        assert drive.distance_m == pytest.approx(2.95)
+        assert (drawn.places[0].time_ns, drawn.places[0].x_m) == (drive.start_ns, 0.0)
+        assert drawn.start_ns == drive.start_ns - MARGIN_NS
+        assert drawn.end_ns == min(drive.end_ns + MARGIN_NS, robot.summary.end_ns)
+        assert [one.time_ns for one in drawn.moments if one.is_stop] == [drive.end_ns]
+        times_ns = [point[0] for point in drawn.lines["speed_mps"] if point is not None]
+        assert (times_ns[0], times_ns[-1]) == (drive.start_ns, drive.end_ns)
+    assert robot.summary.distance_m == pytest.approx(12 * 2.95)
+    assert robot.summary.stops == {"front_bumper": 12}
+
+
+def test_a_drive_between_long_rests_is_drawn_without_them(tmp_path: Path) -> None:
+    """One axis over all of it would hide it; what led to it is drawn."""
+    messages = [
+        message
+        for number in [*range(0, 20_000, 100), *range(20_000, 20_060), *range(20_260, 40_000, 100)]
+        for is_moving in [20_000 <= number < 20_060]
+        for message in (
+            state(number, speed_mps=float(is_moving)),
+            arbiter(number, state=ArbiterState.ENGAGED if is_moving else ArbiterState.STANDBY),
+        )
+    ]
+    (robot,) = report_of(write_messages(tmp_path / "a.mcap", messages)).robots
+    start_ns, end_ns = WALL_NS + 20_000 * PERIOD_NS, WALL_NS + 20_059 * PERIOD_NS
+    (drawn,) = robot.drawn
+    assert (drawn.start_ns, drawn.end_ns) == (start_ns - MARGIN_NS, end_ns + MARGIN_NS)
+    times_ns = [point[0] for point in drawn.lines["speed_mps"] if point is not None]
+    assert drawn.start_ns <= times_ns[0] < start_ns
+    assert end_ns <= times_ns[-1] <= drawn.end_ns
+
+
+def test_a_robot_without_a_drive_is_drawn_as_it_stood(tmp_path: Path) -> None:
+    """Why it did not move is a question too."""
+    standing = [
+        message
+        for number in range(50)
+        for message in (state(number, speed_mps=0.0), arbiter(number, state=ArbiterState.STANDBY))
+    ]
+    (robot,) = report_of(write_messages(tmp_path / "a.mcap", standing)).robots
+    (drawn,) = robot.drawn
+    assert (drawn.drive, robot.drives) == (None, [])
+    assert len(drawn.lines["speed_limit_mps"]) == 50
 
 
 def test_what_the_recorder_could_not_keep_is_told(tmp_path: Path) -> None:

@@ -1,0 +1,242 @@
+"""Distances, drives and what befell a robot, from its samples and its entries."""
+
+from collections.abc import Sequence
+from math import inf, nan
+
+import msgspec
+import pytest
+
+from recorder.review import drives
+from recorder.review.drives import (
+    CLOCK_STEP_NS,
+    DIED,
+    ENTRIES_MAX,
+    ERRORS_MAX,
+    GAP_NS,
+    GAPS_MAX,
+    MARGIN_NS,
+    REST_NS,
+    Drives,
+    Outage,
+    SpeedMeter,
+    operators_stops,
+)
+from recorder.review.entries import Entry, EntryKind, EntrySource, kind_of
+from recorder.review.stops import Stops
+from schemas.decisions import Severity
+from schemas.reasons import AS_ASKED, Reason
+from tests.support.messages import MS, SECOND, WALL_NS
+
+STEP_NS = 50 * MS
+DAY_NS = 24 * 3600 * SECOND
+
+
+def moved(speeds: Sequence[float | None], start_ns: int = 0) -> SpeedMeter:
+    """Speeds, 20 times a second."""
+    motion = SpeedMeter()
+    for number, speed_mps in enumerate(speeds):
+        motion.add(start_ns + number * STEP_NS, speed_mps)
+    return motion
+
+
+@pytest.mark.parametrize(
+    ("speeds", "distance_m", "moving_s", "top_mps"),
+    [
+        pytest.param([0.5] * 41, 1.0, 2.0, 0.5, id="steady"),
+        pytest.param([0.5] * 41 + [-0.5] * 41, 2.0, 4.0, 0.5, id="forward and back"),
+        pytest.param([0.0] * 1000, 0.0, 0.0, 0.0, id="standing"),
+        pytest.param([-0.2, -0.6, -0.2], 0.04, 0.1, -0.6, id="in reverse"),
+        *(
+            pytest.param([1.0] * 3 + [odd] + [1.0] * 3, 0.3, 0.3, 1.0, id=f"unknown: {odd}")
+            for odd in (None, nan, inf, -inf, 1e9)
+        ),
+        pytest.param(
+            [1.0, 2.9, 2.5, 2.1, 1.7, 1.3, 0.9, 0.5, 0.1, 0.0, 0.4, 0.8, 1.2], 0.71, 0.6, 1.2, id="till rest"
+        ),
+        pytest.param([1.0, 1.0, 2.9, 1.0, 1.0], 0.295, 0.2, 1.0, id="one frame of a wrong scale"),
+        pytest.param([1.0, 1.0, 2.9, 2.9, 2.9, 1.0], 0.535, 0.25, 1.0, id="some frames of a wrong scale"),
+    ],
+)
+def test_distance_and_top_speed(
+    speeds: list[float | None], distance_m: float, moving_s: float, top_mps: float
+) -> None:
+    """The distance counts both ways; the top speed has its sign, and is none that no robot can have reached."""
+    motion = moved(speeds)
+    assert motion.distance_m == pytest.approx(distance_m, abs=0.03)
+    assert motion.moving_ns / 1e9 == pytest.approx(moving_s, abs=0.1)
+    assert motion.top_mps == top_mps
+    assert motion.gaps == 0
+
+
+def test_a_gap_is_not_guessed() -> None:
+    """How long nothing was known is told."""
+    motion = moved([1.0] * 21)
+    assert motion.add(20 * STEP_NS + GAP_NS + 1, 1.0) == 0.0
+    assert (motion.gaps, motion.gap_ns, motion.begun_ns) == (1, GAP_NS + 1, motion.last_ns)
+    assert motion.distance_m == pytest.approx(1.0)
+
+
+def test_what_is_there_twice_adds_nothing() -> None:
+    """A second copy of a log is passed over; a clock that is set back far makes a gap."""
+    motion = moved([1.0] * 21, start_ns=2 * CLOCK_STEP_NS)
+    assert motion.add(2 * CLOCK_STEP_NS, 1.0) is None
+    for number in range(21):
+        motion.add(number * STEP_NS, 1.0)
+    assert motion.distance_m == pytest.approx(2.0)
+    assert (motion.gaps, motion.gap_ns) == (1, 0)
+
+
+def entry(at_s: float, kind: EntryKind, **fields: object) -> Entry:
+    """Something that happened so long after the beginning."""
+    time_ns = WALL_NS + round(at_s * SECOND)
+    plain = Entry(
+        time_ns=time_ns,
+        last_ns=time_ns,
+        robot="cruiser-1",
+        kind=kind,
+        severity=Severity.WARNING,
+        source=EntrySource.LOG,
+        text=kind.value,
+    )
+    return msgspec.structs.replace(plain, **fields)
+
+
+def happened(*entries: Entry, found: Drives | None = None) -> Drives:
+    """All of them, marked as the timeline does."""
+    found, stops = found or Drives(), Stops()
+    for one in entries:
+        found.take(stops.mark(one))
+    return found
+
+
+def silence(from_s: float, to_s: float, **fields: object) -> Entry:
+    """Nothing of the arbiter for a while."""
+    return entry(from_s, EntryKind.GAP, last_ns=WALL_NS + round(to_s * SECOND), **fields)
+
+
+@pytest.mark.parametrize(("rest_ns", "count"), [(REST_NS, 1), (REST_NS + 1, 2)])
+def test_a_long_rest_ends_a_drive(rest_ns: int, count: int) -> None:
+    """A shorter one is a part of it."""
+    found = Drives()
+    for time_ns in (10**15, 10**15 + 5, 10**15 + 5 + rest_ns):
+        found.command(time_ns, time_ns)
+    assert len(found.drives()) == count
+    assert found.drives()[-1].end_ns == 10**15 + 5 + rest_ns
+
+
+def test_a_clock_that_was_set_back_begins_another_drive() -> None:
+    """They are in the order of the robot's time; the log times are the recorder's."""
+    found = Drives()
+    found.command(10**18, 10**18)
+    found.command(10**18 - DAY_NS, 10**18 + SECOND)
+    assert [one.start_ns for one in found.drives()] == [10**18 - DAY_NS, 10**18]
+    assert found.drives()[0].log_start_ns == 10**18 + SECOND
+
+
+def test_a_drive_misses_what_was_not_recorded_in_it() -> None:
+    """A pause between two drives is none of it."""
+    found = Drives()
+    for at_s in (0.0, 0.05, 8.35, 8.4, 4000.0, 4000.05):
+        found.move(WALL_NS + round(at_s * SECOND), WALL_NS, 1.0)
+    assert [one.missing_s for one in found.drives()] == pytest.approx([8.3, 0.0])
+    assert [one.distance_m for one in found.drives()] == pytest.approx([0.1, 0.05])
+    assert found.motion.gaps == 2
+
+
+@pytest.mark.parametrize(
+    ("off_ns", "is_in"), [(-MARGIN_NS, True), (-MARGIN_NS - 1, False), (MARGIN_NS + 1, False)]
+)
+def test_what_happens_near_a_drive_belongs_to_it(off_ns: int, is_in: bool) -> None:  # noqa: FBT001 - a case
+    """Up to its margins."""
+    found = Drives()
+    found.command(WALL_NS, WALL_NS)
+    happened(entry(off_ns / SECOND, EntryKind.STOP, reason=Reason.DEADMAN), found=found)
+    (drive,) = found.drives()
+    assert (drive.stops, drive.worst, drive.severity.value) == (
+        (1, "stop", "warning") if is_in else (0, "", "info")
+    )
+
+
+@pytest.mark.parametrize(
+    ("severities", "worst"),
+    [
+        ("info", ""),
+        ("info warning", "1"),
+        ("warning error error", "1"),
+        ("warning warning* error", "2"),
+        ("warning warning* warning", "1"),
+    ],
+)
+def test_the_worst_moment_is_the_first_of_the_gravest(severities: str, worst: str) -> None:
+    """News are none; a stop (*) is worse than what is as grave."""
+    found = Drives()
+    found.command(WALL_NS, WALL_NS)
+    for number, said in enumerate(severities.split()):
+        one = entry(number, EntryKind.FAULT, severity=Severity(said.strip("*")), text=str(number))
+        found.take(msgspec.structs.replace(one, is_stop="*" in said))
+    (drive,) = found.drives()
+    assert (drive.worst, "" if found.worst is None else found.worst.text) == (worst, worst)
+
+
+def test_drives_beyond_the_limit_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory does not grow with the log."""
+    monkeypatch.setattr(drives, "DRIVES_MAX", 2)
+    found = Drives()
+    for number in range(5):
+        found.command(WALL_NS + number * DAY_NS, WALL_NS)
+    assert (len(found.drives()), found.more) == (2, 3)
+
+
+@pytest.mark.parametrize("reason", [reason for reason in Reason if reason in AS_ASKED])
+def test_an_end_that_was_asked_for_is_no_stop(reason: Reason) -> None:
+    """They are counted apart."""
+    end, stop = (entry(1, kind_of(EntryKind.STOP, why), reason=why) for why in (reason, Reason.DEADMAN))
+    found = happened(end, stop)
+    assert (found.stops, found.ends) == ({"deadman": 1}, {reason.value: 1})
+
+
+@pytest.mark.parametrize("is_latched", [True, False])
+def test_the_cause_of_a_gateways_death_is_what_the_next_one_latches(is_latched: bool) -> None:  # noqa: FBT001 - a case
+    """Without a word of it the cause is that the gateway died."""
+    died = entry(1, EntryKind.GATEWAY, severity=Severity.ERROR)
+    latch = entry(9, EntryKind.LATCH, reason=Reason.GUARD)
+    found = happened(died, *[latch] * is_latched)
+    assert +found.stops == ({"guard": 1} if is_latched else {DIED: 1})
+    assert [one.reason for one in found.entries if one.is_stop] == [Reason.GUARD if is_latched else Reason.NONE]
+
+
+def test_stops_by_operators_are_no_faults() -> None:
+    """A remote stop, a takeover by the remote control, a lease that was taken."""
+    assert operators_stops({"remote_stop": 2, "hand_transmitter": 1, "lease_taken": 1, "deadman": 9, DIED: 9}) == 4
+
+
+def test_the_silence_before_a_restart_is_its_own() -> None:
+    """Of the others another gateway did not come."""
+    found = happened(
+        silence(1, 3),
+        silence(5, 9, severity=Severity.ERROR),
+        silence(6, 7),
+        silence(6, 8, source=EntrySource.RECORDER),
+        entry(9, EntryKind.GATEWAY, severity=Severity.ERROR, source=EntrySource.STATE),
+        entry(20, EntryKind.GATEWAY, source=EntrySource.HEALTH),
+        entry(21, EntryKind.GATEWAY, severity=Severity.INFO, source=EntrySource.HEALTH),
+        entry(22, EntryKind.REFUSAL),
+    )
+    assert found.outages == [
+        Outage(WALL_NS + 5 * SECOND, WALL_NS + 9 * SECOND, is_commanding=True),
+        Outage(WALL_NS + 20 * SECOND, WALL_NS + 20 * SECOND, is_commanding=False),
+    ]
+    assert [(one.from_ns - WALL_NS) // SECOND for one in found.silences] == [1, 6]
+    assert found.counts == {"gap": 4, "gateway": 3}
+
+
+def test_a_thousand_leases_hide_no_error() -> None:
+    """There is room for what matters, and what is left out is counted."""
+    leases = [entry(number, EntryKind.LEASE, severity=Severity.INFO) for number in range(ENTRIES_MAX + 100)]
+    errors = [entry(number + 0.5, EntryKind.GATEWAY, severity=Severity.ERROR) for number in range(ERRORS_MAX + 50)]
+    found = happened(*leases, *errors)
+    kinds = [one.kind.value for one in found.entries]
+    assert (kinds.count("lease"), kinds.count("gateway")) == (ENTRIES_MAX, ERRORS_MAX)
+    assert found.more_entries == 150
+    assert (len(found.outages), found.more_outages) == (GAPS_MAX, ERRORS_MAX + 50 - GAPS_MAX)
+    assert len(happened(*(silence(number, number + 0.5) for number in range(GAPS_MAX + 3))).silences) == GAPS_MAX
