@@ -28,7 +28,7 @@ from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import ERROR, Frame
 from gateway.checkpoint import checkpoint, resume
 from gateway.command.carried import Carried, may_start_again, take_over
-from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.flow import CommandFlow, TickEffects
 from gateway.command.request import RawRequest
 from gateway.command.snapshot import QUIET_NS, Snapshot, as_array, is_at_rest, restore, snapshot
 from gateway.journal import FRAME, LINKS, JournalWriter
@@ -36,13 +36,12 @@ from gateway.telemetry.chassis_tracker import ChassisTracker
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
 from gateway.telemetry.raw_frames import FrameBatch
-from gateway.telemetry.sample import Sample
 from gateway.telemetry.state import LatestMessages, robot_state
-from schemas.codec import encode
+from schemas.codec import Sample, encode, sample_of
 from schemas.dbc_files import DBC_FILES
-from schemas.decisions import ArbiterState, EventKind, SafetyEvent, Severity
+from schemas.decisions import ArbiterState, EventKind, Severity
 from schemas.journal import Kind
-from schemas.messages import SEQUENCE_MAX, ControllerState, Message, Variant
+from schemas.messages import SEQUENCE_MAX, ControllerState, Variant
 from schemas.reasons import Reason
 from schemas.settings import (
     BATCH_MAX_FRAMES,
@@ -52,7 +51,6 @@ from schemas.settings import (
     STATE_PERIOD_NS,
     Settings,
 )
-from schemas.subjects import SUBJECTS
 
 CONFIGURED_VARIANT: Final = {"auto": Variant.UNKNOWN, "coarse": Variant.COARSE, "fine": Variant.FINE}
 
@@ -66,16 +64,6 @@ CHECKPOINT_PERIOD_NS: Final = 60_000_000_000
 """Period at which the journal holds the whole state, at rest or not."""
 
 RX, TX = "can/{bus}/rx", "can/{bus}/tx"
-_SUBJECT: Final = {subject.type: subject.name for subject in SUBJECTS}
-
-
-class TickEffects(msgspec.Struct):
-    """The effects of a tick, in this order: send the frames, say how many went out, reply, publish, log."""
-
-    frames: list[Frame]
-    replies: list[PendingReply]
-    samples: list[Sample]
-    events: list[SafetyEvent]
 
 
 class Core:
@@ -198,7 +186,7 @@ class Core:
                 stream.tick(now_ns)
         due = TickEffects([], [], [], [])
         if self.command is not None:
-            self._command(self.command, due, now_ns, wall_ns, late_ns, challenge)
+            due = self._command(self.command, now_ns, wall_ns, late_ns, challenge)
         if now_ns >= self._batch_due_ns:
             self._batch_due_ns = _next_due(self._batch_due_ns, BATCH_PERIOD_NS, now_ns)
             self._take_batches(due.samples, wall_ns)
@@ -211,7 +199,7 @@ class Core:
             frames = self._received.received
             barred = [f"{reason.value}: {words}" for reason, words in self.bars.items()]
             health = self._health.report(now_ns, wall_ns, self._links, self.variant, frames, streams, barred)
-            due.samples.append(_sample(health))
+            due.samples.append(sample_of(health))
         return due
 
     def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Sample]:
@@ -222,7 +210,7 @@ class Core:
         for frame in self._offered[:count]:
             self._sent.add(msgspec.structs.replace(frame, wall_ns=wall_ns))
         self._offered = []
-        decisions = [_sample(decision) for decision in self.command.sent(count, now_ns, wall_ns)]
+        decisions = self.command.sent(count, now_ns, wall_ns)
         if now_ns >= self._checkpoint_due_ns:
             # The tick's frames are out: only the beat to the guard waits, for a millisecond or two.
             self._checkpoint_due_ns = now_ns + CHECKPOINT_PERIOD_NS
@@ -349,8 +337,8 @@ class Core:
         return self.command is not None and self.command.arbiter.engagement.is_held_by_motor
 
     def _command(
-        self, command: CommandFlow, due: TickEffects, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes
-    ) -> None:
+        self, command: CommandFlow, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes
+    ) -> TickEffects:
         if self._journal is not None:
             if now_ns >= self._rest_due_ns:
                 self._remember(command, self._journal, now_ns)
@@ -358,11 +346,9 @@ class Core:
         links, controller = self._links, self._health.controller
         chassis = self._tracker.state(links, controller, self.variant, self._commander_ns, now_ns)
         requests, self._requests = self._requests, []
-        commanded = command.tick(chassis, requests, now_ns, wall_ns, late_ns, challenge)
-        due.frames = self._offered = commanded.frames
-        due.replies = commanded.replies
-        due.samples += [_sample(message) for message in commanded.messages]
-        due.events = [message for message in commanded.messages if isinstance(message, SafetyEvent)]
+        due = command.tick(chassis, requests, now_ns, wall_ns, late_ns, challenge)
+        self._offered = due.frames
+        return due
 
     def _remember(self, command: CommandFlow, journal: JournalWriter, now_ns: int) -> None:
         """If the gateway is at rest, the journal can begin here as well as at the start."""
@@ -379,7 +365,7 @@ class Core:
                 samples.append(Sample(subject, encode(frames)))
         journal = self._journal.take(wall_ns) if self._journal is not None else None
         if journal is not None:
-            samples.append(_sample(journal))
+            samples.append(sample_of(journal))
 
     def _receive_other(self, frame: Frame, now_ns: int) -> None:
         """A frame that is no feedback. A command frame of another computer is no fault: it may own the bus."""
@@ -425,17 +411,13 @@ class Core:
             silent=[stream.layout.name for stream in streams if stream.supervisor.is_silent],
         )
         self._state_sequence = (self._state_sequence + 1) & SEQUENCE_MAX
-        return _sample(state)
+        return sample_of(state)
 
 
 _STATE: Final = msgspec.msgpack.Encoder()
 
 _told: Final[Callable[[Links], tuple[Any, ...]]] = attrgetter(*LINKS)
 """The links that the command flow decides by, and the journal holds."""
-
-
-def _sample(message: Message) -> Sample:
-    return Sample(_SUBJECT[type(message)], encode(message))
 
 
 def _next_due(due_ns: int, period_ns: int, now_ns: int) -> int:

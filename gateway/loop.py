@@ -21,7 +21,7 @@ from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.guard.beat import GuardView
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
+from schemas.codec import Sample
 from schemas.decisions import Severity
 from schemas.reasons import Reason, of_a_robot
 from schemas.requests import CHALLENGE_BYTES, LEASE_MAX

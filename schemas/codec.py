@@ -17,7 +17,7 @@ import msgspec
 
 from schemas.messages import Message
 from schemas.requests import Request
-from schemas.subjects import Subject, Verb
+from schemas.subjects import BY_TYPE, Subject, Verb
 from schemas.versions import count_fields, enumeration_in, is_foreign, member_of
 
 
@@ -29,6 +29,24 @@ class PayloadFault(msgspec.Struct, frozen=True):
 
 encode: Final = msgspec.msgpack.Encoder().encode
 """A message's MessagePack bytes."""
+
+
+class Sample(msgspec.Struct, frozen=True, gc=False):
+    """A payload to publish under a subject.
+
+    Attributes:
+        subject: the subject's name in the subject table.
+        payload: MessagePack.
+    """
+
+    subject: str
+    payload: bytes
+
+
+def sample_of(message: Message) -> Sample:
+    """Return a message as a sample of its subject."""
+    return Sample(BY_TYPE[type(message)].name, encode(message))
+
 
 PAYLOAD_ERRORS: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 """Exceptions that decoding may raise, whatever the payload holds."""

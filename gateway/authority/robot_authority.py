@@ -17,7 +17,6 @@ from gateway.authority.signer import RobotSigner
 from gateway.authority.unmet import life_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest, Ruling
-from gateway.telemetry.sample import Sample
 from schemas import codec, keys
 from schemas.authority.statement import (
     Grant,
@@ -30,6 +29,7 @@ from schemas.authority.statement import (
     read_chain,
 )
 from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, is_signed
+from schemas.codec import Sample
 from schemas.decisions import SignedStatement, StatementReply
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import TEXTS, Reason

@@ -1,6 +1,6 @@
 """The command flow on one page: arbiter, frames, gate and reports together. Pure.
 
-requests > ``tick`` > arbiter > frames > gate > ``CommandEffects``: frames to send, replies, samples
+requests > ``tick`` > arbiter > frames > gate > ``TickEffects``: frames to send, replies, samples
 the bus  > ``sent`` > counters advance, decisions go out
 """
 
@@ -19,8 +19,8 @@ from gateway.command.gate import Gate
 from gateway.command.outcome import TickOutcome
 from gateway.command.report import Reporter, reply
 from gateway.command.request import RawRequest
-from schemas.decisions import COMMANDING, ArbiterState
-from schemas.messages import Message
+from schemas.codec import Sample, sample_of
+from schemas.decisions import COMMANDING, ArbiterState, SafetyEvent
 from schemas.settings import MUTE_FAILURES, Settings
 
 
@@ -33,12 +33,13 @@ class PendingReply(msgspec.Struct, frozen=True):
     attachment: bytes = b""
 
 
-class CommandEffects(msgspec.Struct, frozen=True):
-    """The effects of a tick: send the frames, in their order, then say how many went out with ``sent``."""
+class TickEffects(msgspec.Struct):
+    """The effects of a tick, in this order: send the frames, say how many went out, reply, publish, log."""
 
     frames: list[Frame]
     replies: list[PendingReply]
-    messages: list[Message]
+    samples: list[Sample]
+    events: list[SafetyEvent]
 
 
 class CommandFlow:
@@ -71,7 +72,7 @@ class CommandFlow:
         wall_ns: int,
         late_ns: int,
         challenge: bytes,
-    ) -> CommandEffects:
+    ) -> TickEffects:
         """Ten milliseconds have passed; see ``Arbiter.tick``. The challenge is for a state that is due."""
         outcome = self._outcome = self.arbiter.tick(chassis, requests, now_ns, late_ns)
         self._offered = self._frames(outcome, now_ns)
@@ -79,16 +80,15 @@ class CommandFlow:
             self.asked_ns = self.busy_ns = now_ns
         elif outcome.events:
             self.busy_ns = now_ns
-        messages: list[Message] = [self.reporter.event(event, wall_ns) for event in outcome.events]
+        events = [self.reporter.event(event, wall_ns) for event in outcome.events]
         state = self.reporter.state(now_ns, wall_ns, challenge)
-        if state is not None:
-            messages.append(state)
+        samples = [sample_of(message) for message in (*events, state) if message is not None]
         replies = [
             PendingReply(answer.handle, answer.verb, _ENCODER.encode(reply(answer))) for answer in outcome.answers
         ]
-        return CommandEffects(self._offered, replies, messages)
+        return TickEffects(self._offered, replies, samples, events)
 
-    def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Message]:
+    def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Sample]:
         """So many of the tick's frames were taken by the bus; the rest are lost and are never sent later."""
         outcome, offered = self._outcome, self._offered
         if outcome is None:
@@ -107,7 +107,7 @@ class CommandFlow:
             self.arbiter.output.undo_step(is_speed_told=bool(sent))
         if monitor.send_failures >= MUTE_FAILURES and self.arbiter.state is ArbiterState.STOPPING:
             self.is_mute = True
-        return [self.reporter.decision(judged, bounds, len(sent), wall_ns) for judged in outcome.judged]
+        return [sample_of(self.reporter.decision(judged, bounds, len(sent), wall_ns)) for judged in outcome.judged]
 
     def _frames(self, outcome: TickOutcome, now_ns: int) -> list[Frame]:
         if outcome.actuation is None:

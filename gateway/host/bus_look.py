@@ -18,8 +18,7 @@ from gateway.chassis.decode import check
 from gateway.core import Core
 from gateway.doctor.facts import BusReport, CanInterface
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
-from schemas.codec import decode
+from schemas.codec import Sample, decode
 from schemas.messages import GatewayHealth, Message, RobotState, Variant
 from schemas.settings import TICK_NS, Settings
 from schemas.subjects import BY_NAME

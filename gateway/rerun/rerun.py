@@ -12,12 +12,13 @@ import msgspec
 from gateway.chassis.frame import Frame
 from gateway.checkpoint import CheckpointError
 from gateway.command.carried import Carried
+from gateway.command.flow import TickEffects
 from gateway.command.request import Credentials, RawRequest
 from gateway.command.snapshot import Snapshot
-from gateway.core import Core, TickEffects
+from gateway.core import Core
 from gateway.journal import LINKS, BrokenJournalError, Input, follow
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
+from schemas.codec import Sample
 from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
 from schemas.journal import Kind

@@ -15,13 +15,13 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.frame import Frame
+from gateway.command.flow import TickEffects
 from gateway.command.lease import HeldLease
-from gateway.core import Core, TickEffects
+from gateway.core import Core
 from gateway.journal import Input
 from gateway.rerun.rerun import give, run_of
 from gateway.sim.stand_in import StandIn
-from gateway.telemetry.sample import Sample
-from schemas.codec import PAYLOAD_ERRORS
+from schemas.codec import PAYLOAD_ERRORS, Sample
 from schemas.decisions import Journal
 from schemas.journal import Kind
 from schemas.messages import Variant

@@ -8,8 +8,7 @@ from gateway.chassis.decode import MessageDecoder, check
 from gateway.chassis.faults import FaultKind
 from gateway.chassis.frame import Frame
 from gateway.chassis.supervision import FrameSupervisor
-from gateway.telemetry.sample import Sample
-from schemas.codec import encode
+from schemas.codec import Sample, encode
 from schemas.messages import SEQUENCE_MAX, Feedback, FrameHealth
 
 

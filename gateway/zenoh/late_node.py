@@ -15,10 +15,10 @@ from typing import Final
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.telemetry.kept_samples import KeptSamples
-from gateway.telemetry.sample import Sample
 from gateway.zenoh.inbox import CommandInbox
 from gateway.zenoh.node import ZenohNode
 from schemas.authority.proof import SIGNED
+from schemas.codec import Sample
 from schemas.exit_codes import CommandError
 from schemas.subjects import BY_NAME
 

@@ -20,11 +20,11 @@ from zenoh import ext
 from gateway.authority.name_proof import QUESTION_BYTES, NameProof, new_name_question
 from gateway.authority.signer import RobotSigner
 from gateway.telemetry.kept_samples import KeptSamples
-from gateway.telemetry.sample import Sample
 from gateway.zenoh.client import links_of
 from schemas import keys
 from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED
 from schemas.authority.statement import TEXT_MAX_BYTES
+from schemas.codec import Sample
 from schemas.egress import zenoh_rules
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.printable import plain

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import gateway.cli.gateway as command
 from gateway.cli.main import main
-from gateway.core import Core, TickEffects
+from gateway.command.flow import TickEffects
+from gateway.core import Core
 
 LATE_NS: list[int] = []
 CPU_S: list[float] = []

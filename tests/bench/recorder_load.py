@@ -27,8 +27,8 @@ from gateway.chassis.decode import Value
 from gateway.chassis.frame import Frame
 from gateway.core import Core
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
 from schemas import codec, keys
+from schemas.codec import Sample
 from schemas.egress import FULL, PROFILES
 from schemas.messages import CanFrames, Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings

@@ -15,6 +15,7 @@ from gateway.command.chassis_state import ChassisState
 from gateway.command.flow import CommandFlow
 from gateway.command.request import RawRequest
 from schemas import codec, keys
+from schemas.codec import Sample
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
 from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, RobotState
 from schemas.settings import TICK_NS, CommandSettings, Settings, ZenohSettings
@@ -28,6 +29,11 @@ from tests.support.rigs.arbiter import STANDING
 PATIENT = Settings(command=CommandSettings(deadman_s=PATIENT_DEADMAN_S))
 
 _SIGN = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
+
+
+def message_of(sample: Sample) -> Message | codec.PayloadFault:
+    """Read a sample."""
+    return codec.decode(BY_NAME[sample.subject], sample.payload)
 
 
 @dataclass(repr=False)
@@ -133,7 +139,8 @@ class FakeRobot:
             # A busy machine holds up its operators too: the time in which nobody could act does not pass for it.
             now_ns = self.now_ns = self.now_ns + TICK_NS
             due = self.flow.tick(self._chassis_state(), self._requests(), now_ns, time.time_ns(), 0, os.urandom(8))
-            messages = [*due.messages, *self.flow.sent(len(due.frames), now_ns, time.time_ns())]
+            samples = [*due.samples, *self.flow.sent(len(due.frames), now_ns, time.time_ns())]
+            messages = [read for one in samples if isinstance(read := message_of(one), Message)]
             # Before anybody hears of them: who has the reply may ask at once what was decided.
             self.decisions += [message for message in messages if isinstance(message, Decision)]
             for reply in due.replies:

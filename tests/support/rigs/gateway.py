@@ -22,8 +22,8 @@ from gateway.core import Core
 from gateway.sim.faults import FaultLine, parse
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
 from schemas import codec, decisions
+from schemas.codec import Sample
 from schemas.cruiser import SPEED_TOP_MPS
 from schemas.decisions import ArbiterState, Decision, Journal, SafetyEvent, SafetyState
 from schemas.messages import Mode, Variant

@@ -11,10 +11,10 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.client.robot import Robot
 from gateway.journal import reach
-from gateway.telemetry.sample import Sample
 from recorder.encoding.transcode import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
+from schemas.codec import Sample
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import Decision, Journal, SafetyEvent
 from schemas.messages import Message

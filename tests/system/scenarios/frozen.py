@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.telemetry.sample import Sample
+from schemas.codec import Sample
 from schemas.journal import Kind
 from schemas.settings import CommandSettings
 from tests.system.scenarios import early_stops

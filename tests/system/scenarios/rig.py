@@ -20,7 +20,7 @@ from gateway.guard.beat import Beat, GuardView
 from gateway.guard.guardian import Guardian
 from gateway.rerun.rerun import rerun
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
+from schemas.codec import Sample
 from schemas.decisions import Journal, StopPhase
 from schemas.settings import CommandSettings, Settings
 from tests.system.scenarios.plant import BODY, STEP_NS, CanFrame, Plant, checksum

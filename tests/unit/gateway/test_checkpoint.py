@@ -20,10 +20,11 @@ from gateway.chassis.encode import Encoder
 from gateway.chassis.layout import MessageLayout
 from gateway.checkpoint import CheckpointError, checkpoint
 from gateway.checkpoint_classes import RENAMED
-from gateway.core import Core, TickEffects
+from gateway.command.flow import TickEffects
+from gateway.core import Core
 from gateway.journal import Input, JournalWriter, follow, inputs_of
 from gateway.rerun.rerun import give, rerun, run_again, run_of
-from gateway.telemetry.sample import Sample
+from schemas.codec import Sample
 from schemas.decisions import ArbiterState
 from schemas.journal import Kind
 from schemas.messages import Variant

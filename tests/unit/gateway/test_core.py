@@ -14,8 +14,8 @@ from gateway.chassis.frame import ERROR, EXTENDED, Frame
 from gateway.command.request import RawRequest
 from gateway.core import Core
 from gateway.telemetry.health import Links
-from gateway.telemetry.sample import Sample
 from schemas import codec
+from schemas.codec import Sample
 from schemas.messages import (
     CanFrames,
     ControllerState,

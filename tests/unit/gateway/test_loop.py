@@ -14,14 +14,14 @@ from gateway import loop as loop_module
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
-from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.flow import CommandFlow, PendingReply, TickEffects
 from gateway.command.request import RawRequest
-from gateway.core import Core, TickEffects
+from gateway.core import Core
 from gateway.guard.beat import GuardView
 from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, LoopPorts, run
 from gateway.sim.model import VirtualChassis
-from gateway.telemetry.sample import Sample
 from schemas import codec
+from schemas.codec import Sample
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, Message, RobotState, Variant
 from schemas.reasons import TEXTS, Reason

@@ -8,7 +8,7 @@ from gateway.chassis.frame import Frame
 from gateway.command.snapshot import QUIET_NS
 from gateway.journal import inputs_of
 from gateway.rerun.rerun import WARM_UP_NS, rerun, run_again, run_of
-from gateway.telemetry.sample import Sample
+from schemas.codec import Sample
 from schemas.journal import Kind
 from tests.support.rigs.day import RestfulDay, restful_day
 

@@ -10,13 +10,13 @@ import pytest
 import zenoh
 from zenoh import ext
 
-from gateway.telemetry.sample import Sample
 from gateway.zenoh import late_node
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.inbox import CommandInbox, open_inbox
 from gateway.zenoh.late_node import Joined, LateInbox, LateNode
 from gateway.zenoh.node import ZenohNode, client_place, open_node
 from gateway.zenoh.router import open_local_router
+from schemas.codec import Sample
 from schemas.exit_codes import CommandError
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST

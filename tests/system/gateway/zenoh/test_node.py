@@ -9,9 +9,9 @@ from typing import Final
 import pytest
 import zenoh
 
-from gateway.telemetry.sample import Sample
 from gateway.zenoh import node as zenoh_node
 from gateway.zenoh.node import ZenohNode, open_node
+from schemas.codec import Sample
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_PIECE

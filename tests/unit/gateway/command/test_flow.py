@@ -11,6 +11,7 @@ from schemas.decisions import ArbiterState, Decision, Reply, SafetyState, StopPh
 from schemas.messages import Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import MUTE_FAILURES, YIELD_BURSTS, CommandSettings, Settings
+from tests.support.fakes.robot import message_of
 from tests.support.frames import CHALLENGE
 from tests.support.rigs.arbiter import MS, STANDING
 from tests.support.rigs.gateway import GatewayRig, driving, ready
@@ -38,8 +39,9 @@ def test_a_tick_makes_replies_and_messages() -> None:
     [reply] = due.replies
     assert (reply.handle, reply.verb) == (5, "acquire")
     assert msgspec.msgpack.decode(reply.payload, type=Reply).ok
-    assert [type(message).__name__ for message in due.messages] == ["SafetyEvent", "SafetyState"]
-    [decision] = made.sent(0, 10 * MS, WALL_NS)
+    assert [sample.subject for sample in due.samples] == ["safety/event", "safety/state"]
+    assert [message_of(due.samples[0])] == due.events
+    [decision] = map(message_of, made.sent(0, 10 * MS, WALL_NS))
     assert isinstance(decision, Decision)
     assert (decision.request, decision.frames_sent) == ("acquire", 0)
     assert made.sent(0, 10 * MS, WALL_NS) == [], "a tick is told once"
@@ -48,8 +50,9 @@ def test_a_tick_makes_replies_and_messages() -> None:
 def test_events_come_before_the_state_that_they_explain() -> None:
     """A state is not sent where nothing is due."""
     made = CommandFlow(Settings(), 7)
-    assert isinstance(made.tick(STANDING, [], 10 * MS, WALL_NS, 0, CHALLENGE).messages[0], SafetyState)
-    assert made.tick(STANDING, [], 20 * MS, WALL_NS, 0, CHALLENGE).messages == []
+    [state] = map(message_of, made.tick(STANDING, [], 10 * MS, WALL_NS, 0, CHALLENGE).samples)
+    assert isinstance(state, SafetyState)
+    assert made.tick(STANDING, [], 20 * MS, WALL_NS, 0, CHALLENGE).samples == []
 
 
 @pytest.mark.parametrize("taken", [True, False])

@@ -15,10 +15,10 @@ from gateway.core import Core
 from gateway.journal import BrokenJournalError, JournalGapError, read
 from gateway.rerun import rerun as module
 from gateway.rerun.rerun import give, rerun, run_again, run_of
-from gateway.telemetry.sample import Sample
 from recorder.encoding.transcode import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
+from schemas.codec import Sample
 from schemas.command_rules import COMMAND_RULES
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState

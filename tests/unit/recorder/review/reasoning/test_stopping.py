@@ -6,8 +6,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gateway.telemetry.sample import Sample
 from recorder.review.reasoning.chain import Step
+from schemas.codec import Sample
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
 from tests.support.messages import MS, SECOND

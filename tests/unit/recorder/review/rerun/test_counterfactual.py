@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.rerun.what_if import GivenOutput, what_if
-from gateway.telemetry.sample import Sample
 from recorder.reading.configurations import settings_from
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
@@ -25,7 +24,7 @@ from recorder.review.rerun.counterfactual import (
 from recorder.review.rerun.parallel import rerun_tasks
 from recorder.review.rerun.player import RerunPlayer
 from recorder.review.rerun.tried_settings import TriedSettings
-from schemas.codec import encode
+from schemas.codec import Sample, encode
 from schemas.decisions import EventKind, Journal, SafetyEvent, Severity, Verdict
 from schemas.messages import Message, Variant
 from schemas.reasons import Reason

@@ -13,7 +13,6 @@ from mcap.writer import Writer
 
 from gateway import core
 from gateway.rerun.rerun import rerun
-from gateway.telemetry.sample import Sample
 from recorder.reading.configurations import CONFIGURATION
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
@@ -21,7 +20,7 @@ from recorder.review.rerun.parallel import rerun_tasks
 from recorder.review.rerun.player import COMPARED, Rerun, RerunPlayer, RerunResult, rerun_parts
 from recorder.review.rerun.tried_settings import TriedSettings
 from schemas import codec
-from schemas.codec import encode
+from schemas.codec import Sample, encode
 from schemas.configuration import to_toml
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.journal import Kind
