@@ -72,6 +72,8 @@ class ChassisMonitor:
         chassis = self.chassis
         if chassis.is_slow and self.is_rest_confirmed:
             return "the robot stands"
+        if chassis.is_slow and self.is_rest_answered:
+            return "the robot comes to rest"
         if chassis.is_slow:
             return f"the speed reads 0, unchanged for {(now_ns - self._unchanged_ns) / 1e9:.1f} s, not confirmed"
         if not chassis.moves or chassis.fastest_mps is None:
@@ -93,6 +95,11 @@ class ChassisMonitor:
             self._is_parking_asked |= told.parking
             is_braked = self._was_released and self._is_parking_asked and chassis.brake is ParkingStatus.APPLIED
             self.is_rest_confirmed = self.stands and (self._has_risen or is_braked)
+
+    @property
+    def is_rest_answered(self) -> bool:
+        """Rest is confirmed, or only waits for speeds that answered the command to read slow for long enough."""
+        return self.is_rest_confirmed or (self._has_risen and not self.stands)
 
     @property
     def hits(self) -> list[Reason]:

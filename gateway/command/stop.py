@@ -224,7 +224,8 @@ class StopSequence:
         """Neither its brake holds a robot whose enables are gone, nor its motor one whose brake was released."""
         if self.phase is StopPhase.DISABLE:
             return feedback.moves
-        speed_mps = feedback.speed_mps or 0.0
+        # A robot that moves beyond all speeds that its chassis can report is held by nothing.
+        speed_mps = inf if feedback.speed_mps is None and feedback.moves else feedback.speed_mps or 0.0
         is_early = now_ns - self._begun_ns < MOTOR_HOLDS_NS
         # Noise of a bit each way is not faster.
         is_faster = not is_early and speed_mps > self._released_mps + RUNAWAY_RISE_MPS + _HAIR

@@ -120,7 +120,7 @@ class Verbs:
             Reason.HAND_TRANSMITTER: chassis.mode is Mode.REMOTE,
             Reason.OTHER_COMMANDER: self._monitor.is_commanded_by_other(now_ns),
             Reason.FEEDBACK_MISSING: chassis.fastest_mps is None,
-            Reason.NOT_CONFIRMED: chassis.is_slow and not self._monitor.is_rest_confirmed,
+            Reason.NOT_CONFIRMED: chassis.is_slow and not self._monitor.is_rest_answered,
         }
         obstacle = next((reason for reason, holds in obstacles.items() if holds), Reason.NONE)
         if obstacle is Reason.NONE:

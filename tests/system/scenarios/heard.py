@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from tests.system.scenarios.plant import BODY, DRIVE, REMOTE, WHEELS, CanFrame, checksum
+from tests.system.scenarios.plant import AUTO, BODY, DRIVE, REMOTE, WHEELS, CanFrame, checksum
 
 LATELY_S: Final = 0.15
 NEVER_S, NOT_YET_S = -9.0, 999.0
@@ -61,6 +61,12 @@ class Heard:
             raws = ((int.from_bytes(wheels[at : at + 2], "little") & self._mask) for at in (1, 3))
             speeds += [abs(raw - self._zero) * self._bit_mps for raw in raws]
         return max(speeds)
+
+    @property
+    def reads_auto(self) -> bool:
+        """The mode that arrived last, be it a damaged one whose checksum is right."""
+        body = self._payloads.get(BODY)
+        return body is None or body[5] & 3 == AUTO
 
     def greatest_mps(self, now_s: float) -> float:
         """The greatest speed that was seen lately."""

@@ -58,8 +58,8 @@ ANGLE_BIT_DEG: Final = 0.044
 GUARD_BRAKE_S: Final = 1.0
 """The guard knows a stop alone: while the robot slows down it waits so long at zero speed for it to stand."""
 
-PULSES_S: Final = 0.8
-"""Pulses of unknown length say this much later than the wheels' speeds which way the robot goes."""
+PULSES_S: Final = 0.85
+"""Pulses of unknown length say this much later than the wheels' speeds which way the robot goes: in 17 frames."""
 
 PAUSE_S: Final = 0.1
 """After a silence of this length a burst begins anew, and is not compared with the one before."""
@@ -75,10 +75,16 @@ LATCHING: Final = UNTRUE_SPEED | {"rolling", "remote_stop", "front_bumper", "rea
 TOLD_MPS, STANDS_MPS, FROZEN_MPS, FROZEN_TOLD_MPS = 0.3, 0.15, 0.05, 0.1
 """Told over the first and seen under the second; seen under the third while pulses or mileage count."""
 
+GATHERS_MPS: Final = 0.06
+"""A robot that is faster by this than a second before is on its way, however slow it is."""
+
 LEAD_MPS, LEAD_S = 0.5, 0.6
 """So far a rising speed may be ahead of the one that is seen: the greater of this and of so long a ramp."""
 
 RUNAWAY_MPS, RUNAWAY_RISE_MPS, RISE_S = 0.3, 0.08, 0.2
+
+ABSURD_MPS: Final = 3.0
+"""The chassis drives 8 km/h at the most: what reads more than this is a fault of the reading."""
 
 YIELDS: Final = 10
 """Bursts that may follow a takeover."""
@@ -230,7 +236,7 @@ class Oracle:
         self._heard = Heard(fine=fine)
         self._yields, self._begins_unknown = 0, False
         self._was_cut: bool | None = False
-        self._lately: deque[tuple[float, float]] = deque([(0.0, 0.0)] * 100, round(1 / TICK_S))
+        self._lately: deque[tuple[float, float, float]] = deque([(0.0, 0.0, 0.0)] * 100, round(1 / TICK_S))
         self._counted_m, self._latched_s, self._latched_m, self._told_range = 0.0, 0.0, inf, (0.0, 0.0)
         self._disturbed_until_s = self._frozen_wheels_s = -9.0
         self._left_mps: float | None = None
@@ -353,7 +359,8 @@ class Oracle:
             # Back in our hands, and maybe moving: from here on it is a stop like any other.
             self._begin_stop(now_s)
         self._was_excused = now_s < self._excused_until_s
-        self._lately.append((0.0 if self._order is None else self._order.signed_mps, plant.speed_mps))
+        told_mps = 0.0 if self._order is None else self._order.signed_mps
+        self._lately.append((told_mps, plant.speed_mps, self._heard.speed_mps))
         self._judge_remote(plant, now_s)
         self._judge_roll_back(plant, now_s)
         self._judge_stop(plant, now_s)
@@ -406,7 +413,7 @@ class Oracle:
         lateral_mps2 = order.speed_mps**2 * tan(radians(abs(order.angle_deg))) / WHEELBASE_M
         last = order if before is None else before
         # Out of auto it obeys nobody: a stop begins anew, with the gear and at the angle that are seen.
-        is_auto = order.enabled and self._plant is not None and self._plant.mode == AUTO
+        is_auto = order.enabled and self._plant is not None and self._plant.mode == AUTO and self._heard.reads_auto
         obeys = is_auto and last.enabled and self._was_auto
         shifts = obeys and order.gear != last.gear
         allowed_mps2 = limits.lateral_acceleration_mps2 + 0.03 + 2 * order.speed_mps * self._bit_mps
@@ -716,8 +723,7 @@ class Oracle:
             self._judge_start(plant, now_s)
             return
         self._best_m = None
-        if not plant.can_hold:
-            self._rest_bound_m = max(self._rest_bound_m, _dead_motor_m(plant))
+        self._rest_bound_m = max(self._rest_bound_m, _unheld_m(plant))
         if self._rest_m is None:
             if not self._rest_sign:
                 self._rest_sign = 1.0 if speed_mps > 0 else -1.0 if speed_mps < 0 else 0.0
@@ -741,7 +747,14 @@ class Oracle:
         if self._latched:
             self._latched_m = plant.x_m
         rolled_m = min(rolled_m, abs(plant.x_m - self._latched_m))
-        if not plant.brake_holds and rolled_m > STOP_M / 2 and not self._latched and self._gateway_lives:
+        is_seen = not plant.creeps_unseen
+        if (
+            not plant.brake_holds
+            and is_seen
+            and rolled_m > STOP_M / 2
+            and not self._latched
+            and self._gateway_lives
+        ):
             self._fail("brake_unnoticed", now_s, f"{rolled_m:.2f} m, {'braked' if plant.braked else 'released'}")
 
     def _judge_start(self, plant: Plant, now_s: float) -> None:
@@ -872,7 +885,9 @@ class Oracle:
             risen_mps = (plant.speed_mps - self._lately[-round(RISE_S / TICK_S)][1]) * sign - 2 * self._bit_mps
             dies = over_mps > RUNAWAY_MPS and risen_mps > RUNAWAY_RISE_MPS and not plant.frozen & {DRIVE, WHEELS}
             lasts_s = self._timer(f"dies{sign}").lasts(now_s, holds=dies and not order.parking)
-            if lasts_s > 0.1 + SEEING_S and not self._is_guards:
+            # A speed beyond the chassis is not believed. Half a second later no speed is received at all.
+            absurd_s = 0.5 if abs(plant.speed_mps) > ABSURD_MPS else 0.0
+            if lasts_s > 0.1 + SEEING_S + absurd_s and not self._is_guards:
                 self._fail("runaway_unbraked", now_s, f"{plant.speed_mps:.2f} m/s, told {order.signed_mps:.2f}")
 
     def _judge_seen(self, plant: Plant, order: Told, now_s: float) -> None:
@@ -892,9 +907,12 @@ class Oracle:
         rises = abs(plant.speed_mps) * plant.build.pulses_per_m * PULSES_EVERY_S > 2 and PULSES not in plant.frozen
         if not counts or BODY in plant.frozen:
             self._counted_m = plant.travelled_m
+        # Loaded, uphill, with a weak battery it gathers speed, and that is no false stop's business.
+        gathers = seen_mps > self._lately[0][2] + GATHERS_MPS
+        stands = told_mps > TOLD_MPS and seen_mps < STANDS_MPS and not gathers
         # Which, by which rule, after which time beyond that of seeing it.
         rows = (
-            ("stands", "not_moving_unnoticed", 1.0 + LAGGING_S, told_mps > TOLD_MPS and seen_mps < STANDS_MPS),
+            ("stands", "not_moving_unnoticed", 1.0 + LAGGING_S, stands),
             ("frozen", "frozen_unnoticed", 0.0, is_frozen),
             ("pulses", "frozen_pulses_unnoticed", PULSES_S, counts and rises),
             ("mileage", "frozen_mileage_unnoticed", 0.0, plant.travelled_m - self._counted_m > 3.0),
@@ -987,14 +1005,16 @@ class Oracle:
         adrift = (
             self._mode(plant) == STOP and not plant.braked and abs(plant.speed_mps) > 0.15 and not plant.is_away
         )
+        adrift = adrift and self._is_reachable(now_s)
         adrift_s = self._timer("adrift").lasts(now_s, holds=adrift and self._gateway_lives)
         if adrift_s > 0.2 + 2 * SEEING_S and (order is None or not order.parking):
             self._fail("mode_stop_moving", now_s, f"{plant.speed_mps:.2f} m/s in mode stop, and nothing is told")
 
-    def expect_rest(self, now_s: float, kind: str) -> None:
-        """By now the robot must stand with its parking brake applied."""
+    def expect_rest(self, now_s: float, kind: str, since_s: float) -> None:
+        """By now the robot must stand with its parking brake applied, if nobody has engaged it since then."""
         plant = self._plant
-        if plant is None or self._is_permitted or not self._is_reachable(now_s):
+        is_engaged = self._is_permitted or self._engaged_s > since_s
+        if plant is None or is_engaged or not self._is_reachable(now_s):
             return
         if abs(plant.speed_mps) > 0.02 or not plant.braked:
             how = "braked" if plant.braked else "not braked"
@@ -1023,6 +1043,13 @@ def _brief(order: Told) -> str:
     return f"{on:3} {'?PRND???'[order.gear]}{brake} {order.speed_mps:5.3f} {order.angle_deg:5.1f}"
 
 
+def _unheld_m(plant: Plant) -> float:
+    """How much further than by the rules a robot may roll whose motor, or whose brake, does not hold it."""
+    if not plant.can_hold:
+        return _dead_motor_m(plant)
+    return 0.0 if plant.brake_holds else _slipping_m(plant) - STOP_M
+
+
 def _dead_motor_m(plant: Plant) -> float:
     """How far a robot rolls that nothing holds, until the rule on rolling has closed the parking brake.
 
@@ -1032,3 +1059,16 @@ def _dead_motor_m(plant: Plant) -> float:
     pull = abs(plant.load_mps2)
     free_s = 0.1 + SEEING_S + plant.build.brake_delay_s
     return pull * free_s**2 / 2 + (pull * free_s) ** 2 / (2 * (PARKING_MPS2 - pull))
+
+
+def _slipping_m(plant: Plant) -> float:
+    """How far a robot rolls behind a brake without any grip, until the motor has it.
+
+    Gravity alone has it for the 0.1 s of the rule on rolling, the 20 ms between two frames, a tick, and until the
+    brake has opened. Then the motor slows it, with the lag of its drive.
+    """
+    pull = abs(plant.load_mps2)
+    free_s = 0.1 + 3 * TICK_S + plant.build.brake_delay_s
+    speed_mps = pull * free_s
+    slowing_m = max(speed_mps * plant.build.drive_lag_s, speed_mps**2 / (2 * plant.slows_mps2))
+    return pull * free_s**2 / 2 + slowing_m

@@ -225,6 +225,11 @@ class Plant:
         return pull <= 0 or (not self.brake_creep_mps and pull <= self._grip_mps2)
 
     @property
+    def creeps_unseen(self) -> bool:
+        """So slowly that the speeds read zero, and that not each 50 ms bring a pulse of either wheel."""
+        return 0 < self.brake_creep_mps * 2 * self.build.pulses_per_m * 0.05 < 1
+
+    @property
     def _grip_mps2(self) -> float:
         return PARKING_MPS2 * self.brake_grip * cos(radians(self.slope_deg))
 

@@ -518,7 +518,7 @@ class Play:
                 (1.2, lambda now_s: oracle.expect_frames(now_s, "found_moving_ignored")),
                 (
                     1.2 + plan.found_mps / plan.command.deceleration_mps2 + 4.0,
-                    lambda now_s: oracle.expect_rest(now_s, "found_moving_no_rest"),
+                    lambda now_s: oracle.expect_rest(now_s, "found_moving_no_rest", 0.0),
                 ),
             ]
             self.rig.operator.wait_until(8.0)
@@ -544,7 +544,7 @@ class Play:
             rest_s = now_s + speed_mps / self.plan.command.deceleration_mps2 + 4.0
             if rig.dead and next_s > rest_s:
                 # One that comes back may drive again by then.
-                self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest")))
+                self._checks.append((rest_s, lambda at_s: oracle.expect_rest(at_s, "guard_no_rest", now_s)))
             oracle.gateway_fails(now_s)
 
     def _revive_gateway(self, now_s: float) -> None:
@@ -552,14 +552,13 @@ class Play:
         self.rig.hangs = False
 
     def _begin_gateway(self, now_s: float) -> None:
-        del now_s
         rig, oracle = self.rig, self.oracle
         if self.plan.guard_dies and oracle.is_commanded and abs(self.plant.speed_mps) > MOVES_MPS:
             rest_s = rig.now_s + 1.0 + abs(self.plant.speed_mps) / self.plan.command.deceleration_mps2 + 4.0
             self._checks += [
                 (rig.now_s + 1.2, lambda at_s: oracle.expect_frames(at_s, "found_moving_ignored")),
                 (rig.now_s + 1.2, lambda at_s: oracle.expect_latched(at_s, "found_moving_not_latched")),
-                (rest_s, lambda at_s: oracle.expect_rest(at_s, "found_moving_no_rest")),
+                (rest_s, lambda at_s: oracle.expect_rest(at_s, "found_moving_no_rest", now_s)),
             ]
         self.gateway = Gateway(
             self._settings,

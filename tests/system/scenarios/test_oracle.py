@@ -21,12 +21,15 @@ from tests.system.scenarios.plant import (
     GEAR_N,
     GEAR_R,
     LIGHT_CMD,
+    MOTOR_N,
     PARKING_CMD,
     PERIOD_STEPS,
     PULSES,
     REMOTE,
+    ROLLING_MPS2,
     STEERING_CMD,
     STEP_S,
+    STOP,
     WHEELS,
     Build,
     Plant,
@@ -151,6 +154,16 @@ def a_damaged_speed(stage: Stage) -> None:
     stage.run(0.3, lambda: stage.burst(GEAR_D, parking=1))
 
 
+def a_damaged_mode(stage: Stage) -> None:
+    """A frame that passes for whole says that nobody commands: the stop begins anew, at the angle that is seen."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    for tick in range(40):
+        stage.run(0.01, partial(stage.burst, GEAR_D, raw_angle=2048 + 4 * tick))
+    payload = bytes([0, 0, 0, 0, 0, STOP, 0])
+    stage.oracle.hears([(BODY, payload + bytes([checksum(payload)]))], stage.now_s)
+    stage.burst(GEAR_D, parking=1)
+
+
 def too_fast_unseen(stage: Stage) -> None:
     """Drive and wheels are frozen: no speed is measured that could be over the limit."""
     stage.accelerate()
@@ -249,6 +262,24 @@ def given_back(stage: Stage, after_s: float, hand: tuple[float, float] | None) -
 def pushed_for_good(stage: Stage) -> None:
     """Somebody pushes it once its motor has held it: it is braked for good."""
     given_back(stage, 1.0, (-0.5, 2000.0))
+
+
+def gathers_speed(stage: Stage) -> None:
+    """A motor that is hardly enough for it sets the robot going, by 0.07 m/s in a second."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    stage.plant.motor_strength = stage.plant.build.mass_kg * (ROLLING_MPS2 + 0.07) / MOTOR_N
+    stage.asked_mps = 0.4
+    for tick in range(212):
+        stage.run(0.01, partial(stage.burst, GEAR_D, min(0.4, 0.008 * tick)))
+
+
+def creeps_unseen(stage: Stage) -> None:
+    """Behind its brake it creeps, so slowly that not each 50 ms bring a pulse."""
+    stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
+    stage.plant.build = replace(stage.plant.build, pulses_per_m=200.0)
+    stage.plant.brake_creep_mps = 0.02
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
+    stage.run(10.0, lambda: stage.burst(GEAR_N, parking=1))
 
 
 def given_back_in_vain(stage: Stage) -> None:
@@ -703,6 +734,7 @@ KEEPS: list[Callable[[Stage], None]] = [
     yields_twice,
     found_after_a_crash,
     a_damaged_speed,
+    a_damaged_mode,
     too_fast_unseen,
     fails_parked,
     pushed_for_good,
@@ -712,6 +744,8 @@ KEEPS: list[Callable[[Stage], None]] = [
     bus_away,
     lamps_are_cut_off,
     yields_held_by_its_motor,
+    gathers_speed,
+    creeps_unseen,
 ]
 
 

@@ -932,6 +932,18 @@ def test_a_robot_stands_only_if_its_feedback_has_answered() -> None:
     assert [event.text for event in rig.events if event.kind is EventKind.STOPPED][-1].endswith("and stands")
 
 
+def test_a_stop_asked_in_the_last_tenth_before_standstill_is_as_good_as_any() -> None:
+    """The same row: speeds that rose and fell have answered; only the time for which they read slow is missing."""
+    rig, operator = driving(0.5)
+    replies = {}
+    for _ in range(300):
+        handle = operator.ask("stop")
+        rig.tick()
+        replies[rig.replies[handle].detail] = rig.replies[handle].ok
+    assert all(replies.values()), replies
+    assert list(replies)[-2:] == ["the robot comes to rest", "the robot stands"]
+
+
 def test_a_robot_that_stands_is_held_by_its_parking_brake_and_goes_on_by_a_drive_command() -> None:
     """Row 'standing': in gear at zero speed, parking brake after 1 s; unpark once allows the next."""
     rig, operator = driving(0.5)

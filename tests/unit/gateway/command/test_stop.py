@@ -288,6 +288,18 @@ def test_a_robot_that_is_given_back_to_its_motor_is_braked_again_if_it_becomes_f
     assert stop.run(HELD, 60_000).enabled
 
 
+@pytest.mark.parametrize(("unread", "is_braked"), [(StopFeedback(moves=True), True), (StopFeedback(), False)])
+def test_a_robot_that_moves_beyond_what_can_be_read_is_held_by_no_motor(
+    unread: StopFeedback,
+    is_braked: bool,  # noqa: FBT001 - a case of the table
+) -> None:
+    """The same row: seen by the pulses alone it is faster. A robot of which nothing is received is not."""
+    stop = Run(Actuation(enabled=True, gear=DRIVE, parking=True))
+    stop.sequence.release(0)
+    stop.run(moving(0.2), 310)
+    assert stop.run(unread, 50).parking is is_braked
+
+
 def test_noise_is_not_faster_for_a_robot_that_its_motor_holds() -> None:
     """The same: a robot at rest whose coarse speeds flicker by a bit each way is not given to its brake again."""
     stop = Run(Actuation(enabled=True, gear=DRIVE, parking=True))
