@@ -336,6 +336,8 @@ class Oracle:
             self._judge_hazard(now_s, is_due=by_guard or (bool(self._latched) and not self._is_permitted))
         elif frames and set(MOTION_CMDS) <= self._bytes.keys():
             self._order, self._order_s = told(self._bytes, fine=self._fine), now_s
+        if frames and self._order is not None and not by_guard:
+            self._left_mps = self._order.speed_mps
 
     def motion(self, plant: Plant, now_s: float, *, gateway_lives: bool) -> None:
         self._plant = plant
@@ -528,7 +530,6 @@ class Oracle:
             return
         if not self._gateway_lives:
             return
-        self._left_mps = order.speed_mps
         is_yielded = self._heard.remote_s != NOT_YET_S and not self.is_damaged()
         is_held = order.parking or self._trust.is_given_back
         if is_yielded and order.enabled and (order.speed_mps or not is_held):
