@@ -795,7 +795,8 @@ class Oracle:
         slows_mps2 = self._limits.deceleration_mps2
         # 0.3 s until it is seen not to slow, the brake's delay and the drive's lag, then the lesser of the ramp
         # and of what the parking brake has left on this hill.
-        grip = (PARKING_MPS2 + 0.2) - abs(plant.load_mps2)
+        worn_mps2 = _worn_mps2(plant)
+        grip = min(worn_mps2, PARKING_MPS2 + 0.2 - abs(plant.load_mps2))
         reach_m = abs(speed_mps) * (0.6 + plant.build.brake_delay_s + self._lag_s)
         reach_m += (abs(speed_mps) + 0.5) ** 2 / (2 * min(slows_mps2, grip)) + STOP_M
         if not self._follows(plant):
@@ -803,7 +804,7 @@ class Oracle:
             reach_m += 0.75 * speed_mps**2 / slows_mps2
         if abs(plant.x_m - x_m) > reach_m:
             self._fail("stop_distance", now_s, f"{abs(plant.x_m - x_m):.1f} m from {speed_mps:.2f} m/s")
-        due_s = abs(speed_mps) / slows_mps2 + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
+        due_s = abs(speed_mps) / min(slows_mps2, worn_mps2) + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
         if now_s - began_s > due_s:
             self._stop_record = None
             # One that was given back and stands in mode stop is told nothing, and one whose mode frame is frozen.
@@ -1042,6 +1043,11 @@ def _brief(order: Told) -> str:
     """Enables, gear, parking request, speed and angle, for a person."""
     brake, on = "P" if order.parking else "-", "on" if order.enabled else "off"
     return f"{on:3} {'?PRND???'[order.gear]}{brake} {order.speed_mps:5.3f} {order.angle_deg:5.1f}"
+
+
+def _worn_mps2(plant: Plant) -> float:
+    """How fast a worn parking brake slows a robot that it holds once it stands; no bound for a good one."""
+    return plant.brake_slows_mps2 if plant.brake_holds and plant.brake_grip < 1 else inf
 
 
 def _unheld_m(plant: Plant) -> float:

@@ -230,6 +230,11 @@ class Plant:
         return 0 < self.brake_creep_mps * 2 * self.build.pulses_per_m * 0.05 < 1
 
     @property
+    def brake_slows_mps2(self) -> float:
+        """How fast the parking brake can bring the robot to rest on this hill, going down."""
+        return self._grip_mps2 + ROLLING_MPS2 - abs(self.load_mps2)
+
+    @property
     def _grip_mps2(self) -> float:
         return PARKING_MPS2 * self.brake_grip * cos(radians(self.slope_deg))
 
