@@ -43,6 +43,9 @@ BUDGET_S_PER_BYTE: Final = 1e-6
 """Time added to ``BUDGET_S`` for each byte of the logs: a second a megabyte."""
 
 
+LAST_NS: Final = 2**63 - 1
+"""The last time that 64 bits with a sign hold, in nanoseconds since 1970; MCAP's times have no sign."""
+
 LITTLE_BYTES: Final = 4_000_000
 """Logs that have less in all are done before another process has begun."""
 
@@ -189,6 +192,11 @@ def find(
     logs = find_logs(paths, faults, with_covered=with_covered, known=known, stored=stored)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
+    late = [log.name for log in logs if log.end_ns > LAST_NS]
+    if late:
+        more = f" and {len(late) - 1} more" if len(late) > 1 else ""
+        text = "holds log times after 2262-04-11, which no table can hold: they become the last time that it can"
+        sys.stderr.write(f"cruiser review: {plain(late[0])}{more} {text}\n")
     begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)
     from_ns = 0 if begin is None else time_of(begin, start_ns, end_ns)
     to_ns = END_OF_TIME_NS if end is None else time_of(end, start_ns, end_ns)

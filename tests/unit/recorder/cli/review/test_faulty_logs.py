@@ -3,6 +3,7 @@
 import fcntl
 import json
 import tracemalloc
+from contextlib import suppress
 from pathlib import Path
 
 import lz4.frame
@@ -18,7 +19,7 @@ from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock, content_of
 from recorder.mcap.reader import DamagedError
 from schemas.exit_codes import CommandError, ExitCode
 from tests.support.commands import review
-from tests.support.logs import gears, own_log, saved
+from tests.support.logs import gear_message, gears, own_log, saved
 from tests.support.rigs import scenarios as log_scenarios
 
 OTHERS = {"evidence", "find", "query", "recover", "replay", "rerun"}
@@ -104,6 +105,20 @@ def test_of_several_files_the_readable_are_answered(
     assert shown.out
     assert "b.mcap is no MCAP file" in shown.err
     assert "none.mcap: No such file" in shown.err
+
+
+@pytest.mark.parametrize("question", [*READERS, "query"])
+def test_times_beyond_63_bits_are_said_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
+) -> None:
+    """MCAP allows them, and no table holds them."""
+    monkeypatch.chdir(tmp_path)
+    late = [(1, number, 2**63 + number, gear_message(number, 1)[3]) for number in range(3, 6)]
+    path = saved(tmp_path / "late.mcap", own_log([gears(0, 3, 1000), late[:1], late[1:]]))
+    words = (*WRITE.get(question, ()), path) if question != "query" else ("SELECT 1", path)
+    with suppress(CommandError):
+        review(question, *words)
+    assert capsys.readouterr().err.count("after 2262-04-11") == 1
 
 
 def test_zeros_are_no_records() -> None:

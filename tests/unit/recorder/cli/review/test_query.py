@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -74,6 +75,20 @@ def test_programs_get_json_or_csv(asked: Path, capsys: pytest.CaptureFixture[str
         '"sequence","log_time","data"',
         '0,"2027-01-15T08:00:00.000000000Z","0104000000000005"',
     ]
+
+
+def test_the_statement_of_the_page_takes_what_two_recorders_have_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each log is read as it is, so without it all is there twice."""
+    page = (Path(__file__).parents[5] / "docs" / "review.md").read_text("utf-8")
+    (once,) = re.findall(r"`(SELECT DISTINCT ON .*?)` takes", page)
+    logs = [saved(tmp_path / name, drive_log()) for name in ("1.mcap", "2.mcap")]
+    counts = []
+    for part in ("SELECT *", once):
+        assert run("query", "--csv", f"{part} FROM chassis_gear", *logs) == ExitCode.OK
+        counts.append(len(capsys.readouterr().out.splitlines()) - 1)
+    assert counts == [40, 20]
 
 
 def test_an_empty_answer_is_one(asked: Path, capsys: pytest.CaptureFixture[str]) -> None:
