@@ -50,8 +50,8 @@ from recorder.record.robots import Robots
 from recorder.record.statements import Statements
 from schemas import keys
 from schemas.authority.trust import Trust
-from schemas.decisions import EventKind, SafetyEvent, Severity, SignedStatement
-from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message
+from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity, SignedStatement
+from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message, RobotState
 from schemas.printable import short
 from schemas.recorder_settings import OWNED_KEY_LIMIT
 from schemas.recording import GapReason, RecorderEvent, RecordGap
@@ -67,6 +67,9 @@ the shortest time between two files, however often another one is asked for."""
 
 CONTINUED_NAME: Final = "cruiser.continued"
 """The metadata record with the number of a log's file, and why the file before it ended."""
+
+STANDING_MPS: Final = 0.05
+"""A robot that reads a lower speed stands."""
 
 LATEST_NAME: Final = "cruiser.latest"
 """The metadata record with the newest state of each topic when this file began, as JSON, with its log time.
@@ -335,8 +338,19 @@ class RobotLog:
                 self.ended_ticks[sample.key] = message.tick
             # An event that a gateway had kept is long past.
             is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
-            if is_alarm and not sample.is_reply:
+            is_grave = message.severity is Severity.ERROR or not self._is_idle(sample.key)
+            if is_alarm and is_grave and not sample.is_reply:
                 self.raise_alarm(short(f"{message.kind.value}: {message.text}"), now_ns, log_ns)
+
+    def _is_idle(self, event_key: str) -> bool:
+        """Report whether the robot is known to stand by, without a lease, at standstill."""
+        robot = event_key.removesuffix(BY_TYPE[SafetyEvent].name)
+        routes = (self.channels.get(f"{robot}{BY_TYPE[kind].name}") for kind in (SafetyState, RobotState))
+        arbiter, state = (None if route is None else route.latest.message for route in routes)
+        if not isinstance(arbiter, SafetyState) or not isinstance(state, RobotState) or state.speed_mps is None:
+            return False
+        is_held = bool(arbiter.lease_holder) or arbiter.state is not ArbiterState.STANDBY
+        return not is_held and abs(state.speed_mps) < STANDING_MPS
 
     def _count_bus(self, key: str, health: GatewayHealth) -> None:
         parts = keys.parse(key)

@@ -35,7 +35,7 @@ from recorder.record.channels import ChannelQuota
 from recorder.record.notices import Opened
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas import codec, keys
-from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState, Severity
+from schemas.decisions import ArbiterState, Decision, EventKind, Journal, SafetyEvent, SafetyState, Severity
 from schemas.messages import CanFrames, FrameHealth, GatewayHealth, GatewayInfo, Gear, Message
 from schemas.recording import GapReason, RecordGap
 from schemas.snake_case import snake_case
@@ -48,6 +48,7 @@ from tests.support.messages import (
     SECOND,
     WALL_NS,
     FakeSample,
+    arbiter,
     batch,
     feedback,
     gear,
@@ -55,6 +56,7 @@ from tests.support.messages import (
     key_of,
     safety_event,
     sample_of,
+    state,
 )
 from tests.support.strategies import TEXTS, message_of, subjects_and_messages
 
@@ -574,6 +576,32 @@ def test_an_event_of_the_kinds_that_were_asked_for_is_an_alarm(
     assert last.log == ("x!" if is_alarm else "x")
     if is_alarm:
         assert log.log.incidents.about["because"] == f"{kind.value}: as it were"
+
+
+@pytest.mark.parametrize(
+    ("severity", "arbiter_says", "speed_mps", "incidents"),
+    [
+        (Severity.WARNING, {"lease_holder": "operator-1"}, 0.0, 1),
+        (Severity.WARNING, {"state": ArbiterState.STOPPING}, 0.0, 1),
+        (Severity.WARNING, {}, 0.3, 1),
+        (Severity.WARNING, {}, -0.3, 1),
+        (Severity.WARNING, {}, None, 1),
+        (Severity.WARNING, None, 0.0, 1),
+        (Severity.WARNING, {}, 0.0, 0),
+        (Severity.ERROR, {}, 0.0, 1),
+    ],
+)
+def test_a_warning_of_an_idle_robot_is_no_incident(
+    severity: Severity, arbiter_says: dict[str, object] | None, speed_mps: float | None, incidents: int
+) -> None:
+    """Idle is one that is known to stand by at rest, without a lease."""
+    log = Log(msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.FAULT})))
+    log.receive(sample_of(state(0, speed_mps=speed_mps)))
+    if arbiter_says is not None:
+        idle: dict[str, object] = {"state": ArbiterState.STANDBY, "engaged": False, "lease_holder": ""}
+        log.receive(sample_of(arbiter(0, **idle | arbiter_says)))
+    log.receive(sample_of(safety_event(EventKind.FAULT, severity)))
+    assert log.context.incidents == incidents
 
 
 def test_a_batch_becomes_as_many_chunks_as_it_needs() -> None:
