@@ -202,7 +202,8 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
         "the error state of the CAN controller has changed", "look at cables, termination and bit rate"
     ),
     Reason.FEEDBACK_MISSING: Text(
-        "feedback of the chassis is missing", "see 'cruiser watch ROBOT' for which frames are silent"
+        "feedback of the chassis is missing",
+        "look at the chassis's power and the CAN cable; 'cruiser watch ROBOT' shows which frames are silent now",
     ),
     Reason.FEEDBACK_FAULTY: Text(
         "feedback of the chassis fails its checksum or counter",
@@ -229,7 +230,10 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     Reason.REAR_BUMPER: Text(
         "the rear bumper was hit", f"{RESET}drive forward ('cruiser drive ROBOT') until it is clear{_BOTH}"
     ),
-    Reason.IMPLAUSIBLE_SPEED: Text("the speeds do not fit each other or the command", _RESET),
+    Reason.IMPLAUSIBLE_SPEED: Text(
+        "the speeds do not fit each other or the command",
+        f"look at the wheels, and at chassis.variant, which may be set wrong; then {RESET}{ENGAGE}",
+    ),
     Reason.FOUND_MOVING: Text(
         "the chassis was found moving, or not held, and nobody commanded it",
         f"look for what moved it, and at its parking brake, then {ENGAGE}",
@@ -339,6 +343,18 @@ OF_A_ROBOT: Final[dict[Reason, Text]] = _Texts(
 AS_ASKED: Final = frozenset({Reason.DISENGAGED, Reason.IDLE, Reason.LEASE_RELEASED, Reason.SHUTDOWN})
 """Ends that the driver, or who runs the gateway, asked for or left to happen: nothing is wrong, at any speed."""
 
+ASKED_BY: Final = frozenset(
+    {
+        Reason.DISENGAGED,
+        Reason.LEASE_RELEASED,
+        Reason.LEASE_TAKEN,
+        Reason.REMOTE_STOP,
+        Reason.STOPPED_BY_OTHER,
+        Reason.HAND_TRANSMITTER,
+    }
+)
+"""Reasons whose operator did it; with every other the operator is whom it befell."""
+
 NO_STOP: Final = frozenset({Reason.HAND_TRANSMITTER, Reason.BUS_DOWN})
 """While one of these holds, a remote stop cannot be carried out."""
 
@@ -346,7 +362,10 @@ NO_STOP: Final = frozenset({Reason.HAND_TRANSMITTER, Reason.BUS_DOWN})
 def of_a_robot(reason: Reason, beside: Collection[Reason]) -> Text:
     """A reason for which a robot stands still, beside others: what these forbid is no cure."""
     if reason is Reason.MOVING and not NO_STOP.isdisjoint(beside):
-        return Text(TEXTS[reason].means, "wait until it stands")
+        drives = (
+            "; the remote control drives it: let go of its sticks" if Reason.HAND_TRANSMITTER in beside else ""
+        )
+        return Text(TEXTS[reason].means, f"wait until it stands{drives}")
     return OF_A_ROBOT[reason]
 
 

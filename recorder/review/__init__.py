@@ -4,7 +4,8 @@
 - ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``)
 - ``cut``                a part of a log, as a log
 - ``events``             what happened (``entries``, ``stops``, ``repeats``, ``clock``)
-- ``why``                why the robot stopped or stood (``reasoning``)
+- ``why``                why the robot stopped or stood (``story``, ``moment``, ``stopping``, ``evidence``,
+  ``window``, ``chain``)
 - ``verify``             who commanded, with which grant; is each file as it was signed (``verifying``)
 - ``drives``             drives, distances and stops, as report, catalog and searches count them
 - ``rerun``              the recorded run again, with its settings or with others

@@ -159,7 +159,7 @@ class RobotTrack:
         name: empty for what is no robot's.
         stops: its stops.
         state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
-            ``state_sequence``.
+            ``state_sequence``; its run was heard first at ``run_since_ns``.
         ended_tick: the tick of the last announcement of a shutdown; None if there was none.
         health: the newest; ``health_ns``, when it was.
         is_shared: two gateways speak under its name.
@@ -172,7 +172,7 @@ class RobotTrack:
         self.clock = RobotClock()
         self.stops = Stops()
         self.state: SafetyState | None = None
-        self.state_ns = self.state_log_ns = self.state_sequence = 0
+        self.state_ns = self.state_log_ns = self.state_sequence = self.run_since_ns = 0
         self.ended_tick: int | None = None
         self.health: GatewayHealth | None = None
         self.health_ns = 0
@@ -233,6 +233,7 @@ class RobotTrack:
             self._holders.append(state.lease_holder)
         if not self._state_runs or not is_same_run(state.tick, self._state_runs[-1]):
             self._state_runs.append(state.tick)
+            self.run_since_ns = time_ns
         self.state, self.state_sequence = state, sequence
         self.state_ns, self.state_log_ns = time_ns, log_ns
 
@@ -471,20 +472,23 @@ class Timeline:
         if robot.is_shared:
             robot.state, robot.state_ns, robot.state_log_ns = state, robot.place(row), row.log_ns
             return
-        said = robot.clock.hear(state.tick, row.publish_ns, row.log_ns)
+        said, would_be_ns = robot.clock.hear(state.tick, row.publish_ns, row.log_ns), 0
         time_ns = robot.place(row, state.tick)
         if was is not None and is_other_run:
             self._take_other_run(robot, time_ns)
         elif was is not None:
             if state.tick <= was.tick:
                 return
-            said = self._take_step(robot, state, was, time_ns) or said
+            step_ns = self._take_step(robot, state, was, time_ns)
+            if step_ns:
+                said, would_be_ns = f"the computer's clock was set by {step_ns / 1e9:+.1f} s", time_ns - step_ns
             self._look_for_silence(robot, row, state, was, time_ns)
             if _says(state) != _says(was):
                 for change in changes(was, state):
                     self._hold(_entry_of(change, robot.name, time_ns, state.lease_holder), change)
         if said:
-            self._hold(_plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, EntrySource.LOG))
+            entry = _plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, EntrySource.LOG)
+            self._hold(msgspec.structs.replace(entry, last_ns=max(time_ns, would_be_ns)))
         robot.hear_state(state, row.sequence, time_ns, row.log_ns)
 
     def _share(self, robot: RobotTrack, time_ns: int) -> None:
@@ -510,14 +514,14 @@ class Timeline:
         text += f"; the one before was {left}" if active else ""
         robot.begun.append(self._hold(_plain(robot.name, EntryKind.GATEWAY, severity, time_ns, text)))
 
-    def _take_step(self, robot: RobotTrack, state: SafetyState, was: SafetyState, time_ns: int) -> str:
-        """A clock that was set back, by the ticks; returns that in words, else nothing."""
+    def _take_step(self, robot: RobotTrack, state: SafetyState, was: SafetyState, time_ns: int) -> int:
+        """A clock that was set back, by the ticks; returns by how much, else 0. The entry lasts as long."""
         by_ns = time_ns - robot.state_ns - robot.clock.corrected_ns - (state.tick - was.tick) * TICK_NS
         if by_ns >= -NEAR_NS or time_ns >= robot.state_ns:
-            return ""
+            return 0
         before_ns = robot.steps[-1][1] if robot.steps else 0
         robot.steps.append((state.tick, before_ns + by_ns))
-        return f"the computer's clock was set by {by_ns / 1e9:+.1f} s"
+        return by_ns
 
     def _look_for_silence(
         self, robot: RobotTrack, row: Row, state: SafetyState, was: SafetyState, time_ns: int
@@ -530,11 +534,7 @@ class Timeline:
         if stood_ns:
             robot.hung = (was_ns, time_ns)
         if robot.died is not None:
-            heard_ns = row.log_ns - robot.state_log_ns
-            how = "its loop had stood still" if stood_ns else "it had run on: the recorder or the link stood still"
-            text = f"the recorder heard nothing of the gateway for {heard_ns / 1e9:.1f} s, and then the same again"
-            robot.died.correct(text=f"{text}: {how}", severity=Severity.WARNING)
-            robot.died = None
+            self._revive(robot, robot.died, row.log_ns - robot.state_log_ns)
         if silent_ns <= SILENT_NS:
             return
         ticks = state.tick - was.tick
@@ -544,6 +544,17 @@ class Timeline:
         entry = _plain(robot.name, EntryKind.GAP, Severity.WARNING, was_ns, text, EntrySource.LOG)
         held = self._hold(msgspec.structs.replace(entry, last_ns=time_ns, count=max(1, missed)))
         robot.doubtful = held if stood_ns else None
+
+    def _revive(self, robot: RobotTrack, death: _Held, heard_ns: int) -> None:
+        """The run goes on of which a recorder said that it had died."""
+        since_ns, until_ns = robot.hung
+        hung = since_ns - SILENT_NS <= death.entry.time_ns <= until_ns
+        how = "its loop had stood still" if hung else "it had run on: the recorder or the link stood still"
+        text = (
+            f"the recorder heard nothing of the gateway for {heard_ns / 1e9:.1f} s, and then the same again: {how}"
+        )
+        death.correct(text=text, severity=Severity.WARNING)
+        robot.died = None
 
     def _take_health(self, robot: RobotTrack, row: Row, health: GatewayHealth) -> None:
         if robot.is_shared:
@@ -593,6 +604,8 @@ class Timeline:
         robot = self._robots.get(event.robot)
         if robot is not None and kind is EntryKind.GATEWAY:
             robot.died = held
+            if robot.run_since_ns < row.publish_ns < robot.state_ns:
+                self._revive(robot, held, robot.hung[1] - robot.hung[0] or robot.state_ns - row.publish_ns)
 
     def _take_gap(self, _robot: RobotTrack, _row: Row, gap: RecordGap) -> None:
         parts = keys.parse(gap.key)

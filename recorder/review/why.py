@@ -1,14 +1,13 @@
 """The reason of a stop, or of standing: from frames and requests to the decision, in sentences, with the numbers.
 
-The moment is looked at first: what the robot did, what the arbiter did, what was commanded. Then the stop that
-was under way or had been before it: its cause, what shows it, what was done, what is latched, what would cure it.
-What the log does not show is said, and nothing is claimed of it.
+Two passes: the first reads the robot's events and states, its story; the second the seconds around the moment and
+around the stop that was under way or had been before it. Of the stop: cause, evidence, actions, latches and cure.
+What the log does not hold is said in one sentence.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
@@ -17,26 +16,22 @@ import msgspec
 from recorder.reading.configurations import attached
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile, logs_of
-from recorder.reading.rows import END_OF_TIME_NS, Progress
+from recorder.reading.rows import Progress
 from recorder.reading.survey import Survey
 from recorder.reading.times import in_words
-from recorder.review.clock import NEAR_NS
-from recorder.review.entries import Entry
-from recorder.review.reasoning import silence as silences
-from recorder.review.reasoning import story as stories
-from recorder.review.reasoning.blockers import PLAIN, blocked_words, blocks, cures
-from recorder.review.reasoning.chain import Link, Step, before, missing, span
-from recorder.review.reasoning.evidence import evidence_of
-from recorder.review.reasoning.moment import arbiter, headline, motion
-from recorder.review.reasoning.request_evidence import describe_command, refused_lately
-from recorder.review.reasoning.silence import GatewaySilence, last_silence, next_silence
-from recorder.review.reasoning.stopping import actions
-from recorder.review.reasoning.story import Story
-from recorder.review.reasoning.window import BEFORE_NS, EvidenceWindow, Heard, WindowReader, is_other_run
-from schemas.decisions import COMMANDING, ArbiterState, SafetyState, is_same_run
-from schemas.messages import TimeNs
-from schemas.reasons import Reason
-from schemas.settings import SAFETY_STATE_PERIOD_NS
+from recorder.review import moment
+from recorder.review.chain import Link, Step, before, count, evidence, missing, span
+from recorder.review.entries import Entry, EntryKind
+from recorder.review.events import hung_ns
+from recorder.review.evidence import describe_command, evidence_of, refused_lately
+from recorder.review.moment import blocked_words, blocks, cause_of, cures
+from recorder.review.stopping import actions
+from recorder.review.story import Story, stops
+from recorder.review.window import BEFORE_NS, EvidenceWindow, Heard, limits_at, read_window
+from schemas.decisions import COMMANDING, ArbiterState, EventKind, SafetyEvent, SafetyState, is_same_run
+from schemas.messages import Drive, TimeNs
+from schemas.reasons import ASKED_BY, TEXTS, Reason
+from schemas.settings import SAFETY_STATE_PERIOD_NS, STANDSTILL_MPS
 
 SOON_NS: Final = 1_000_000_000
 """A stop that begins so soon after the moment is what is asked about."""
@@ -122,164 +117,195 @@ class Explainer:
         faults: Faults,
         progress: Progress = lambda _: None,
     ) -> None:
-        self._robot = robot
+        self.robot = robot
+        self.story = Story.read(robot, logs, faults, progress)
         self._logs = logs
         self._faults = faults
-        self._progress = progress
-        self._reader = WindowReader(robot, logs, attached(robot, found), faults)
-        self._told = stories.told(robot, logs, faults, progress)
-
-    @cached_property
-    def _derived(self) -> Story:
-        return stories.derived(self._robot, self._logs, self._faults, self._progress)
+        self._configurations = attached(robot, found)
+        held = logs_of(robot, logs)
+        self._start_ns = min((log.start_ns for log in held), default=0)
+        self._end_ns = max((log.end_ns for log in held), default=0)
 
     def at(self, at_ns: int) -> Explanation:
         """Explain a moment, in nanoseconds since 1970."""
-        return self._explain(at_ns, self._told, None)
+        answer = _Answer(self, at_ns)
+        if self._start_ns - STALE_NS <= at_ns <= self._end_ns + STALE_NS or not self._end_ns or answer.is_told:
+            return answer.explanation()
+        ends = (
+            f"ends {span(at_ns - self._end_ns)} before it"
+            if at_ns > self._end_ns
+            else f"begins {span(self._start_ns - at_ns)} after it"
+        )
+        period = missing(f"that moment: the log goes from {in_words(self._start_ns)} to {in_words(self._end_ns)}")
+        headline = f"The log does not hold that moment: it {ends}."
+        return Explanation(self.robot, at_ns, None, Reason.NONE, None, None, headline, [period])
 
     def last(self) -> Explanation:
         """Explain the last stop of the logs, or the death of a gateway at work if that was later."""
-        robot, logs, progress = self._robot, self._logs, self._progress
-        story = self._told if self._told.last_stop() is not None else self._derived
-        stop = story.last_stop()
-        from_ns = 0 if stop is None else stop.time_ns - NEAR_NS
-        ended = stories.endings(robot, logs, from_ns, self._faults, progress)
-        at_ns = max(
-            (one.time_ns for one in (stop, ended.died, story.death(END_OF_TIME_NS)) if one is not None),
-            default=_period(robot, logs)[1],
+        story = self.story
+        died = [] if story.is_shared else [run.last for run in story.runs[:-1] if run.was_active]
+        ends = [one for one in (story.last_stop(), *died[-1:], story.death(self._end_ns + STALE_NS)) if one]
+        return self.at(max((one.time_ns for one in ends), key=story.order_ns, default=self._end_ns))
+
+    def window(self, at_ns: int, what: str = "that moment", detail: str = "") -> EvidenceWindow:
+        """Read the window around a moment, which these words name, and of which the arbiter said this."""
+        story = self.story
+        window = EvidenceWindow(
+            self.robot,
+            at_ns,
+            story.offset_ns(at_ns),
+            limits_at(at_ns, self.robot, self._configurations, self._faults),
+            is_steady=story.is_steady(at_ns),
+            is_shared=story.is_shared,
         )
-        return self._explain(at_ns, story, ended.last)
-
-    def _explain(self, at_ns: int, story: Story, last: Heard[SafetyState] | None) -> Explanation:
-        answer = _Answer(self._reader, story, at_ns)
-        if not answer.is_told:
-            answer = _Answer(self._reader, self._derived, at_ns)
-        return answer.beyond(*_period(self._robot, self._logs)) or answer.explanation(last)
+        window.what, window.detail = what, detail
+        return read_window(window, self._logs, self._faults)
 
 
-def _period(robot: str, logs: Sequence[LogFile]) -> tuple[int, int]:
-    """The first and the last log time of the files that hold a robot, of all where none says so; 0 if none is."""
-    of = logs_of(robot, logs)
-    return min((log.start_ns for log in of), default=0), max((log.end_ns for log in of), default=0)
+class GatewaySilence(msgspec.Struct, frozen=True):
+    """A gateway that said nothing for a while: it died, and another run follows; or its loop stood still.
 
+    It is dated by the last state of its arbiter, as in ``events`` and ``report``.
 
-def _state(now: EvidenceWindow) -> SafetyState | None:
-    """The arbiter's at the moment; None if there is none, or if its gateway had fallen silent."""
-    heard, silence = now.last(SafetyState), last_silence(now)
-    if heard is None or now.at_ns - heard.time_ns > STALE_NS:
-        return None
-    return None if silence is not None and silence.then.time_ns > now.at_ns else heard.said
-
-
-def _focus(story: Story, state: SafetyState | None, now: EvidenceWindow) -> Entry | None:
-    """The stop that is asked about.
-
-    None but one that was not followed by an engagement or by another run of the gateway: those ended it.
+    Attributes:
+        was: the last state before it.
+        then: the first state after it.
+        is_hang: both are of one run.
+        speed_mps: the robot's, when it began; None if the log does not have it.
+        was_told: the gateway shut down as requested, at rest.
     """
-    stop = story.stop_before(now.at_ns)
-    is_stopping = state is not None and state.state is ArbiterState.STOPPING
-    if state is not None and is_stopping and stop is not None and stop.reason is state.stop_reason:
-        return stop
-    is_commanding = state is not None and state.state in COMMANDING
-    soon = story.next_stop(now.at_ns)
-    if soon is not None and soon.time_ns <= now.at_ns + (SOON_NS if is_commanding else SAFETY_STATE_PERIOD_NS):
-        return soon
-    if is_commanding or stop is None:
-        return None
-    if state is not None:
-        return stop if stop.tick is None or is_same_run(state.tick, stop.tick) else None
-    if now.at_ns - stop.time_ns > BEFORE_NS:
-        return None  # What was since is not known.
-    silence = last_silence(now)
-    return stop if silence is None or silence.was_stopping else None
+
+    was: Heard[SafetyState]
+    then: Heard[SafetyState]
+    is_hang: bool
+    speed_mps: float | None
+    was_told: bool
+
+    @property
+    def was_active(self) -> bool:
+        """It commanded the robot, or stopped it."""
+        return self.was.said.state is not ArbiterState.STANDBY
+
+    def fell(self, when: str = "") -> str:
+        """Its beginning in words, with the state of the gateway and of the robot."""
+        fell = "shut down as requested" if self.was_told else "fell silent"
+        motion = "at a speed that is not in the log"
+        if self.speed_mps is not None:
+            motion = "standing" if self.speed_mps < STANDSTILL_MPS else f"at {self.speed_mps:.2f} m/s"
+        return f"he gateway {fell}{when}, {self.was.said.state.value}, {motion}"
+
+
+def _silences(now: EvidenceWindow, story: Story) -> list[GatewaySilence]:
+    """All of these seconds."""
+    found = []
+    for was, then in [] if story.is_shared else pairwise(now.all(SafetyState)):
+        is_hang = is_same_run(was.said.tick, then.said.tick)
+        stood_ns = hung_ns(was.said, then.said, then.time_ns - was.time_ns)
+        if is_hang and not (stood_ns and story.is_steady(was.time_ns)):
+            continue
+        drive = now.last(Drive, was.time_ns)
+        is_known = drive is not None and drive.time_ns > was.time_ns - STALE_NS
+        ends = (one.said for one in now.all(SafetyEvent) if one.said.kind is EventKind.GATEWAY)
+        is_told = any(is_same_run(one.tick, was.said.tick) for one in ends)
+        is_rest = was.said.state is ArbiterState.STANDBY
+        speed_mps = drive.said.speed_mps if drive is not None and is_known else None
+        found.append(GatewaySilence(was, then, is_hang, speed_mps, is_told and is_rest))
+    return found
 
 
 class _Answer:
     """Puts the links together.
 
     Args:
-        reader: the robot's logs.
-        story: its events.
+        explainer: the robot's logs and story.
         at_ns: the moment.
     """
 
-    def __init__(self, reader: WindowReader, story: Story, at_ns: int) -> None:
-        self._reader = reader
-        self._story = story
-        self._now = self._window(at_ns)
-        self._state = _state(self._now)
-        self._focus = _focus(story, self._state, self._now)
+    def __init__(self, explainer: Explainer, at_ns: int) -> None:
+        self._explainer = explainer
+        self._story = explainer.story
+        self._now = explainer.window(at_ns)
+        self._silences = _silences(self._now, self._story)
+        self._hang = self._hang_with_stop()
+        self._state = self._state_then()
+        self._focus = self._stop_asked_about()
         self._silence = self._silence_of_gateway()
         self._death = self._death_of_gateway()
 
     @property
     def is_told(self) -> bool:
-        """True if the events mention the stop that the state mentions, if any; and their times can be believed."""
-        state, focus = self._state, self._focus
-        if self._story.off_ns(self._now) is None:
-            return False
-        if state is None or state.state in COMMANDING or state.stop_reason is Reason.NONE:
-            return True
-        return focus is not None and focus.reason is state.stop_reason
-
-    def beyond(self, start_ns: int, end_ns: int) -> Explanation | None:
-        """The answer for a moment outside of the logs, which go from one log time to another; else None."""
-        at_ns = self._now.at_ns
-        is_held = start_ns - STALE_NS <= at_ns <= end_ns + STALE_NS or not end_ns
-        if is_held or self._state is not None or self._death is not None:
-            return None
-        ends = (
-            f"ends {span(at_ns - end_ns)} before it"
-            if at_ns > end_ns
-            else f"begins {span(start_ns - at_ns)} after it"
-        )
-        return Explanation(
-            robot=self._now.robot,
-            at_ns=at_ns,
-            state=None,
-            reason=Reason.NONE,
-            stop_ns=None,
-            silent_ns=None,
-            headline=f"The log does not hold that moment: it {ends}.",
-            chain=[missing(f"the log goes from {in_words(start_ns)} to {in_words(end_ns)}")],
-        )
-
-    def explanation(self, last: Heard[SafetyState] | None) -> Explanation:
-        """The answer; with the last state of the logs, if no moment was asked about."""
-        now, state, focus, silence, death = self._now, self._state, self._focus, self._silence, self._death
-        links = [*motion(now), *arbiter(now, state), *self._command()]
-        if silence is not None:
-            after = self._story.next_run(silence.heard_ns, silence.was.said.tick)
-            links += silences.links(silence, silences.guard_links(after) if silence.was_active else [])
-        elif death is not None:
-            links += self._what_followed(death)
-        if focus is not None:
-            links += self._stop(focus)
-        reason = Reason.NONE if focus is None else focus.reason
-        links += self._blocked(reason)
-        links += _lacks(now)
-        links += self._untold(last)
-        return Explanation(
-            robot=now.robot,
-            at_ns=now.at_ns,
-            state=None if state is None else state.state,
-            reason=reason,
-            stop_ns=None if focus is None else focus.time_ns,
-            silent_ns=silence.heard_ns if silence is not None else None if death is None else death.time_ns,
-            headline=self._headline(),
-            chain=_once(links),
-        )
+        """The log shows the arbiter, or the death of its gateway."""
+        return self._state is not None or self._death is not None
 
     @property
     def _is_active(self) -> bool:
         """True if the arbiter is at work at the moment, as far as the log shows."""
         return self._state is not None and self._state.state is not ArbiterState.STANDBY
 
+    def _hang_with_stop(self) -> GatewaySilence | None:
+        """The hang at the moment, or whose end is told by a stop of the guard that is the moment's."""
+        at_ns = self._now.at_ns
+        hangs = [
+            one for one in self._silences if one.is_hang and one.was_active and one.was.time_ns <= at_ns + SOON_NS
+        ]
+        if not hangs:
+            return None
+        stops_then = self._stops_of(hangs[-1])
+        if not any(one.reason is Reason.GUARD for one in stops_then):
+            return None
+        is_last = at_ns < hangs[-1].then.time_ns or self._story.stop_before(at_ns) in {None, *stops_then}
+        return hangs[-1] if is_last else None
+
+    def _stops_of(self, hang: GatewaySilence) -> list[Entry]:
+        """The stop that a hang was, in all its words: the guard's, and what the gateway found when it went on."""
+        behind = self._story.after(hang.then.time_ns - 1)
+        return [one for one in behind if stops(one) and one.time_ns <= hang.then.time_ns + SOON_NS]
+
+    def _state_then(self) -> SafetyState | None:
+        """The arbiter's at the moment; None if there is none, or if its gateway had fallen silent."""
+        now, heard = self._now, self._now.last(SafetyState)
+        if heard is None or now.at_ns - heard.time_ns > STALE_NS:
+            return None
+        silence = self._last_silence()
+        return None if silence is not None and silence.then.time_ns > now.at_ns else heard.said
+
+    def _stop_asked_about(self) -> Entry | None:
+        """The stop that is asked about.
+
+        None but one that was not followed by an engagement or by another run of the gateway: those ended it.
+        """
+        story, state, at_ns = self._story, self._state, self._now.at_ns
+        if self._hang is not None:
+            return next(one for one in self._stops_of(self._hang) if one.reason is Reason.GUARD)
+        stop = story.stop_before(at_ns)
+        is_stopping = state is not None and state.state is ArbiterState.STOPPING
+        if state is not None and is_stopping and stop is not None and stop.reason is state.stop_reason:
+            return stop
+        is_commanding = state is not None and state.state in COMMANDING
+        soon = story.next_stop(at_ns)
+        if soon is not None and soon.time_ns <= at_ns + (SOON_NS if is_commanding else SAFETY_STATE_PERIOD_NS):
+            return soon
+        if is_commanding or stop is None:
+            return None
+        if state is not None:
+            return stop if stop.tick is None or is_same_run(state.tick, stop.tick) else None
+        if at_ns - stop.time_ns > BEFORE_NS:
+            return None  # What was since is not known.
+        silence = self._last_silence()
+        return stop if silence is None or silence.was.said.state is ArbiterState.STOPPING else None
+
+    def _last_silence(self) -> GatewaySilence | None:
+        """The last end of a run before the moment."""
+        ends = (one for one in reversed(self._silences) if not one.is_hang)
+        return next((one for one in ends if one.was.time_ns < self._now.at_ns), None)
+
     def _silence_of_gateway(self) -> GatewaySilence | None:
         """Return the gateway's silence at the moment, or soon after it; else before it, if nothing came since."""
+        at_ns, last = self._now.at_ns, self._now.last(SafetyState)
         if self._is_active:
-            return next_silence(self._now, SOON_NS)
-        silence, last = last_silence(self._now), self._now.last(SafetyState)
+            ends = (one for one in self._silences if not one.is_hang and one.was_active)
+            return next((one for one in ends if at_ns <= one.was.time_ns <= at_ns + SOON_NS), None)
+        silence = self._last_silence()
         if self._state is not None:
             return None if self._focus is not None else silence
         if silence is not None and last is not None and last.time_ns >= silence.then.time_ns:
@@ -288,80 +314,211 @@ class _Answer:
 
     def _death_of_gateway(self) -> Entry | None:
         """The gateway's death before the moment, as a recorder saw it; or soon after it, if it was at work."""
-        if self._state is not None and not self._is_active:
+        at_ns, last = self._now.at_ns, self._now.last(SafetyState)
+        if self._hang is not None or (self._state is not None and not self._is_active):
             return None
-        death = self._story.death(self._now.at_ns + (SOON_NS if self._is_active else 0))
-        last = self._now.last(SafetyState)
-        if death is None or self._now.at_ns - death.time_ns > BEFORE_NS:
+        death = self._story.death(at_ns + (SOON_NS if self._is_active else 0))
+        if death is None or at_ns - death.time_ns > BEFORE_NS:
             return None
         return death if last is None or last.time_ns <= death.time_ns + STALE_NS else None
 
-    def _what_followed(self, death: Entry) -> Iterator[Link]:
-        """Yield the death that a recorder saw, and its consequences, as far as another gateway shows them."""
-        yield Link(Step.CAUSE, death.text, death.time_ns)
-        last = self._now.last(SafetyState)
-        after = self._story.next_run(death.time_ns, None if last is None else last.said.tick)
-        if after:
-            text = f"another gateway said something {span(after[0].time_ns - death.time_ns)} later"
-            yield Link(Step.CAUSE, f"{text}: nothing of before holds any more", after[0].time_ns)
-        yield from silences.guard_links(after)
+    def explanation(self) -> Explanation:
+        """The answer."""
+        now, state, focus, silence, death = self._now, self._state, self._focus, self._silence, self._death
+        links = [
+            *moment.motion(now),
+            *moment.arbiter(now, state, self._story.lease_before(now.at_ns)),
+            *self._command(),
+        ]
+        if self._story.is_shared:
+            links.append(Link(Step.CAUSE, "two gateways speak under this name: the answer may be of either"))
+        if silence is not None:
+            links += self._silent(silence)
+        elif death is not None:
+            last = now.last(SafetyState)
+            links.append(Link(Step.CAUSE, death.text, death.time_ns))
+            links += self._next_run(None if last is None else last.said, death.time_ns)
+        stop_ns = None if focus is None else self._began_ns(focus)
+        if focus is not None:
+            links += self._stop(focus, stop_ns or focus.time_ns)
+        reason = Reason.NONE if focus is None else focus.reason
+        links += [*self._blocked(reason), *_lacks(now), *self._untold()]
+        silent_ns = silence.was.time_ns if silence is not None else None if death is None else death.time_ns
+        return Explanation(
+            robot=now.robot,
+            at_ns=now.at_ns,
+            state=None if state is None else state.state,
+            reason=reason,
+            stop_ns=stop_ns,
+            silent_ns=silent_ns,
+            headline=self._headline(),
+            chain=list({(one.step, one.text): one for one in reversed(links)}.values())[::-1],
+        )
 
     def _headline(self) -> str:
-        now, state, silence, death = self._now, self._state, self._silence, self._death
-        latched = [] if state is None else state.latched
-        said = headline(now, state, self._focus, self._story.newest_latch(latched, now.at_ns))
+        now, state, silence, death, hang = self._now, self._state, self._silence, self._death, self._hang
+        if hang is not None:
+            stood, began_ns = span(hang.then.time_ns - hang.was.time_ns), self._guard_ns(hang)
+            text = f"The gateway's loop stood still for {stood}, from {now.ago(hang.was.time_ns)} on"
+            speed = "" if hang.speed_mps is None else f", at {hang.speed_mps:.2f} m/s"
+            guard = "" if began_ns is None else f" {span(began_ns - hang.was.time_ns)} after the last state"
+            return f"{text}, {hang.was.said.state.value}{speed}: the guard began to stop the robot{guard}."
+        latches = [self._story.latch_before(one, now.at_ns) for one in ([] if state is None else state.latched)]
+        latch = max((one for one in latches if one is not None), key=lambda one: one.time_ns, default=None)
+        said = moment.headline(
+            now, state, self._focus, "" if self._focus is None else self._why(self._focus), latch
+        )
         if silence is not None:
-            told = silences.in_a_sentence(silence, now.at_ns)
+            told = f"T{silence.fell(f' {before(silence.was.time_ns, now.at_ns)}')}; "
+            told += f"another run began {before(silence.then.time_ns, now.at_ns)}."
         elif death is not None:
             told = f"A recorder noticed {before(death.time_ns, now.at_ns)}: {death.text}."
         else:
             return said
         return told if state is None else f"{said} {told}"
 
-    def _untold(self, last: Heard[SafetyState] | None) -> Iterator[Link]:
-        """Yield links for the gaps of the log before the moment and after it."""
-        at_ns, focus = self._now.at_ns, self._focus
-        has_ended = self._silence is not None or self._death is not None
-        if self._state is None and focus is None and not has_ended:
-            stop = self._story.stop_before(at_ns)
-            if stop is not None:
-                yield missing(
-                    f"the last stop in the log was {before(stop.time_ns, at_ns)}; what was since is not told"
-                )
-        if self._is_active and not has_ended:
-            heard_ns = max(one.time_ns for one in self._now.all(SafetyState))
-            if heard_ns < at_ns + SOON_NS:
-                text = f"the arbiter's states end {before(heard_ns, at_ns)}, and none follows for seconds"
-                yield missing(f"{text}: whether the gateway died, or the recording ended, is not told")
-        engaged = None if last is None or focus is None else self._story.next_engaged(focus.time_ns)
-        if last is not None and engaged is not None and last.said.state in COMMANDING:
-            text = (
-                f"it was engaged again {before(engaged.time_ns, at_ns)}, and so it is in the last state of the log"
-            )
-            yield missing(f"{text}, {before(last.time_ns, at_ns)}: what came then is not told")
+    def _why(self, focus: Entry) -> str:
+        """The cause of a stop in words; a robot that was found moving with its speed."""
+        why = cause_of(focus)
+        drive = self._now.last(Drive, focus.time_ns)
+        if focus.reason is Reason.FOUND_MOVING and drive is not None and drive.said.speed_mps >= STANDSTILL_MPS:
+            return f"found moving at {drive.said.speed_mps:.2f} m/s, with no client in command"
+        refused = _refused_before(evidence_of(focus.reason)(self._now)) if focus.reason is Reason.DEADMAN else None
+        if refused is None or "refused" in why:
+            return why
+        return f"{why}; {count(refused[1], 'drive command')} refused: {TEXTS[refused[0]].means}"
 
     def _command(self) -> list[Link]:
-        if self._state is None:
-            return []
-        found = refused_lately(self._now)
-        if self._is_active:
-            found = describe_command(self._now) + found
-        return [msgspec.structs.replace(link, step=_COMMANDS[link.step]) for link in found]
+        found = refused_lately(self._now) if self._state is not None else []
+        found = [*describe_command(self._now), *found] if self._is_active else found
+        steps = {Step.EVIDENCE: Step.COMMAND}
+        return [msgspec.structs.replace(link, step=steps.get(link.step, link.step)) for link in found]
 
-    def _stop(self, focus: Entry) -> Iterator[Link]:
+    # A gateway that said nothing.
+
+    def _silent(self, silence: GatewaySilence) -> Iterator[Link]:
+        """The silence, its end, and what is known of the robot in between."""
+        said, silent_ns = silence.was.said, silence.then.time_ns - silence.was.time_ns
+        data = {
+            "state": said.state.value,
+            "lease_holder": said.lease_holder,
+            "speed_mps": silence.speed_mps,
+            "output_speed_mps": said.output_speed_mps,
+            "guarded": said.guarded,
+            "silent_ms": silent_ns / 1e6,
+        }
+        told = f"; commanded was {said.output_speed_mps:.2f} m/s" if said.state is ArbiterState.ENGAGED else ""
+        yield Link(Step.CAUSE, f"t{silence.fell()}{told}", silence.was.time_ns, data)
+        if not silence.was_active:
+            yield _began(silence.was.time_ns, silence.then.time_ns)
+            return
+        yield from self._next_run(said, silence.was.time_ns)
+        yield from self._drove_on(silence)
+
+    def _next_run(self, last: SafetyState | None, since_ns: int) -> Iterator[Link]:
+        """The next run of the gateway, and what it found and did before the robot was engaged again."""
+        run = None if last is None else self._story.run_after(last.tick)
+        if run is None or last is None:
+            return
+        found = list(self._story.of_run(run))
+        guard = [
+            one
+            for one in found
+            if one.reason is Reason.GUARD and (one.kind is EntryKind.LATCH or one.tells_of_guard)
+        ]
+        links = [_began(since_ns, run.first.time_ns)]
+        for one in guard:
+            # The note has its own times; where there is none, the gateway's words are all.
+            note = one.text.partition(f"{TEXTS[Reason.GUARD].means}; ")[2]
+            says = (
+                f"the guard's note, found at the next start: {note}"
+                if note
+                else f"the next gateway says: {one.text}"
+            )
+            links.append(Link(Step.ACTION, says, one.time_ns))
+        others = [one for one in found if stops(one) and one not in guard]
+        links += [Link(Step.ACTION, f"the next gateway found: {one.text}", one.time_ns) for one in others]
+        yield from sorted(links, key=lambda link: link.time_ns or 0)
+        if not guard:
+            watched = "what the guard did, which watched the gateway"
+            yield missing(watched if last.guarded else "what the chassis did, over which no guard watched")
+        elif not any(one.tells_of_guard for one in guard):
+            yield missing("a note of the guard that the robot stood")
+
+    def _drove_on(self, silence: GatewaySilence) -> Iterator[Link]:
+        """The way of the robot without a gateway, by the first frames that the next one received."""
+        from_ns, window = silence.was.time_ns, self._now
+        if abs(from_ns - window.at_ns) > SOON_NS:
+            window = self._explainer.window(from_ns)
+        speeds = window.speeds_after(from_ns)
+        # The first ones may be the last words of the gateway that died.
+        pauses = [now_ns - was_ns for (was_ns, _), (now_ns, _) in pairwise([(from_ns, 0.0), *speeds])]
+        if not pauses or max(pauses) < STALE_NS:
+            return
+        speeds = speeds[pauses.index(max(pauses)) :]
+        (seen_ns, seen_mps), left_mps = speeds[0], silence.speed_mps or 0.0
+        text = f"{span(seen_ns - from_ns)} after that, in the first drive feedback of the next gateway, the robot "
+        if seen_mps < STANDSTILL_MPS:
+            text += f"stood: {seen_mps:.2f} m/s; when it came to stand is not in the log"
+            yield evidence(text, seen_ns, speed_mps=seen_mps)
+            return
+        stood_ns = next((at_ns for at_ns, mps in speeds if mps < STANDSTILL_MPS), None)
+        metres = min(left_mps, seen_mps) * (seen_ns - from_ns) / 1e9
+        for (was_ns, was_mps), (now_ns, now_mps) in pairwise(speeds):
+            if stood_ns is not None and now_ns > stood_ns:
+                break
+            metres += (was_mps + now_mps) / 2 * (now_ns - was_ns) / 1e9
+        text += f"still moved, at {seen_mps:.2f} m/s: it drove on for at least {metres:.1f} m"
+        text += "" if stood_ns is None else f"; it stood after {span(stood_ns - from_ns)}"
+        stood_after_s = None if stood_ns is None else (stood_ns - from_ns) / 1e9
+        yield evidence(text, seen_ns, speed_mps=seen_mps, distance_m=metres, stood_after_s=stood_after_s)
+
+    def _guard_ns(self, hang: GatewaySilence) -> int | None:
+        """When the guard began to stop the robot: by its first frame on the bus."""
+        frames = self._now.commands_between(hang.was.time_ns, hang.then.time_ns)
+        return frames[0].bus_time_ns if frames else None
+
+    def _began_ns(self, focus: Entry) -> int:
+        """When a stop began; that of a guard before the gateway could say so."""
+        guard_ns = None if self._hang is None else self._guard_ns(self._hang)
+        return focus.time_ns if guard_ns is None else guard_ns
+
+    # The stop.
+
+    def _stop(self, focus: Entry, began_ns: int) -> Iterator[Link]:
         """The stop: cause, evidence, what was done, what is latched, the cure."""
-        is_taken = focus.reason is Reason.HAND_TRANSMITTER
-        window = self._beside(focus.time_ns, "the takeover" if is_taken else "the stop", focus.text)
-        by = f", by {focus.operator}" if focus.operator and focus.operator not in focus.text else ""
-        derived = "; no event says so, two states of the arbiter do" if focus.is_derived else ""
+        what = "the takeover" if focus.reason is Reason.HAND_TRANSMITTER else "the stop"
+        window = self._beside(began_ns, what, focus.text)
+        who = focus.operator if focus.operator not in focus.text else ""
+        by = "" if not who else f", by {who}" if focus.reason in ASKED_BY else f"; {who} held it"
+        derived = "; by two states of the arbiter, for the event is not in the log" if focus.is_derived else ""
         yield Link(Step.CAUSE, f"{focus.text}{by}{derived}", focus.time_ns, {"reason": focus.reason.value})
-        yield from evidence_of(focus.reason)(window)
+        if self._hang is not None:
+            yield from self._hung(self._hang)
+        shown = evidence_of(focus.reason)(window)
+        yield from shown
         yield from actions(window, focus.reason)
         yield from self._latches(window, focus)
         latched = [] if self._state is None else self._state.latched
         is_past = self._state is not None and focus.tick is not None and self._state.tick >= focus.tick
-        yield from cures(focus.reason, window.robot, is_reset=is_past and focus.reason not in latched)
+        refused = _refused_before(shown) if focus.reason is Reason.DEADMAN else None
+        cured = focus.reason if refused is None else refused[0]
+        yield from cures(cured, window.robot, is_reset=is_past and focus.reason not in latched)
         yield from _lacks(window)
+
+    def _hung(self, hang: GatewaySilence) -> Iterator[Link]:
+        """The hang of the gateway, and the first frame of its guard."""
+        stood_ns = hang.then.time_ns - hang.was.time_ns
+        text = f"the gateway's loop stood still for {span(stood_ns)}; the same run went on after it"
+        yield Link(Step.CAUSE, text, hang.was.time_ns, {"silent_ms": stood_ns / 1e6, "speed_mps": hang.speed_mps})
+        frames = self._now.commands_between(hang.was.time_ns, hang.then.time_ns)
+        if not frames:
+            yield missing("the frames of the guard")
+            return
+        after_ns = frames[0].bus_time_ns - hang.was.time_ns
+        text = f"the guard began {span(after_ns)} after the last state, by the first of its "
+        text += f"{count(len(frames), 'frame')} on the bus: {frames[0]}"
+        yield evidence(text, frames[0].bus_time_ns, frames=len(frames), after_ms=after_ns / 1e6)
 
     def _latches(self, window: EvidenceWindow, focus: Entry) -> Iterator[Link]:
         latched = list(self._state.latched) if self._state is not None else []
@@ -371,18 +528,17 @@ class _Answer:
 
     def _latch(self, reason: Reason, focus: Entry | None = None) -> Link:
         at_ns = self._now.at_ns
-        entry = self._story.last_latch(reason, at_ns + SOON_NS)
+        entry = self._story.latch_before(reason, at_ns + SOON_NS)
         if entry is None:
-            return Link(Step.LATCH, f"latched: {reason.value}; when that began is not in the log")
-        when = before(entry.time_ns, at_ns)
-        if focus is not None and entry.tick == focus.tick:
-            when = "with this stop"
-        text = f"latched {when}: {reason.value}"
+            return Link(Step.LATCH, f"latched: {reason.value}; since when is not in the log")
+        with_this = focus is not None and entry.tick == focus.tick
+        text = f"latched {'with this stop' if with_this else before(entry.time_ns, at_ns)}: {reason.value}"
         reset = self._story.reset_of(entry)
         if reset is None:
             text += ", and no reset of it is in the log"
         else:
-            text += f"; {reset.operator or 'somebody'} reset it {span(reset.time_ns - entry.time_ns)} later"
+            by = f" by {reset.operator}" if reset.operator else ""
+            text += f"; reset{by} {span(reset.time_ns - entry.time_ns)} later"
         return Link(Step.LATCH, text, entry.time_ns, {"reason": reason.value})
 
     def _blocked(self, told: Reason) -> Iterator[Link]:
@@ -394,54 +550,61 @@ class _Answer:
         if state.state is ArbiterState.ENGAGED:
             blocked_by = [reason for reason in blocked_by if blocks(reason, self._now, state)]
         for number, reason in enumerate(blocked_by):
-            if reason in PLAIN:
+            if reason in moment.PLAIN:
                 continue
             yield Link(Step.CAUSE, blocked_words(reason, state), None, {"reason": reason.value})
-            is_latched = reason in state.latched
-            if is_latched:
-                yield self._latch(reason)
-            latch = self._story.last_latch(reason, self._now.at_ns) if number < LATCHES_SHOWN else None
-            if is_latched and latch is not None:
+            if reason not in state.latched:
+                yield from evidence_of(reason)(self._now)
+                continue
+            yield self._latch(reason)
+            latch = self._story.latch_before(reason, self._now.at_ns) if number < LATCHES_SHOWN else None
+            if latch is not None:
                 yield from evidence_of(reason)(self._beside(latch.time_ns, "the latch", latch.text))
-            elif not is_latched:
-                yield from evidence_of(reason)(self._beside(self._now.at_ns, self._now.what))
         for reason in blocked_by:
             yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
 
-    def _window(self, at_ns: int) -> EvidenceWindow:
-        """The window around a moment, with the story's times."""
-        shift_ns = self._reader.shift(at_ns)
-        window = self._reader.window(at_ns, shift_ns)
-        off_ns = self._story.off_ns(window)
-        return self._reader.window(at_ns, shift_ns + off_ns) if off_ns else window
+    def _beside(self, at_ns: int, what: str, detail: str) -> EvidenceWindow:
+        """The window around another moment; where it is this one, this one's, with other words."""
+        if at_ns != self._now.at_ns:
+            return self._explainer.window(at_ns, what, detail)
+        self._now.what, self._now.detail = what, detail
+        return self._now
 
-    def _beside(self, at_ns: int, what: str, detail: str = "") -> EvidenceWindow:
-        """The window around another moment, which these words name, and of which the arbiter said this."""
-        window = self._now if at_ns == self._now.at_ns else self._window(at_ns)
-        window.what, window.detail = what, detail
-        return window
+    def _untold(self) -> Iterator[Link]:
+        """Yield a link where the log ends or pauses before the answer is known."""
+        at_ns, focus = self._now.at_ns, self._focus
+        has_ended = self._silence is not None or self._death is not None or self._hang is not None
+        if self._state is None and focus is None and not has_ended:
+            stop = self._story.stop_before(at_ns)
+            if stop is not None:
+                yield missing(f"what was since the last stop, {before(stop.time_ns, at_ns)}")
+        if self._is_active and not has_ended:
+            heard_ns = max(one.time_ns for one in self._now.all(SafetyState))
+            if heard_ns < at_ns + SOON_NS:
+                yield missing("the seconds behind this: the gateway died, or the recording ended")
 
 
-_COMMANDS: Final = {Step.EVIDENCE: Step.COMMAND, Step.MISSING: Step.MISSING}
+def _refused_before(shown: Sequence[Link]) -> tuple[Reason, int] | None:
+    """Of the evidence of a deadman the reason for which most drive commands were refused, and how many; if any."""
+    refused = [link.data for link in shown if "count" in link.data and "reason" in link.data]
+    most = max(refused, key=lambda data: int(data["count"]), default=None)
+    return None if most is None else (Reason(most["reason"]), int(most["count"]))
+
+
+def _began(since_ns: int, began_ns: int) -> Link:
+    text = (
+        f"another run of the gateway began {span(began_ns - since_ns)} later: leases, engagement and latches of "
+    )
+    return Link(Step.CAUSE, f"{text}before are void", began_ns)
 
 
 def _lacks(window: EvidenceWindow) -> Iterator[Link]:
     """Links for parts of this time that are not in the log, by the recorder and the arbiter's states."""
     states = [one for one in window.all(SafetyState) if one.time_ns > window.at_ns - LOOKED_AT_NS]
     for was, now in pairwise(states):
-        if is_other_run(was.said, now.said):
-            continue
-        if was.time_ns < window.at_ns and now.time_ns - was.time_ns > STALE_NS:
-            hole = f"{span(now.time_ns - was.time_ns)}, from {window.ago(was.time_ns)} on"
-            text = f"no state of the arbiter is in the log for {hole}: what it was asked and did then may be lost"
-            yield missing(text)
+        silent_ns = now.time_ns - was.time_ns
+        is_hole = is_same_run(was.said.tick, now.said.tick) and not hung_ns(was.said, now.said, silent_ns)
+        if is_hole and was.time_ns < window.at_ns and silent_ns > STALE_NS:
+            yield missing(f"{span(silent_ns)}, from {window.ago(was.time_ns)} on")
     for gap in window.gaps:
-        text = (
-            f"{gap.count} messages of {gap.key} reached the recorder and are not in the log ({gap.reason.value})"
-        )
-        yield missing(text)
-
-
-def _once(links: Sequence[Link]) -> list[Link]:
-    """Each link once, however often it was found."""
-    return list({(one.step, one.text): one for one in reversed(links)}.values())[::-1]
+        yield missing(f"{gap.count} messages of {gap.key} that reached the recorder ({gap.reason.value})")

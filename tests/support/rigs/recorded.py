@@ -1,15 +1,17 @@
 """Logs of a whole gateway with a simulated chassis: what happens in the rig is recorded as a recorder would."""
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, reduce
+from operator import xor
 from pathlib import Path
 
 import msgspec
 
+from gateway.chassis.frame import Frame
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.reading.survey import survey
-from recorder.review.reasoning.chain import Step
+from recorder.review.chain import Step
 from recorder.review.why import Explanation, explain
 from schemas import codec, keys
 from schemas.configuration import to_toml
@@ -19,8 +21,8 @@ from schemas.recording import RecorderEvent
 from schemas.settings import CommandSettings
 from schemas.subjects import BY_NAME
 from tests.support.logs import Log
-from tests.support.messages import MS, ROBOT, FakeSample, info, sample_of
-from tests.support.rigs.gateway import GatewayRig, Operator, copied
+from tests.support.messages import MS, ROBOT, SECOND, FakeSample, info, sample_of
+from tests.support.rigs.gateway import DRIVE_CAN_ID, GatewayRig, Operator, copied
 
 RECEIVED_NS = 2 * MS
 """A recorder receives what is said so much later."""
@@ -69,6 +71,49 @@ class RecordedRig(GatewayRig):
         """Nobody says anything for a time; then as in ``rest``."""
         self.run(seconds)
         self.rest()
+
+    def hang(self, seconds: float) -> list[Frame]:
+        """The gateway's loop stands still; from 80 ms on its guard stops the robot. Then all is read at once.
+
+        Returns:
+            the frames of the guard.
+        """
+        unread: list[Frame] = []
+        sent: list[Frame] = []
+        for tick in range(round(seconds * 100)):
+            self.now_ns += 10 * MS
+            self.wall_ns += 10 * MS
+            unread += self.chassis.advance(self.now_ns, self.wall_ns)
+            for frame in self.out[-5:] if tick >= 8 else ():
+                data = bytearray(frame.data)
+                if frame.can_id == DRIVE_CAN_ID:
+                    data[1:3] = bytes(2)
+                data[6] = (data[6] + 16 * (tick - 7)) % 256
+                data[7] = reduce(xor, data[:7])
+                mine = msgspec.structs.replace(frame, data=bytes(data), wall_ns=self.wall_ns)
+                self.chassis.receive(mine, self.now_ns)
+                sent.append(mine)
+        for frame in sorted([*unread, *sent], key=lambda one: one.wall_ns):
+            sample = self.core.receive_frame(frame, self.now_ns)
+            if sample is not None:
+                self.recorded.append((self.at_ns, sample))
+        self.links = msgspec.structs.replace(self.links, guard_sends=True, guard_stops=1)
+        self.tick()
+        return sent
+
+    def followed(self, seconds: float) -> "RecordedRig":
+        """Another run of the gateway, so long after this one was killed together with its guard.
+
+        Until then the chassis obeys its last command.
+        """
+        rig = RecordedRig(run=self._run + 1, now_ns=self.now_ns + round(seconds * SECOND))
+        rig.recorder_ns, rig.wall_ns = self.recorder_ns, self.wall_ns + round(seconds * SECOND)
+        rig.chassis = self.chassis
+        for _ in range(round(seconds * 100)):
+            self.now_ns += 10 * MS
+            self.wall_ns += 10 * MS
+            self.chassis.advance(self.now_ns, self.wall_ns)
+        return rig
 
     def log(
         self,

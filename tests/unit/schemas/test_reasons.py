@@ -79,4 +79,4 @@ def test_where_a_cure_sends_someone_there_is_something() -> None:
 def test_a_stop_that_would_be_refused_is_no_cure(beside: Reason) -> None:
     """The remote control has a moving robot, or the bus is gone: 'cruiser stop' is not offered."""
     assert "cruiser stop" in of_a_robot(Reason.MOVING, [Reason.MOVING, Reason.NO_LEASE]).cure
-    assert of_a_robot(Reason.MOVING, [beside, Reason.MOVING]).cure == "wait until it stands"
+    assert of_a_robot(Reason.MOVING, [beside, Reason.MOVING]).cure.startswith("wait until it stands")

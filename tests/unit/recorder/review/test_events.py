@@ -14,7 +14,7 @@ from recorder.reading.rows import Selection, read_rows
 from recorder.review import events
 from recorder.review.entries import Change, Entry, EntryKind, EntrySource
 from recorder.review.events import read_events
-from recorder.review.reasoning.signals import BY_IDENTIFIER
+from recorder.review.window import BY_IDENTIFIER
 from schemas.decisions import (
     ArbiterState,
     Decision,

@@ -2,17 +2,11 @@
 
 import pytest
 
-from recorder.review.reasoning.chain import Step
-from recorder.review.reasoning.evidence import EVIDENCE
-from recorder.review.reasoning.window import EvidenceWindow, Limits
+from recorder.review.chain import Step
+from recorder.review.evidence import evidence_of
+from recorder.review.window import EvidenceWindow, Limits
 from schemas.reasons import Reason
 from tests.support.messages import WALL_NS
-
-
-def test_every_reason_has_a_row() -> None:
-    """None is missing."""
-    assert list(Reason) == sorted(EVIDENCE, key=list(Reason).index)
-    assert set(EVIDENCE) == set(Reason)
 
 
 @pytest.mark.parametrize("reason", Reason, ids=lambda one: one.value)
@@ -21,7 +15,7 @@ def test_of_an_empty_log_nothing_is_claimed(reason: Reason) -> None:
     window = EvidenceWindow("cruiser-1", WALL_NS, 0, Limits())
     window.detail = "Auto_GearFeedBack"
     window.settle()
-    links = EVIDENCE[reason](window)
+    links = evidence_of(reason)(window)
     assert {link.step for link in links} <= {Step.MISSING}
     assert all(link.text for link in links)
 

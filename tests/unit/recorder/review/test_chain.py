@@ -2,7 +2,7 @@
 
 import pytest
 
-from recorder.review.reasoning.chain import before, count, mps, span, zero
+from recorder.review.chain import before, count, deg, mps, span
 from tests.support.messages import MS, SECOND
 
 
@@ -38,5 +38,5 @@ def test_before_and_after() -> None:
 def test_counts_and_nothings() -> None:
     """One and many; and no minus nothing."""
     assert (count(1, "frame"), count(2, "frame")) == ("1 frame", "2 frames")
-    assert (f"{zero(-0.01):.1f}", zero(-0.06)) == ("0.0", -0.06)
+    assert (deg(-0.01), deg(-0.06)) == ("0.0 deg", "-0.1 deg")
     assert (mps(-0.004), mps(-0.006), mps(1.0)) == ("0.00 m/s", "-0.01 m/s", "1.00 m/s")

@@ -44,9 +44,9 @@ def evidence(text: str, time_ns: int | None = None, **data: object) -> Link:
     return Link(Step.EVIDENCE, text, time_ns, data)
 
 
-def missing(text: str) -> Link:
-    """Make a link of what the log does not show."""
-    return Link(Step.MISSING, text)
+def missing(what: str) -> Link:
+    """Make a link of what the log does not hold."""
+    return Link(Step.MISSING, f"not in the log: {what}")
 
 
 def span(ns: float) -> str:
@@ -61,15 +61,15 @@ def span(ns: float) -> str:
 
 
 def before(time_ns: int, at_ns: int, what: str = "that moment") -> str:
-    """``12.3 ms before that moment``, or behind."""
+    """``12.3 ms before that moment``, or after it."""
     if time_ns == at_ns:
         return f"at {what}"
     return f"{span(at_ns - time_ns)} {'before' if time_ns < at_ns else 'after'} {what}"
 
 
-def zero(value: float) -> float:
-    """The value; what would be shown as minus nothing is nothing."""
-    return 0.0 if abs(value) < 0.05 else value
+def deg(angle_deg: float) -> str:
+    """A signed angle; what would be shown as minus nothing is nothing."""
+    return f"{round(angle_deg, 1) + 0.0:.1f} deg"
 
 
 def mps(speed_mps: float) -> str:

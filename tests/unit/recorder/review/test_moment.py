@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.review.reasoning.chain import Step
+from recorder.review.chain import Step
 from recorder.review.why import Explanation
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
@@ -30,8 +30,8 @@ def _acknowledged() -> tuple[RecordedRig, Operator]:
 @pytest.mark.parametrize(
     ("seconds", "headline"),
     [
-        (0.2, "It was engaged and told -0.0"),
-        (0.28, "It was engaged and told -0.10 m/s, and hardly moved, at 0.04 m/s."),
+        (0.2, "It was engaged, commanded -0.0"),
+        (0.28, "It was engaged, commanded -0.10 m/s, and hardly moved, at 0.04 m/s."),
         (0.7, "It was engaged and moved, at 0."),
     ],
 )
@@ -64,7 +64,7 @@ def test_a_robot_that_is_asked_for_nothing_is_not_kept_by_a_bumper(tmp_path: Pat
     rig, operator = _acknowledged()
     operator.drive(0.0, 0.0, 0.3)
     explanation = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
-    assert explanation.headline == "It was engaged and stood: operator-1 asked for zero speed."
+    assert explanation.headline == "It was engaged and stood: operator-1 requested zero speed."
     assert PRESSED in texts(explanation, Step.CAUSE)
 
 
@@ -91,7 +91,7 @@ def test_what_was_reset_is_not_to_be_reset(tmp_path: Path) -> None:
     after = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
     assert "to cure remote_stop: reset with 'cruiser reset cruiser-1'" in _cures(before)
     assert "to cure remote_stop: engage with 'cruiser drive cruiser-1'" in _cures(after)
-    assert "operator-1 reset it" in texts(after, Step.LATCH)
+    assert "reset by operator-1" in texts(after, Step.LATCH)
 
 
 def test_a_reset_of_nothing_resets_no_latch(tmp_path: Path) -> None:

@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+import msgspec
+
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs
 from recorder.review.entries import Entry, EntryKind, EntrySource
-from recorder.review.reasoning.story import RunEnding, Story, endings
-from schemas.decisions import RUN_TICKS, ArbiterState, Severity
+from recorder.review.story import Story
+from schemas.decisions import RUN_TICKS, Severity
 from schemas.reasons import Reason
 from tests.support.messages import MS, ROBOT, SECOND
 from tests.support.rigs.recorded import RecordedRig
@@ -55,48 +57,35 @@ def _next(rig: RecordedRig, run: int, seconds: float = 1.0) -> None:
     rig.recorded += other.recorded
 
 
-def _ending(path: Path, rig: RecordedRig, from_ns: int = 0) -> RunEnding:
-    path.write_bytes(rig.log())
+def _story(path: Path, rig: RecordedRig, *without: str) -> Story:
+    path.write_bytes(rig.log(without=without))
     faults = Faults()
-    found = endings(ROBOT, find_logs([path], faults), from_ns, faults, lambda _: None)
+    story = Story.read(ROBOT, find_logs([path], faults), faults, lambda _: None)
     assert not faults
-    return found
+    return story
 
 
 def test_a_gateway_that_ends_at_work_has_died(tmp_path: Path) -> None:
-    """When it was heard last is told; from a later time on it is not asked about."""
-    rig, _ = RecordedRig.driving(run=1)
+    """One that stands by at its end has not; of two that speak in turn none has."""
+    rig, operator = RecordedRig.driving(run=1)
     dead_ns = rig.at_ns
     _next(rig, 2)
-    found = _ending(tmp_path / "log.mcap", rig)
-    assert found.died is not None
-    assert found.died.said.state is ArbiterState.ENGAGED
-    assert abs(found.died.time_ns - dead_ns) <= 60 * MS
-    assert found.last is not None
-    assert found.last.said.state is ArbiterState.STANDBY
-    assert _ending(tmp_path / "log.mcap", rig, dead_ns + 500 * MS).died is None
-
-
-def test_a_gateway_that_ends_standing_by_has_ended(tmp_path: Path) -> None:
-    """It was told to, or nobody needs to know."""
-    rig, _ = RecordedRig.ready(run=1)
-    _next(rig, 2)
-    assert _ending(tmp_path / "log.mcap", rig).died is None
-
-
-def test_one_that_is_heard_again_has_not_died(tmp_path: Path) -> None:
-    """Two gateways of one name speak in turn."""
-    rig, operator = RecordedRig.driving(run=1)
-    _next(rig, 2)
+    died, then = _story(tmp_path / "log.mcap", rig).runs
+    assert (died.was_active, then.was_active) == (True, False)
+    assert abs(died.last.time_ns - dead_ns) <= 60 * MS
     rig.run(3.0)
     operator.drive(0.0)
-    assert _ending(tmp_path / "log.mcap", rig).died is None
+    assert _story(tmp_path / "log.mcap", rig).is_shared
+    assert _story(tmp_path / "log.mcap", rig, "safety/state").runs == []
 
 
-def test_a_log_without_states_tells_of_no_end(tmp_path: Path) -> None:
-    """Neither a death nor a last state."""
-    rig, _ = RecordedRig.ready()
-    path = tmp_path / "log.mcap"
-    path.write_bytes(rig.log(without=("safety/state",)))
-    faults = Faults()
-    assert endings(ROBOT, find_logs([path], faults), 0, faults, lambda _: None) == RunEnding()
+def test_a_clock_that_is_set_back_leaves_the_order() -> None:
+    """A time that comes twice is the later one; the last stop is the last, whatever its time."""
+    first = _entry(EntryKind.STOP, 100, "stopping", tick=10, reason=Reason.DEADMAN)
+    clock = msgspec.structs.replace(_entry(EntryKind.CLOCK, 50, "set", tick=11), last_ns=150)
+    last = _entry(EntryKind.STOP, 60, "stopping", tick=20, reason=Reason.REMOTE_STOP)
+    story = Story([first, clock, last])
+    assert story.last_stop() == last
+    assert [story.order_ns(at_ns) for at_ns in (40, 60, 100, 200)] == [40, 160, 200, 300]
+    assert story.stop_before(60) == last
+    assert not story.is_steady(60)

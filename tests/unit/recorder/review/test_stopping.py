@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from recorder.review.reasoning.chain import Step
+from recorder.review.chain import Step
 from schemas.codec import Sample
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
@@ -45,7 +45,7 @@ def test_after_a_takeover_the_sticks_move_the_robot_on(before_stop_ns: int, tmp_
     explanation = ask(tmp_path / "log.mcap", rig.log(), at_ns)
     assert explanation.reason is Reason.HAND_TRANSMITTER
     done = texts(explanation, Step.ACTION)
-    assert "the gateway sent nothing more" in done
+    assert "the gateway sends nothing" in done
     assert "later, at up to 0.4" in done
     assert "it moved again" in done
     assert "stopped: the robot is told nothing" not in done
@@ -56,7 +56,7 @@ def test_a_robot_that_the_sticks_move_is_not_kept_from_moving(tmp_path: Path) ->
     rig, _, stop_ns = _taken_over()
     explanation = ask(tmp_path / "log.mcap", rig.log(), stop_ns - 100 * MS)
     assert explanation.state is ArbiterState.STANDBY
-    assert explanation.headline.startswith("The gateway let go of it")
+    assert explanation.headline.startswith("It was not engaged. The last stop was")
     causes = texts(explanation, Step.CAUSE)
     assert "it could not be engaged: the robot moves" in causes
     assert "kept from moving" not in causes
@@ -66,7 +66,7 @@ def test_a_takeover_is_called_no_stop(tmp_path: Path) -> None:
     """Nor is it timed as one."""
     rig, taken_ns, _ = _taken_over()
     explanation = ask(tmp_path / "log.mcap", rig.log(), taken_ns - 100 * MS)
-    assert "100 ms later the gateway let go of it: the hand transmitter has the robot" in explanation.headline
+    assert "100 ms later it was let go: the hand transmitter has the robot" in explanation.headline
     assert "said Mode = remote, at the takeover; the one" in texts(explanation, Step.EVIDENCE)
 
 
@@ -74,7 +74,7 @@ def test_right_before_a_stop_of_a_robot_that_nobody_engaged_it_is_told_as_to_com
     """It is not the last one yet. What blocked it until then is shown by the frame that said so."""
     rig, _, stop_ns = _taken_over()
     explanation = ask(tmp_path / "log.mcap", rig.log(), stop_ns - 5 * MS)
-    assert explanation.headline.startswith("It was not engaged; 5.0 ms later a stop began: the chassis was found")
+    assert explanation.headline.startswith("It was not engaged; 5.0 ms later a stop began: found moving at 0.3")
     assert "it could not be engaged: the hand transmitter has the robot" in texts(explanation, Step.CAUSE)
     assert "said Mode = remote" in texts(explanation, Step.EVIDENCE)
     assert texts(explanation, Step.MISSING) == ""

@@ -6,7 +6,7 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.reasoning.given import given_until
+from recorder.review.window import given_until
 from schemas.can_word import ERROR, EXTENDED, REMOTE
 from schemas.decisions import Journal
 from schemas.journal import Kind

@@ -1,0 +1,548 @@
+"""Some seconds of one robot, out of its logs: what the arbiter saw, was asked, and did, around a moment."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import Any, Final, Generic, TypeVar
+
+import msgspec
+
+from gateway.chassis.cruiser.layout import load
+from gateway.chassis.layout import MessageLayout
+from recorder.reading.faults import Faults
+from recorder.reading.log_file import LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
+from recorder.reading.topics import UNREADABLE
+from recorder.review.chain import before
+from recorder.review.clock import NEAR_NS
+from schemas import keys
+from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
+from schemas.configuration import TomlSource, merge
+from schemas.decisions import (
+    COMMANDING,
+    ArbiterState,
+    Decision,
+    EventKind,
+    Journal,
+    SafetyEvent,
+    SafetyState,
+    is_same_run,
+)
+from schemas.exit_codes import CommandError
+from schemas.journal import Kind
+from schemas.messages import (
+    Body,
+    CanFrame,
+    Drive,
+    GatewayHealth,
+    Gear,
+    Message,
+    Parking,
+    RobotState,
+    Steering,
+    Variant,
+    WheelSpeed,
+)
+from schemas.recording import RecordGap
+from schemas.settings import SAFETY_STATE_PERIOD_NS, SILENCE_MIN_NS, SILENCE_PERIODS, TICK_NS, CommandSettings
+
+BEFORE_NS: Final = 12_000_000_000
+"""Length of the window before its moment: the longest lease, and a bit."""
+
+AFTER_NS: Final = 9_000_000_000
+"""Length of the window behind its moment: the longest stop takes 7 s, and a hold and the silence follow."""
+
+LATER_NS: Final = 900_000_000_000
+"""Time behind the moment in which decisions are looked for that a recorder asked for later."""
+
+KEPT: Final = 5_000
+"""Messages of each class that a window holds; the oldest go first."""
+
+FRAMES_KEPT: Final = 500
+"""Frames of each identifier up to the moment, 5 s of the most frequent; and behind it."""
+
+REACH_NS: Final = 5_000_000_000
+"""Length of the journal that is read before a moment."""
+
+LINK_NS: Final = 1_500_000_000
+"""Longest usual time between publication and receipt."""
+
+STALL_NS: Final = 2_000_000_000
+"""No link delays a sample that it delivers for longer; it would be cut."""
+
+_TICKS_NEAR: Final = 500
+
+Said = TypeVar("Said", bound=Message)
+
+
+class Heard(msgspec.Struct, Generic[Said], frozen=True):
+    """A message, and when it was."""
+
+    time_ns: int
+    said: Said
+
+
+class DecodedFrame(msgspec.Struct, frozen=True):
+    """A raw frame with an extended identifier. Times are nanoseconds since 1970.
+
+    Attributes:
+        time_ns: when it was sent, or received: when the arbiter was given it, or where the log does not hold the
+            journal when the bus had it.
+        bus_ns: when the bus had it; None where that is ``time_ns``.
+    """
+
+    time_ns: int
+    identifier: int
+    data: bytes
+    bus_ns: int | None = None
+
+    @property
+    def waited_ns(self) -> int:
+        """The time between the bus and the arbiter; 0 where that is not known."""
+        waited_ns = 0 if self.bus_ns is None else max(0, self.time_ns - self.bus_ns)
+        return waited_ns if waited_ns < REACH_NS else 0  # The adapter has another clock.
+
+    @property
+    def bus_time_ns(self) -> int:
+        """When the bus had it, as far as that is known."""
+        return self.time_ns - self.waited_ns
+
+    @property
+    def is_whole(self) -> bool:
+        """Eight bytes whose checksum is right."""
+        return len(self.data) == 8 and self.checksum == self.data[7]
+
+    @property
+    def checksum(self) -> int:
+        """The right value of byte 7: the XOR of those before."""
+        found = 0
+        for byte in self.data[:7]:
+            found ^= byte
+        return found
+
+    @property
+    def alive_counter(self) -> int:
+        """The high half of byte 6."""
+        return self.data[6] >> 4
+
+    def __str__(self) -> str:
+        """Identifier, name and bytes."""
+        known = BY_IDENTIFIER.get(self.identifier)
+        name = f" {known.name}" if known is not None else ""
+        return f"0x{self.identifier:08X}{name}, {self.data.hex(' ').upper()}"
+
+
+BY_IDENTIFIER: Final[dict[int, MessageLayout]] = {
+    frame.can_id & IDENTIFIER_MASK: frame for frame in load(Variant.COARSE).messages.values()
+}
+"""Every frame of the DBC. Both variants have the same frames and cycle times."""
+
+IDENTIFIERS: Final = {frame.name: identifier for identifier, frame in BY_IDENTIFIER.items()}
+
+BODY: Final = IDENTIFIERS["Auto_MileageAndBodyFeedback"]
+WHEELS: Final = IDENTIFIERS["Auto_WheelSpdFeedback"]
+DRIVE: Final = IDENTIFIERS["Auto_DriveFeedBack"]
+
+
+def silence_ns(name: str) -> int:
+    """The time without a feedback frame after which it counts as silent."""
+    return max(SILENCE_PERIODS * BY_IDENTIFIER[IDENTIFIERS[name]].period_ns, SILENCE_MIN_NS)
+
+
+def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str, float]:
+    """A frame's signals by name, scaled, whatever its checksum is; empty if it is none of the DBC."""
+    known = BY_IDENTIFIER.get(frame.identifier)
+    if known is None or len(frame.data) != 8:
+        return {}
+    return {signal.name: signal.value(frame.data) for signal in load(variant).messages[known.name].signals}
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """The settings that were in force.
+
+    Attributes:
+        is_known: the log holds them; else these are the start values.
+    """
+
+    command: CommandSettings = CommandSettings()
+    is_known: bool = False
+
+    @property
+    def origin(self) -> str:
+        """The origin of a limit in words, to be put behind it."""
+        return "by its configuration" if self.is_known else "the start value; no configuration is in the log"
+
+
+class GivenInputs(msgspec.Struct, frozen=True):
+    """The frames that the arbiter was given up to a tick, by the journal.
+
+    A busy machine reads frames later than the bus had them, and the arbiter judges their age by when it was given
+    them. Times are nanoseconds since 1970, by the clock of the moment.
+
+    Attributes:
+        from_ns: from here on the journal is there without a gap.
+        frames: by identifier, in their order, each at the time at which the arbiter was given it.
+    """
+
+    from_ns: int
+    frames: dict[int, list[DecodedFrame]]
+
+
+def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> GivenInputs | None:
+    """The frames that the arbiter was given before the last tick up to a moment.
+
+    Args:
+        at_ns: the moment; a tick that is so near to it that it must be meant is one of the moment.
+        journals: of one run of a gateway, by their time.
+        shift_ns: to be added to the robot's clock.
+
+    Returns:
+        None if the log does not hold the journal of the moment.
+    """
+    inputs: list[tuple[Any, ...]] = []
+    next_first: int | None = None
+    for journal in reversed(journals):
+        if next_first not in {None, journal.first + journal.count}:
+            break
+        try:
+            found = _DECODER.decode(journal.inputs)
+        except UNREADABLE:
+            break
+        if not inputs:
+            found = _up_to_tick(found, at_ns - shift_ns)
+            if not found:
+                continue  # All of it came behind the moment.
+        inputs = found + inputs
+        next_first = journal.first
+        match inputs:
+            case [(_, int(from_ns), *_), *_, (_, int(now_ns), *_)] if now_ns - from_ns < REACH_NS:
+                pass
+            case _:
+                break
+    match inputs:
+        case [(_, int(from_ns), *_), *_, (_, int(now_ns), int(wall_ns), *_)]:
+            if at_ns - shift_ns - wall_ns > SAFETY_STATE_PERIOD_NS + TICK_NS:
+                return None
+            offset_ns = wall_ns + shift_ns - now_ns
+            return GivenInputs(from_ns + offset_ns, _frames(inputs, offset_ns, shift_ns))
+        case _:
+            return None
+
+
+_DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
+
+
+def _up_to_tick(inputs: list[tuple[Any, ...]], wall_ns: int) -> list[tuple[Any, ...]]:
+    """The inputs up to the last tick that is not behind this time; none if there is no such tick."""
+    for at in range(len(inputs) - 1, -1, -1):
+        match inputs[at]:
+            case (kind, int(), int(tick_ns), *_) if kind == Kind.TICK.value and tick_ns <= wall_ns + TICK_NS // 2:
+                return inputs[: at + 1]
+    return []
+
+
+def _frames(inputs: Sequence[tuple[Any, ...]], offset_ns: int, shift_ns: int) -> dict[int, list[DecodedFrame]]:
+    frames: dict[int, list[DecodedFrame]] = {}
+    for one in inputs:
+        match one:
+            case (kind, int(now_ns), [int(word), bytes(data), int(wall_ns), *_]) if kind == Kind.FRAME.value:
+                if word & EXTENDED and not word & (REMOTE | ERROR):
+                    given_ns = now_ns + offset_ns
+                    bus_ns = wall_ns + shift_ns if wall_ns else given_ns
+                    identifier = word & IDENTIFIER_MASK
+                    frames.setdefault(identifier, []).append(DecodedFrame(given_ns, identifier, data, bus_ns))
+    return frames
+
+
+Frames = tuple["deque[DecodedFrame]", "deque[DecodedFrame]"]
+"""Those before the moment, and those behind it, each in their order."""
+
+_NONE: Final[Frames] = deque(), deque()
+
+
+class EvidenceWindow:
+    """The messages of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
+
+    Attributes:
+        at_ns: the moment.
+        what: it is, in words.
+        detail: the arbiter's own remark; may be empty.
+        limits: the settings in force.
+        frames: received ones by identifier. As far as the journal is in the log, those before the moment are what
+            the arbiter had been given.
+        waiting: by identifier, those that the bus had before the moment, and the arbiter was given behind it.
+        is_journaled: the journal of the moment is in the log, and shows when the arbiter was given a frame.
+        sent: likewise those that the gateway sent.
+        received: number of frames received in the last second before the moment.
+        gaps: the gaps of this time that the recorder reports.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        at_ns: int,
+        shift_ns: int,
+        limits: Limits,
+        *,
+        is_steady: bool = True,
+        is_shared: bool = False,
+    ) -> None:
+        self.robot = robot
+        self.at_ns = at_ns
+        self.what = "that moment"
+        self.detail = ""
+        self.limits = limits
+        self.frames: dict[int, Frames] = {}
+        self.sent: dict[int, Frames] = {}
+        self.waiting: dict[int, list[DecodedFrame]] = {}
+        self.is_journaled = False
+        self.received = 0
+        self.gaps: list[RecordGap] = []
+        self._shift_ns = shift_ns
+        self._is_steady = is_steady
+        self._is_shared = is_shared
+        self._said: dict[type[Message], list[Heard[Any]]] = {}
+        self._during: dict[type[Message], list[Heard[Any]]] = {}
+        self._run_ns = (0, END_OF_TIME_NS)
+        self._seen: set[tuple[str, int, int, bytes]] = set()
+
+    def take(self, row: Row) -> None:
+        """A row of one of the classes that are wanted.
+
+        Raises:
+            what ``recorder.reading.topics.UNREADABLE`` lists.
+        """
+        kind, decode = row.topic.kind, row.topic.decode
+        if kind is None or decode is None:
+            return
+        time_ns = row.publish_ns + self._shift_ns
+        # What a gateway that hung had not read is late, and has its right time; else it has another clock.
+        late_ns = BEFORE_NS if self._is_steady else STALL_NS
+        if kind not in _ASKED_LATER and not -STALL_NS <= row.log_ns - time_ns <= late_ns:
+            time_ns = row.log_ns
+        if kind is CanFrame:
+            self._take_frame(row, time_ns, decode)
+            return
+        one = (row.topic.name, row.publish_ns, row.sequence, row.data)
+        if one in self._seen:
+            return
+        self._seen.add(one)
+        if kind is RecordGap:
+            gap = decode(row.data)
+            parts = keys.parse(gap.key)
+            if parts is None or self.robot in {parts.robot, f"{parts.root}/{parts.robot}"} or not parts.robot:
+                self.gaps.append(gap)
+        elif issubclass(kind, Message):
+            self._said.setdefault(kind, []).append(Heard(time_ns, decode(row.data)))
+
+    def settle(self) -> None:
+        """All is there: put what came late into its place."""
+        for kind, heard in self._said.items():
+            placed = heard if self._is_steady or kind not in _ASKED_LATER else self._by_tick(heard)
+            self._said[kind] = sorted(placed, key=lambda one: one.time_ns)[-KEPT:]
+        from_ns, to_ns = self._run_ns = self._run()
+        for kind in _OF_A_GATEWAY & self._said.keys():
+            self._during[kind] = [one for one in self._said[kind] if from_ns <= one.time_ns < to_ns]
+        given = given_until(self.at_ns, [one.said for one in self.during(Journal)], self._shift_ns)
+        if given is not None:
+            self._give(given)
+
+    def _give(self, given: GivenInputs) -> None:
+        """Put the arbiter's view of the frames before the moment into the place of the bus's."""
+        self.is_journaled = True
+        if not self.frames:
+            # Raw frames were not recorded; the journal holds them all the same.
+            since_ns = self.at_ns - 1_000_000_000
+            self.received = sum(one.time_ns > since_ns for frames in given.frames.values() for one in frames)
+        for identifier in self.frames.keys() | given.frames.keys():
+            before, behind = self.frames.get(identifier, _NONE)
+            had = given.frames.get(identifier, [])
+            first_ns, last_ns = (had[0].bus_ns, had[-1].bus_ns) if had else (given.from_ns, given.from_ns)
+            older = [one for one in before if one.time_ns < (first_ns or 0)]
+            self.waiting[identifier] = [one for one in before if one.time_ns > (last_ns or 0)]
+            self.frames[identifier] = deque(older + had, maxlen=FRAMES_KEPT), behind
+
+    def _run(self) -> tuple[int, int]:
+        """The times at which the gateway of the moment began, and the next one did."""
+        from_ns, to_ns = 0, END_OF_TIME_NS
+        for was, then in [] if self._is_shared else pairwise(self.all(SafetyState)):
+            if not is_same_run(was.said.tick, then.said.tick):
+                if then.time_ns > self.at_ns:
+                    return from_ns, then.time_ns
+                from_ns = then.time_ns
+        return from_ns, to_ns
+
+    def _by_tick(self, heard: Sequence[Heard[Any]]) -> list[Heard[Any]]:
+        """Each at the time of its tick, if its clock was wrong by then; those of any other time are left out."""
+        states = sorted({one.said.tick: one for one in reversed(self.all(SafetyState))}.values(), key=_tick_of)
+        placed = []
+        for one in heard:
+            at = bisect_left(states, _tick_of(one), key=_tick_of)
+            near = min(
+                states[max(at - 1, 0) : at + 1], key=lambda two: abs(two.said.tick - _tick_of(one)), default=None
+            )
+            ticks = 0 if near is None else _tick_of(one) - near.said.tick
+            time_ns = one.time_ns
+            if near is not None and abs(ticks) <= _TICKS_NEAR:
+                expected_ns = near.time_ns + ticks * TICK_NS
+                time_ns = time_ns if abs(time_ns - expected_ns) <= NEAR_NS else expected_ns
+            if self.at_ns - BEFORE_NS - STALL_NS <= time_ns <= self.at_ns + AFTER_NS + STALL_NS:
+                placed.append(Heard(time_ns, one.said))
+        return placed
+
+    def ago(self, time_ns: int) -> str:
+        """``12.3 ms before the stop``."""
+        return before(time_ns, self.at_ns, self.what)
+
+    def all(self, kind: type[Said]) -> Sequence[Heard[Said]]:
+        """The messages of a class, by their time."""
+        return self._said.get(kind, [])
+
+    def during(self, kind: type[Said]) -> Sequence[Heard[Said]]:
+        """The messages of a class, by time; what a gateway says of itself, of the run of the moment alone."""
+        return self._during.get(kind) or (() if kind in _OF_A_GATEWAY else self.all(kind))
+
+    def last(self, kind: type[Said], at_ns: int | None = None) -> Heard[Said] | None:
+        """The last one up to a time, that of the moment if none is given."""
+        return next(self.until(kind, at_ns), None)
+
+    def after(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
+        """The messages of a class behind a time, that of the moment if none is given."""
+        from_ns = self.at_ns if at_ns is None else at_ns
+        return (one for one in self.during(kind) if one.time_ns > from_ns)
+
+    def until(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
+        """The messages of a class up to a time, that of the moment if none is given; the last one first."""
+        until_ns = self.at_ns if at_ns is None else at_ns
+        return (one for one in reversed(self.during(kind)) if one.time_ns <= until_ns)
+
+    @property
+    def over_ns(self) -> int:
+        """The end of what was at the moment: the next engagement, the next stop, or the end of the run."""
+        has_begun = has_rested = False
+        for one in self.after(SafetyState, self.at_ns - 1):
+            state = one.said.state
+            if (has_rested and state is ArbiterState.STOPPING) or (has_begun and state in COMMANDING):
+                return one.time_ns
+            has_begun |= state not in COMMANDING
+            has_rested |= state is ArbiterState.STANDBY
+        engaged = (one for one in self.after(SafetyEvent) if one.said.kind is EventKind.ENGAGED)
+        return next((one.time_ns for one in engaged), self._run_ns[1])
+
+    def frames_before(self, identifier: int) -> Sequence[DecodedFrame]:
+        """Frames that the arbiter was given up to the moment, in their order; see ``frames``."""
+        return self.frames.get(identifier, _NONE)[0]
+
+    def commands_between(self, from_ns: int, to_ns: int) -> list[DecodedFrame]:
+        """Received command frames, which this gateway did not send, by their time on the bus."""
+        known = (identifier for identifier in self.frames if identifier in BY_IDENTIFIER)
+        heard = [
+            one
+            for identifier in known
+            if not BY_IDENTIFIER[identifier].is_feedback
+            for frames in self.frames[identifier]
+            for one in frames
+            if from_ns <= one.bus_time_ns < to_ns
+        ]
+        return sorted(heard, key=lambda one: one.bus_time_ns)
+
+    def speeds_after(self, from_ns: int) -> list[tuple[int, float]]:
+        """Times and speeds by the drive feedback: decoded by whichever gateway, or raw where none had begun to."""
+        found = {one.time_ns: one.said.speed_mps for one in self.all(Drive) if one.time_ns > from_ns}
+        first_ns = min(found, default=END_OF_TIME_NS)
+        for frame in (one for frames in self.frames.get(DRIVE, _NONE) for one in frames):
+            if from_ns < frame.time_ns < first_ns and frame.is_whole:
+                found[frame.time_ns] = signals(frame, self.variant)["Speed"]
+        return sorted(found.items())
+
+    @property
+    def named_frames(self) -> list[str]:
+        """The feedback frames that the detail names."""
+        return [name for name in IDENTIFIERS if name in self.detail]
+
+    @property
+    def variant(self) -> Variant:
+        """The chassis's firmware variant at the moment; coarse where the log does not have it."""
+        state = self.last(RobotState)
+        return state.said.variant if state and state.said.variant is not Variant.UNKNOWN else Variant.COARSE
+
+    @property
+    def lacks_decisions(self) -> int:
+        """Decisions of this time that are not in the log, by their sequence."""
+        numbers = sorted({one.said.sequence for one in self.all(Decision)})
+        return numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0
+
+    def _take_frame(self, row: Row, time_ns: int, decode: Callable[[bytes], Any]) -> None:
+        raw = decode(row.data)
+        is_behind = time_ns > self.at_ns
+        is_sent = row.topic.subject.endswith("/tx")
+        if not is_sent and not is_behind and time_ns > self.at_ns - 1_000_000_000:
+            self.received += 1
+        of = self.sent if is_sent else self.frames
+        if (
+            not raw.is_extended
+            or raw.is_remote
+            or raw.is_error
+            or (len(of) >= FRAMES_KEPT and raw.identifier not in of)
+        ):
+            return
+        frames = of.setdefault(raw.identifier, (deque(maxlen=FRAMES_KEPT), deque(maxlen=FRAMES_KEPT)))[is_behind]
+        frame = DecodedFrame(time_ns, raw.identifier, raw.data)
+        if not (is_behind and len(frames) == FRAMES_KEPT) and not (frames and frames[-1] == frame):
+            frames.append(frame)
+
+
+def _tick_of(one: Heard[Any]) -> int:
+    tick: int = one.said.tick
+    return tick
+
+
+_ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent})
+
+_OF_A_GATEWAY: Final[frozenset[type[Message]]] = frozenset(
+    {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState, Journal}
+)
+"""Classes in which a gateway describes itself and the chassis; the others are the chassis's own feedback."""
+
+_WANTED: Final = _OF_A_GATEWAY | {CanFrame, Drive, WheelSpeed, Steering, Gear, Body, Parking}
+
+
+def read_window(window: EvidenceWindow, logs: Sequence[LogFile], faults: Faults) -> EvidenceWindow:
+    """Fill a window out of a robot's logs; what cannot be read is a fault."""
+    from_ns, to_ns = max(0, window.at_ns - BEFORE_NS), window.at_ns + AFTER_NS
+
+    def read(selection: Selection, until_ns: int) -> None:
+        for row in read_rows(logs, selection, faults):
+            try:
+                if row.publish_ns < until_ns:
+                    window.take(row)
+            except UNREADABLE as error:
+                faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
+
+    def is_wanted(kind: object, robot: str) -> bool:
+        return (robot == window.robot and kind in _WANTED) or kind is RecordGap
+
+    read(Selection(lambda one: is_wanted(one.kind, one.robot), from_ns, to_ns + LINK_NS), END_OF_TIME_NS)
+    if window.lacks_decisions or not window.all(Decision):
+        later = Selection(
+            lambda one: one.robot == window.robot and one.kind in _ASKED_LATER, to_ns + LINK_NS, to_ns + LATER_NS
+        )
+        read(later, to_ns)
+    window.gaps = [gap for gap in window.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]
+    window.settle()
+    return window
+
+
+def limits_at(at_ns: int, robot: str, configurations: Sequence[tuple[int, str]], faults: Faults) -> Limits:
+    """Return the limits of the configuration that was published last, or else next."""
+    texts = [text for time_ns, text in configurations if time_ns <= at_ns][-1:]
+    for text in texts + [text for _, text in configurations][:1]:
+        try:
+            settings = merge(TomlSource("configuration.toml", text, is_recorded=True), {}, {})
+            return Limits(settings.command, is_known=True)
+        except CommandError as error:
+            faults.add(f"{robot}: its configuration cannot be read: {error}")
+    return Limits()
