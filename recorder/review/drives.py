@@ -222,9 +222,9 @@ class Drives:
         if speed_mps is not None and abs(speed_mps) > STANDING_MPS:
             self.command(time_ns, log_ns)
         now = self._now
-        if now is not None and step_m is not None and now.start_ns <= time_ns <= now.end_ns:
+        if now is not None and step_m is not None and now.start_ns <= time_ns <= now.end_ns + REST_NS:
             now.distance_m += abs(step_m)
-            if before_ns is not None and before_ns >= now.start_ns:
+            if before_ns is not None and now.start_ns <= before_ns and time_ns <= now.end_ns:
                 now.missing_s += (self.motion.gap_ns - gap_ns) / 1e9
         return step_m
 

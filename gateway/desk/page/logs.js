@@ -107,7 +107,7 @@ const secondsOf = (one) => {
   return s < 3600 ? `${Math.floor(s / 60)}:${String(s % 60).padStart(2, "0")}` : `${Math.floor(s / 3600)} h ${Math.floor(s / 60) % 60} min`;
 };
 
-const metersOf = ({ distance_m: m }) => (m >= 1000 ? `${(m / 1000).toFixed(1)} km` : `${(m ?? 0).toFixed(1)} m`);
+const metersOf = ({ distance_m: m, missing_s: missing, gap_s: gap }) => (missing || gap ? "\u2265 " : "") + (m >= 1000 ? `${(m / 1000).toFixed(1)} km` : `${(m ?? 0).toFixed(1)} m`);
 
 /** Of each kind of answer its cells, as [name, kind, content]. */
 const CELLS = {
@@ -118,7 +118,7 @@ const CELLS = {
   drives: (one) => [
     ["robot", "name", one.robot], ["lasted", "number", secondsOf(one)], ["distance", "number", metersOf(one)], ["stops", "number", one.stops], ["what", "what", told(one.text)]],
   moments: (one) => [
-    ["robot", "name", one.robot || "--"], ["kind", "", valueOf(one.kind)], ["operator_of", "name", one.operator || "--"], ["what", "what", told(one.text)]],
+    ["robot", "name", one.robot || "--"], ["kind", "", valueOf(one.kind)], ["operator_of", "name", one.operator || (one.holder ? `(${one.holder})` : "--")], ["what", "what", told(one.text)]],
 };
 
 function table(search, found, viewers) {

@@ -75,7 +75,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         raise CommandError(f"there is nothing of {plain(arguments.robot)} in these logs", ExitCode.USAGE)
     if not report.robots:
         end_with(asked.faults)
-        raise CommandError("there is no state, decision or event of a robot in these logs, so nothing to report")
+        raise CommandError(
+            "no state, decision or event of a robot is in these logs for this time: nothing to report"
+        )
     if out is not None:
         with progress_bar("why", asked.bytes, stopped) as progress:
             whys = reasons(report, asked.logs, progress)

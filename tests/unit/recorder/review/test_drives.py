@@ -178,6 +178,15 @@ def test_the_worst_moment_is_the_first_of_the_gravest(severities: str, worst: st
     assert (drive.worst, "" if found.worst is None else found.worst.text) == (worst, worst)
 
 
+def test_the_way_to_a_standstill_belongs_to_the_drive() -> None:
+    """The only drive has all of the distance."""
+    found = Drives()
+    for number, speed_mps in enumerate((0.0, 1.0, 1.0, 0.015, 0.01, 0.0)):
+        found.move(WALL_NS + number * STEP_NS, WALL_NS, speed_mps)
+    (drive,) = found.drives()
+    assert drive.distance_m == pytest.approx(found.motion.distance_m)
+
+
 def test_drives_beyond_the_limit_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory does not grow with the log."""
     monkeypatch.setattr(drives, "DRIVES_MAX", 2)
