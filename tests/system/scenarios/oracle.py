@@ -98,6 +98,8 @@ LOOSE_S: Final = 1.0
 STUCK_DEG: Final = 6.5
 """5 deg, and what noise and a bit make of it."""
 
+SLOW_STEERING_S: Final = 0.25
+
 LAGGING_S, LAGGING_MPS2 = 0.4, 0.8
 """The slowest drive that a gateway has to allow for: its lag, and how fast it slows down."""
 
@@ -852,9 +854,8 @@ class Oracle:
         self._judge_runaway(plant, order, now_s)
         # Steering: as it is shown, between what was told lately and followers that are slower than any chassis.
         shown_deg = (int.from_bytes(shown[STEERING][1:3], "little") & 0xFFF) * 0.043945 - 90
-        follow_deg = 25.0 * TICK_S
-        self._left_deg = max(order.angle_deg, self._left_deg - follow_deg)
-        self._right_deg = min(order.angle_deg, self._right_deg + follow_deg)
+        self._left_deg = max(order.angle_deg, self._left_deg - _turned_deg(self._left_deg - order.angle_deg))
+        self._right_deg = min(order.angle_deg, self._right_deg + _turned_deg(order.angle_deg - self._right_deg))
         off = not self._right_deg - STUCK_DEG < shown_deg < self._left_deg + STUCK_DEG
         self._expect_latch("stuck", "steering_unnoticed", 0.3, now_s, f"{shown_deg:.1f} deg", holds=off)
         # Where both are frozen no speed is measured, and the rules on frozen feedback judge.
@@ -1043,6 +1044,11 @@ def _brief(order: Told) -> str:
     """Enables, gear, parking request, speed and angle, for a person."""
     brake, on = "P" if order.parking else "-", "on" if order.enabled else "off"
     return f"{on:3} {'?PRND???'[order.gear]}{brake} {order.speed_mps:5.3f} {order.angle_deg:5.1f}"
+
+
+def _turned_deg(off_deg: float) -> float:
+    """How far in a tick the slowest steering that a gateway has to allow for turns towards its target."""
+    return min(25.0, off_deg / SLOW_STEERING_S) * TICK_S
 
 
 def _worn_mps2(plant: Plant) -> float:
