@@ -230,3 +230,31 @@ def test_one_function_starts_our_interpreter() -> None:
         # A pool of processes: it sets what `-P` sets.
         "recorder/review/tasks.py": {"multiprocessing", "ProcessPool"},
     }
+
+
+EXTRAS = (
+    "duckdb",
+    "foxglove",
+    "numpy",
+    "obstore",
+    "prometheus_client",
+    "ptars",
+    "pyarrow",
+    "ray",
+    "rerun",
+    "starlette",
+)
+
+WITHOUT_EXTRAS = f"""
+import importlib, sys
+sys.modules.update(dict.fromkeys({EXTRAS!r}))
+from gateway.cli.main import COMMANDS
+from recorder.cli.review.command import QUESTIONS
+for module, _ in [*COMMANDS.values(), *QUESTIONS.values()]:
+    importlib.import_module(module.partition(":")[0])
+"""
+
+
+def test_every_command_explains_itself_without_the_extras() -> None:
+    """What an extra brings is imported when it is needed: 'make demo' and a robot have none of them."""
+    subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], cwd=ROOT, check=True)

@@ -5,18 +5,20 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from recorder.cli.review.asking import add_logs, end_with, find, progress_bar, table
+from recorder.cli.review.asking import add_logs, end_with, find, needing_extra, progress_bar, table
 from recorder.cli.show import show
 from recorder.reading.times import in_words
-from recorder.review.check import LogCheck, check_log
 from recorder.review.checking.findings import About, Finding
-from recorder.review.checking.samples import Between, ChannelEnds, between
 from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import Settings
+
+if TYPE_CHECKING:
+    from recorder.review.check import LogCheck
+    from recorder.review.checking.samples import Between, ChannelEnds
 
 EXAMPLE: Final = "  cruiser review check logs\n  cruiser review check --json logs/cruiser-1-20260102T030405Z.mcap"
 DESCRIPTION: Final = (
@@ -40,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Check each file."""
+    with needing_extra():
+        from recorder.review.check import check_log  # noqa: PLC0415 - a robot has no numpy
+        from recorder.review.checking.samples import between  # noqa: PLC0415 - the same
     asked = find(arguments, settings, stopped, with_covered=True)
     is_sound = True
     ends: list[tuple[str, dict[str, ChannelEnds]]] = []
