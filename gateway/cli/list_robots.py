@@ -204,7 +204,7 @@ class _Search:
         return self._reports(time.monotonic_ns())
 
     def _reports(self, now_ns: int) -> list[RobotStatus]:
-        names = {*self._fleet.robots(now_ns), *self._expected}
+        names = {*self._fleet.robots.names(now_ns), *self._expected}
         return [self._fleet.report(robot, now_ns) for robot in sorted(names, key=keys.in_order)]
 
     def _step(self, now_s: float) -> bool:

@@ -103,7 +103,7 @@ class _Watching:
         while not stopped():
             self._poll()
             connected = self._listener.connected()
-            if connected and (not self.robot or self.robot in self._fleet.robots(time.monotonic_ns())):
+            if connected and (not self.robot or self.robot in self._fleet.robots.names(time.monotonic_ns())):
                 return ""
             if time.monotonic() >= deadline_s:
                 return f"robot {self.robot!r} did not appear" if connected else "no Zenoh node answered"
@@ -126,12 +126,12 @@ class _Watching:
 
     def _reports(self) -> list[RobotStatus]:
         now_ns = time.monotonic_ns()
-        names = {self.robot} if self.robot else {*self._fleet.robots(now_ns), *self._expected}
+        names = {self.robot} if self.robot else {*self._fleet.robots.names(now_ns), *self._expected}
         return [self._fleet.report(name, now_ns) for name in sorted(names, key=in_order)]
 
     def _poll(self) -> None:
         now_ns = time.monotonic_ns()
-        self._fleet.link(connected=self._listener.connected())
+        self._fleet.linked = self._listener.connected()
         for heard in self._listener.drain():
             self._fleet.receive(heard, now_ns)
 

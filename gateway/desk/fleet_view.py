@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.client.fleet import HEALTH_STALE_NS, Fleet, RobotStatus
+from gateway.client.fleet import Bounds, Fleet, RobotStatus
 from gateway.client.payloads import read_sample
 from gateway.client.robot_word import OFFLINE
 from gateway.desk.history import PERIOD_NS, Histories
@@ -18,7 +18,7 @@ from gateway.desk.words import DeskWhy, RecorderRow, RobotRow
 from gateway.telemetry.received import Arrival, Missed, Received
 from schemas.decisions import SafetyEvent, Severity
 from schemas.recording import RecorderHealth
-from schemas.subjects import BY_TYPE, RECORDER_CHUNK
+from schemas.subjects import BY_TYPE
 
 SHOWN: Final = frozenset({Severity.WARNING, Severity.ERROR})
 """The events of which the last is in a robot's row."""
@@ -29,16 +29,11 @@ EVENTS_KEPT: Final = 50
 EVENT_MAX_BYTES: Final = 4096
 """A larger event is of no gateway, and is passed over: a thousand robots' would fill the memory."""
 
-ROBOTS_MAX: Final = 1000
-"""The robots that are shown. Names are chosen by whoever publishes: a stranger could make any number of them."""
-
-RECORDERS_MAX: Final = 200
+BOUNDS: Final = Bounds(robots=1000, recorders=200)
+"""The robots and recorders that are shown."""
 
 FULL_SHOWN_NS: Final = 10_000_000_000
 """For so long after a name for which there was no room it is said that not all are shown."""
-
-KEYS_MAX: Final = 16_384
-"""Keys of which samples are kept until they are read: three and a token of each robot, one of each recorder."""
 
 _EVENT: Final = f"/{BY_TYPE[SafetyEvent].name}"
 
@@ -57,19 +52,15 @@ class FleetView:
         self._acknowledged: dict[str, tuple[str, str]] = {}
         self.is_full = False
         self._sites = sites
-        self._root = f"{root}/"
         self._full_ns: int | None = None
-        self._is_refused = False
-        self._robots: set[str] = set()
+        self._refused = 0
+        self._now_ns = 0
         self._names: list[str] = []
-        self._recorder_names: set[str] = set()
-        self._of_recorders = f"{root}/{RECORDER_CHUNK}/"
-        self._fleet = Fleet(root)
-        self._linked = False
+        self._recorder_names: list[str] = []
+        self._fleet = Fleet(root, BOUNDS)
         self._newest: dict[str, Arrival] = {}
         self._events: dict[str, SafetyEvent] = {}
         self._last_events: dict[str, deque[Received]] = {}
-        self._recorders: dict[str, tuple[RecorderHealth, int]] = {}
         self._rows: dict[str, RobotRow] = {}
         self._words: dict[str, tuple[str, int]] = {}
         self._recorder_rows: list[RecorderRow] = []
@@ -77,38 +68,26 @@ class FleetView:
 
     def receive(self, arrival: Arrival) -> None:
         """Take in an arrival. Of each key the newest is read, when rows are asked for; every event is."""
-        if isinstance(arrival, Missed):
+        if isinstance(arrival, Missed) or self._fleet.find(arrival.key, self._now_ns) is None:
             return
-        if not self._has_room(arrival.key):
-            self._is_refused = True
-            return
-        if isinstance(arrival, Received) and arrival.key.endswith(_EVENT):
-            if len(arrival.payload) + len(arrival.attachment) > EVENT_MAX_BYTES:
-                return
+        if not isinstance(arrival, Received) or not arrival.key.endswith(_EVENT):
+            self._newest[arrival.key] = arrival
+        elif len(arrival.payload) + len(arrival.attachment) <= EVENT_MAX_BYTES:
             sample = read_sample(arrival)
             if sample is not None and isinstance(sample.message, SafetyEvent):
                 self._receive_event(sample.parts.robot, sample.message, arrival)
-            return
-        if arrival.key in self._newest or len(self._newest) < KEYS_MAX:
-            self._newest[arrival.key] = arrival
 
     def update(self, now_ns: int, *, linked: bool) -> None:
         """Read what has come since the last time."""
-        self._linked = linked
-        self._fleet.link(connected=linked)
-        for key, arrival in self._newest.items():
-            if isinstance(arrival, Received) and key.startswith(self._of_recorders):
-                self._receive_recorder(arrival, now_ns)
-            else:
-                self._fleet.receive(arrival, now_ns)
+        self._now_ns, self._fleet.linked = now_ns, linked
+        for arrival in self._newest.values():
+            self._fleet.receive(arrival, now_ns)
         self._newest.clear()
         # One that is lost stays until somebody has seen it, or until another robot needs its room.
-        robots = self._names = self._fleet.robots(
-            now_ns, lambda robot: self._is_refused or self._seen_to_by(robot, OFFLINE)
-        )
-        # A name of which nothing could be read takes no room.
-        self._robots, self._recorder_names = set(robots), set(self._recorders)
-        self._full_ns, self._is_refused = now_ns if self._is_refused else self._full_ns, False
+        robots = self._names = self._fleet.robots.names(now_ns, lambda robot: self._seen_to_by(robot, OFFLINE))
+        self._recorder_names = self._fleet.recorders.names(now_ns, lambda _recorder: True)
+        refused = self._fleet.robots.refused + self._fleet.recorders.refused
+        self._full_ns, self._refused = now_ns if refused > self._refused else self._full_ns, refused
         self.is_full = self._full_ns is not None and now_ns - self._full_ns < FULL_SHOWN_NS
         for gone in self._last_events.keys() - set(robots):
             del self._last_events[gone]
@@ -134,10 +113,10 @@ class FleetView:
             name: before[name] if name in before and before[name][0] == row.word else (row.word, now_ns)
             for name, row in rows.items()
         }
-        self._recorders = {
-            name: known for name, known in self._recorders.items() if now_ns - known[1] < HEALTH_STALE_NS
-        }
-        recorders = [recorder_row(name, health) for name, (health, _) in sorted(self._recorders.items())]
+        healths = (
+            (name, self._fleet.recorders[name].fresh(RecorderHealth, now_ns)) for name in self._recorder_names
+        )
+        recorders = [recorder_row(name, health) for name, health in healths if health is not None]
         is_other, self._recorder_rows = recorders != self._recorder_rows, recorders
         return changed, recorders if is_other else None
 
@@ -184,23 +163,8 @@ class FleetView:
         self._acknowledged.pop(robot, None)
         return ""
 
-    def _has_room(self, key: str) -> bool:
-        """A sender that is known already, or for which there is room: those that came first stay."""
-        is_recorder = key.startswith(self._of_recorders)
-        names = self._recorder_names if is_recorder else self._robots
-        name = key[len(self._of_recorders if is_recorder else self._root) :].partition("/")[0]
-        if name not in names and len(names) >= (RECORDERS_MAX if is_recorder else ROBOTS_MAX):
-            return False
-        names.add(name)
-        return True
-
     def _receive_event(self, robot: str, event: SafetyEvent, arrival: Received) -> None:
         self._last_events.setdefault(robot, deque(maxlen=EVENTS_KEPT)).append(arrival)
         known = self._events.get(robot)
         if event.severity in SHOWN and (known is None or known.time_ns <= event.time_ns):
             self._events[robot] = event
-
-    def _receive_recorder(self, arrival: Received, now_ns: int) -> None:
-        sample = read_sample(arrival)
-        if sample is not None and isinstance(sample.message, RecorderHealth):
-            self._recorders[sample.parts.recorder] = sample.message, now_ns

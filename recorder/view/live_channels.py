@@ -2,6 +2,7 @@
 
 What nobody looks at is not decoded. What comes seldom (events, decisions, who a robot is) is declared before it
 comes, so that viewers have subscribed by then, and the newest of it is shown to those who come later.
+Its bounds are those of a log's channels: ``gateway.client.fleet`` stores messages, a viewer gets encoded records.
 """
 
 from __future__ import annotations

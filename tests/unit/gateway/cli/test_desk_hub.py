@@ -21,7 +21,7 @@ from gateway.cli.desk_hub import (
 )
 from gateway.client.remote_stop import StopReport
 from gateway.desk import words
-from gateway.desk.fleet_view import EVENT_MAX_BYTES, ROBOTS_MAX
+from gateway.desk.fleet_view import BOUNDS, EVENT_MAX_BYTES
 from gateway.telemetry.received import Received
 from schemas.messages import Message
 from schemas.settings import Settings
@@ -311,7 +311,7 @@ def test_everybody_is_told_where_not_all_robots_are_shown() -> None:
     scene.step(STATE)
     browser = scene.hub.join()
     assert [one.full for one in told(browser, words.DeskRows)] == [False]
-    scene.listener.waiting += [received(STATE, f"evil-{number}") for number in range(ROBOTS_MAX)]
+    scene.listener.waiting += [received(STATE, f"evil-{number}") for number in range(BOUNDS.robots)]
     scene.step()
     assert [one.full for one in told(browser, words.DeskRows)] == [True]
     assert [one.full for one in told(scene.hub.join(), words.DeskRows)] == [True]
@@ -331,7 +331,7 @@ def test_what_holds_for_all_is_told_where_no_robot_changes() -> None:
         assert [(one.linked, one.rows) for one in told(browser, words.DeskRows)] == [(linked, {})]
 
     full = Scene()
-    full.listener.waiting += [received(STATE, f"robot-{number}") for number in range(ROBOTS_MAX)]
+    full.listener.waiting += [received(STATE, f"robot-{number}") for number in range(BOUNDS.robots)]
     full.step()
     browser = full.hub.join()
     browser.outbox.take()

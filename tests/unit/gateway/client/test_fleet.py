@@ -1,14 +1,16 @@
 import msgspec
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.client.fleet import FORGOTTEN_NS, HEALTH_STALE_NS, STATE_STALE_NS, Fleet
+from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS, Bounds, Fleet
 from gateway.client.view import line
 from gateway.telemetry.received import Received, TokenChange
 from schemas import codec, keys
 from schemas.messages import Message
 from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS
-from tests.support.messages import HEALTH, ROOT, STANDBY, STATE
+from tests.support.messages import HEALTH, ROOT, STANDBY, STATE, recorder_health
+from tests.support.metrics import received, token
 from tests.support.newer import NEW_WORD, with_new_word
 
 START_NS = 10**12
@@ -18,11 +20,6 @@ def sample(message: Message, robot: str = "cruiser-1", encoding: str = "") -> Re
     """A message as it arrives."""
     subject = BY_TYPE[type(message)]
     return Received(keys.build(ROOT, robot, subject), encoding or subject.encoding, codec.encode(message))
-
-
-def token(robot: str = "cruiser-1", *, present: bool = True) -> TokenChange:
-    """A liveliness token that appears or goes."""
-    return TokenChange(keys.liveliness(ROOT, robot), present)
 
 
 def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
@@ -57,25 +54,51 @@ def test_a_robot_that_was_never_heard_of_has_nothing_to_report() -> None:
 
 
 def test_a_token_that_goes_takes_the_connection_with_it() -> None:
-    """A robot whose token is gone is not connected; it is listed until somebody has seen that, and a minute."""
-    fleet = fleet_that_heard(token(), token(present=False))
-    assert not fleet.report("cruiser-1", START_NS).connected
-    assert fleet.robots(START_NS + FORGOTTEN_NS - 1, lambda _: True) == ["cruiser-1"]
-    assert fleet.robots(START_NS + 100 * FORGOTTEN_NS) == ["cruiser-1"]
-    assert fleet.robots(START_NS + FORGOTTEN_NS, lambda _: True) == []
+    """A robot whose token is gone is not connected."""
+    assert not fleet_that_heard(token(), token(present=False)).report("cruiser-1", START_NS).connected
 
 
-def test_a_robot_with_its_token_is_never_forgotten() -> None:
-    """Silence alone does not take a robot off the list while its gateway is connected."""
-    assert fleet_that_heard(token()).robots(START_NS + 100 * FORGOTTEN_NS) == ["cruiser-1"]
+SMALL = Bounds(robots=2, recorders=1, name_length=4, sample_bytes=1000, forgotten_ns=60)
+RECORDER, OTHER = received(recorder_health(), "r1"), received(recorder_health(), "r2")
+LARGE = msgspec.structs.replace(sample(STATE, "big"), payload=bytes(1001))
+
+
+NO_SUBJECT = Received(f"{ROOT}/a/x", "text/plain", b"")
+BOUNDED: dict[str, tuple[list[Received | TokenChange], int, str, str, int]] = {
+    "as many as there may be": ([sample(STATE, "a"), token("b")], 0, "ab", "a b", 0),
+    "one too many displaces none": ([sample(STATE, "a"), token("b"), token("c")], 0, "", "a b", 1),
+    "and none that goes on": ([sample(STATE, "a"), token("b"), token("c"), sample(STATE, "a")], 0, "", "a b", 1),
+    "recorders take no robot's place": ([RECORDER, OTHER, token("a"), token("b")], 0, "", "a b r1", 1),
+    "a long name is one too many": ([sample(STATE, "aaaa"), sample(STATE, "aaaaa")], 0, "", "aaaa", 1),
+    "a large sample, or of no subject, is ignored": ([LARGE, NO_SUBJECT, token("b")], 0, "", "b", 0),
+    "silent, not yet forgotten": ([sample(STATE, "a"), RECORDER], 59, "a r1", "a r1", 0),
+    "silent for long, and seen": ([sample(STATE, "a"), RECORDER], 60, "a r1", "", 0),
+    "silent for long, unseen": ([sample(STATE, "a"), RECORDER], 10**9, "", "a r1", 0),
+    "a token holds": ([token("a"), token("b"), token("b", present=False)], 60, "ab", "a", 0),
+    "too many: none goes early": ([token("a"), sample(STATE, "b"), token("c")], 59, "", "a b", 1),
+    "too many: a lost one goes": ([token("a"), sample(STATE, "b"), token("c")], 60, "", "a", 1),
+}
+
+
+@pytest.mark.parametrize(("heard", "later_ns", "sees", "left", "refused"), BOUNDED.values(), ids=BOUNDED)
+def test_a_fleet_is_bounded(
+    heard: list[Received | TokenChange], later_ns: int, sees: str, left: str, refused: int
+) -> None:
+    """What is beyond a limit of robots, recorders, names, bytes or time is refused or forgotten."""
+    fleet = Fleet(ROOT, SMALL)
+    for one in heard:
+        fleet.receive(one, START_NS)
+    kinds = (fleet.robots, fleet.recorders)
+    found = [name for kind in kinds for name in kind.names(START_NS + later_ns, lambda name: name in sees)]
+    assert (found, sum(kind.refused for kind in kinds)) == (left.split(), refused)
 
 
 def test_without_a_link_no_robot_is_connected() -> None:
     """When this end has lost Zenoh, the tokens that it remembers say nothing."""
     fleet = fleet_that_heard(token())
-    fleet.link(connected=False)
+    fleet.linked = False
     assert not fleet.report("cruiser-1", START_NS).connected
-    fleet.link(connected=True)
+    fleet.linked = True
     assert fleet.report("cruiser-1", START_NS).connected
 
 
@@ -86,7 +109,7 @@ def test_robots_are_kept_apart() -> None:
     elsewhere = Received(f"else/{ROOT}/cruiser-4/state", BY_NAME["state"].encoding, codec.encode(STATE))
     fleet.receive(elsewhere, START_NS)
     fleet.receive(TokenChange("else/cruiser-5/gateway", present=True), START_NS)
-    assert fleet.robots(START_NS) == ["cruiser-1", "cruiser-2", "cruiser-3"]
+    assert fleet.robots.names(START_NS) == ["cruiser-1", "cruiser-2", "cruiser-3"]
     assert fleet.report("cruiser-2", START_NS).state == other
 
 
@@ -112,7 +135,7 @@ def test_what_cannot_be_read_is_said_until_something_can() -> None:
 def test_no_sample_makes_hearing_raise(key: str, encoding: str, payload: bytes) -> None:
     """Any key, encoding and payload are taken in, and every robot can still be reported."""
     fleet = fleet_that_heard(Received(key, encoding, payload), TokenChange(key, present=True))
-    for robot in fleet.robots(START_NS):
+    for robot in fleet.robots.names(START_NS):
         assert fleet.report(robot, START_NS).robot == robot
 
 

@@ -2,10 +2,10 @@
 
 import msgspec
 
-from gateway.desk.fleet_view import EVENTS_KEPT, RECORDERS_MAX, ROBOTS_MAX, FleetView
+from gateway.desk.fleet_view import BOUNDS, EVENTS_KEPT, FleetView
 from gateway.desk.history import FIELDS, LENGTH, PERIOD_NS
 from gateway.desk.words import RecorderRow, RobotRow
-from gateway.telemetry.received import Missed, Received, TokenChange
+from gateway.telemetry.received import Missed, TokenChange
 from schemas import keys
 from schemas.decisions import Severity
 from schemas.messages import Message
@@ -149,14 +149,14 @@ def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
     scene = Scene()
     scene.say(STATE, STANDBY, HEALTH)
     scene.step()
-    for number in range(3 * ROBOTS_MAX):
+    for number in range(3 * BOUNDS.robots):
         for message in (STATE, event(number, severity=Severity.WARNING)):
             scene.view.receive(received(message, f"evil-{number}"))
         scene.view.receive(TokenChange(keys.liveliness("fleet", f"worse-{number}"), present=True))
     moving = msgspec.structs.replace(STATE, speed_mps=0.7)
     scene.say(moving, event(1, severity=Severity.WARNING, text="seen all the same"))
     rows = scene.step()
-    assert len(scene.view.all_rows()[0]) == ROBOTS_MAX
+    assert len(scene.view.all_rows()[0]) == BOUNDS.robots
     assert scene.view.is_full
     row = rows["cruiser-1"]
     assert row is not None
@@ -165,29 +165,3 @@ def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
     scene.say(STATE)
     scene.step(10)
     assert not scene.view.is_full
-    # Strangers' names that went silent are kept as lost robots, until another one needs their room.
-    for _ in range(2):
-        scene.view.receive(received(STATE, "cruiser-2"))
-        rows = scene.step()
-    assert "cruiser-2" in rows
-
-
-def test_what_is_of_no_robot_takes_no_room_for_long() -> None:
-    """A name under which nothing came that a robot says is forgotten at the next look."""
-    scene = Scene()
-    for number in range(ROBOTS_MAX):
-        scene.view.receive(Received(f"fleet/evil-{number}/x", "text/plain", b""))
-    scene.step()
-    scene.say(STATE)
-    assert set(scene.step()) == {"cruiser-1"}
-
-
-def test_recorders_have_a_bound_too() -> None:
-    """And take no robot's room."""
-    scene = Scene()
-    for number in range(2 * RECORDERS_MAX):
-        scene.view.receive(received(recorder_health(), f"evil-{number}"))
-    scene.say(STATE)
-    assert set(scene.step()) == {"cruiser-1"}
-    assert scene.view.is_full
-    assert len(scene.view.all_rows()[1]) <= RECORDERS_MAX

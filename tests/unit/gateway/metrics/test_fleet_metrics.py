@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 
 from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS
-from gateway.metrics import fleet_metrics
-from gateway.metrics.fleet_metrics import FORGOTTEN_NS, GAP_MAX, NAME_MAX
+from gateway.metrics.fleet_metrics import BOUNDS, GAP_MAX
 from gateway.telemetry.received import Missed, Received
 from schemas.messages import SEQUENCE_MAX
 from tests.support.messages import HEALTH, STANDBY, STATE, health, recorder_health
@@ -154,23 +153,21 @@ def test_gaps_in_the_sequence_are_losses(sequences: list[int], lost: int) -> Non
     assert series(fleet(*states))[f'cruiser_samples_lost_total{{{R},subject="state"}}'] == lost
 
 
-def test_a_fleet_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who makes up names displaces no robot that is there, and is counted."""
-    monkeypatch.setattr(fleet_metrics, "ROBOTS_MAX", 3)
-    names = ["cruiser-1", "a" * NAME_MAX, "a" * (NAME_MAX + 1), "b", "c", "d"]
-    metrics = fleet(*(received(HEALTH, name) for name in names), token("e"))
+def test_samples_of_one_too_many_are_counted() -> None:
+    """The bounds are those of a fleet; names beyond them show up in a metric."""
+    names = [f"r{number}" for number in range(BOUNDS.robots)]
+    metrics = fleet(*(received(HEALTH, name) for name in names), received(HEALTH), token("e"))
     shown = series(metrics)
-    assert sum(name.startswith("cruiser_up") for name in shown) == 3
-    assert shown[UP] == 1
-    assert shown["cruiser_exporter_refused_total"] == 4
+    assert UP not in shown
+    assert shown["cruiser_exporter_refused_total"] == 2
 
 
 def test_who_was_silent_for_a_week_is_forgotten() -> None:
     """But not a robot whose gateway is connected: it hangs."""
     metrics = fleet(received(HEALTH), token("hangs"), received(recorder_health()))
-    shown = series(metrics, START_NS + FORGOTTEN_NS - 1)
+    shown = series(metrics, START_NS + BOUNDS.forgotten_ns - 1)
     assert (shown[UP], shown['cruiser_recorder_up{recorder="depot"}']) == (0, 0)
-    shown = series(metrics, START_NS + FORGOTTEN_NS)
+    shown = series(metrics, START_NS + BOUNDS.forgotten_ns)
     assert [name for name in shown if "_up" in name] == ['cruiser_up{robot="hangs"}']
 
 
