@@ -214,7 +214,7 @@ class Oracle:
         self._lag_s = lag_s
         # What is asked.
         self._asked_mps, self._asked_s = 0.0, -9.0
-        self._zero_since_s = self._engaged_s = 0.0
+        self._zero_since_s = self._engaged_s = self._lagging_mps = 0.0
         self._is_permitted = self._was_engaged = False
         self._engage_asked_s: float | None = None
         self._cause_s: float | None = None
@@ -364,7 +364,8 @@ class Oracle:
             self._begin_stop(now_s)
         self._was_excused = now_s < self._excused_until_s
         told_mps = 0.0 if self._order is None else self._order.signed_mps
-        self._lately.append((told_mps, plant.speed_mps, self._heard.speed_mps))
+        self._lagging_mps += (told_mps - self._lagging_mps) * TICK_S / LAGGING_S
+        self._lately.append((self._lagging_mps, plant.speed_mps, self._heard.speed_mps))
         self._judge_remote(plant, now_s)
         self._judge_roll_back(plant, now_s)
         self._judge_stop(plant, now_s)
@@ -809,8 +810,8 @@ class Oracle:
         due_s = abs(speed_mps) / min(slows_mps2, worn_mps2) + 2.0 + plant.build.brake_delay_s + 3 * self._lag_s
         if now_s - began_s > due_s:
             self._stop_record = None
-            # One that was given back and stands in mode stop is told nothing, and one whose mode frame is frozen.
-            is_ours = self._mode(plant) is not None and (plant.mode == AUTO or self._order_s >= began_s)
+            # One that stands when it is given back, or found, is told nothing, and one whose mode frame is frozen.
+            is_ours = self._mode(plant) is not None and self._order_s >= began_s
             # Where the brake does not hold, or did not a moment ago, the motor may hold it: only the metres count.
             if not plant.brake_holds or "brake_slips" in self._latched:
                 return
@@ -842,9 +843,9 @@ class Oracle:
                 speed_mps * sign > self._explained[sign] + MOVES_MPS + self._bit_mps
                 and order.signed_mps * sign <= 0
             )
-            lasts_s = self._timer(f"roll{sign}").lasts(
-                now_s, holds=rolls and not order.parking and plant.brake_holds
-            )
+            # One that is given back to its motor is judged by whether that holds it.
+            is_due = plant.brake_holds and "brake_slips" not in self._latched
+            lasts_s = self._timer(f"roll{sign}").lasts(now_s, holds=rolls and not order.parking and is_due)
             allowed_s = 0.1 + SEEING_S
             if now_s - self._frozen_wheels_s <= allowed_s:
                 allowed_s += PULSES_S
@@ -889,15 +890,17 @@ class Oracle:
             dies = over_mps > RUNAWAY_MPS and risen_mps > RUNAWAY_RISE_MPS and not plant.frozen & {DRIVE, WHEELS}
             lasts_s = self._timer(f"dies{sign}").lasts(now_s, holds=dies and not order.parking)
             # A speed beyond the chassis is not believed. Half a second later no speed is received at all.
-            absurd_s = 0.5 if abs(plant.speed_mps) > ABSURD_MPS else 0.0
-            if lasts_s > 0.1 + SEEING_S + absurd_s and not self._is_guards:
+            more_s = 0.5 if abs(plant.speed_mps) > ABSURD_MPS else 0.0
+            if "brake_slips" in self._latched:
+                more_s += MOTOR_HOLDS_S
+            if lasts_s > 0.1 + SEEING_S + more_s and not self._is_guards:
                 self._fail("runaway_unbraked", now_s, f"{plant.speed_mps:.2f} m/s, told {order.signed_mps:.2f}")
 
     def _judge_seen(self, plant: Plant, order: Told, now_s: float) -> None:
         """A robot that is told to move is seen to move, and what is seen changes with what is told."""
         seen_mps = self._heard.speed_mps
         told_mps = abs(order.signed_mps) - self._bit_mps if self._is_permitted else 0.0
-        # The command as it was a second ago, since when drive and wheels say the same.
+        # The command, with its lag, as it was a second ago, since when drive and wheels say the same.
         before_mps = self._lately[0][0]
         low_mps, high_mps = (
             (before_mps, before_mps) if now_s - self._heard.unchanged_s <= 1.0 else self._told_range
