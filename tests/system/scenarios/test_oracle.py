@@ -273,6 +273,26 @@ def gathers_speed(stage: Stage) -> None:
         stage.run(0.01, partial(stage.burst, GEAR_D, min(0.4, 0.008 * tick)))
 
 
+def frozen_within_its_lag(stage: Stage) -> None:
+    """The speeds are frozen while the command changes by 0.3 m/s for a moment: with its lag it did by less."""
+    stage.accelerate(0.3)
+    stage.plant.frozen = frozenset({DRIVE, WHEELS})
+    stage.asked_mps = 0.62
+    for step in range(80):
+        stage.run(0.01, partial(stage.burst, GEAR_D, 0.3 + 0.008 * min(step, 80 - step)))
+    stage.run(1.5, lambda: stage.burst(GEAR_D, 0.3))
+
+
+def pushed_off_its_brake(stage: Stage) -> None:
+    """Somebody pushes it as it is set going: it is given back to its motor, which cannot hold it against them."""
+    stage.run(0.2, lambda: stage.burst(GEAR_D))
+    stage.plant.hand = (-0.6, 2000.0)
+    stage.run(0.1, lambda: stage.burst(GEAR_D))
+    stage.oracle.requests("stop", {}, stage.now_s)
+    stage.state = {**stage.state, "engaged": False, "stop_reason": "brake_slips", "latched": ["brake_slips"]}
+    stage.run(0.5, lambda: stage.burst(GEAR_D))
+
+
 def creeps_unseen(stage: Stage) -> None:
     """Behind its brake it creeps, so slowly that not each 50 ms bring a pulse."""
     stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
@@ -745,6 +765,8 @@ KEEPS: list[Callable[[Stage], None]] = [
     lamps_are_cut_off,
     yields_held_by_its_motor,
     gathers_speed,
+    frozen_within_its_lag,
+    pushed_off_its_brake,
     creeps_unseen,
 ]
 
