@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
     from gateway.client.robot import Robot
-    from schemas.exit_codes import CommandError
+    from schemas.command_line import CommandError
 
 __all__ = ["CommandError", "LeaseLost", "Refused", "Robot", "Stopped", "Unreachable"]
 

@@ -45,7 +45,7 @@ from gateway.telemetry.chassis_tracker import ChassisTracker, Encoders
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import HealthMeter, Links
 from gateway.telemetry.raw_frames import FrameBatch
-from schemas.alive_counter import UnseenRounds
+from schemas.can_word import UnseenRounds
 from schemas.decisions import ArbiterState, Bound, EventKind, Severity, StopPhase
 from schemas.messages import (
     Body,

@@ -38,7 +38,7 @@ from gateway.telemetry.health import HealthMeter, Links
 from gateway.telemetry.raw_frames import FrameBatch
 from gateway.telemetry.state import LatestMessages, robot_state
 from schemas.codec import Sample, encode, sample_of
-from schemas.dbc_files import DBC_FILES
+from schemas.cruiser import DBC_FILES
 from schemas.decisions import ArbiterState, EventKind, Severity
 from schemas.journal import Kind
 from schemas.messages import SEQUENCE_MAX, ControllerState, Variant

@@ -12,9 +12,8 @@ from typing import Any, Final
 
 import msgspec
 
-from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
-from schemas.journal import Kind
+from schemas.journal import COMMAND_RULES, Kind
 from schemas.messages import SEQUENCE_MAX
 
 Input = tuple[Any, ...]

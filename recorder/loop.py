@@ -24,8 +24,8 @@ from recorder.record.health import HealthReport, Vitals
 from recorder.record.inbox import SampleInbox
 from recorder.record.orders import OperatorRequest, Orders
 from recorder.record.recorder import Recorder
+from schemas.command_line import plain
 from schemas.messages import Message
-from schemas.printable import plain
 from schemas.recording import GapReason, RecorderEvent, RecorderHealth
 from schemas.subjects import KEPT_FIRST
 

@@ -1,10 +1,21 @@
-"""Merges the sources of the settings: TOML file, environment, flags, in rising order. Pure: it reads nothing.
+"""Settings from their sources: TOML, environment, flags; and their table.
+
+- The texts of docstrings, which documents and JSON Schemas repeat.
+- TOML beyond what ``tomllib`` does: writing it, and finding the line on which a key stands.
+
+The settings as a table, read from their classes: name, environment variable, bounds in words, start value.
+
+``configuration`` checks given values against it, and the table in ``docs/configuration.md`` is printed from it.
+
+Merges the sources of the settings: TOML file, environment, flags, in rising order. Pure: it reads nothing.
 
 Whatever is wrong is one line that names the key, where it stands, and the nearest right key or the bounds.
 """
 
 from __future__ import annotations
 
+import inspect as python_inspect
+import json
 import logging
 import re
 import tomllib
@@ -15,12 +26,246 @@ from typing import Any, Final
 import msgspec
 from msgspec import inspect
 
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.gone import gone_setting
-from schemas.printable import plain
-from schemas.setting_table import CONFIG_VARIABLE, GIVEN, SECTIONS, SETTINGS, VARIABLE_PREFIX, Setting
+from schemas.command_line import CommandError, ExitCode, gone_setting, plain
 from schemas.settings import NEEDED_FEEDBACK, Settings
-from schemas.toml_text import Path, lines_of_keys, write_key, write_value
+
+
+def attribute_texts(kind: type) -> dict[str, str]:
+    """Return the text of each field in the docstrings of a class and of its bases."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        _, _, section = python_inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
+        for match in re.finditer(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", section, re.MULTILINE):
+            texts[match[1]] = " ".join(match[2].split())
+    return texts
+
+
+def summary(kind: type) -> str:
+    """Return the docstring of a class up to its fields."""
+    return plain_text(python_inspect.cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0])
+
+
+def plain_text(text: str) -> str:
+    """Return a docstring's text in one line, without the marks of code."""
+    return " ".join(text.replace("``", "").split())
+
+
+Path = tuple[str, ...]
+
+_DEPTH: Final = 3
+"""A setting's path is section, name and at most one key within; nothing deeper is ever looked for."""
+
+_MAX_STATEMENT_LINES: Final = 1000
+"""A statement that is longer than this is not taken apart: each further line costs another try."""
+
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def lines_of_keys(text: str) -> dict[Path, int]:
+    """The line, from 1, on which each key or table of a right TOML text first stands.
+
+    Each statement of TOML is a right TOML text of its own, so tomllib itself takes the text apart: lines are
+    joined until they parse. That holds for quoted and dotted keys, inline tables and values of several lines.
+    """
+    found: dict[Path, int] = {}
+    table: Path = ()
+    lines = text.replace("\r\n", "\n").split("\n")
+    start = 0
+    while start < len(lines):
+        end, statement = _statement(lines, start)
+        if statement is None:
+            break
+        if lines[start].lstrip().startswith("["):
+            table = _header(statement)
+            for depth in range(1, len(table) + 1):
+                found.setdefault(table[:depth], start + 1)
+        else:
+            for path in _paths(statement, _DEPTH - len(table)):
+                found.setdefault(table + path, start + 1)
+        start = end
+    return found
+
+
+def _statement(lines: list[str], start: int) -> tuple[int, dict[str, Any] | None]:
+    """The statement that begins on this line, and the line after it."""
+    for end in range(start + 1, min(len(lines), start + _MAX_STATEMENT_LINES) + 1):
+        try:
+            return end, tomllib.loads("\n".join(lines[start:end]))
+        except (ValueError, RecursionError):
+            continue
+    return len(lines), None
+
+
+def _header(statement: Mapping[str, Any]) -> Path:
+    """The path of ``[table]`` or ``[[table]]``, no deeper than a setting's."""
+    path: Path = ()
+    inner: Any = statement
+    while inner and len(path) < _DEPTH:
+        if isinstance(inner, list):
+            inner = inner[0]
+        else:
+            name = next(iter(inner))
+            path = (*path, name)
+            inner = inner[name]
+    return path
+
+
+def _paths(table: Mapping[str, Any], depth: int) -> list[Path]:
+    if depth <= 0:
+        return []
+    paths: list[Path] = []
+    for name, value in table.items():
+        paths.append((name,))
+        if isinstance(value, dict):
+            paths += [(name, *inner) for inner in _paths(value, depth - 1)]
+    return paths
+
+
+def write_value(value: object) -> str:
+    """A value as TOML; a mapping becomes an inline table.
+
+    Raises:
+        TypeError: TOML has no such value.
+    """
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case int():
+            return str(value)
+        case float():
+            return repr(value)  # Python and TOML write inf, nan and 1e+16 alike.
+        case str():
+            return write_string(value)
+        case list() | tuple():
+            return "[" + ", ".join(write_value(item) for item in value) + "]"
+        case dict():
+            items = ", ".join(f"{write_key(name)} = {write_value(item)}" for name, item in value.items())
+            return f"{{ {items} }}" if items else "{}"
+        case _:
+            raise TypeError(f"TOML has no {type(value).__name__}")
+
+
+def write_key(name: str) -> str:
+    """A key, quoted only if it must be."""
+    return name if _BARE_KEY.fullmatch(name) else write_string(name)
+
+
+def write_string(text: str) -> str:
+    """A basic string: as in JSON, but for DEL, which TOML wants escaped too. All else stands as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", r"\u007F")
+
+
+VARIABLE_PREFIX: Final = "CRUISER_"
+CONFIG_VARIABLE: Final = "CRUISER_CONFIG"
+"""Names the TOML file; the one variable with the prefix that is no setting."""
+
+GIVEN: Final = "given"
+"""The field that is no setting: which settings of its table a source gave."""
+
+Kind = inspect.Type
+
+
+class Setting(msgspec.Struct, frozen=True):
+    """One setting.
+
+    Attributes:
+        section: the table of the TOML file.
+        name: the key in that table.
+        annotation: the type with its bounds, for msgspec.
+        start: the value in force when no source gives one.
+        about: its description, for people.
+    """
+
+    section: str
+    name: str
+    annotation: Any
+    start: Any
+    about: str
+
+    @property
+    def key(self) -> str:
+        """The dotted key: ``can.channel``."""
+        return f"{self.section}.{self.name}"
+
+    @property
+    def kind(self) -> Kind:
+        """The type, taken apart. That takes 0.1 ms, so it is done for the few that somebody asks about."""
+        return inspect.type_info(self.annotation)
+
+    @property
+    def variable(self) -> str:
+        """The environment variable: ``CRUISER_CAN_CHANNEL``."""
+        return f"{VARIABLE_PREFIX}{self.section}_{self.name}".upper()
+
+    @property
+    def wants(self) -> str:
+        """Return a description of the valid values."""
+        return _words(self.kind)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The right values, if there are only these; else empty."""
+        kind = self.kind
+        return tuple(str(value) for value in kind.values) if isinstance(kind, inspect.LiteralType) else ()
+
+
+_WORDS: Final = {
+    inspect.BoolType: "true or false",
+    inspect.ListType: "a list of texts",
+    inspect.DictType: "a table of texts, numbers, true or false",
+    inspect.IntType: "a whole number",
+    inspect.FloatType: "a number",
+    inspect.StrType: "text",
+}
+
+
+def _words(kind: Kind) -> str:
+    match kind:
+        case (
+            inspect.IntType(ge=int(low), le=int(high))
+            | inspect.FloatType(ge=float() | int() as low, le=float() | int() as high)
+        ):
+            bounds = f" from {low} to {high}"
+        case inspect.LiteralType():
+            return "one of " + ", ".join(str(value) for value in kind.values)
+        case inspect.ListType(item_type=inspect.LiteralType(values=values)):
+            return "a list of some of " + ", ".join(str(value) for value in values)
+        case (
+            inspect.ListType(item_type=inspect.StrType(pattern=str(pattern)))
+            | inspect.StrType(pattern=str(pattern))
+        ):
+            bounds = " of the form " + pattern.removeprefix("^").removesuffix(r"\Z")
+        case inspect.StrType(min_length=int()):
+            bounds = " that is not empty"
+        case _:
+            bounds = ""
+    return _WORDS[type(kind)] + bounds
+
+
+def _table() -> dict[str, Setting]:
+    start = Settings()
+    table = {}
+    for section in msgspec.structs.fields(Settings):
+        abouts = attribute_texts(section.type)
+        for field in msgspec.structs.fields(section.type):
+            if field.name == GIVEN:
+                continue
+            setting = Setting(
+                section=section.name,
+                name=field.name,
+                annotation=field.type,
+                start=getattr(getattr(start, section.name), field.name),
+                about=abouts.get(field.name, ""),
+            )
+            table[setting.key] = setting
+    return table
+
+
+SETTINGS: Final = _table()
+"""Every setting by its dotted key, in the order of the classes."""
+
+SECTIONS: Final = tuple(field.name for field in msgspec.structs.fields(Settings))
+
 
 _FLAG_WORDS: Final = {
     **dict.fromkeys(("true", "yes", "on", "1"), True),

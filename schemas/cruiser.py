@@ -1,7 +1,15 @@
-"""The Cruiser in figures that more than one room needs (manual V2.0, 2.2 and 5)."""
+"""The Cruiser's figures and its DBC files; small, because a second chassis is a file beside it.
+
+The Cruiser in figures that more than one room needs (manual V2.0, 2.2 and 5).
+
+The DBC files: their names and their text.
+
+``make generate`` makes ``gateway/chassis/cruiser/layouts.json`` of them, from which the frames are read.
+"""
 
 from __future__ import annotations
 
+from importlib import resources
 from typing import Final
 
 from schemas.messages import Variant
@@ -28,3 +36,15 @@ SCALE_RATIO: Final = 40.0
 
 TURNING_RAW_MIN: Final = 2
 """A drive feedback of this raw value or more is one of a robot that moves, in either scale."""
+
+
+DBC_FILES: Final = {Variant.COARSE: "cruiser-coarse.dbc", Variant.FINE: "cruiser-fine.dbc"}
+
+
+def dbc_text(variant: Variant) -> str:
+    """The text of a variant's DBC.
+
+    Raises:
+        KeyError: the variant is unknown.
+    """
+    return resources.files("schemas").joinpath(DBC_FILES[variant]).read_text(encoding="ascii")

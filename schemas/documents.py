@@ -20,14 +20,13 @@ from cantools.database.can import Database
 from cantools.database.can import Message as CanMessage
 
 from schemas import json_schema, keys
-from schemas.dbc_files import DBC_FILES, dbc_text
-from schemas.docstrings import summary
-from schemas.egress import FULL, PROFILES, PUBLISHED, rate_in_words
+from schemas.can_word import snake_case
+from schemas.configuration import SETTINGS, summary, write_value
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import UNIT_KEYWORD, Message, Variant
 from schemas.reasons import TEXTS
 from schemas.requests import Leased
-from schemas.setting_table import SETTINGS
-from schemas.snake_case import snake_case
+from schemas.settings import FULL, PROFILES, PUBLISHED, rate_in_words
 from schemas.subjects import (
     BY_DBC_MESSAGE,
     BY_VERB,
@@ -45,7 +44,6 @@ from schemas.subjects import (
     Subject,
     Verb,
 )
-from schemas.toml_text import write_value
 
 ROOT: Final = Path(__file__).parent.parent
 

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import msgspec
 
+from schemas.configuration import attribute_texts, plain_text, summary
 from schemas.decisions import Reply, StatementReply
-from schemas.docstrings import attribute_texts, plain_text, summary
 from schemas.messages import UNIT_KEYWORD, Message
 from schemas.recording import RecorderReply
 from schemas.requests import Request

@@ -1,4 +1,8 @@
-"""Who is connected to a server of ours, and what each may say. Pure: the server's own loop asks.
+"""Peers of a server, and rates that they are held to.
+
+A rate that is kept to: of bytes, of messages, of connections. Pure.
+
+Who is connected to a server of ours, and what each may say. Pure: the server's own loop asks.
 
 A peer is an address. All behind one proxy share one, and all on one machine. So each connection is bounded by
 itself too, and one that is of use keeps its place.
@@ -10,7 +14,31 @@ import ipaddress
 from collections import Counter
 from typing import Final, Generic, TypeVar
 
-from schemas.rate_limit import RateLimit
+BURST_S: Final = 0.1
+"""A pause is caught up by no more than this: nothing comes in a flood behind it."""
+
+
+class RateLimit:
+    """A rate that is not exceeded.
+
+    Args:
+        per_s: the rate; 0 is no limit.
+        burst_s: the pause that may be caught up.
+    """
+
+    def __init__(self, per_s: float, burst_s: float = BURST_S) -> None:
+        self.per_s = per_s
+        self._burst_s = burst_s
+        self._free_s = 0.0
+        """From when on more may go."""
+
+    def delay_s(self, count: float, now_s: float) -> float:
+        """Take so many. Returns the time to wait behind them."""
+        if not self.per_s:
+            return 0.0
+        self._free_s = max(self._free_s, now_s - self._burst_s) + count / self.per_s
+        return max(0.0, self._free_s - now_s)
+
 
 CONNECTIONS_MAX: Final = 256
 PEER_CONNECTIONS_MAX: Final = 128

@@ -17,8 +17,7 @@ from typing import Final, NamedTuple, Protocol
 import msgspec
 import zenoh
 
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
 
 log = logging.getLogger(__name__)

@@ -226,7 +226,7 @@ def test_one_function_starts_our_interpreter() -> None:
         for path in (ROOT / package).rglob("*.py")
     }
     assert {path: words for path, words in found.items() if words} == {
-        "schemas/interpreter.py": {"sys.executable"},
+        "schemas/command_line.py": {"sys.executable"},
         # A pool of processes: it sets what `-P` sets.
         "recorder/review/tasks.py": {"multiprocessing", "ProcessPool"},
     }

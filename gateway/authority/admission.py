@@ -18,8 +18,7 @@ from gateway.authority.signer import RobotSigner
 from gateway.command.flow import PendingReply
 from gateway.command.request import Credentials, RawRequest
 from schemas import codec, keys
-from schemas.authority.proof import DriveProof, RequestProof
-from schemas.authority.statement import GrantRole, Signed
+from schemas.authority.proof import DriveProof, GrantRole, RequestProof, Signed
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason

@@ -20,11 +20,18 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from msgspec import Meta
 
 from gateway.authority.transport import TransportRole
-from schemas.authority.fingerprint import fingerprint
-from schemas.authority.proof import ProofKind, signed_bytes
-from schemas.authority.statement import ALGORITHM, GrantRole, KeyHex, Signed, StatementFault, read_chain
-from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.authority.proof import (
+    ALGORITHM,
+    GrantRole,
+    KeyHex,
+    ProofKind,
+    Signed,
+    StatementFault,
+    read_chain,
+    signed_bytes,
+)
+from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fingerprint, fits
+from schemas.command_line import CommandError, ExitCode
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROOT_PATTERN
 
 _T = TypeVar("_T")

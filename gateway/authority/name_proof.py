@@ -13,8 +13,16 @@ from typing import Final
 from gateway.authority.admission import SignedAdmission
 from gateway.authority.signer import RobotSigner
 from schemas import keys
-from schemas.authority.proof import ROBOT_PROOF_BYTES, RobotProof
-from schemas.authority.statement import Grant, GrantRole, Signed, StatementFault, chain_text, read_chain
+from schemas.authority.proof import (
+    ROBOT_PROOF_BYTES,
+    Grant,
+    GrantRole,
+    RobotProof,
+    Signed,
+    StatementFault,
+    chain_text,
+    read_chain,
+)
 from schemas.authority.trust import HeldGrant, fits
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME

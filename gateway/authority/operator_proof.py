@@ -23,12 +23,21 @@ from gateway.authority.unmet import SILENT, UNSIGNED, Unmet, not_believed, not_t
 from gateway.telemetry.received import Received
 from schemas import keys
 from schemas.authority.identity import prove_request
-from schemas.authority.proof import SIGNED, RequestProof, RobotProof
-from schemas.authority.statement import Grant, GrantRole, Signed, StatementFault, chain_text, read_chain
+from schemas.authority.proof import (
+    SIGNED,
+    Grant,
+    GrantRole,
+    RequestProof,
+    RobotProof,
+    Signed,
+    StatementFault,
+    chain_text,
+    read_chain,
+)
 from schemas.authority.trust import Objection, Trust, fits
 from schemas.codec import PAYLOAD_ERRORS
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import LeaseReply, StatementReply
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import SEQUENCE_MAX, Sequence
 from schemas.reasons import Reason
 from schemas.subjects import BY_VERB, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB

@@ -18,7 +18,7 @@ from gateway.authority.unmet import life_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest, Ruling
 from schemas import codec, keys
-from schemas.authority.statement import (
+from schemas.authority.proof import (
     Grant,
     GrantRole,
     Revocations,

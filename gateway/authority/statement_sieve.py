@@ -14,8 +14,7 @@ from random import SystemRandom
 from typing import Any, Final, Generic, TypeVar
 
 from gateway.authority.admission import SignedAdmission
-from schemas.authority.proof import statement_id
-from schemas.authority.statement import ALGORITHM
+from schemas.authority.proof import ALGORITHM, statement_id
 
 WORDS_PER_TICK: Final = 4
 """New lists of revocations, and rotations, that are verified in a tick: one signature each, 0.5 ms in all."""

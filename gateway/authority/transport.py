@@ -20,7 +20,7 @@ from typing import Final, Literal
 import msgspec
 
 from schemas import keys
-from schemas.authority.statement import TEXT_MAX_BYTES
+from schemas.authority.proof import TEXT_MAX_BYTES
 from schemas.settings import REQUEST_MAX_BYTES, ZenohSettings
 from schemas.subjects import (
     AUTHORITY_CHUNK,

@@ -8,9 +8,8 @@ from typing import Final
 
 import msgspec
 
-from schemas.authority.fingerprint import fingerprint
-from schemas.authority.statement import Grant, Signed
-from schemas.authority.trust import Objection, Trust
+from schemas.authority.proof import Grant, Signed
+from schemas.authority.trust import Objection, Trust, fingerprint
 from schemas.reasons import TEXTS, Reason
 
 LATEST_S: Final = 253_402_300_799

@@ -11,8 +11,7 @@ import can
 from gateway.can.can_bus import Bus, BusLost, CanBus, first_line
 from gateway.can.socketcan import SocketCanBus, check_up
 from gateway.can.socketcand import SocketcandBus
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.missing_extra import how_to_get
+from schemas.command_line import CommandError, ExitCode, how_to_get
 from schemas.settings import CanSettings
 
 SOCKETCAN: Final = "socketcan"

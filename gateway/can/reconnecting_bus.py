@@ -11,7 +11,7 @@ from collections.abc import Callable
 from gateway.can.can_bus import Bus, BusFull, BusLost
 from gateway.can.socketcand import CONNECT_TIMEOUT_S, HANDSHAKE_TIMEOUT_S
 from gateway.chassis.frame import Frame
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import RECONNECT_MAX_S, RECONNECT_MIN_S
 
 log = logging.getLogger(__name__)

@@ -6,8 +6,8 @@ from typing import Final, Literal
 
 import msgspec
 
+from schemas.can_word import snake_case
 from schemas.messages import Variant
-from schemas.snake_case import snake_case
 
 ALIVE_COUNTER: Final = "AliveCounter"
 CHECKSUM: Final = "Checksum"

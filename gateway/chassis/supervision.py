@@ -3,7 +3,7 @@
 The alive counter is judged as in AUTOSAR E2E profile 1, modulo 16: a step of 1 is right, 0 is a repetition, 2 to 3
 means that frames were lost, more is a wrong sequence. Sixteen lost frames would look like none, so silence is
 declared before that, and after a silence any counter is right. Lost frames are counted across it all the same: see
-``schemas.alive_counter``.
+``schemas.can_word``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 
 from gateway.chassis.faults import FaultKind
 from schemas import settings
-from schemas.alive_counter import COUNTER_SPAN, UnseenRounds
+from schemas.can_word import COUNTER_SPAN, UnseenRounds
 
 NEVER_NS: Final = 2**63
 NO_FAULTS: Final[tuple[FaultKind, ...]] = ()

@@ -15,9 +15,8 @@ from types import TracebackType
 from typing import Final, Self
 
 from gateway.cli import parent
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.interpreter import module_command
-from schemas.setting_table import CONFIG_VARIABLE
+from schemas.command_line import CommandError, ExitCode, module_command
+from schemas.configuration import CONFIG_VARIABLE
 
 READY_TIMEOUT_S: Final = 30.0
 END_TIMEOUT_S: Final = 20.0

@@ -8,12 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from schemas.authority.key_directory import directory_of
-from schemas.configuration import TomlSource, merge
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.file_kinds import other_kind
-from schemas.printable import plain
-from schemas.setting_table import CONFIG_VARIABLE, SETTINGS
+from schemas.authority.identity import directory_of
+from schemas.command_line import CommandError, ExitCode, other_kind, plain
+from schemas.configuration import CONFIG_VARIABLE, SETTINGS, TomlSource, merge
 from schemas.settings import Settings
 
 ZENOH_ENDING: Final = ".json5"

@@ -20,9 +20,8 @@ from gateway.chassis.cruiser import layout
 from gateway.chassis.decode import Decoded, FrameDecoder
 from gateway.chassis.layout import CHECKSUM
 from gateway.cli import candump
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.messages import Variant
-from schemas.printable import plain
 from schemas.settings import Settings
 
 EXAMPLE = """\

@@ -23,8 +23,8 @@ from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import RobotError, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import seconds
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import ArbiterState, SafetyState
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.zenoh_session import ANY_LOCAL_PORT

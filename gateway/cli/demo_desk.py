@@ -21,8 +21,7 @@ from gateway.cli.child import Child, address_of, fresh
 from gateway.host.stop_note import StopNote
 from gateway.zenoh.router import open_local_router
 from schemas.arguments import ending_after
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.listen_address import address, shown_address
+from schemas.command_line import CommandError, ExitCode, address, shown_address
 from schemas.settings import DEFAULT_ENDPOINT
 from schemas.zenoh_session import close_session, split_endpoint, with_port
 

@@ -17,10 +17,8 @@ from gateway.zenoh.client import DeskListener
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.listen_address import address as listen_address
-from schemas.listen_address import certificate_files, shown_address
-from schemas.missing_extra import missing_extra
+from schemas.command_line import CommandError, ExitCode, certificate_files, missing_extra, shown_address
+from schemas.command_line import address as listen_address
 from schemas.settings import DeskSettings, Settings
 from schemas.zenoh_session import place
 

@@ -28,11 +28,11 @@ from schemas.peers import (
     SOCKET_BURST_S,
     SOCKET_BYTES_PER_S,
     Peers,
+    RateLimit,
     SocketFrames,
     most_connections,
     peer_of,
 )
-from schemas.rate_limit import RateLimit
 
 log = logging.getLogger(__name__)
 

@@ -25,8 +25,8 @@ from gateway.telemetry.received import Received
 from gateway.zenoh.client import DeskListener, PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
+from schemas.command_line import CommandError
 from schemas.cruiser import WHEELBASE_M
-from schemas.exit_codes import CommandError
 from schemas.settings import Settings
 from schemas.subjects import BY_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
 

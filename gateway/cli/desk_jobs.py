@@ -11,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.interpreter import module_command
+from schemas.command_line import module_command
 
 JOB_S: Final = 120.0
 """The longest time that an answer may take; who needs more asks ``cruiser review`` itself."""

@@ -21,8 +21,7 @@ from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
 from gateway.cli.desk_jobs import Jobs, JobsBusyError, ask_review
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.file_kinds import other_kind
+from schemas.command_line import CommandError, ExitCode, other_kind
 from schemas.reasons import Reason
 
 PART: Final = ".part"

@@ -43,13 +43,11 @@ from gateway.telemetry.received import Received, TokenChange
 from gateway.zenoh.client import FleetListener, PendingQuery
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.authority.identity import KEY_FILE
-from schemas.configuration import TomlSource, merge
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.configuration import SETTINGS, TomlSource, merge
 from schemas.decisions import SafetyState
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayHealth, GatewayInfo, Message, RobotState
-from schemas.printable import plain
 from schemas.recording import RecorderHealth
-from schemas.setting_table import SETTINGS
 from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_session import place
 

@@ -21,9 +21,9 @@ from gateway.client.reasons_text import link_line, reason_line
 from gateway.client.refusal import Refused, Stopped
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import seconds
+from schemas.command_line import CommandError, ExitCode
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import SafetyState
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S, Settings
 

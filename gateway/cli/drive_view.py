@@ -11,8 +11,8 @@ from gateway.cli.held_keys import Wish
 from gateway.client.link import Sighting
 from gateway.client.reasons_text import link_line, reason_line, state_line
 from gateway.client.view import BAD, GOOD, LOUD, NO_VALUE
+from schemas.command_line import plain
 from schemas.decisions import ArbiterState
-from schemas.printable import plain
 
 
 class Cockpit(msgspec.Struct, frozen=True):

@@ -9,7 +9,7 @@ from typing import Final
 from gateway.client.reasons_text import LOOK
 from gateway.client.refusal import Unreachable
 from gateway.client.robot import Lease, Robot
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 POLL_S: Final = 0.05
 

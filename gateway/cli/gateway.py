@@ -49,12 +49,11 @@ from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.authority.identity import renewed
 from schemas.codec import encode
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.configuration import to_toml
-from schemas.dbc_files import DBC_FILES, dbc_text
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.json_schema import robot_schema_texts
 from schemas.messages import GatewayInfo, Variant
-from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
 from schemas.zenoh_session import SessionError, said_of

@@ -9,9 +9,9 @@ from typing import Final
 
 from gateway.authority.enrolment import EnrolmentRequest, EnrolmentRole
 from gateway.provisioning.issuer import Wanted
-from schemas.authority.statement import Grant, GrantRole
+from schemas.authority.proof import Grant, GrantRole
 from schemas.authority.trust import in_utc
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.subjects import BY_VERB, STOP_VERB
 
 HOUR_S, DAY_S = 3600, 86_400

@@ -22,7 +22,7 @@ from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Sto
 from gateway.host.realtime import request_realtime
 from gateway.host.stop_note import NoteWriter, StopNote
 from schemas.arguments import seconds
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Mode, Variant
 from schemas.settings import (
     GUARD_GIVES_UP_NS,

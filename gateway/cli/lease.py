@@ -16,7 +16,7 @@ from gateway.cli.operator_arguments import add_robot_arguments, add_take_argumen
 from gateway.client.reasons_text import holder_line
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import ending_after, seconds
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.settings import Settings
 
 EXAMPLE = """\

@@ -24,8 +24,7 @@ from gateway.telemetry.received import TokenChange
 from gateway.zenoh.client import RobotListener
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, robot_names, seconds
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 from schemas.zenoh_session import place
 

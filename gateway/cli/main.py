@@ -27,10 +27,10 @@ from types import FrameType
 from typing import TYPE_CHECKING, Final
 
 from gateway.cli.parent import end_with_parent
-from schemas.gone import gone_word
+from schemas.command_line import gone_word
 
 if TYPE_CHECKING:
-    from schemas.exit_codes import CommandError
+    from schemas.command_line import CommandError
 
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "demo": (
@@ -161,8 +161,7 @@ def _run(name: str, words: list[str]) -> int:
     from pkgutil import resolve_name  # noqa: PLC0415
 
     from gateway.cli.configuration_file import load_settings, settings_file, unread_file  # noqa: PLC0415
-    from schemas.exit_codes import CommandError, ExitCode  # noqa: PLC0415
-    from schemas.printable import plain  # noqa: PLC0415
+    from schemas.command_line import CommandError, ExitCode, plain  # noqa: PLC0415
 
     command = resolve_name(place)
     parser = argparse.ArgumentParser(
@@ -214,7 +213,7 @@ def _run(name: str, words: list[str]) -> int:
 
 def _fail(name: str, error: CommandError) -> int:
     """Say why the command ended: where no session opened, by the keys and certificates of its Zenoh file."""
-    from schemas.exit_codes import ExitCode  # noqa: PLC0415 - only for a failure
+    from schemas.command_line import ExitCode  # noqa: PLC0415 - only for a failure
     from schemas.zenoh_session import SessionError  # noqa: PLC0415 - only for a failure
 
     text, code = error.line, error.code

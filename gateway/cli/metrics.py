@@ -14,9 +14,7 @@ from gateway.cli.shut_out import check_session_files
 from gateway.provisioning.tls_files import certificate_ends_s
 from gateway.zenoh.client import FleetListener
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.exit_codes import ExitCode
-from schemas.listen_address import address
-from schemas.missing_extra import missing_extra
+from schemas.command_line import ExitCode, address, missing_extra
 from schemas.settings import Settings
 from schemas.zenoh_session import place
 

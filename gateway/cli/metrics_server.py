@@ -21,8 +21,7 @@ from prometheus_client.registry import Collector
 
 from gateway.metrics.fleet_metrics import FleetMetrics
 from gateway.zenoh.client import FleetListener
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.listen_address import shown_address
+from schemas.command_line import CommandError, ExitCode, shown_address
 from schemas.peers import REQUEST_S, Peers, most_connections, peer_of
 
 log = logging.getLogger(__name__)

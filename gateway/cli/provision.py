@@ -41,11 +41,9 @@ from gateway.provisioning.key_store import (
 )
 from gateway.provisioning.machine_keys import ask_again, install, make_keys, names_here
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
-from schemas.authority.fingerprint import key_fingerprint
-from schemas.authority.statement import Signed
-from schemas.authority.trust import AuthorityKeys, in_utc, keys_fingerprint
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.authority.proof import Signed
+from schemas.authority.trust import AuthorityKeys, in_utc, key_fingerprint, keys_fingerprint
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\

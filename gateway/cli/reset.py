@@ -9,7 +9,7 @@ from collections.abc import Callable
 import msgspec
 
 from gateway.cli.operator_arguments import add_robot_arguments, connect, lease_number
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.settings import Settings
 
 EXAMPLE = """\

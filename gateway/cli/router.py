@@ -13,8 +13,7 @@ from gateway.cli.shut_out import check_session_files
 from gateway.provisioning.key_files import directory_of
 from gateway.zenoh.router import open_router
 from schemas.arguments import ending_after, seconds
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 from schemas.zenoh_session import close_session
 

@@ -31,8 +31,7 @@ from gateway.provisioning.certificates import CertificateError, expires_s, read_
 from gateway.provisioning.key_store import KeyStore, find, replace_whole
 from gateway.provisioning.machine_keys import install, unknown_of
 from schemas.arguments import robot_name
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import STANDSTILL_MPS, CanSettings, Settings
 
 EXAMPLE: Final = """\

@@ -17,7 +17,7 @@ from typing import Final
 
 from gateway.host.service_manager import ServiceManager
 from gateway.provisioning.tls_files import check_tls_files, why_shut_out
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import MODE, SessionError, client_endpoints, close_session, open_session
 

@@ -27,7 +27,7 @@ from gateway.sim.parameters import (
     StopMode,
 )
 from schemas.arguments import seconds
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Variant
 from schemas.settings import CanSettings, Settings
 

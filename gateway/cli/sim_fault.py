@@ -11,7 +11,7 @@ from typing import Final
 from gateway.sim.address import parse_address
 from gateway.sim.faults import GRAMMAR, FaultTextError, parse
 from gateway.sim.socketcand_protocol import HI, OK
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\

@@ -20,12 +20,11 @@ from gateway.provisioning.tls_files import check_kinds
 from gateway.telemetry.received import Received
 from gateway.zenoh.statements import StatementPort
 from schemas.authority.identity import AUTHORITY_FILE
-from schemas.authority.statement import Revocations, Rotation, Signed, chain_text
+from schemas.authority.proof import Revocations, Rotation, Signed, chain_text
 from schemas.authority.trust import AuthorityKeys
 from schemas.codec import PAYLOAD_ERRORS
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.decisions import StatementReply
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.zenoh_session import place

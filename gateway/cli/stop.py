@@ -17,8 +17,7 @@ from gateway.client.remote_stop import NotSentError, StopReport, Unverified
 from gateway.client.roll import who_is_there
 from schemas import keys
 from schemas.arguments import robot_names
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.reasons import cure_of
 from schemas.settings import Settings
 from schemas.zenoh_session import place

@@ -15,7 +15,7 @@ from gateway.cli.operator_arguments import add_robot_arguments, connect, lease_n
 from gateway.client.payloads import BY_REQUEST
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import ending_after, seconds
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.requests import ClearOdometer, Horn, Light, Park, Request, Unpark
 from schemas.settings import Settings
 

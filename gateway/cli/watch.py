@@ -19,9 +19,8 @@ from gateway.client.fleet import Fleet, RobotStatus
 from gateway.client.roll import who_is_there
 from gateway.zenoh.client import RobotListener
 from schemas.arguments import add_zenoh_arguments, seconds
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.keys import ALL, ROBOTS_PATTERN, in_order
-from schemas.printable import plain
 from schemas.settings import Settings
 from schemas.zenoh_session import place
 

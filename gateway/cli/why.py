@@ -14,8 +14,7 @@ from gateway.cli.operator_arguments import add_robot_arguments, connect
 from gateway.client.reasons_text import event_line, is_idle, link_line, reason_line, state_line, text_of
 from gateway.client.refusal import Refused, Unreachable
 from gateway.client.robot import Robot
-from schemas.exit_codes import ExitCode
-from schemas.printable import plain
+from schemas.command_line import ExitCode, plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 

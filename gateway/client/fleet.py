@@ -14,9 +14,9 @@ from gateway.client.payloads import NewerWords, SampleRead, read_sample
 from gateway.telemetry.received import Arrival, Missed, TokenChange
 from schemas import keys
 from schemas.codec import PayloadFault
+from schemas.command_line import plain
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, Message, RobotState
-from schemas.printable import plain
 from schemas.recording import RecorderHealth
 
 STATE_STALE_NS: Final = 1_000_000_000

@@ -29,10 +29,9 @@ from gateway.telemetry.received import Missed, Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas.codec import PayloadFault
+from schemas.command_line import CommandError, plain
 from schemas.decisions import LeaseReply, Reply, SafetyEvent, SafetyState
-from schemas.exit_codes import CommandError
 from schemas.messages import GatewayHealth, RobotState
-from schemas.printable import plain
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Release, Renew, Request, Take
 

@@ -27,8 +27,8 @@ from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.authority.identity import KEY_FILE
 from schemas.authority.trust import Objection
+from schemas.command_line import CommandError
 from schemas.decisions import LeaseReply
-from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Request, Take
 from schemas.settings import Settings

@@ -9,11 +9,10 @@ import msgspec
 
 from gateway.telemetry.received import Received
 from schemas import codec, keys
-from schemas.codec import PayloadFault
+from schemas.codec import PayloadFault, encoding_fault
 from schemas.decisions import LeaseReply, Reply
 from schemas.messages import Message
 from schemas.subjects import COMMANDS, Command
-from schemas.versions import encoding_fault
 
 BY_REQUEST: Final = {command.request: command for command in COMMANDS}
 

@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterable
 from datetime import UTC, datetime
 from typing import Final
 
+from schemas.command_line import plain
 from schemas.decisions import COMMANDING, SafetyEvent, SafetyState, StopPhase
-from schemas.printable import plain
 from schemas.reasons import Reason, Text, cure_of, of_a_robot
 
 NEWER_S: Final = 1.0

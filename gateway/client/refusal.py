@@ -8,9 +8,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.decisions import Reply
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
 from schemas.reasons import ACQUIRE, TEXTS, Reason, cure_of
 
 _METHODS: Final = {

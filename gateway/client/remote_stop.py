@@ -27,10 +27,10 @@ from gateway.zenoh.client import PendingQuery, RobotListener
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.codec import PayloadFault
+from schemas.command_line import CommandError
 from schemas.decisions import ArbiterState, Reply, SafetyState
-from schemas.exit_codes import CommandError
+from schemas.keys import login_operator
 from schemas.messages import RobotState
-from schemas.operator_name import login_operator
 from schemas.reasons import Reason
 from schemas.settings import STANDSTILL_MPS, Settings
 from schemas.subjects import BY_VERB, STOP_VERB

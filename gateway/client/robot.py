@@ -28,9 +28,9 @@ from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, Unre
 from gateway.client.remote_stop import REST_S, StopReport
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import keys
+from schemas.command_line import CommandError
 from schemas.decisions import COMMANDING, ArbiterState, LeaseReply, Reply, SafetyEvent, SafetyState
-from schemas.exit_codes import CommandError
-from schemas.operator_name import login_operator
+from schemas.keys import login_operator
 from schemas.reasons import Reason
 from schemas.requests import (
     Acquire,

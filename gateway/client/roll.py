@@ -8,7 +8,7 @@ from typing import Final
 from gateway.zenoh.client import PendingQuery, RobotListener
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
-from schemas.operator_name import login_operator
+from schemas.keys import login_operator
 from schemas.settings import Settings
 
 REPEAT_S: Final = 0.5

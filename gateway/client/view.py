@@ -14,9 +14,9 @@ from rich.text import Text
 from gateway.client.fleet import RobotStatus, alarm
 from gateway.client.reasons_text import is_idle, last_stop, link_line
 from gateway.client.robot_word import WORDS, label_of, summary, word_of
+from schemas.command_line import plain
 from schemas.decisions import COMMANDING
 from schemas.messages import GatewayHealth, RobotState
-from schemas.printable import plain
 
 GOOD: Final = "green"
 BAD: Final = "bold red"

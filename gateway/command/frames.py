@@ -22,7 +22,7 @@ from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import Frame
 from gateway.command.actuation import Actuation
 from gateway.command.auxiliary import AuxiliaryFrame
-from schemas.alive_counter import COUNTER_SPAN
+from schemas.can_word import COUNTER_SPAN
 from schemas.messages import Variant
 
 _HAIR: Final = 1e-6

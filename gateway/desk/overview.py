@@ -8,9 +8,9 @@ from gateway.client.fleet import RobotStatus, alarm
 from gateway.client.reasons_text import state_line, text_of
 from gateway.client.robot_word import FINE, LOOK, WORDS, word_of
 from gateway.desk.words import RecorderRow, RobotRow
+from schemas.command_line import plain, short
 from schemas.decisions import SafetyEvent, SafetyState
 from schemas.messages import GatewayHealth
-from schemas.printable import plain, short
 from schemas.reasons import ACQUIRE, ENGAGE, RESET, TEXTS, Reason, cure_of
 from schemas.recording import RecorderHealth
 

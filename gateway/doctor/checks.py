@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 import msgspec
 
 from gateway.doctor.facts import CanInterface, Facts
+from schemas.command_line import plain
 from schemas.messages import ControllerState, GatewayHealth, Variant
-from schemas.printable import plain
 from schemas.reasons import TEXTS, Reason, cure_of, of_a_robot
 from schemas.recording import RecorderHealth, RecorderState
 from schemas.settings import STANDSTILL_MPS

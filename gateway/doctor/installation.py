@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.toml_text import write_key, write_value
+from schemas.configuration import write_key, write_value
 
 CONFIGURATION: Final = "/etc/cruiser/cruiser.toml"
 METRICS: Final = "/etc/cruiser/metrics.toml"

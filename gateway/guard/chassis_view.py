@@ -10,7 +10,7 @@ from gateway.chassis.cruiser.variant import StandstillEvidence
 from gateway.chassis.decode import Signals, check, compile_signals
 from gateway.chassis.frame import Frame
 from gateway.chassis.supervision import silence_ns
-from schemas.alive_counter import COUNTER_SPAN
+from schemas.can_word import COUNTER_SPAN
 from schemas.cruiser import TURNING_RAW_MIN
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_SILENT_NS, REMOTE_FRAMES, STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS

@@ -25,7 +25,7 @@ from gateway.command.limits import MotionLimits
 from gateway.command.stop import StopFeedback, StopSequence
 from gateway.guard.beat import StopOutcome
 from gateway.guard.chassis_view import ChassisView
-from schemas.alive_counter import COUNTER_SPAN
+from schemas.can_word import COUNTER_SPAN
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant

@@ -14,8 +14,7 @@ import msgspec
 
 from gateway.authority.robot_authority import Kept
 from gateway.host.state_directory import state_directory, write_whole
-from schemas.exit_codes import CommandError
-from schemas.file_kinds import check_regular
+from schemas.command_line import CommandError, check_regular
 from schemas.settings import Settings
 
 log = logging.getLogger(__name__)

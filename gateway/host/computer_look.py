@@ -21,8 +21,7 @@ from gateway.host.stop_note import StopNote
 from gateway.provisioning.key_files import directory_of, read_identity
 from gateway.provisioning.tls_files import certificate_ends_s, check_tls_files
 from schemas.authority.trust import Objection
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
+from schemas.command_line import CommandError, plain
 from schemas.reasons import TEXTS
 from schemas.settings import Settings, ZenohSettings
 

@@ -25,7 +25,7 @@ from gateway.host.guard_run import run
 from gateway.host.heartbeat import Heartbeat
 from gateway.host.realtime import request_realtime
 from gateway.host.stop_note import NoteWriter, StopNote
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.messages import Variant
 from schemas.settings import Settings
 

@@ -18,8 +18,8 @@ from gateway.command.actuation import AT_REST, Actuation
 from gateway.command.flow import CommandFlow
 from gateway.guard.beat import Beat, GuardStatus, GuardView
 from gateway.host.heartbeat import Heartbeat
+from schemas.command_line import module_command
 from schemas.decisions import StopPhase
-from schemas.interpreter import module_command
 from schemas.messages import Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_NS, Settings
 

@@ -18,7 +18,7 @@ from typing import Final, Self
 import msgspec
 
 from gateway.host.state_directory import state_directory, sync_directory, write_whole
-from schemas.printable import plain
+from schemas.command_line import plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 

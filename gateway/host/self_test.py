@@ -18,8 +18,7 @@ from gateway.authority.transport import SHUT_OUT_FILE, TLS_KEY_FILE, TransportRo
 from gateway.provisioning.key_files import directory_of
 from gateway.provisioning.tls_files import check_shut_out
 from gateway.zenoh.intruder import access_of, enters_without_certificate, has_certificates, intrude
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 from schemas.zenoh_session import MODE, Json, client_endpoints, close_session, is_loopback, open_session, said_of
 

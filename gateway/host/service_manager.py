@@ -6,7 +6,7 @@ import socket
 from collections.abc import Mapping
 from typing import Final, Self
 
-from schemas.printable import plain
+from schemas.command_line import plain
 
 _SOCKET: Final = "NOTIFY_SOCKET"
 

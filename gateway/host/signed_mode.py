@@ -15,9 +15,9 @@ from gateway.core import Core
 from gateway.host.authority_note import CURE, AuthorityNote
 from gateway.provisioning.key_files import directory_of, read_identity
 from gateway.provisioning.tls_files import certificate_ends_s
-from schemas.authority.statement import GrantRole, Signed, read_chain
+from schemas.authority.proof import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 
 BOOT_BYTES: Final = 8

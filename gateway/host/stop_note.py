@@ -18,7 +18,7 @@ from typing import Final, Self
 
 from gateway.host.realtime import request_realtime
 from gateway.host.state_directory import state_directory, sync_directory
-from schemas.printable import plain
+from schemas.command_line import plain
 from schemas.settings import Settings
 
 log = logging.getLogger(__name__)

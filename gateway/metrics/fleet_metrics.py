@@ -15,12 +15,11 @@ from gateway.client.fleet import Bounds, Fleet, Source, Sources
 from gateway.client.payloads import SampleRead
 from gateway.metrics.measures import COUNTER, INFO, LABELS_MAX, MEASURES, Measure, label_text
 from gateway.telemetry.received import Arrival, Missed, Received
-from schemas.codec import PayloadFault
+from schemas.codec import PayloadFault, other_version
 from schemas.decisions import SafetyState
 from schemas.messages import SEQUENCE_MAX, FrameHealth, GatewayHealth, Message, RobotState
 from schemas.recording import RecorderHealth
 from schemas.subjects import BY_TYPE
-from schemas.versions import other_version
 
 BOUNDS: Final = Bounds(robots=1000, recorders=100, name_length=64, forgotten_ns=7 * 86_400 * 1_000_000_000)
 """The robots and recorders that have metrics; a silent one for a week."""

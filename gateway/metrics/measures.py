@@ -17,9 +17,9 @@ from typing import Any, Final
 
 import msgspec
 
+from schemas.command_line import plain
 from schemas.decisions import SafetyState
 from schemas.messages import FrameHealth, GatewayHealth, RobotState
-from schemas.printable import plain
 from schemas.recording import RecorderHealth
 
 LABELS_MAX: Final = 80

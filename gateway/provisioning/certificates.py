@@ -21,8 +21,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from gateway.authority.transport import LISTENING, TransportRole
-from schemas.authority.fingerprint import fingerprint
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.authority.trust import fingerprint
+from schemas.command_line import CommandError, ExitCode
 
 LEAF_DAYS: Final = 30
 """Life of a node's certificate."""

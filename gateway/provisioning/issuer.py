@@ -26,11 +26,11 @@ from gateway.provisioning.certificates import (
 from gateway.provisioning.key_store import STANDBY_FILE, KeyStore
 from gateway.provisioning.machine_keys import FLEET_FILE
 from schemas.authority.identity import AUTHORITY_FILE, remade
-from schemas.authority.proof import ProofKind, signed_bytes
-from schemas.authority.statement import (
+from schemas.authority.proof import (
     TEXT_MAX_BYTES,
     Grant,
     GrantRole,
+    ProofKind,
     Revocations,
     Rotation,
     Signed,
@@ -38,10 +38,10 @@ from schemas.authority.statement import (
     StatementFault,
     body_of,
     read_chain,
+    signed_bytes,
 )
 from schemas.authority.trust import AuthorityKeys, Objection, in_utc
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 
 AUTHORITY_KEY, CA_KEY = "authority.key", "ca.key"
 STANDBY_KEY: Final = "standby.key"

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 from gateway.provisioning.key_store import find
-from schemas.authority import identity, key_directory
+from schemas.authority import identity
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, Identity
 from schemas.authority.trust import Trust
 from schemas.settings import AuthoritySettings
@@ -18,7 +18,7 @@ from schemas.settings import AuthoritySettings
 
 def directory_of(settings: AuthoritySettings) -> Path:
     """The directory that the settings name; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
-    return Path(key_directory.directory_of(settings, os.environ, Path.home()))
+    return Path(identity.directory_of(settings, os.environ, Path.home()))
 
 
 def read_identity(directory: Path, who: str) -> Identity:

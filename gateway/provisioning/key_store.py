@@ -29,10 +29,8 @@ from cryptography.hazmat.primitives.serialization import (
 
 from gateway.authority.transport import CA_FILE
 from schemas.authority.identity import AUTHORITY_FILE, FoundFile, check_owner, not_found
-from schemas.authority.statement import Signed, StatementFault, read_chain
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.file_kinds import check_regular
-from schemas.printable import plain
+from schemas.authority.proof import Signed, StatementFault, read_chain
+from schemas.command_line import CommandError, ExitCode, check_regular, plain
 
 PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey
 _T = TypeVar("_T")

@@ -36,10 +36,9 @@ from gateway.provisioning.certificates import (
 from gateway.provisioning.certificates import new_request as certificate_request
 from gateway.provisioning.key_store import KeyStore, naming
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, INSTALLED, KEY_FILE, remade
-from schemas.authority.statement import Grant, StatementFault, read_chain
+from schemas.authority.proof import Grant, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 
 FLEET_FILE: Final = "fleet.json"
 ZENOH_FILE, SETTINGS_FILE = "{who}.json5", "{who}.toml"

@@ -22,9 +22,7 @@ from gateway.provisioning.certificates import (
 )
 from gateway.provisioning.key_store import KeyStore, read_input
 from schemas.authority.identity import INSTALLED, remade, renewed
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.file_kinds import check_regular
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.settings import ZenohSettings
 
 ENDS: Final = ("connect", "listen")

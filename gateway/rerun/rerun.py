@@ -19,9 +19,8 @@ from gateway.core import Core
 from gateway.journal import LINKS, BrokenJournalError, Input, follow
 from gateway.telemetry.health import Links
 from schemas.codec import Sample
-from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
-from schemas.journal import Kind
+from schemas.journal import COMMAND_RULES, Kind
 from schemas.messages import ControllerState
 from schemas.reasons import Reason
 from schemas.requests import CHALLENGE_BYTES

@@ -12,7 +12,7 @@ from gateway.chassis.supervision import silence_ns
 from gateway.command.chassis_state import ChassisState
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
-from schemas.alive_counter import COUNTER_SPAN
+from schemas.can_word import COUNTER_SPAN
 from schemas.cruiser import TURNING_RAW_MIN
 from schemas.messages import (
     Body,

@@ -16,7 +16,7 @@ from zenoh import ext
 from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from schemas import keys
 from schemas.decisions import SafetyEvent
-from schemas.declared_keys import DeclaredKeys
+from schemas.keys import DeclaredKeys
 from schemas.messages import GatewayInfo
 from schemas.recording import RecorderHealth
 from schemas.settings import RobotSettings, Settings

@@ -22,8 +22,9 @@ from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.zenoh.node import ROBOT_RULES, ROBOT_VALUES, Replier, ZenohPlace
 from schemas import keys
-from schemas.authority.statement import TEXT_MAX_BYTES
-from schemas.exit_codes import CommandError
+from schemas.authority.proof import TEXT_MAX_BYTES
+from schemas.codec import encoding_fault, names_schema
+from schemas.command_line import CommandError
 from schemas.settings import (
     DRIVES_PER_TICK,
     REQUEST_MAX_BYTES,
@@ -32,7 +33,6 @@ from schemas.settings import (
     Settings,
 )
 from schemas.subjects import BY_VERB, COMMAND_CHUNK, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
-from schemas.versions import encoding_fault, names_schema
 from schemas.zenoh_session import close_session, open_session, own_endpoint
 
 log = logging.getLogger(__name__)

@@ -16,7 +16,7 @@ import zenoh
 
 from gateway.zenoh.client import PendingQuery, SessionOwner
 from schemas import keys
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from schemas.zenoh_session import MODE, WITH_NAMES, Json, base_configuration, open_session, own_endpoint

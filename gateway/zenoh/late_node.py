@@ -19,7 +19,7 @@ from gateway.zenoh.inbox import CommandInbox
 from gateway.zenoh.node import ZenohNode
 from schemas.authority.proof import SIGNED
 from schemas.codec import Sample
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.subjects import BY_NAME
 
 log = logging.getLogger(__name__)

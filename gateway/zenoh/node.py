@@ -22,13 +22,10 @@ from gateway.authority.signer import RobotSigner
 from gateway.telemetry.kept_samples import KeptSamples
 from gateway.zenoh.client import links_of
 from schemas import keys
-from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED
-from schemas.authority.statement import TEXT_MAX_BYTES
+from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED, TEXT_MAX_BYTES
 from schemas.codec import Sample
-from schemas.egress import zenoh_rules
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
-from schemas.settings import DEFAULT_ENDPOINT, Settings
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.settings import DEFAULT_ENDPOINT, Settings, zenoh_rules
 from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
 from schemas.zenoh_session import (
     ANY_LOCAL_PORT,

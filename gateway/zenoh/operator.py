@@ -22,7 +22,7 @@ from gateway.zenoh.client import (
     receive,
 )
 from schemas import keys
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME, BY_VERB, COMMAND_QOS
 from schemas.zenoh_session import close_session, join, reason

@@ -8,8 +8,7 @@ from typing import Final
 
 import zenoh
 
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.zenoh_session import (
     LISTEN,
     MODE,

@@ -10,7 +10,7 @@ import zenoh
 from gateway.telemetry.received import Received
 from gateway.zenoh.client import PendingQuery, SessionOwner, call_roll
 from schemas import keys
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.zenoh_session import join, reason
 

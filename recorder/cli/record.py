@@ -41,10 +41,9 @@ from recorder.zenoh.source import RING_SAMPLE_BYTES, ZenohSource
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.authority.identity import made
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import EventKind
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.recorder_settings import ROBOT_LIMIT
-from schemas.settings import AuthoritySettings, Settings
+from schemas.settings import ROBOT_LIMIT, AuthoritySettings, Settings
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
 

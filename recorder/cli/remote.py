@@ -16,9 +16,8 @@ from recorder.cli.role import ORDERING, check_role
 from recorder.zenoh.recorder_client import RecorderClient
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.operator_name import login_operator
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.keys import login_operator
 from schemas.recording import Mark, RecorderHealth, RecorderReply, Status
 from schemas.settings import Settings
 

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from recorder.disk.key_files import certificate_role
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import of_file
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from schemas.printable import plain
+from schemas.command_line import plain
 
 
 def show(answer: object, lines: Iterable[str], *, as_json: bool) -> None:

@@ -14,12 +14,9 @@ from recorder.cli.show import show
 from recorder.disk.upload_note import UploadNote
 from recorder.objects.address import shown_url
 from recorder.upload.row import row_maker
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.missing_extra import missing_extra
-from schemas.printable import plain
-from schemas.rate_limit import RateLimit
-from schemas.recorder_settings import UploadSettings
-from schemas.settings import Settings
+from schemas.command_line import CommandError, ExitCode, missing_extra, plain
+from schemas.peers import RateLimit
+from schemas.settings import Settings, UploadSettings
 
 if TYPE_CHECKING:
     from recorder.upload.uploader import Uploader, UploadTotals

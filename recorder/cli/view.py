@@ -15,10 +15,15 @@ from recorder.layouts.attached import RobotKeys, layouts
 from recorder.zenoh.source import ZenohSource
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, robot_name, seconds
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.listen_address import add_certificate_arguments, address, certificate_files
-from schemas.missing_extra import missing_extra
-from schemas.printable import plain
+from schemas.command_line import (
+    CommandError,
+    ExitCode,
+    add_certificate_arguments,
+    address,
+    certificate_files,
+    missing_extra,
+    plain,
+)
 from schemas.settings import Settings
 from schemas.subjects import SUBJECTS, Pattern
 from schemas.zenoh_session import place

@@ -21,8 +21,8 @@ from recorder.disk.upload_note import NONE_SAFE, SafeLogReader, SafeLogs
 from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry, judge
 from recorder.record.signature import SIGNATURE_SUFFIX
-from schemas.printable import plain
-from schemas.recorder_settings import MARK_SHARE
+from schemas.command_line import plain
+from schemas.settings import MARK_SHARE
 
 log = logging.getLogger(__name__)
 

@@ -10,12 +10,11 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import NameOID
 
-from schemas.authority import identity, key_directory
+from schemas.authority import identity
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, FoundFile, Identity
-from schemas.authority.statement import Grant, StatementFault, read_chain
+from schemas.authority.proof import Grant, StatementFault, read_chain
 from schemas.authority.trust import Trust
-from schemas.exit_codes import CommandError
-from schemas.file_kinds import check_regular
+from schemas.command_line import CommandError, check_regular
 from schemas.keys import ROBOT_PATTERN
 from schemas.settings import AuthoritySettings
 
@@ -28,7 +27,7 @@ def read_identity(settings: AuthoritySettings, who: str) -> Identity:
     Raises:
         CommandError: a file is missing, unreadable, readable for others, or not what it should be.
     """
-    directory = Path(key_directory.directory_of(settings, os.environ, Path.home()))
+    directory = Path(identity.directory_of(settings, os.environ, Path.home()))
     key = _found(directory / KEY_FILE.format(who=who), identity.made(who))
     grant, authority = (
         _found(directory / name.format(who=who), identity.installed(who)) for name in (GRANT_FILE, AUTHORITY_FILE)
@@ -38,7 +37,7 @@ def read_identity(settings: AuthoritySettings, who: str) -> Identity:
 
 def has_key(settings: AuthoritySettings, who: str) -> bool:
     """Return True if the directory that the settings name holds a key of somebody."""
-    directory = Path(key_directory.directory_of(settings, os.environ, Path.home()))
+    directory = Path(identity.directory_of(settings, os.environ, Path.home()))
     return (directory / KEY_FILE.format(who=who)).exists()
 
 
@@ -48,7 +47,7 @@ def read_trust(settings: AuthoritySettings, who: str) -> Trust:
     Raises:
         CommandError: the file is missing, unreadable, or no authority's.
     """
-    path = Path(key_directory.directory_of(settings, os.environ, Path.home())) / AUTHORITY_FILE
+    path = Path(identity.directory_of(settings, os.environ, Path.home())) / AUTHORITY_FILE
     return identity.trust_of(_found(path, identity.installed(who)), who)
 
 
@@ -57,7 +56,7 @@ def granted_name(settings: AuthoritySettings, who: str) -> str:
 
     It names, and proves nothing: its signature is not looked at.
     """
-    path = Path(key_directory.directory_of(settings, os.environ, Path.home())) / GRANT_FILE.format(who=who)
+    path = Path(identity.directory_of(settings, os.environ, Path.home())) / GRANT_FILE.format(who=who)
     try:
         chain = read_chain(_found(path, identity.installed(who)).content)
     except CommandError:

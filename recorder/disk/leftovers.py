@@ -28,7 +28,7 @@ from recorder.disk.part_file import sync_directory, write_signature
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.notices import DiskBack, DiskRoom, Notice, Recovered
 from recorder.record.signature import LogSigner
-from schemas.printable import plain
+from schemas.command_line import plain
 
 log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
 from recorder.disk.part_file import PartFile, clear_errors, sync_directory
 from recorder.record.retention import START_FORMAT
 from recorder.record.signature import LogSigner
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 SYNC_THREADS: Final = 4
 """Files that are synced at once: a file system syncs several in about the time of one."""

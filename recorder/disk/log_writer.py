@@ -24,7 +24,7 @@ from recorder.disk.part_file import PartFile, Prologue
 from recorder.record.actions import CloseLog, LogAction, OpenLog, SyncLog, WriteChunk, WriteMetadata
 from recorder.record.notices import DiskBack, DiskFault, Ended, Lost, Notice, Opened
 from recorder.record.robot_log import CONTINUED_NAME
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 log = logging.getLogger(__name__)
 

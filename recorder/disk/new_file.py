@@ -9,8 +9,7 @@ from io import BufferedWriter
 from pathlib import Path
 
 from recorder.disk.log_directory import lock
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
+from schemas.command_line import CommandError, plain
 
 
 @contextmanager

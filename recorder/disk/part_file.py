@@ -28,9 +28,8 @@ from recorder.record.actions import (
     WriteMetadata,
 )
 from recorder.record.signature import SIGNATURE_SUFFIX, LogSigner
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
-from schemas.recorder_settings import ROBOT_LIMIT
+from schemas.command_line import CommandError, plain
+from schemas.settings import ROBOT_LIMIT
 
 ATTACHMENTS_MAX: Final = (2 + LAYOUTS) * ROBOT_LIMIT
 """A configuration, a DBC and layouts for each robot; beyond it the oldest go, for a robot may make up names."""

@@ -17,9 +17,7 @@ from typing import Final, Self
 import msgspec
 
 from recorder.disk.part_file import clear_errors
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.file_kinds import check_regular
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, check_regular, plain
 
 NAME: Final = ".uploaded.jsonl"
 

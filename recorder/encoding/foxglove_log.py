@@ -13,8 +13,8 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorP
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
+from schemas.command_line import short
 from schemas.decisions import SafetyEvent, Severity
-from schemas.printable import short
 from schemas.recording import RecorderEvent
 
 SCHEMA_NAME: Final = "foxglove.Log"

@@ -28,7 +28,7 @@ from google.protobuf.message_factory import GetMessageClass
 from msgspec import inspect
 
 from schemas import messages
-from schemas.snake_case import snake_case
+from schemas.can_word import snake_case
 from schemas.subjects import ALL_SUBJECTS, SCHEMA_PREFIX
 
 INT32_MIN: Final = -(2**31)

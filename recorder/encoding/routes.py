@@ -22,11 +22,10 @@ from schemas.can_word import (
     IDENTIFIER_MASK,
     REMOTE,
 )
-from schemas.codec import PayloadFault, Understood, decode, understand
+from schemas.codec import PayloadFault, Understood, count_fields, decode, encoding_fault, understand
 from schemas.decisions import SafetyEvent, SignedStatement
 from schemas.messages import CanFrame, CanFrames, GatewayHealth, GatewayInfo, Message, RawSample
 from schemas.subjects import ALL_SUBJECTS, Pattern, Subject
-from schemas.versions import count_fields, encoding_fault
 
 RAW_CHUNK: Final = "@raw"
 """A broken sample of a known key goes to ``{key}/@raw``: viewers want one schema per topic."""

@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.printable import plain
+from schemas.command_line import plain
 
 SCHEMES: Final = ("s3://", "gs://", "az://", "file://", "https://", "http://")
 """The stores that can be read."""

@@ -20,7 +20,7 @@ import msgspec
 
 from recorder.objects.address import StoreAddress, shown_url
 from recorder.objects.interface import Objects, StoredObject, StoreError
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 PIECE_BYTES: Final = 4 * 1024 * 1024
 """The longest range of one request."""

@@ -26,8 +26,7 @@ from obstore.store import ObjectStore, from_url
 
 from recorder.objects.address import StoreAddress, shown_url
 from recorder.objects.interface import ListedObject, StoredObject, StoreError
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain, short
+from schemas.command_line import CommandError, ExitCode, plain, short
 
 REQUEST_S: Final = 30.0
 """A request, with all that it carries, takes no longer; at most 4 MiB are asked for at once."""

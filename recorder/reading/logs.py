@@ -22,8 +22,7 @@ from recorder.reading.covered import without_covered
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from schemas import keys
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
+from schemas.command_line import CommandError, plain
 
 
 class KnownLog(Protocol):

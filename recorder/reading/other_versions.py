@@ -17,8 +17,8 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, EnumDescriptorProto,
 from google.protobuf.message import DecodeError
 
 from recorder.encoding.protobuf_schema import descriptor_set
-from schemas.snake_case import snake_case
-from schemas.versions import member_of
+from schemas.can_word import snake_case
+from schemas.codec import member_of
 
 RENAMED: Final = {"REASON_TICK_UNKNOWN": "REASON_CHALLENGE_UNKNOWN"}
 """Values of enumerations that older logs call otherwise."""

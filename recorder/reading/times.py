@@ -6,7 +6,7 @@ import re
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 FORMS: Final = (
     "seconds since the log's beginning (12.5) or before its end (-12.5), a time of day in UTC (03:04:05.678), "

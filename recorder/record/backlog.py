@@ -12,7 +12,7 @@ from typing import Final
 from recorder.record.actions import QUERIES_PER_TICK, Query
 from schemas import keys
 from schemas.decisions import Journal
-from schemas.recorder_settings import ROBOT_LIMIT
+from schemas.settings import ROBOT_LIMIT
 from schemas.subjects import KEPT_PIECE, SUBJECTS, Subject
 
 ANSWER_NS: Final = 1_000_000_000

@@ -20,8 +20,8 @@ from recorder.encoding.routes import RAW_CHUNK, Route
 from recorder.mcap.channel import LogChannel
 from recorder.record.accounting import KeyReport, report
 from schemas.keys import KEY_MAX_LENGTH
-from schemas.recorder_settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
 from schemas.recording import GapReason
+from schemas.settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
 from schemas.subjects import Subject
 
 OVERFLOW_TOPIC: Final = "@more"

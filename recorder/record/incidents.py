@@ -22,7 +22,7 @@ from recorder.record.actions import (
     WriteChunk,
     WriteMetadata,
 )
-from schemas.recorder_settings import INCIDENT_MAX_NS
+from schemas.settings import INCIDENT_MAX_NS
 
 INCIDENT_NAME: Final = "cruiser.incident"
 """The metadata record that links a log and an incident: in each the file of the other, when, and why."""

@@ -6,8 +6,8 @@ from typing import Final
 
 import msgspec
 
+from schemas.command_line import short
 from schemas.decisions import Severity
-from schemas.printable import short
 from schemas.recording import RecorderEventKind
 
 

@@ -35,9 +35,8 @@ from recorder.record.notices import (
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas import keys
 from schemas.codec import PAYLOAD_ERRORS
+from schemas.command_line import short
 from schemas.decisions import SafetyEvent, SafetyState, Severity
-from schemas.printable import short
-from schemas.recorder_settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.recording import (
     GapReason,
     RecorderEvent,
@@ -45,6 +44,7 @@ from schemas.recording import (
     RecorderState,
     RecordGap,
 )
+from schemas.settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.subjects import BY_TYPE, LIVELINESS_CHUNK
 
 REPORT_LOSSES_NS: Final = 1_000_000_000

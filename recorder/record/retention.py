@@ -19,7 +19,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.recorder_settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
+from schemas.settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
 
 RESUME_SHARE: Final = 0.02
 """A stopped recording resumes when so much of budget or floor is free beyond it, or it would flutter."""

@@ -50,13 +50,13 @@ from recorder.record.robots import Robots
 from recorder.record.statements import Statements
 from schemas import keys
 from schemas.authority.trust import Trust
+from schemas.codec import names_schema
+from schemas.command_line import short
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity, SignedStatement
 from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message, RobotState
-from schemas.printable import short
-from schemas.recorder_settings import OWNED_KEY_LIMIT
 from schemas.recording import GapReason, RecorderEvent, RecordGap
+from schemas.settings import OWNED_KEY_LIMIT
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
-from schemas.versions import names_schema
 
 INFO_MAX_BYTES: Final = 1_000_000
 """A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""

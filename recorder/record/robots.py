@@ -8,7 +8,7 @@ from recorder.layouts.attached import RobotKeys, layouts
 from recorder.record.actions import QUERIES_PER_TICK, LogAction, Query, WriteAttachment, WriteMetadata
 from schemas import keys
 from schemas.messages import GatewayInfo, Variant
-from schemas.recorder_settings import BUS_LIMIT, ROBOT_LIMIT
+from schemas.settings import BUS_LIMIT, ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
 METADATA_NAME: Final = "cruiser"

@@ -9,7 +9,7 @@ import re
 from hashlib import sha256
 from typing import Final, NamedTuple
 
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 SHARD_PATTERN: Final = r"([1-9][0-9]{0,2})/([1-9][0-9]{0,2})"
 

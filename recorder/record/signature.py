@@ -15,8 +15,7 @@ from typing import Final, Self
 import msgspec
 
 from schemas.authority.identity import Identity
-from schemas.authority.proof import KEY_BYTES
-from schemas.authority.statement import Grant, Signed, StatementFault, chain_text, read_chain
+from schemas.authority.proof import KEY_BYTES, Grant, Signed, StatementFault, chain_text, read_chain
 from schemas.authority.trust import fits
 
 SIGNATURE_SUFFIX: Final = ".sig"

@@ -11,7 +11,7 @@ from collections import OrderedDict
 from typing import Final
 
 from recorder.record.actions import LogAction, WriteMetadata
-from schemas.authority.statement import TEXT_MAX_BYTES, Rotation, StatementFault, read_chain
+from schemas.authority.proof import TEXT_MAX_BYTES, Rotation, StatementFault, read_chain
 from schemas.authority.trust import Trust
 
 STATEMENTS_NAME: Final = "cruiser.statements"

@@ -10,7 +10,7 @@ import msgspec
 
 from recorder.replay.replay import ReplayScheduler
 from recorder.replay.samples import ReplaySample
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 
 ATTEND_NS: Final = 20_000_000
 """The period in which the outlet is looked after."""

@@ -15,7 +15,7 @@ import zenoh
 from recorder.replay.run import Halt
 from recorder.replay.samples import ReplaySample, overlap, root_of_token
 from schemas import keys
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from schemas.subjects import Subject
 from schemas.zenoh_session import GOSSIP, close_session, is_connected, join, local_port, open_session, said_of

@@ -32,7 +32,7 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress, Selection
 from recorder.reading.survey import FORMER_DIGEST
 from recorder.review.info import CUT_NAME
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 CHUNK_BYTES: Final = 1 << 20
 

@@ -18,7 +18,7 @@ from recorder.review.window import (
     signals,
     silence_ns,
 )
-from schemas.alive_counter import COUNTER_SPAN
+from schemas.can_word import COUNTER_SPAN
 from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG
 from schemas.decisions import Decision, EventKind, SafetyEvent, SafetyState, Verdict
 from schemas.messages import (

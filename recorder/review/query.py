@@ -21,7 +21,7 @@ import pyarrow as pa
 from recorder.review.querying.catalog_source import CATALOG, CatalogSource
 from recorder.review.querying.dataset_source import DatasetSource
 from recorder.review.querying.log_source import LogSource
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 T = TypeVar("T")
 

@@ -19,9 +19,7 @@ from typing import Any, Final, Protocol, TypeVar
 import msgspec
 
 from recorder.reading.rows import Progress
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.interpreter import SAFE_PATH_VARIABLE
-from schemas.missing_extra import missing_extra
+from schemas.command_line import SAFE_PATH_VARIABLE, CommandError, ExitCode, missing_extra
 
 LOOK_S: Final = 0.1
 """Interval at which whoever waits for a task looks for a stop."""

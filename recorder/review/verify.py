@@ -23,7 +23,7 @@ from recorder.review.verifying.file_statements import file_statements
 from recorder.review.verifying.files import SignedFile, prove_file
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from schemas import keys
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole
 from schemas.authority.trust import HeldGrant, Objection, Trust
 from schemas.decisions import Decision, Journal, SignedStatement
 from schemas.messages import Message

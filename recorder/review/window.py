@@ -20,6 +20,7 @@ from recorder.review.chain import before
 from recorder.review.clock import NEAR_NS
 from schemas import keys
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
+from schemas.command_line import CommandError
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import (
     COMMANDING,
@@ -31,7 +32,6 @@ from schemas.decisions import (
     SafetyState,
     is_same_run,
 )
-from schemas.exit_codes import CommandError
 from schemas.journal import Kind
 from schemas.messages import (
     Body,

@@ -18,8 +18,8 @@ from recorder.mcap.reader import is_mcap
 from recorder.reading.contents import read_contents
 from recorder.record.robots import METADATA_NAME
 from recorder.record.signature import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
-from schemas.file_kinds import other_kind
-from schemas.rate_limit import RateLimit
+from schemas.command_line import other_kind
+from schemas.peers import RateLimit
 
 READ_BYTES: Final = 65_536
 

@@ -8,8 +8,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Final
 
-from schemas.interpreter import module_command
-from schemas.printable import plain
+from schemas.command_line import module_command, plain
 
 ROW_S: Final = 600.0
 """Making a row is given up after this time..."""

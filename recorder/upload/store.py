@@ -14,7 +14,7 @@ from obstore.store import LocalStore, ObjectStore
 from recorder.objects.interface import StoredObject, StoreError
 from recorder.objects.store import line_of, open_store
 from recorder.upload.finished import PART_BYTES
-from schemas.printable import plain
+from schemas.command_line import plain
 
 READ_BACK_BYTES: Final = 1024 * 1024
 """A log is read back in ranges of this length, each at once: of a link that breaks no more is asked again."""

@@ -44,8 +44,8 @@ from recorder.upload.manifest import (
 )
 from recorder.upload.row import RowError, Summarize
 from recorder.upload.store import LogStore
-from schemas.printable import plain
-from schemas.rate_limit import RateLimit
+from schemas.command_line import plain
+from schemas.peers import RateLimit
 
 log = logging.getLogger(__name__)
 

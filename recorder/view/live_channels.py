@@ -23,7 +23,7 @@ from recorder.record.robots import Robots
 from schemas import keys
 from schemas.decisions import Decision, SafetyEvent
 from schemas.messages import GatewayInfo, Message
-from schemas.recorder_settings import ROBOT_LIMIT
+from schemas.settings import ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
 SAMPLE_MAX_BYTES: Final = 1 << 20

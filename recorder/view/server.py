@@ -23,9 +23,7 @@ from cryptography.x509 import load_pem_x509_certificates
 from foxglove.websocket import ChannelView, Client, ServerListener, StatusLevel
 
 from recorder.mcap.channel import LogChannel
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.listen_address import shown_address
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain, shown_address
 
 RECORDS_WAITING: Final = 2048
 """Records that wait for a viewer; beyond it the oldest go. A saturated bus has 375 frames in a batch."""

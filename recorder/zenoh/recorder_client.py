@@ -14,14 +14,12 @@ from typing import Any, Final
 import zenoh
 
 from schemas import codec, keys
-from schemas.codec import PayloadFault
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.codec import PayloadFault, encoding_fault, names_schema
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.recording import RecorderReply
 from schemas.requests import Request
 from schemas.settings import ZenohSettings
 from schemas.subjects import RECORDER_BY_VERB, RECORDER_CHUNK
-from schemas.versions import encoding_fault, names_schema
 from schemas.zenoh_session import close_session, is_connected, join, place, reason
 
 log = logging.getLogger(__name__)

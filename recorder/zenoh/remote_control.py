@@ -22,15 +22,13 @@ import zenoh
 from recorder.record.orders import OperatorRequest
 from recorder.zenoh.source import SMALL_BATCHES
 from schemas import codec, keys
-from schemas.codec import PayloadFault
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.codec import PayloadFault, encoding_fault, names_schema
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.messages import Message
-from schemas.printable import plain
 from schemas.recording import RecorderReply
 from schemas.requests import Request
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import RECORDER_BY_VERB, RECORDER_SUBJECTS
-from schemas.versions import encoding_fault, names_schema
 from schemas.zenoh_session import close_session, join, local_port, next_ports, said_of
 
 log = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ import zenoh
 from recorder.record.shards import Shard
 from recorder.zenoh.source import ZenohSource, distinct, have_overlap
 from schemas import keys
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 
 ROBOT_SAMPLES: Final = 1_000

@@ -10,11 +10,9 @@ import msgspec
 import zenoh
 
 from schemas import keys
-from schemas.declared_keys import DeclaredKeys
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
-from schemas.recorder_settings import OWNED_KEY_LIMIT
-from schemas.settings import ZenohSettings
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.keys import DeclaredKeys
+from schemas.settings import OWNED_KEY_LIMIT, ZenohSettings
 from schemas.subjects import KEPT_PIECE
 from schemas.zenoh_session import Json, close_session, is_connected, join, reason, said_of
 

@@ -1,5 +1,5 @@
 """Signatures and grants: the signed bytes and who may sign them, for robot, operator, recorder and review alike.
 
-``proof`` has the layouts, ``statement`` what an authority signs, ``trust`` who is believed, ``chain`` the hash
-chains over a robot's records. Nothing here reads a file, a clock or a network.
+``proof`` has the layouts and what an authority signs, ``trust`` who is believed, ``identity`` a machine's own
+keys. Nothing here has a clock or a network.
 """

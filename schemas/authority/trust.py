@@ -1,10 +1,15 @@
-"""Verification of grants against the fleet's authority and its revocations.
+"""Trust: keys by their fingerprints, and the statements that are believed.
+
+Fingerprints of keys and requests: the one form in which people compare them. Pure.
+
+Verification of grants against the fleet's authority and its revocations.
 
 A grant holds where the authority's active key signed it, and where it is not over, revoked or of an old epoch.
 """
 
 from __future__ import annotations
 
+import hashlib
 from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Final
@@ -13,10 +18,20 @@ import msgspec
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from schemas.authority.fingerprint import fingerprint
-from schemas.authority.proof import ProofKind, signed_bytes
-from schemas.authority.statement import Grant, KeyHex, Revocations, Rotation, Signed
+from schemas.authority.proof import Grant, KeyHex, ProofKind, Revocations, Rotation, Signed, signed_bytes
 from schemas.reasons import TEXTS, Reason
+
+
+def fingerprint(data: bytes) -> str:
+    """Return a text that two people compare by voice: the first half of a SHA-256, in groups."""
+    digest = hashlib.sha256(data).hexdigest()[:32]
+    return "-".join(digest[start : start + 4] for start in range(0, len(digest), 4))
+
+
+def key_fingerprint(key: str) -> str:
+    """The fingerprint of a public key, hexadecimal."""
+    return fingerprint(bytes.fromhex(key))
+
 
 KEYS_KEPT: Final = 512
 """Public keys that are kept as objects; to make one takes 20 us."""

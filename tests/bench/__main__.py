@@ -14,7 +14,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.egress import FULL, OPERATOR, PROFILES
+from schemas.settings import FULL, OPERATOR, PROFILES
 from tests.bench import (
     authority,
     command_latency,

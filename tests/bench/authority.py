@@ -23,7 +23,7 @@ from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.telemetry.received import Received
 from schemas import codec, keys
-from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import HeldGrant
 from schemas.decisions import LeaseReply, StatementReply
 from schemas.reasons import Reason

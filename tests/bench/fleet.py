@@ -32,8 +32,8 @@ from typing import Any, Final
 
 import msgspec
 
-from schemas.egress import FULL, OPERATOR, PROFILES, THIN
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
+from schemas.settings import FULL, OPERATOR, PROFILES, THIN
 from tests.bench.loads import Row, print_table
 from tests.bench.origin import heading
 from tests.bench.plot import Chart, Line, draw, ticks
@@ -59,7 +59,7 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         robots: how many spoke.
-        profile: how much of it left each robot, one of ``schemas.egress``.
+        profile: how much of it left each robot, one of ``schemas.settings``.
         samples: that they said; ``recorded`` of them are in logs.
         seconds: that it took, ``late_s`` more than the robots' pace is.
         join_s: from the robots' tokens until somebody subscribed to each of them.

@@ -27,7 +27,7 @@ from gateway.core import Core
 from gateway.loop import LoopPorts, Reader
 from gateway.telemetry.health import Links
 from gateway.zenoh.node import ZenohNode
-from schemas.dbc_files import dbc_text
+from schemas.cruiser import dbc_text
 from schemas.messages import Variant
 from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
 from schemas.zenoh_session import close_session, open_session

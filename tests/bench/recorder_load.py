@@ -29,9 +29,8 @@ from gateway.core import Core
 from gateway.telemetry.health import Links
 from schemas import codec, keys
 from schemas.codec import Sample
-from schemas.egress import FULL, PROFILES
 from schemas.messages import CanFrames, Variant
-from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
+from schemas.settings import FULL, PROFILES, TICK_NS, ChassisSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, Pattern
 from schemas.zenoh_session import close_session, open_session
 from tests.bench.path_cost import SECONDS_OF_FRAMES
@@ -110,7 +109,7 @@ def make_script(profile: str = FULL) -> Script:
     """Have the gateway's core say what it says of a chassis that somebody drives by hand.
 
     Args:
-        profile: how much of it leaves the robot, one of ``schemas.egress``.
+        profile: how much of it leaves the robot, one of ``schemas.settings``.
     """
     rates = PROFILES[profile]
     subjects = [

@@ -23,7 +23,7 @@ import msgspec
 from mcap.records import Channel, Statistics
 from mcap.stream_reader import StreamReader
 
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.bench.recorder_load import Fed
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.usage import cpu_s, rss_bytes

@@ -19,7 +19,7 @@ import msgspec
 
 from gateway.authority.operator_proof import OperatorProof, new_lease_key, new_question
 from gateway.zenoh.client import received_of
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole
 from schemas.decisions import LeaseReply
 from tests.bench.command_latency import COMMAND, Driver, drives_us, on_the_road, until
 from tests.bench.loads import Row, print_table

@@ -25,8 +25,7 @@ from gateway.client.refusal import Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.router import open_local_router
 from schemas.configuration import TomlSource, merge
-from schemas.egress import PROFILES
-from schemas.settings import Settings, ZenohSettings
+from schemas.settings import PROFILES, Settings, ZenohSettings
 from schemas.zenoh_session import close_session, open_session
 from tests.bench.command_latency import DRIVE_ID, SPEED_RAW, Witness
 from tests.bench.loads import Row, print_table

@@ -17,7 +17,7 @@ import pytest
 
 from recorder.record.robot_log import LogPlan
 from recorder.review.export.manifest import read_manifest
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.messages import Variant
 from tests.support.logs import Log
 from tests.support.messages import SECOND, WALL_NS, gear, info, sample_of
@@ -194,7 +194,7 @@ from recorder.reading.logs import find_logs
 from recorder.review.export import dataset
 from recorder.review.export.one_log import ExportRange, export_log
 from recorder.review.tasks import TaskRunner
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 address, logs, out, notes, way = *sys.argv[1:2], *map(Path, sys.argv[2:5]), sys.argv[5]
 

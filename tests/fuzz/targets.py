@@ -32,8 +32,15 @@ from recorder.mcap.summary_reader import read_summary
 from recorder.record.orders import Orders
 from recorder.record.recorder import Recorder
 from schemas import codec, keys
-from schemas.authority.proof import DriveProof, RequestProof, RobotProof
-from schemas.authority.statement import GrantRole, StatementFault, chain_text, read_chain
+from schemas.authority.proof import (
+    DriveProof,
+    GrantRole,
+    RequestProof,
+    RobotProof,
+    StatementFault,
+    chain_text,
+    read_chain,
+)
 from schemas.authority.trust import HeldGrant, Trust
 from schemas.codec import PayloadFault
 from schemas.decisions import EventKind, LeaseReply, StatementReply

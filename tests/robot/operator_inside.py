@@ -12,8 +12,8 @@ from typing import Final
 
 from gateway.cli.configuration_file import load_settings
 from gateway.client.robot import Lease, Robot
+from schemas.command_line import CommandError
 from schemas.decisions import ArbiterState
-from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 
 SPEED_MPS: Final = 0.5

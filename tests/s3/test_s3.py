@@ -21,9 +21,8 @@ from recorder.cli.review import command as review
 from recorder.disk.upload_note import NAME, SafeLogReader
 from recorder.review.catalog.single import read_row
 from recorder.upload.manifest import ROW_SUFFIX
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.recorder_settings import RecorderSettings, UploadSettings
-from schemas.settings import Settings
+from schemas.command_line import CommandError, ExitCode
+from schemas.settings import RecorderSettings, Settings, UploadSettings
 from tests.support.commands import run_command
 from tests.support.fakes.peer import free_endpoint
 from tests.support.logs import gears, own_log, saved

@@ -9,8 +9,8 @@ import pytest
 
 from gateway.client.refusal import Stopped
 from gateway.client.robot import Robot
+from schemas.command_line import ExitCode
 from schemas.decisions import ArbiterState
-from schemas.exit_codes import ExitCode
 from schemas.messages import Mode
 from schemas.reasons import Reason
 from tests.socketcan import commands

@@ -13,8 +13,19 @@ from gateway.authority.floor import TimeFloor
 from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority
 from gateway.authority.signer import RobotSigner
 from gateway.command.request import RawRequest
-from schemas.authority.proof import ProofKind, RequestProof, RobotProof, signed_bytes
-from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation, Signed, Statement, body_of
+from schemas.authority.proof import (
+    Grant,
+    GrantRole,
+    ProofKind,
+    RequestProof,
+    Revocations,
+    RobotProof,
+    Rotation,
+    Signed,
+    Statement,
+    body_of,
+    signed_bytes,
+)
 from schemas.authority.trust import HeldGrant, Trust, fits
 from schemas.decisions import StatementReply
 from schemas.reasons import Reason

@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gateway.cli.main import main
-from schemas.command_rules import COMMAND_RULES
+from schemas.journal import COMMAND_RULES
 
 DIRECTORY: Final = Path(__file__).parents[1] / "data" / "golden"
 LOGS: Final = sorted(path.name for path in DIRECTORY.iterdir() if path.is_dir())

@@ -18,7 +18,7 @@ import msgspec
 from recorder.record.robot_log import LogPlan
 from schemas import codec, keys
 from schemas.configuration import to_toml
-from schemas.dbc_files import DBC_FILES, dbc_text
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.decisions import EventKind
 from schemas.messages import GatewayInfo, Variant
 from schemas.subjects import BY_NAME

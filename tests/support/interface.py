@@ -19,7 +19,7 @@ from gateway.cli.main import COMMANDS, main
 from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, schema_name
 from recorder.review.catalog.table import SCHEMA
 from recorder.review.columns.tables import columns_of
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.metrics import full_exposition
 from tests.support.reading import topic
 

@@ -25,8 +25,18 @@ from gateway.authority.enrolment import (
 from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
 from gateway.authority.signer import RobotSigner
 from schemas import keys
-from schemas.authority.proof import ProofKind, RequestProof, RobotProof, signed_bytes, statement_id
-from schemas.authority.statement import Grant, GrantRole, Signed, body_of, chain_text
+from schemas.authority.proof import (
+    Grant,
+    GrantRole,
+    ProofKind,
+    RequestProof,
+    RobotProof,
+    Signed,
+    body_of,
+    chain_text,
+    signed_bytes,
+    statement_id,
+)
 from schemas.authority.trust import AuthorityKeys
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason

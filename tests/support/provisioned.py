@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from schemas.authority.statement import chain_text
+from schemas.authority.proof import chain_text
 from tests.support.authority import Fleet, Party
 
 

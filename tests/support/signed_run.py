@@ -13,7 +13,7 @@ from gateway.command.request import Credentials
 from recorder.record.signature import SIGNATURE_SUFFIX, LogSigner
 from schemas import keys
 from schemas.authority.identity import Identity
-from schemas.authority.statement import Grant, GrantRole, chain_text
+from schemas.authority.proof import Grant, GrantRole, chain_text
 from schemas.decisions import (
     Decision,
     EventKind,

@@ -14,7 +14,7 @@ from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from schemas import keys
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole
 from schemas.decisions import StatementReply
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from tests.support.authority import DAY_S, Fleet, Party

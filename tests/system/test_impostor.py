@@ -9,8 +9,8 @@ import msgspec
 import zenoh
 
 from schemas import keys
+from schemas.command_line import ExitCode
 from schemas.decisions import Reply
-from schemas.exit_codes import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.fakes.fleet import LEASE_MS, FakeFleet
 from tests.support.processes.busy import burning
 

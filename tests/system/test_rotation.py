@@ -19,7 +19,7 @@ from gateway.cli.configuration_file import load_settings
 from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.reasons import TEXTS, Reason
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Managed, chassis

@@ -17,8 +17,8 @@ from gateway.client.reasons_text import is_idle
 from gateway.client.refusal import Refused
 from gateway.client.robot import Robot
 from gateway.zenoh.late_node import AGAIN_S
+from schemas.command_line import ExitCode
 from schemas.decisions import ArbiterState
-from schemas.exit_codes import ExitCode
 from schemas.messages import Mode
 from schemas.reasons import Reason
 from tests.support.fakes.peer import free_endpoint

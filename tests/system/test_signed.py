@@ -19,9 +19,9 @@ from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.statements import StatementPort
 from schemas import codec, keys
-from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.proof import GrantRole, chain_text
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import Journal, Reply, SafetyState, StatementReply
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.journal import Kind
 from schemas.messages import RobotState
 from schemas.reasons import Reason

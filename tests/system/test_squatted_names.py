@@ -9,7 +9,7 @@ import msgpack
 import pytest
 import zenoh
 
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint

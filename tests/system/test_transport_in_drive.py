@@ -22,7 +22,7 @@ from gateway.client import remote_stop
 from gateway.client.refusal import LeaseLost, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.provisioning.certificates import LEAF_DAYS
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import AuthoritySettings, CanSettings, ZenohSettings
 from tests.support import bus_rules

@@ -12,9 +12,9 @@ from recorder.mcap.channel import LogChannel
 from recorder.reading.other_versions import means_the_same
 from recorder.reading.topics import topic_of
 from recorder.review.checking.messages import faults_of_schema
+from schemas.codec import is_foreign
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.reasons import Reason
-from schemas.versions import is_foreign
 from tests.support.logs import own_log
 from tests.support.messages import WALL_NS, event, key_of
 

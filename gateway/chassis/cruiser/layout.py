@@ -10,7 +10,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.layout import ChassisLayout
-from schemas.dbc_files import DBC_FILES, dbc_text
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import Variant
 
 LAYOUTS: Final = "layouts.json"

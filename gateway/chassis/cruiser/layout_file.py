@@ -15,7 +15,7 @@ from cantools.database.can import Database, Message, Signal
 from gateway.chassis.cruiser.layout import LAYOUTS, ReadLayout, digest
 from gateway.chassis.frame import EXTENDED
 from gateway.chassis.layout import ChassisLayout, MessageLayout, SignalLayout
-from schemas.dbc_files import DBC_FILES, dbc_text
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import Variant
 
 CHASSIS_NODE: Final = "Chassis"

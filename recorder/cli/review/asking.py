@@ -22,10 +22,8 @@ from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
 from recorder.review.tasks import TaskRunner
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode, missing_extra, plain
 from schemas.keys import in_order
-from schemas.missing_extra import missing_extra
-from schemas.printable import plain
 from schemas.settings import Settings
 
 JSON_HELP: Final = "print JSON"

@@ -13,8 +13,7 @@ from recorder.objects.address import StoreAddress, shown_url
 from recorder.reading.faults import Faults
 from recorder.review.catalog.directory import Catalog
 from recorder.review.catalog.place import PlaceCatalog
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
 Place = Path | StoreAddress

@@ -13,7 +13,7 @@ from recorder.cli.review.asking import add_logs, end_with, find, needing_extra, 
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.checking.findings import About, Finding
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 
 if TYPE_CHECKING:

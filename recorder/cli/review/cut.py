@@ -11,7 +11,7 @@ from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, lo
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.cut import CutLog, cut
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 
 EXAMPLE: Final = (

@@ -27,7 +27,7 @@ from recorder.reading.survey import survey
 from recorder.reading.times import in_words
 from recorder.review.entries import Entry, EntryKind
 from recorder.review.events import read_events
-from schemas.printable import plain
+from schemas.command_line import plain
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
 

@@ -24,8 +24,7 @@ from recorder.cli.review.asking import (
 )
 from recorder.cli.show import show
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review export -o dataset logs

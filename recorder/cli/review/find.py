@@ -29,8 +29,7 @@ from recorder.objects.address import is_address
 from recorder.reading.faults import Faults
 from recorder.reading.times import date_of, in_words
 from recorder.review.report.words import iso
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 

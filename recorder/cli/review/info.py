@@ -31,7 +31,7 @@ from recorder.review.info import (
     read_info,
     total,
 )
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap\n  cruiser review info logs"

@@ -16,9 +16,7 @@ from recorder.cli.review.asking import add_logs, end_with, find
 from recorder.cli.show import show
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.review.layouts import robots_of
-from schemas.exit_codes import CommandError
-from schemas.missing_extra import how_to_get
-from schemas.printable import plain, short
+from schemas.command_line import CommandError, how_to_get, plain, short
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review layouts logs -o layouts"

@@ -15,8 +15,7 @@ import msgspec
 from recorder.cli.review.asking import JSON_HELP, add_period, end_with, find, needing_extra, progress_bar, table
 from recorder.cli.show import show
 from recorder.reading.faults import Faults
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review query 'SELECT log_time, kind, text FROM safety_event' logs

@@ -12,8 +12,7 @@ from typing import Final
 from recorder.cli.show import show
 from recorder.disk.leftovers import Recovery, RecoveryOutcome, recover
 from recorder.disk.log_names import PART_SUFFIX
-from schemas.exit_codes import ExitCode
-from schemas.printable import plain
+from schemas.command_line import ExitCode, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review recover logs\n  cruiser review recover logs/*.mcap.part"

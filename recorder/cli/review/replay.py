@@ -34,8 +34,7 @@ from recorder.replay.samples import (
 from recorder.replay.zenoh import ZenohOutlet, key_checked, key_matches
 from schemas import keys
 from schemas.arguments import add_link_arguments, seconds
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import DEFAULT_ENDPOINT, Settings
 
 EXAMPLE: Final = """\

@@ -24,8 +24,7 @@ from recorder.review.report.page import page
 from recorder.review.report.survey import read_report
 from recorder.review.report.words import summary_lines, verdict
 from recorder.review.why import Explainer
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review report logs -o report.html"

@@ -23,9 +23,8 @@ from recorder.review.rerun.counterfactual import Journey, StopMade, StopMoved, W
 from recorder.review.rerun.parallel import RerunTask, rerun_tasks, run_task
 from recorder.review.rerun.player import RerunResult
 from recorder.review.rerun.tried_settings import TriedSettings
-from schemas.command_rules import COMMAND_RULES, rules_notice
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.journal import COMMAND_RULES, rules_notice
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\

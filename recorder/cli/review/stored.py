@@ -18,9 +18,8 @@ from recorder.objects.store import ObstoreObjects
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.logs import look_at
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
-from schemas.recorder_settings import UploadSettings
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.settings import UploadSettings
 
 
 def find_stored(

@@ -17,11 +17,8 @@ from recorder.review.verifying.authority import GrantInfo
 from recorder.review.verifying.commands import RefusedProof, SignedVerb
 from recorder.review.verifying.files import SignedFile
 from recorder.review.verifying.findings import ProofFault, ProofFinding
-from schemas.authority.fingerprint import key_fingerprint
-from schemas.authority.trust import AuthorityKeys, keys_fingerprint
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.file_kinds import check_regular
-from schemas.printable import plain
+from schemas.authority.trust import AuthorityKeys, key_fingerprint, keys_fingerprint
+from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review verify logs --authority authority.json"

@@ -16,8 +16,7 @@ from recorder.reading.log_file import logs_of
 from recorder.reading.survey import survey
 from recorder.reading.times import FORMS, in_words, time_of
 from recorder.review.why import Explanation, explain
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from recorder.review.catalog.single import write_row
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 
 def main() -> int:

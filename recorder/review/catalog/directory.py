@@ -28,8 +28,7 @@ from recorder.review.catalog.table import (
     write_table,
 )
 from recorder.review.info import LogBrief
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 
 _CHECKED: Final = ["file", "bytes", "modified_ns", "summary_crc", "is_incident", "start_ns", "end_ns"]
 _BRIEF: Final = [

@@ -24,8 +24,7 @@ from recorder.review.catalog.rows import CatalogRow, CatalogUnreadableError
 from recorder.review.catalog.single import read_row, row_of
 from recorder.review.catalog.table import to_table
 from recorder.upload.manifest import ROW_SUFFIX
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.printable import plain
+from schemas.command_line import CommandError, ExitCode, plain
 
 AT_ONCE: Final = 16
 """Rows that are asked for at the same time."""

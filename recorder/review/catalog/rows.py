@@ -18,7 +18,7 @@ from recorder.review.report.survey import read_report
 from recorder.review.report.words import moment_words
 from recorder.review.verify import shown_statements
 from recorder.review.verifying.commands import COMMANDING_ROLES
-from schemas.authority.statement import Grant, StatementFault, read_chain
+from schemas.authority.proof import Grant, StatementFault, read_chain
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from msgspec import inspect
 
 from recorder.review.catalog.rows import FORMAT, NEVER_NS, VERSION, CatalogRow, CatalogUnreadableError
-from schemas.file_kinds import other_kind
+from schemas.command_line import other_kind
 
 ROWS_IN_GROUP: Final = 8192
 

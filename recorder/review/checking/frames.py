@@ -1,4 +1,4 @@
-"""Raw frames lost on the way from the chassis, by their alive counters; see ``schemas.alive_counter``."""
+"""Raw frames lost on the way from the chassis, by their alive counters; see ``schemas.can_word``."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.arrays import Bytes, Numbers, Places
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.checking.messages import Layout, datas, layout_of
-from schemas.alive_counter import COUNTER_SPAN, UnseenRounds
-from schemas.can_word import IDENTIFIER_MASK
+from schemas.can_word import COUNTER_SPAN, IDENTIFIER_MASK, UnseenRounds
 from schemas.messages import CanFrame, Variant
 
 FRAME_BYTES: Final = 8

@@ -21,8 +21,7 @@ from recorder.review.columns.tables import Columns
 from recorder.review.export.cells import cells
 from recorder.review.export.manifest import described
 from recorder.review.export.one_log import ExportRange
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
+from schemas.command_line import CommandError, plain
 
 SUFFIX: Final = ".csv"
 OPEN_MAX: Final = 64

@@ -33,8 +33,7 @@ from recorder.review.export.manifest import (
 )
 from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask, export_log
 from recorder.review.tasks import HERE, Act
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
+from schemas.command_line import CommandError, plain
 
 _STAGING_PREFIX: Final = ".export-"
 

@@ -21,9 +21,8 @@ import msgspec
 from recorder.disk.new_file import give_name
 from recorder.reading.topic_names import file_name
 from recorder.review.export.raw_frames import LoggedFrame
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError, plain
 from schemas.messages import CanFrame
-from schemas.printable import plain
 
 CHANNEL_MAX: Final = 255
 """ASC and BLF number the buses from 1."""

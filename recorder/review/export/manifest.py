@@ -14,8 +14,7 @@ import msgspec
 import pyarrow as pa
 
 from recorder.review.columns.tables import UNIT_KEY
-from schemas.exit_codes import CommandError
-from schemas.printable import plain
+from schemas.command_line import CommandError, plain
 
 MANIFEST_NAME: Final = "manifest.json"
 FORMAT: Final = "cruiser-dataset"

@@ -13,7 +13,7 @@ from recorder.reading.topic_names import wants_of
 from recorder.review.columns.reader import read_batches
 from recorder.review.export.manifest import Column, Input, Part
 from recorder.review.export.parts import Parts
-from schemas.printable import plain
+from schemas.command_line import plain
 
 
 class ExportRange(msgspec.Struct, frozen=True):

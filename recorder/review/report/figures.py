@@ -15,7 +15,7 @@ import msgspec
 from recorder.review.report.charts import BANDS, Place, Point, Span
 from recorder.review.report.findings import Drawn, Moment, RobotSummary
 from recorder.review.report.words import moment_words, reason_words
-from schemas.printable import plain
+from schemas.command_line import plain
 
 BLUE: Final = "#3987e5"
 ORANGE: Final = "#e08a1e"

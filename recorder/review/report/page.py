@@ -42,7 +42,7 @@ from recorder.review.report.words import (
     verdict,
     who,
 )
-from schemas.printable import plain
+from schemas.command_line import plain
 
 MOMENTS_SHOWN: Final = 300
 """Rows of the table of events; the chart has all."""

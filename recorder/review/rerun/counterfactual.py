@@ -17,8 +17,8 @@ from recorder.reading.configurations import settings_from
 from recorder.reading.topics import UNREADABLE
 from recorder.review.rerun.player import NO_CONFIGURATION, RerunPlayer, RerunResult, SampleAgain
 from schemas import codec
-from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
+from schemas.journal import COMMAND_RULES
 from schemas.messages import RobotState
 from schemas.settings import STANDSTILL_MPS, Settings
 from schemas.subjects import BY_NAME

@@ -17,8 +17,8 @@ from recorder.reading.topics import UNREADABLE, typed_decoder
 from recorder.review.rerun.comparison import Comparison, Difference, Key, RecordedOutput
 from recorder.review.rerun.tapes import JOURNAL, Tape
 from schemas import codec
-from schemas.command_rules import COMMAND_RULES
 from schemas.decisions import Journal
+from schemas.journal import COMMAND_RULES
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 
@@ -70,7 +70,7 @@ class RerunResult(msgspec.Struct, frozen=True):
         unrecorded: messages that come out again and are not in the log.
         difference_count: messages that differ; ``differences`` are the first ones.
         given_up: messages that waited too long for their counterpart to be compared.
-        rules: the command rules under which the run was made, as in ``schemas.command_rules``.
+        rules: the command rules under which the run was made, as in ``schemas.journal``.
     """
 
     robot: str

@@ -14,8 +14,7 @@ from typing import Final
 import msgspec
 
 from recorder.review.verifying.findings import ProofFault, ProofFinding
-from schemas.authority.fingerprint import fingerprint
-from schemas.authority.statement import (
+from schemas.authority.proof import (
     Grant,
     GrantRole,
     Revocations,
@@ -25,7 +24,7 @@ from schemas.authority.statement import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import BY_SITE, HeldGrant, Objection, Trust, is_signed
+from schemas.authority.trust import BY_SITE, HeldGrant, Objection, Trust, fingerprint, is_signed
 from schemas.reasons import TEXTS, Reason
 
 _NOBODY: Final = bytes(32)

@@ -16,8 +16,7 @@ from recorder.reading.topics import UNREADABLE
 from recorder.review.verifying.authority import LogAuthority
 from recorder.review.verifying.findings import ProofFault, ProofFinding
 from schemas import keys
-from schemas.authority.proof import RequestProof
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole, RequestProof
 from schemas.authority.trust import HeldGrant, Objection, fits
 from schemas.decisions import Decision, Journal, Verdict
 from schemas.journal import Kind

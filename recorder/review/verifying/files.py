@@ -13,8 +13,8 @@ from recorder.reading.log_file import LogFile
 from recorder.reading.rows import Progress
 from recorder.record.signature import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
 from recorder.review.verifying.findings import ProofFault, ProofFinding
-from schemas.authority.statement import chain_text
-from schemas.file_kinds import other_kind
+from schemas.authority.proof import chain_text
+from schemas.command_line import other_kind
 
 UNSIGNED: Final = "no recorder has signed the log, as in open mode or by an earlier version: nothing proves it"
 OPEN: Final = "a log that is still being written is signed when it is finished"

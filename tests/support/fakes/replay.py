@@ -2,7 +2,7 @@
 
 from recorder.replay.run import Halt, ReplayClock
 from recorder.replay.samples import ReplaySample
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.messages import SECOND, WALL_NS
 
 HALT = Halt("it is over", ExitCode.UNREACHABLE)

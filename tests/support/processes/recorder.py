@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 
 from recorder.review.info import LogInfo, read_info
 from schemas import codec, keys
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.messages import Message
 from schemas.recording import RecorderEvent, RecorderEventKind, RecorderHealth, RecordGap
 from tests.support.fakes.peer import Peer

@@ -17,7 +17,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page
 
 from gateway.authority.enrolment import read_request, request_fingerprint
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import open_session
 from tests.support.messages import STATE

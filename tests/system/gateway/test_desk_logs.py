@@ -18,7 +18,7 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from gateway.cli.desk_logs import QUESTIONS_AT_ONCE
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.drives import HOSTILE, drive_messages, write_messages
 from tests.support.messages import event

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from recorder.record.signature import LogSigner
 from schemas.authority.identity import Identity
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole
 from tests.support.authority import Fleet, Party
 
 NAME = "x-20270115T080000Z.mcap"

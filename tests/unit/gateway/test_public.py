@@ -5,7 +5,7 @@ import pytest
 import gateway
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Robot
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 
 def test_the_operator_s_library_is_the_package_s_own() -> None:

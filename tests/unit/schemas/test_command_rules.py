@@ -1,6 +1,6 @@
 """The versions of the command rules."""
 
-from schemas.command_rules import CHANGES, COMMAND_RULES, rules_notice
+from schemas.journal import CHANGES, COMMAND_RULES, rules_notice
 
 
 def test_every_version_of_the_rules_says_what_it_changed() -> None:

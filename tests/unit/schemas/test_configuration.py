@@ -7,12 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from schemas.configuration import TomlSource, merge, to_toml
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.gone import GONE_SETTINGS
-from schemas.recorder_settings import RecorderSettings
-from schemas.setting_table import SETTINGS
-from schemas.settings import NEEDED_FEEDBACK, CanSettings, RobotSettings, Settings, ZenohSettings
+from schemas.command_line import GONE_SETTINGS, CommandError, ExitCode
+from schemas.configuration import SETTINGS, TomlSource, merge, to_toml
+from schemas.settings import NEEDED_FEEDBACK, CanSettings, RecorderSettings, RobotSettings, Settings, ZenohSettings
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]))
 OPTIONS = st.dictionaries(
@@ -251,7 +248,7 @@ def test_a_setting_that_is_gone_grounds_no_robot_and_hides_no_log(
     key: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a file a warning with the line; in a log nothing; in the environment an error."""
-    monkeypatch.setattr("schemas.gone.GONE_SETTINGS", {**GONE_SETTINGS, "parade": "nothing"})
+    monkeypatch.setattr("schemas.command_line.GONE_SETTINGS", {**GONE_SETTINGS, "parade": "nothing"})
     table, name = key.split(".")
     text = f"[{table}]\n{name} = 30.0\n" + "[command]\n" * (table != "command") + "speed_limit_mps = 0.5\n"
     assert merge(TomlSource("log", text, is_recorded=True), {}, {}).command.speed_limit_mps == 0.5

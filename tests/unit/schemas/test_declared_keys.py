@@ -1,6 +1,6 @@
 """Keys that a session is told of."""
 
-from schemas.declared_keys import DeclaredKeys
+from schemas.keys import DeclaredKeys
 
 
 def test_each_key_is_declared_once_and_only_so_many_are() -> None:

@@ -5,11 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas import documents
+from schemas.configuration import SETTINGS
 from schemas.decisions import ArbiterState, Bound, EventKind, Severity, StopPhase, Verdict
 from schemas.messages import Mode
 from schemas.reasons import Reason
 from schemas.requests import Role
-from schemas.setting_table import SETTINGS
 from schemas.subjects import COMMANDS, SUBJECTS
 
 

@@ -2,9 +2,9 @@
 
 import pytest
 
+from schemas.command_line import CommandError
 from schemas.configuration import TomlSource, merge
-from schemas.egress import DOWNSAMPLING, FULL, OPERATOR, PROFILES, PUBLISHED, THIN, rate_in_words, zenoh_rules
-from schemas.exit_codes import CommandError
+from schemas.settings import DOWNSAMPLING, FULL, OPERATOR, PROFILES, PUBLISHED, THIN, rate_in_words, zenoh_rules
 
 NEEDED = {"safety/state", "safety/event", "state", "gateway/health", "authority/statement"}
 """Subjects without which nobody sees how a robot is, or who may command it."""

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.file_kinds import check_regular
+from schemas.command_line import CommandError, ExitCode, check_regular
 
 
 def test_a_file_or_a_link_to_one_is_regular(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Tests ``schemas.gone``: who types what is gone hears what to use instead."""
+"""Tests ``schemas.command_line``: who types what is gone hears what to use instead."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import pytest
 
 from gateway.cli.main import COMMANDS, main
 from recorder.cli.review.command import QUESTIONS
-from schemas import gone
-from schemas.exit_codes import ExitCode
+from schemas import command_line
+from schemas.command_line import ExitCode
 
 
 @pytest.mark.parametrize(
-    "typed", [*gone.GONE_WORDS, "parade", "review parade", "record --horses", "review why --band"]
+    "typed", [*command_line.GONE_WORDS, "parade", "review parade", "record --horses", "review why --band"]
 )
 @pytest.mark.parametrize("more", ["", " logs", " --out there"])
 def test_what_is_gone_is_an_error_that_says_what_to_use(
@@ -19,7 +19,7 @@ def test_what_is_gone_is_an_error_that_says_what_to_use(
 ) -> None:
     """Commands, questions, and flags with their values."""
     here = dict.fromkeys(["parade", "review parade", "record --horses", "review why --band"], "a drum")
-    monkeypatch.setattr(gone, "GONE_WORDS", {**gone.GONE_WORDS, **here})
+    monkeypatch.setattr(command_line, "GONE_WORDS", {**command_line.GONE_WORDS, **here})
     assert main([*typed.split(), *more.split()]) == ExitCode.USAGE
     assert capsys.readouterr().err.startswith(f"cruiser: '{typed}' is gone: ")
 
@@ -36,17 +36,17 @@ def test_what_is_gone_is_an_error_that_says_what_to_use(
 )
 def test_what_is_gone_is_found_behind_flags(words: str, gone_one: str) -> None:
     """A flag's value, and the word after the question, are neither."""
-    assert gone.gone_word(words.split()).startswith(f"'{gone_one}' is gone" if gone_one else "")
-    assert bool(gone.gone_word(words.split())) == bool(gone_one)
+    assert command_line.gone_word(words.split()).startswith(f"'{gone_one}' is gone" if gone_one else "")
+    assert bool(command_line.gone_word(words.split())) == bool(gone_one)
 
 
 def test_what_is_gone_is_not_there() -> None:
     """A word is not in two tables."""
     questions = {f"review {question}" for question in QUESTIONS}
-    assert not gone.GONE_WORDS.keys() & (COMMANDS.keys() | questions)
+    assert not command_line.GONE_WORDS.keys() & (COMMANDS.keys() | questions)
 
 
 @pytest.mark.parametrize("words", ["review why a.mcap", "record", "", "review", "stop --all", "--help"])
 def test_other_words_are_not_gone(words: str) -> None:
     """What stays is not held up."""
-    assert not gone.gone_word(words.split())
+    assert not command_line.gone_word(words.split())

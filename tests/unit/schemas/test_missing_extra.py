@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.missing_extra import missing_extra
+from schemas.command_line import missing_extra
 
 PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
 

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.keys import OPERATOR_PATTERN
-from schemas.operator_name import fitting, login_operator
+from schemas.keys import OPERATOR_PATTERN, fitting, login_operator
 
 
 @given(login=st.text())

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.printable import LINE_LENGTH, plain, short
+from schemas.command_line import LINE_LENGTH, plain, short
 
 
 @given(st.text())

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.rate_limit import BURST_S, RateLimit
+from schemas.peers import BURST_S, RateLimit
 
 
 @given(

@@ -1,6 +1,6 @@
 import pytest
 
-from schemas.setting_table import CONFIG_VARIABLE, SETTINGS, Setting
+from schemas.configuration import CONFIG_VARIABLE, SETTINGS, Setting
 from schemas.settings import DEFAULT_ENDPOINT
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from schemas.snake_case import snake_case
+from schemas.can_word import snake_case
 
 
 @pytest.mark.parametrize(

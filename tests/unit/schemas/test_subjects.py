@@ -6,9 +6,9 @@ import pytest
 from gateway.chassis.cruiser import layout
 from gateway.chassis.layout import MessageLayout
 from schemas import messages
+from schemas.can_word import snake_case
 from schemas.messages import CanFrames, Variant
 from schemas.requests import Leased
-from schemas.snake_case import snake_case
 from schemas.subjects import (
     BY_DBC_MESSAGE,
     BY_NAME,

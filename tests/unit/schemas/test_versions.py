@@ -6,11 +6,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas import codec
-from schemas.codec import PayloadFault, Understood, decode_request, understand
+from schemas.codec import (
+    PayloadFault,
+    Understood,
+    count_fields,
+    decode_request,
+    encoding_fault,
+    is_foreign,
+    member_of,
+    names_schema,
+    other_version,
+    understand,
+)
 from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
 from schemas.requests import Request
 from schemas.subjects import ALL_SUBJECTS, ALL_VERBS, Command
-from schemas.versions import count_fields, encoding_fault, is_foreign, member_of, names_schema, other_version
 from tests.support.messages import HEALTH
 from tests.support.newer import (
     NEW_WORD,

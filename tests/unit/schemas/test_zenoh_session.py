@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from schemas.command_line import CommandError, ExitCode
 from schemas.configuration import merge
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
 from schemas.zenoh_session import (
     CONNECT,

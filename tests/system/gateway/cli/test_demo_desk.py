@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import pytest
 
 from gateway.client.robot import Robot
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings, ZenohSettings
 from tests.support.desk_client import DeskClient
 from tests.support.fakes.peer import free_endpoint

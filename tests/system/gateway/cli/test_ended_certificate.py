@@ -14,7 +14,7 @@ from gateway.authority.transport import TransportRole
 from gateway.provisioning.certificates import LEAF_DAYS
 from gateway.zenoh.late_node import AGAIN_S
 from gateway.zenoh.router import open_local_router
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night, some_by_day
 from tests.support.processes.gateway import Running, chassis

@@ -26,7 +26,7 @@ from gateway.guard.beat import GuardView
 from gateway.host.guard_process import NoGuard
 from gateway.host.stop_note import StopNote
 from gateway.loop import LoopPorts
-from schemas.dbc_files import dbc_text
+from schemas.cruiser import dbc_text
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import TEXTS, Reason

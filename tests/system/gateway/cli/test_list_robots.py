@@ -7,7 +7,7 @@ import pytest
 
 from gateway.cli.list_robots import add_arguments, run
 from gateway.zenoh.client import PendingQuery, RobotListener
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from tests.support.fakes.fleet import FakeFleet

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from gateway.authority.transport import TransportRole
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import close_session, open_session

@@ -33,7 +33,7 @@ def test_help_and_mistakes_are_answered_without_what_only_commands_need(words: l
     assert not set(HEAVY) & set(modules)
     # The table of what is gone answers a mistake.
     ours = {module for module in modules if module.startswith(("schemas", "recorder"))}
-    assert ours <= {"schemas", "schemas.gone"}
+    assert ours <= {"schemas", "schemas.command_line"}
 
 
 def test_the_help_names_every_command() -> None:

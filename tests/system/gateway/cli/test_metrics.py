@@ -21,7 +21,7 @@ from gateway.cli.metrics_server import MetricsServer
 from gateway.metrics.fleet_metrics import FleetMetrics
 from gateway.provisioning.certificates import expires_s, read_certificates
 from gateway.zenoh.router import open_router
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_session import close_session
 from tests.support.fakes.gateway import FakeGateway

@@ -17,7 +17,7 @@ from gateway.cli import setup
 from gateway.cli.configuration_file import load_settings
 from gateway.cli.setup import Machine, run_to_end
 from gateway.doctor.facts import BusReport
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ChassisSettings
 from schemas.zenoh_session import split_endpoint
 from tests.support import provisioning

@@ -16,7 +16,7 @@ from gateway.chassis.cruiser.layout import load
 from gateway.chassis.encode import Encoder
 from gateway.chassis.frame import IDENTIFIER_MASK
 from gateway.cli.main import main
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.messages import Variant
 from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
 from tests.support.rigs.chassis import ENABLES

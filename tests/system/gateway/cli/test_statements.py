@@ -21,8 +21,8 @@ from gateway.cli.configuration_file import load_settings
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
 from gateway.provisioning.key_files import read_identity
-from schemas.authority.statement import TEXT_MAX_BYTES
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.authority.proof import TEXT_MAX_BYTES
+from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, RobotSettings, Settings
 from schemas.subjects import STATEMENT_REPLY_ENCODING

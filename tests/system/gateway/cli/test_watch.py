@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from gateway.cli.watch import add_arguments, run
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.messages import RobotState
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from tests.support.fakes.gateway import FakeGateway

@@ -11,8 +11,8 @@ from gateway.cli import drive, lease, reset, stop, watch, why
 from gateway.cli.main import COMMANDS
 from gateway.cli.verbs import HORN, LIGHT, ODOMETER, PARK, UNPARK
 from gateway.client.robot import Robot
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import ArbiterState
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import RESET_MIN_NS, CommandSettings, Settings, ZenohSettings

@@ -9,7 +9,7 @@ from gateway.client.robot import Robot, stop_all
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import Settings, ZenohSettings
 from tests.support.fakes.fleet import FakeFleet

@@ -9,8 +9,8 @@ import pytest
 from gateway.client.drive_stream import PERIOD_S
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import ArbiterState
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason, cure_of
 from schemas.requests import Light, Role

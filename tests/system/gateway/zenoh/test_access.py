@@ -20,7 +20,7 @@ from zenoh import ext
 
 from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
 from gateway.provisioning.certificates import LEAF_DAYS
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import open_session
 from tests.support.access import (

@@ -9,7 +9,7 @@ from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
 from gateway.zenoh import client as zenoh_client
 from gateway.zenoh.client import SAMPLES_WAITING, PendingQuery, RobotListener, call_roll
 from schemas import codec
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from schemas.zenoh_session import client_endpoints, close_session, open_session

@@ -21,7 +21,7 @@ from gateway.zenoh.inbox import (
     open_inbox,
 )
 from gateway.zenoh.node import ZenohPlace, open_node
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import (
     DRIVES_PER_TICK,
     REQUEST_MAX_BYTES,

@@ -17,7 +17,7 @@ from gateway.zenoh.late_node import Joined, LateInbox, LateNode
 from gateway.zenoh.node import ZenohNode, client_place, open_node
 from gateway.zenoh.router import open_local_router
 from schemas.codec import Sample
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
 from schemas.zenoh_session import close_session, open_session

@@ -12,7 +12,7 @@ import zenoh
 from gateway.zenoh import node as zenoh_node
 from gateway.zenoh.node import ZenohNode, open_node
 from schemas.codec import Sample
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_PIECE
 from schemas.zenoh_session import close_session, open_session

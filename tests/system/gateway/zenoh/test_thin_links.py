@@ -16,8 +16,7 @@ from gateway.zenoh.node import ZenohNode, open_node
 from gateway.zenoh.operator import CommandPort
 from gateway.zenoh.router import open_local_router
 from schemas.codec import Sample
-from schemas.egress import PUBLISHED
-from schemas.settings import Settings, ZenohSettings
+from schemas.settings import PUBLISHED, Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
 from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint

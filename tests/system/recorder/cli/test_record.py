@@ -12,7 +12,7 @@ import pytest
 from recorder.disk.leftovers import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from recorder.review.info import read_info
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.messages import CanFrames, Gear
 from tests.bench import recorder_kills
 from tests.support.fakes.peer import Peer, free_endpoint

@@ -17,8 +17,8 @@ import pytest
 from recorder.disk.keeper import read_entries
 from recorder.review.check import check_log
 from recorder.review.info import read_info
+from schemas.command_line import ExitCode
 from schemas.decisions import EventKind, Severity
-from schemas.exit_codes import ExitCode
 from schemas.messages import Gear
 from schemas.recording import GapReason, RecorderEventKind, RecorderState
 from tests.support.fakes.peer import Peer, free_endpoint

@@ -15,8 +15,8 @@ from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas import keys
+from schemas.command_line import ExitCode
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity
-from schemas.exit_codes import ExitCode
 from schemas.messages import Gear
 from schemas.reasons import Reason
 from schemas.recording import RecorderEventKind

@@ -13,7 +13,7 @@ import pytest
 
 from recorder.review.check import check_log
 from recorder.review.info import LogInfo, read_info
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.messages import CanFrames, Gear
 from schemas.recording import GapReason
 from tests.support.fakes.peer import Peer, free_endpoint

@@ -14,7 +14,7 @@ import pytest
 from recorder.record.shards import Shard
 from recorder.review.info import read_info
 from schemas import keys
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.messages import ROOT, gear, sample_of
 from tests.support.processes.recorder import Process, environment, recording

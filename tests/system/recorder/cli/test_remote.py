@@ -11,7 +11,7 @@ import pytest
 from recorder.cli import record
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.info import read_info
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.recording import RecorderEventKind
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.fakes.recorders import a_reply, answering

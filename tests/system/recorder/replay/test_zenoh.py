@@ -9,8 +9,8 @@ import zenoh
 from recorder.replay.samples import ReplaySample
 from recorder.replay.zenoh import ZenohOutlet
 from schemas import codec, keys, zenoh_session
+from schemas.command_line import ExitCode
 from schemas.decisions import SafetyEvent, SafetyState
-from schemas.exit_codes import ExitCode
 from schemas.messages import CanFrames, Gear
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from recorder.disk.upload_note import SafeLogReader
-from schemas.exit_codes import ExitCode
-from schemas.interpreter import module_command
+from schemas.command_line import ExitCode, module_command
 from tests.support.logs import gears, own_log, saved
 from tests.support.waiting import wait_until
 

@@ -17,7 +17,7 @@ from websockets.exceptions import WebSocketException
 
 from recorder.mcap.channel import LogChannel
 from recorder.view.server import RECORDS_WAITING, ViewServer
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Gear
 from tests.support.foxglove_client import FoxgloveClient
 from tests.support.logs import channel_of

@@ -16,8 +16,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from gateway.authority.transport import TransportRole
 from recorder.cli import view
 from recorder.encoding.protobuf_schema import message_class
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import Decision, SafetyEvent
-from schemas.exit_codes import CommandError, ExitCode
 from schemas.messages import GatewayInfo, RobotState
 from schemas.settings import Settings, ZenohSettings
 from tests.support.commands import run_command

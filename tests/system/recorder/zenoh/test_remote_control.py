@@ -15,7 +15,6 @@ from recorder.zenoh.remote_control import RemoteControl
 from schemas import codec
 from schemas.codec import PayloadFault
 from schemas.decisions import Severity
-from schemas.recorder_settings import RecorderSettings
 from schemas.recording import (
     Mark,
     RecorderEvent,
@@ -24,7 +23,7 @@ from schemas.recording import (
     Status,
 )
 from schemas.requests import Request
-from schemas.settings import Settings, ZenohSettings
+from schemas.settings import RecorderSettings, Settings, ZenohSettings
 from schemas.subjects import BY_TYPE, RECORDER_BY_VERB, RECORDER_COMMANDS, RecorderCommand
 from schemas.zenoh_session import join
 from tests.support.fakes.peer import Peer, free_endpoint

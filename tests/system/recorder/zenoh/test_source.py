@@ -12,8 +12,8 @@ from recorder.encoding.received_sample import ReceivedSample
 from recorder.zenoh import source as zenoh_source
 from recorder.zenoh.source import ZenohSource
 from schemas import keys
-from schemas.declared_keys import DeclaredKeys
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
+from schemas.keys import DeclaredKeys
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
 from tests.support.fakes.peer import Peer, free_endpoint

@@ -28,8 +28,7 @@ from gateway.command.flow import PendingReply
 from gateway.command.freshness import ChallengeLog
 from gateway.command.request import Credentials, RawRequest
 from schemas import keys
-from schemas.authority.proof import RequestProof, RobotProof
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole, RequestProof, RobotProof
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason

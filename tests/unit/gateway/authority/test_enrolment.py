@@ -30,10 +30,8 @@ from gateway.authority.enrolment import (
 )
 from gateway.provisioning.certificates import new_key
 from gateway.provisioning.certificates import new_request as new_csr
-from schemas.authority.fingerprint import key_fingerprint
-from schemas.authority.proof import ProofKind, signed_bytes
-from schemas.authority.statement import GrantRole, chain_text
-from schemas.authority.trust import BY_SITE, AuthorityKeys, fits, keys_fingerprint
+from schemas.authority.proof import GrantRole, ProofKind, chain_text, signed_bytes
+from schemas.authority.trust import BY_SITE, AuthorityKeys, fits, key_fingerprint, keys_fingerprint
 from tests.support.authority import NOW_S, Fleet, Party
 
 GRANTED = {

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from gateway.authority.name_proof import NameProof, new_name_question
 from gateway.authority.signer import RobotSigner
-from schemas.authority.proof import ROBOT_PROOF_BYTES
-from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.proof import ROBOT_PROOF_BYTES, GrantRole, chain_text
 from schemas.settings import Settings
 from tests.support.authority import DAY_S, NOW_S, AuthorityBench, Fleet, Party
 

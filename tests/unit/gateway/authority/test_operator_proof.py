@@ -11,8 +11,8 @@ from gateway.command.flow import PendingReply
 from gateway.command.request import Credentials, RawRequest
 from gateway.telemetry.received import Received
 from schemas.authority.trust import Objection
+from schemas.command_line import CommandError
 from schemas.decisions import LeaseReply, StatementReply
-from schemas.exit_codes import CommandError
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive

@@ -10,7 +10,7 @@ from gateway.authority.operator_proof import new_lease_key
 from gateway.authority.robot_authority import AuthorityEffects, Kept, resume, trust_of
 from gateway.command.flow import PendingReply
 from gateway.command.request import RawRequest
-from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode
 from schemas.decisions import LeaseReply, SignedStatement

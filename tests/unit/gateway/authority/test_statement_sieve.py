@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from gateway.authority.statement_sieve import KEPT_WAITING, WORDS_PER_TICK, StatementKind, StatementSieve
-from schemas.authority.statement import Signed, chain_text
+from schemas.authority.proof import Signed, chain_text
 from tests.support.authority import AuthorityBench, Fleet, Party
 
 FLOOD = 250

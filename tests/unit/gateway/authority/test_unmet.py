@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from gateway.authority.unmet import SOMEBODY_ELSE, Unmet, not_believed, not_taken
-from schemas.authority.fingerprint import fingerprint
-from schemas.authority.statement import GrantRole, Signed
-from schemas.authority.trust import Objection
+from schemas.authority.proof import GrantRole, Signed
+from schemas.authority.trust import Objection, fingerprint
 from schemas.reasons import Reason
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party
 

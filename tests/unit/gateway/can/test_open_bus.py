@@ -12,7 +12,7 @@ from gateway.can.can_bus import (
 )
 from gateway.can.open_bus import open_bus
 from gateway.chassis.frame import EXTENDED, Frame
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import CanSettings
 
 

@@ -19,8 +19,7 @@ from gateway.chassis.faults import FaultKind, FrameFault
 from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, Frame
 from gateway.chassis.layout import MessageLayout, SignalLayout
 from gateway.chassis.value_rules import Within
-from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG
-from schemas.dbc_files import dbc_text
+from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG, dbc_text
 from schemas.messages import Variant
 from tests.support import SUPPORT
 from tests.support.strategies import (

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gateway.cli import configuration_file
 from gateway.cli.configuration_file import OWN_FILES, load_settings, settings_file, unread_file
 from gateway.cli.main import COMMANDS
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import AuthoritySettings, Settings
 
 

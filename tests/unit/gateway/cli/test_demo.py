@@ -8,7 +8,7 @@ import pytest
 from gateway.cli import demo
 from gateway.cli.child import fresh
 from gateway.cli.demo import describe
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import Settings
 
 

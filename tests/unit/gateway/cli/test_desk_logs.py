@@ -14,7 +14,7 @@ from gateway.cli import desk_logs
 from gateway.cli.desk_jobs import WAITING_MAX, JobDone
 from gateway.cli.desk_logs import QUESTIONS_AT_ONCE, DeskLogs, viewer
 from gateway.cli.desk_server import make_logs_app
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from tests.support.asgi import ask, asked
 
 LOG = "cruiser-1-20260102T030405Z.mcap"

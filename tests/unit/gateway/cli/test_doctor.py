@@ -12,7 +12,7 @@ from gateway.cli import doctor
 from gateway.doctor.checks import Diagnosis
 from gateway.doctor.facts import Facts
 from gateway.doctor.reach import reach
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import AuthoritySettings, CanSettings, Settings, ZenohSettings
 from tests.support.secured import Network
 

@@ -6,7 +6,7 @@ import pytest
 
 from gateway.cli import drive
 from gateway.cli.verbs import PARK
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 
 

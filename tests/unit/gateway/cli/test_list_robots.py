@@ -6,7 +6,7 @@ import pytest
 
 from gateway.authority.transport import TransportRole
 from gateway.cli.list_robots import check_role
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.secured import Network
 
 

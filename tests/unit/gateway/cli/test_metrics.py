@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from gateway.cli.metrics import add_arguments, run
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import Settings
 
 

@@ -20,10 +20,9 @@ from gateway.provisioning.issuer import Issuer, Wanted
 from gateway.provisioning.key_files import read_identity
 from gateway.provisioning.key_store import KeyStore
 from gateway.provisioning.machine_keys import ask_again
-from schemas.authority.fingerprint import key_fingerprint
-from schemas.authority.statement import Grant, GrantRole, Revocations, Rotation
-from schemas.authority.trust import HeldGrant, Objection, keys_fingerprint
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation
+from schemas.authority.trust import HeldGrant, Objection, key_fingerprint, keys_fingerprint
+from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.requests import Role
 from tests.support.provisioning import ENDPOINT, ProvisionedFleet, bundle_of, chain, run

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.cli import shut_out
 from gateway.cli.shut_out import has_waited, is_service
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import SessionError
 

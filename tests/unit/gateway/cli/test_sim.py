@@ -5,7 +5,7 @@ import signal
 import pytest
 
 from gateway.cli.main import main
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 
 
 @pytest.mark.parametrize(

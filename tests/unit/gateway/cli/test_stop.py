@@ -10,7 +10,7 @@ import pytest
 from gateway.cli import stop
 from gateway.client import remote_stop
 from gateway.client.remote_stop import StopReport, Unverified
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 
 

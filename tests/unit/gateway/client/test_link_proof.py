@@ -9,8 +9,7 @@ from gateway.authority.signer import RobotSigner
 from gateway.authority.unmet import Unmet
 from gateway.client.link_proof import ASK_AGAIN_NS, SIGN_AGAIN_NS, LinkProof, StopProof, stop_proof
 from gateway.telemetry.received import Received
-from schemas.authority.proof import RequestProof
-from schemas.authority.statement import GrantRole, chain_text
+from schemas.authority.proof import GrantRole, RequestProof, chain_text
 from schemas.authority.trust import fits
 from schemas.decisions import StatementReply
 from schemas.reasons import Reason

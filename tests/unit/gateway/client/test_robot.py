@@ -9,7 +9,7 @@ from gateway.client import remote_stop
 from gateway.client.refusal import Refused
 from gateway.client.remote_stop import StopReport, Unverified
 from gateway.client.robot import Robot
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.reasons import Reason
 
 

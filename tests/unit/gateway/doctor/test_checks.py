@@ -18,13 +18,13 @@ from gateway.doctor.facts import (
 from gateway.doctor.reach import reach
 from schemas.messages import ControllerState, GatewayHealth, Variant
 from schemas.reasons import Reason
-from schemas.recorder_settings import RecorderSettings
 from schemas.recording import RecorderState
 from schemas.settings import (
     AuthoritySettings,
     CanSettings,
     ChassisSettings,
     CommandSettings,
+    RecorderSettings,
     Settings,
     ZenohSettings,
 )

@@ -10,7 +10,7 @@ import pytest
 from gateway.host import self_test
 from gateway.host.self_test import Reached, access_fault, find_hole, own_fault
 from gateway.zenoh.intruder import Attempt
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from tests.support.provisioning import ENDPOINT, ProvisionedFleet
 

@@ -16,10 +16,10 @@ from gateway.core import Core
 from gateway.host.authority_note import note_path
 from gateway.host.signed_mode import SignedMode
 from gateway.provisioning.certificates import expires_s, read_certificates
-from schemas.authority.statement import Grant, chain_text
+from schemas.authority.proof import Grant, chain_text
 from schemas.authority.trust import AuthorityKeys
+from schemas.command_line import CommandError
 from schemas.decisions import StatementReply
-from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, GatewaySettings, RobotSettings, Settings, ZenohSettings
 from tests.support.provisioning import ProvisionedFleet, chain, run

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from msgspec import Meta
 
 from gateway.metrics.measures import INFO, LABEL_LENGTH_MAX, LABELS_MAX, MEASURES, Measure, bounded
-from schemas.docstrings import attribute_texts
+from schemas.configuration import attribute_texts
 from schemas.messages import UNIT_KEYWORD
 
 UNITS = {

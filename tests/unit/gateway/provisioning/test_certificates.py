@@ -28,7 +28,7 @@ from gateway.provisioning.certificates import (
     read_request,
 )
 from gateway.provisioning.tls_files import certificate_ends_s, check_kinds, check_tls_files, why_shut_out
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
 from tests.support.secured import Network
 

@@ -10,7 +10,7 @@ import pytest
 from gateway.provisioning.key_files import read_identity, read_trust
 from recorder.disk import key_files as of_recorder
 from schemas.authority.identity import Identity
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import AuthoritySettings
 from tests.support.authority import Fleet
 from tests.support.provisioned import provision, write_authority

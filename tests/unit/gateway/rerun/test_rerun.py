@@ -19,10 +19,9 @@ from recorder.encoding.transcode import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
 from schemas.codec import Sample
-from schemas.command_rules import COMMAND_RULES
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState
-from schemas.journal import Kind
+from schemas.journal import COMMAND_RULES, Kind
 from schemas.messages import Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings

@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.sim.address import parse_address, show_address
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 
 @pytest.mark.parametrize(

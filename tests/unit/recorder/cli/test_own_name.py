@@ -11,9 +11,8 @@ from recorder.cli.own_name import own_name
 from recorder.cli.record import signer_of
 from recorder.record.signature import LogSignature
 from recorder.zenoh.remote_control import host_name
-from schemas.authority.statement import GrantRole, chain_text
-from schemas.recorder_settings import RecorderSettings
-from schemas.settings import AuthoritySettings, Settings
+from schemas.authority.proof import GrantRole, chain_text
+from schemas.settings import AuthoritySettings, RecorderSettings, Settings
 from tests.support.authority import Fleet, Party
 from tests.support.provisioned import provision
 

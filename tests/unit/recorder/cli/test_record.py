@@ -13,9 +13,8 @@ from gateway.cli import main
 from recorder.cli import record, remote
 from recorder.loop import Recorded
 from recorder.record.accounting import KeyReport
-from schemas.exit_codes import ExitCode
-from schemas.recorder_settings import RecorderSettings
-from schemas.settings import Settings, ZenohSettings
+from schemas.command_line import ExitCode
+from schemas.settings import RecorderSettings, Settings, ZenohSettings
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "inf", "nan", "soon"])

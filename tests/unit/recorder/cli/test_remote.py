@@ -6,7 +6,7 @@ import pytest
 
 from recorder.cli import record
 from recorder.cli.remote import describe
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from schemas.recording import RecorderReply, RecorderState
 from tests.support.messages import recorder_health
 

@@ -6,7 +6,7 @@ import pytest
 
 from gateway.authority.transport import TransportRole
 from recorder.cli.role import ORDERING, RECORDING, check_recording, check_role
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from tests.support.secured import Network
 

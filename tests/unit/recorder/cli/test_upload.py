@@ -10,9 +10,8 @@ from recorder.disk.upload_note import SafeLogReader
 from recorder.review.catalog.single import read_row, write_row
 from recorder.upload.manifest import ROW_SUFFIX
 from recorder.upload.row import Summarize
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.recorder_settings import RecorderSettings, UploadSettings
-from schemas.settings import Settings
+from schemas.command_line import CommandError, ExitCode
+from schemas.settings import RecorderSettings, Settings, UploadSettings
 from tests.support.commands import run_command
 from tests.support.logs import gears, own_log, saved
 from tests.support.waiting import StopWhen

@@ -28,7 +28,7 @@ from recorder.reading.topic_names import file_name
 from recorder.record.actions import CloseLog, DeclareChannel, SyncLog, WriteChunk
 from recorder.review.check import check_log
 from recorder.review.info import read_info
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.messages import Gear
 from tests.support.fakes.recording import SlowDisk
 from tests.support.logs import logs_in, sealed

@@ -20,7 +20,7 @@ from recorder.record.actions import CloseLog, DeclareChannel, OpenLog, WriteChun
 from recorder.record.retention import DiskLimits
 from recorder.record.signature import LogSignature, LogSigner
 from schemas.authority.identity import Identity
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole
 from schemas.messages import Gear
 from tests.support.authority import Fleet, Party
 from tests.support.logs import sealed, small_log

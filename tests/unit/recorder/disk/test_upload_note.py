@@ -7,7 +7,7 @@ import pytest
 from recorder.disk import upload_note
 from recorder.disk.keeper import read_entries
 from recorder.disk.upload_note import NAME, SafeLogReader, UploadedLog, UploadNote
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 LOG = "cruiser-1-20270115T080000Z.mcap"
 

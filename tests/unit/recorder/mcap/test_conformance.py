@@ -22,7 +22,7 @@ from recorder.mcap.recovery import copy_good, survey
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.rows import LogReader, Selection
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.commands import review
 from tests.support.mcap_conformance import hashes, make
 from tests.support.walking import walk

@@ -12,7 +12,7 @@ import pytest
 from recorder.objects import cache as caches
 from recorder.objects.address import StoreAddress
 from recorder.objects.cache import LogCache, cache_directory
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.fakes.objects import FakeObjects
 
 PLACE = StoreAddress("s3://logs/plant-1")

@@ -11,7 +11,7 @@ from recorder.objects import store as stores
 from recorder.objects.address import StoreAddress, is_address, shown_url
 from recorder.objects.interface import ListedObject, StoredObject, StoreError
 from recorder.objects.store import ObstoreObjects
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 
 DATA = bytes(range(200))
 

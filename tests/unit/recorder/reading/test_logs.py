@@ -7,7 +7,7 @@ import pytest
 
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs, look_at
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from tests.support.logs import foreign_log, gears, own_log, saved
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.reading.times import in_words, time_of
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.messages import MS, SECOND
 
 DAY = 24 * 3600 * SECOND

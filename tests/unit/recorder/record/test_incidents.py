@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from recorder.mcap.chunk import Chunk
 from recorder.record.actions import CloseLog, LogAction, OpenLog, SyncLog, WriteChunk, WriteMetadata
 from recorder.record.incidents import INCIDENT_NAME, Incidents, trim_rings
-from schemas.recorder_settings import INCIDENT_MAX_NS
+from schemas.settings import INCIDENT_MAX_NS
 from tests.support.logs import sealed
 from tests.support.messages import SECOND, WALL_NS
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.record.retention import RESUME_SHARE, ROLL_BYTES, DiskLimits, Judgement, LogEntry, judge
-from schemas.recorder_settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
+from schemas.settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
 
 SCALE = ROLL_BYTES // 80
 """Sizes here are written in these, so that they are small."""

@@ -35,10 +35,10 @@ from recorder.record.channels import ChannelQuota
 from recorder.record.notices import Opened
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas import codec, keys
+from schemas.can_word import snake_case
 from schemas.decisions import ArbiterState, Decision, EventKind, Journal, SafetyEvent, SafetyState, Severity
 from schemas.messages import CanFrames, FrameHealth, GatewayHealth, GatewayInfo, Gear, Message
 from schemas.recording import GapReason, RecordGap
-from schemas.snake_case import snake_case
 from schemas.subjects import BY_NAME, SUBJECTS, Subject
 from tests.support.logs import PLAN, Log
 from tests.support.logs import read_records as read

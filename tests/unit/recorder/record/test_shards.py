@@ -6,7 +6,7 @@ from hashlib import sha256
 import pytest
 
 from recorder.record.shards import Shard, shard_of
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 ROBOTS = [f"cruiser-{number}" for number in range(200)]
 

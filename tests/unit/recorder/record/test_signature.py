@@ -6,7 +6,7 @@ import pytest
 
 from recorder.record.signature import LogSignature, LogSigner
 from schemas.authority.identity import Identity
-from schemas.authority.statement import GrantRole
+from schemas.authority.proof import GrantRole
 from tests.support.authority import Fleet, Party
 
 FLEET = Fleet()

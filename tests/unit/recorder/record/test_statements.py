@@ -14,7 +14,7 @@ from recorder.review.verify import RobotProofReport, verify_logs
 from recorder.review.verifying.authority import ShownStatement
 from recorder.review.verifying.file_statements import file_statements
 from recorder.review.verifying.files import UNSIGNED
-from schemas.authority.statement import TEXT_MAX_BYTES, chain_text
+from schemas.authority.proof import TEXT_MAX_BYTES, chain_text
 from schemas.decisions import SignedStatement
 from schemas.messages import Message
 from tests.support.authority import NOW_S, Fleet, Party, S

@@ -1,7 +1,7 @@
 import pytest
 
 from recorder.replay.zenoh import key_checked, key_matches
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 
 def test_a_key_expression_is_checked_before_anything_is_sent() -> None:

@@ -20,8 +20,8 @@ from recorder.mcap.channel import LogChannel
 from recorder.mcap.framing import CHECK_OPCODE, MAGIC, RECORD_HEADER, encode
 from recorder.review.check import LogCheck, check_log, check_stream
 from recorder.review.checking.findings import FINDINGS_MAX, About, Findings
+from schemas.command_line import CommandError
 from schemas.decisions import Journal
-from schemas.exit_codes import CommandError
 from schemas.messages import CanFrame, Gear
 from schemas.recording import GapReason, RecordGap
 from tests.support.logs import (

@@ -14,7 +14,7 @@ from recorder.reading.rows import END_OF_TIME_NS, Selection
 from recorder.review.check import check_log
 from recorder.review.cut import CutLog, cut
 from recorder.review.info import CUT_NAME, read_info
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.messages import Drive, Gear
 from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved, small_log
 from tests.support.reading import Read

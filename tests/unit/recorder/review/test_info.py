@@ -13,7 +13,7 @@ from recorder.mcap.channel import LogChannel
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.messages import Gear
 from tests.support.logs import NO_INDEXES, Log, foreign_log, gear_message, gears, own_log, small_log
 from tests.support.messages import MS, SECOND, WALL_NS, gear, info, sample_of

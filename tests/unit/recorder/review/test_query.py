@@ -17,7 +17,7 @@ from recorder.review.export.one_log import ExportRange
 from recorder.review.query import Source, answer, told
 from recorder.review.querying.dataset_source import DatasetSource
 from recorder.review.querying.log_source import LogSource
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import numbered_log, saved
 from tests.support.messages import WALL_NS

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from recorder.review.tasks import TRIES_AGAIN, RayCluster, ray_cluster
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 
 
 class TaskError(Exception):

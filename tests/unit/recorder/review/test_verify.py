@@ -30,12 +30,11 @@ from recorder.review.verifying.commands import STOPS_WAITING
 from recorder.review.verifying.files import OPEN, UNSIGNED
 from recorder.review.verifying.findings import ProofFault
 from schemas import keys
-from schemas.authority.fingerprint import fingerprint
 from schemas.authority.identity import Identity
-from schemas.authority.statement import GrantRole, chain_text
-from schemas.authority.trust import AuthorityKeys, Trust, keys_fingerprint
+from schemas.authority.proof import GrantRole, chain_text
+from schemas.authority.trust import AuthorityKeys, Trust, fingerprint, keys_fingerprint
+from schemas.command_line import CommandError
 from schemas.decisions import Decision, Journal, SafetyEvent
-from schemas.exit_codes import CommandError
 from schemas.journal import Kind
 from schemas.messages import Message
 from schemas.reasons import Reason

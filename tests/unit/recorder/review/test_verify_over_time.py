@@ -17,9 +17,8 @@ from recorder.reading.logs import find_logs
 from recorder.review.verify import RobotProofReport, verify_logs
 from recorder.review.verifying.files import UNSIGNED
 from recorder.review.verifying.findings import ProofFault
-from schemas.authority.fingerprint import fingerprint
-from schemas.authority.statement import GrantRole, chain_text
-from schemas.authority.trust import BY_SITE, Trust
+from schemas.authority.proof import GrantRole, chain_text
+from schemas.authority.trust import BY_SITE, Trust, fingerprint
 from schemas.decisions import SignedStatement
 from schemas.messages import Message
 from tests.support.authority import Fleet, Party, S

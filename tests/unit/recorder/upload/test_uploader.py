@@ -23,9 +23,9 @@ from recorder.upload.row import RowError
 from recorder.upload.store import LogStore, ObstoreLogs
 from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
 from schemas.authority.identity import Identity
-from schemas.authority.statement import GrantRole
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.rate_limit import RateLimit
+from schemas.authority.proof import GrantRole
+from schemas.command_line import CommandError, ExitCode
+from schemas.peers import RateLimit
 from tests.support.authority import Fleet, Party
 from tests.support.fakes.log_store import FakeLogStore
 from tests.support.logs import gears, own_log, saved

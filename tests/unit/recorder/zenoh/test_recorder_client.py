@@ -1,7 +1,7 @@
 import pytest
 
 from recorder.zenoh.recorder_client import RecorderClient
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from schemas.authority.statement import (
+from schemas.authority.proof import (
     STATEMENTS_MAX,
     TEXT_MAX_BYTES,
     Grant,

@@ -5,13 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.authority.statement import (
-    Grant,
-    GrantRole,
-    StatementFault,
-    chain_text,
-    read_chain,
-)
+from schemas.authority.proof import Grant, GrantRole, StatementFault, chain_text, read_chain
 from schemas.authority.trust import BY_SITE, SAME_AUTHORITY, SMALL_ORDER, HeldGrant, Objection, fits
 from schemas.reasons import Reason
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.drives import drive_log
 from tests.support.logs import saved
 

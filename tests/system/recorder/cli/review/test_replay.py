@@ -17,7 +17,7 @@ from recorder.cli.review import command as review
 from recorder.cli.review import replay
 from recorder.replay.samples import ReplaySample
 from schemas import codec, keys
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.messages import CanFrames, Gear, Message
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_TYPE

@@ -11,7 +11,7 @@ import pytest
 from gateway.client.refusal import LeaseLost
 from gateway.client.robot import Robot
 from recorder import read_log
-from schemas.authority.statement import GrantRole, Signed
+from schemas.authority.proof import GrantRole, Signed
 from schemas.decisions import EventKind, Journal, SafetyEvent
 from schemas.journal import Kind
 from schemas.reasons import Reason

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page
 
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, write_messages
 from tests.support.messages import SECOND, WALL_NS

@@ -10,7 +10,7 @@ from recorder.reading.logs import find_logs
 from recorder.review.rerun.parallel import rerun_tasks, run_task
 from recorder.review.rerun.tried_settings import TriedSettings
 from recorder.review.tasks import look, outcome_of, processes
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.messages import MS
 from tests.support.rigs.day import restful_day

@@ -9,7 +9,7 @@ from cantools.database.can import Database
 from gateway.chassis.cruiser import layout as layout_module
 from gateway.chassis.cruiser.layout import load
 from gateway.chassis.cruiser.layout_file import FILE, layouts_text, read_layout
-from schemas.dbc_files import DBC_FILES, dbc_text
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import Variant
 
 

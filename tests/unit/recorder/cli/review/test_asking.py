@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from recorder.cli.review.asking import Asked, add_logs, add_period, find
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 from tests.support.logs import small_log
 from tests.support.messages import WALL_NS

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.commands import review
 from tests.support.logs import GEAR_CHANNEL, foreign_log, gear_message, gears, own_log, saved
 

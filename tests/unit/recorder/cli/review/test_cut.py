@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.logs import GEAR_TOPIC, gears, own_log, saved
 from tests.support.reading import Read

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import saved, small_log

@@ -17,7 +17,7 @@ from recorder.mcap.arrays import Blocks
 from recorder.mcap.framing import BROKEN, MAGIC, RECORD_MAX, UNPACKED_MAX, encode
 from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock, content_of
 from recorder.mcap.reader import DamagedError
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.logs import gear_message, gears, own_log, saved
 from tests.support.rigs import scenarios as log_scenarios

@@ -10,7 +10,7 @@ from recorder.cli.review import asking, catalogs
 from recorder.cli.review.find import page_of
 from recorder.reading.rows import Progress
 from recorder.review.catalog.known import CATALOG_NAME
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, write_messages
 from tests.support.logs import saved

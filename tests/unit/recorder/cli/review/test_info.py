@@ -9,7 +9,7 @@ import pytest
 
 from gateway.cli.main import main
 from recorder.review.catalog.known import CATALOG_NAME
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.logs import Log, foreign_log, gears, own_log, saved
 from tests.support.messages import FakeSample

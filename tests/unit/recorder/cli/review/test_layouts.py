@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from recorder.layouts.attached import RobotKeys, layouts
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.logs import Log, small_log
 from tests.support.messages import FakeSample, batch, gear, info, sample_of

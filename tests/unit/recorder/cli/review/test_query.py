@@ -9,7 +9,7 @@ import pytest
 
 from recorder.cli.review import command as review
 from recorder.cli.review import query
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 from tests.support.drives import drive_log
 from tests.support.logs import saved

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.exit_codes import ExitCode
+from schemas.command_line import ExitCode
 from tests.support.commands import review
 from tests.support.logs import small_log
 

@@ -11,7 +11,7 @@ import pytest
 
 from recorder.cli.review import report
 from recorder.review.report import account
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, restart, write_messages
 from tests.support.logs import Log

@@ -9,9 +9,9 @@ import msgspec
 import pytest
 
 from recorder.review.rerun.player import OTHER_RULES
-from schemas.command_rules import rules_notice
+from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import Journal
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.journal import rules_notice
 from schemas.messages import Variant
 from tests.support.commands import review
 from tests.support.logs import small_log

@@ -10,8 +10,8 @@ from recorder.cli.review import stored
 from recorder.objects import cache
 from recorder.objects.address import StoreAddress
 from recorder.objects.interface import ListedObject, Objects, StoreError
-from schemas.exit_codes import CommandError, ExitCode
-from schemas.recorder_settings import UploadSettings
+from schemas.command_line import CommandError, ExitCode
+from schemas.settings import UploadSettings
 from tests.support.commands import review
 from tests.support.fakes.objects import FakeObjects
 from tests.support.logs import foreign_log, saved

@@ -13,7 +13,7 @@ from recorder.cli.review import why
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile
 from recorder.reading.survey import Survey, survey
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, write_messages
 from tests.support.logs import small_log

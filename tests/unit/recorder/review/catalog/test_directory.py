@@ -26,7 +26,7 @@ from recorder.review.catalog.known import CATALOG_NAME
 from recorder.review.catalog.rows import FORMAT, CatalogRow, CatalogUnreadableError
 from recorder.review.catalog.table import SCHEMA, read_table, to_rows
 from recorder.review.info import brief, read_info
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.drives import drive_log, drive_messages, restart, write_messages
 from tests.support.logs import foreign_log, saved, small_log
 

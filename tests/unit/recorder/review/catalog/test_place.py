@@ -13,7 +13,7 @@ from recorder.review.catalog.place import PlaceCatalog
 from recorder.review.catalog.single import write_row
 from recorder.review.find import SEARCHES
 from recorder.upload.manifest import ROW_SUFFIX
-from schemas.exit_codes import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode
 from tests.support.drives import drive_messages, write_messages
 from tests.support.fakes.objects import FakeObjects
 from tests.support.logs import foreign_log

@@ -12,8 +12,8 @@ from gateway.chassis.cruiser.layout import load
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.arrays import PADDING, Places
 from recorder.review.checking.frames import AliveCount, FrameCount, feedback_frames
-from schemas.alive_counter import COUNTER_SPAN
-from schemas.dbc_files import DBC_FILES, dbc_text
+from schemas.can_word import COUNTER_SPAN
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import CanFrame, Variant
 from tests.support.messages import GEAR_FEEDBACK, MS, can_frame, feedback
 

@@ -11,7 +11,7 @@ from recorder.reading.topic_names import file_name
 from recorder.review.export import csv_files
 from recorder.review.export.csv_files import CsvFile, export_csv
 from recorder.review.export.one_log import ExportRange
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from tests.support.drives import drive_log
 from tests.support.logs import saved
 

@@ -23,7 +23,7 @@ from recorder.review.export.dataset import Exported, Runner, export_dataset
 from recorder.review.export.manifest import MANIFEST_NAME, Manifest, read_manifest, sha256_of
 from recorder.review.export.one_log import ExportOutcome, ExportRange, ExportTask
 from recorder.review.tasks import HERE, Act
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.messages import Gear
 from tests.support.drives import drive_log
 from tests.support.logs import channel_of, encoded, mcap_log, numbered_log, saved, small_log

@@ -10,7 +10,7 @@ import pytest
 
 from recorder.review.export.frame_files import FrameFile, FrameFormat
 from recorder.review.export.raw_frames import LoggedFrame
-from schemas.exit_codes import CommandError
+from schemas.command_line import CommandError
 from schemas.messages import CanFrame
 
 START_NS = 1_800_000_000_123_456_000

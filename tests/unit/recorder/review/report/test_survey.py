@@ -12,8 +12,8 @@ from recorder.record.robot_log import LogPlan
 from recorder.review.drives import MARGIN_NS, Outage
 from recorder.review.report import account, survey
 from recorder.review.report.survey import read_margins, read_report
+from schemas.command_line import CommandError
 from schemas.decisions import ArbiterState, Severity
-from schemas.exit_codes import CommandError
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
 from tests.support.drives import drive_messages, drives_over, restart, undecodable, write_messages
