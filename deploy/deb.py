@@ -159,7 +159,7 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
     (opt / "pyvenv.cfg").write_text(
         f"home = /usr/bin\ninclude-system-site-packages = false\nversion = {python}\n", "utf-8"
     )
-    (opt / "lib/early_stop.py").symlink_to(f"python{python}/site-packages/gateway/host/early_stop.py")
+    (opt / "lib/early_stop.py").symlink_to(f"python{python}/site-packages/gateway/chassis/cruiser/early_stop.py")
     interpreter = shutil.which(f"python{python}") or ""
     # A version manager puts names there that start nothing.
     if interpreter and subprocess.run([interpreter, "-c", ""], capture_output=True, check=False).returncode == 0:

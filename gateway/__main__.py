@@ -1,4 +1,7 @@
-"""``python -m gateway`` is the same as ``cruiser``."""
+"""``python -m gateway`` is the same as ``cruiser``.
+
+Its place and name are Python's rule.
+"""
 
 import sys
 

@@ -18,25 +18,35 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.chassis.controller import controller_state
-from gateway.chassis.cruiser.feedback import compile_feedback
-from gateway.chassis.cruiser.frames import BODY, MOTION_FRAMES, SCALED_BY_VARIANT, WHEEL_SPEED
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.cruiser.variant import VariantDetector
-from gateway.chassis.decode import check, unknown_frame
-from gateway.chassis.faults import FaultKind
-from gateway.chassis.frame import ERROR, Frame
-from gateway.checkpoint import checkpoint, resume
-from gateway.command.carried import Carried, may_start_again, take_over
+from gateway.chassis.cruiser.frames import (
+    BODY,
+    MOTION_FRAMES,
+    SCALED_BY_VARIANT,
+    WHEEL_SPEED,
+    VariantDetector,
+    compile_feedback,
+    load,
+)
+from gateway.chassis.cruiser.tracker import ChassisTracker
+from gateway.chassis.frame import ERROR, FaultKind, Frame
+from gateway.chassis.layout import check, unknown_frame
+from gateway.chassis.supervision import controller_state
 from gateway.command.flow import CommandFlow, TickEffects
-from gateway.command.request import RawRequest
-from gateway.command.snapshot import QUIET_NS, Snapshot, as_array, is_at_rest, restore, snapshot
-from gateway.journal import FRAME, LINKS, JournalWriter
-from gateway.telemetry.chassis_tracker import ChassisTracker
-from gateway.telemetry.feedback import FeedbackStream
-from gateway.telemetry.health import HealthMeter, Links
-from gateway.telemetry.raw_frames import FrameBatch
-from gateway.telemetry.state import LatestMessages, robot_state
+from gateway.command.restart import (
+    QUIET_NS,
+    Carried,
+    Snapshot,
+    as_array,
+    is_at_rest,
+    may_start_again,
+    restore,
+    snapshot,
+    take_over,
+)
+from gateway.command.rulings import RawRequest
+from gateway.journal import FRAME, LINKS, JournalWriter, checkpoint, resume
+from gateway.telemetry.feedback import FeedbackStream, FrameBatch
+from gateway.telemetry.health import HealthMeter, LatestMessages, Links, robot_state
 from schemas.codec import Sample, encode, sample_of
 from schemas.cruiser import DBC_FILES
 from schemas.decisions import ArbiterState, EventKind, Severity

@@ -11,15 +11,12 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from gateway.chassis.cruiser import gate_table
-from gateway.chassis.cruiser.frames import DRIVE_COMMAND, STEERING_COMMAND, TARGET_ANGLE, TARGET_SPEED
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser import gate
+from gateway.chassis.cruiser.frames import DRIVE_COMMAND, STEERING_COMMAND, TARGET_ANGLE, TARGET_SPEED, load
 from gateway.chassis.frame import hex_identifier
-from gateway.command import gate
-from gateway.command.causes import STOPS
-from gateway.command.states import diagram
+from gateway.command.rulings import STOPS, diagram
 from gateway.doctor.checks import CHECKS
-from gateway.metrics.measures import MEASURES
+from gateway.metrics import MEASURES
 from schemas import documents
 from schemas.documents import Part
 from schemas.messages import Variant
@@ -45,8 +42,8 @@ def stop_table() -> str:
     return documents.table(("cause", "it means", "deceleration", "latched"), rows)
 
 
-_TESTS: Final = "tests/unit/gateway/command/test_gate"
-_RISES: Final = (gate_table.SPEED_RISE_RAW[Variant.COARSE], gate_table.SPEED_RISE_RAW[Variant.FINE])
+_TESTS: Final = "tests/unit/gateway/chassis/cruiser/test_gate"
+_RISES: Final = (gate.SPEED_RISE_RAW[Variant.COARSE], gate.SPEED_RISE_RAW[Variant.FINE])
 
 BUS_RULES: Final = (
     ("identifiers", "the eight above, extended", "_exhausted.py::test_no_other_identifier"),
@@ -101,7 +98,7 @@ BUS_RULES: Final = (
     ),
     (
         "the angle changes",
-        f"a burst by {gate_table.ANGLE_STEP_RAW} bits at most",
+        f"a burst by {gate.ANGLE_STEP_RAW} bits at most",
         "_exhausted.py::test_every_angle_step",
     ),
     (
@@ -131,10 +128,10 @@ BUS_RULES: Final = (
 def bus_frame_table() -> str:
     """Every frame that the gate admits: which bits, and which values."""
     names = {message.can_id: message.name for message in load(Variant.COARSE).commands}
-    values = dict(zip(gate_table.MOTION, (_speeds(), _gears(), _angles(), "0", "0, 1"), strict=True))
+    values = dict(zip(gate.MOTION, (_speeds(), _gears(), _angles(), "0", "0, 1"), strict=True))
     rows = [
         (f"`0x{hex_identifier(can_id)}`", names[can_id], _bits(used), values.get(can_id, "0, 1 each"))
-        for can_id, used in gate_table.USED_BITS.items()
+        for can_id, used in gate.USED_BITS.items()
     ]
     return documents.table(("identifier", "frame", "bits that may be set", "their values"), rows)
 
@@ -153,25 +150,23 @@ def _bits(used: int) -> str:
 
 
 def _gears() -> str:
-    names = {gate_table.REVERSE: "reverse", gate_table.NEUTRAL: "neutral", gate_table.DRIVE: "drive"}
-    return ", ".join(f"{raw} {names[raw]}" for raw in sorted(gate_table.GEARS))
+    names = {gate.REVERSE: "reverse", gate.NEUTRAL: "neutral", gate.DRIVE: "drive"}
+    return ", ".join(f"{raw} {names[raw]}" for raw in sorted(gate.GEARS))
 
 
 def _angles() -> str:
     signal = load(Variant.COARSE).messages[STEERING_COMMAND].signal(TARGET_ANGLE)
-    first, last = (
-        raw * signal.scale + signal.offset for raw in (gate_table.ANGLE_RAW[0], gate_table.ANGLE_RAW[-1])
-    )
-    return f"{gate_table.ANGLE_RAW[0]}..{gate_table.ANGLE_RAW[-1]}: {first:.2f} to {last:.2f} deg"
+    first, last = (raw * signal.scale + signal.offset for raw in (gate.ANGLE_RAW[0], gate.ANGLE_RAW[-1]))
+    return f"{gate.ANGLE_RAW[0]}..{gate.ANGLE_RAW[-1]}: {first:.2f} to {last:.2f} deg"
 
 
 def _speeds() -> str:
     texts = []
     for variant in (Variant.COARSE, Variant.FINE):
         signal = load(variant).messages[DRIVE_COMMAND].signal(TARGET_SPEED)
-        most = gate_table.SPEED_RAW_MAX[variant]
+        most = gate.SPEED_RAW_MAX[variant]
         texts.append(f"{variant.value} 0..{most}: to {most * signal.scale:.3f} m/s")
-    return "; ".join([*texts, f"scale unknown: {gate_table.SPEED_RAW_MAX[Variant.UNKNOWN]}"])
+    return "; ".join([*texts, f"scale unknown: {gate.SPEED_RAW_MAX[Variant.UNKNOWN]}"])
 
 
 def metric_table() -> str:

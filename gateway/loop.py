@@ -16,10 +16,10 @@ import msgspec
 from gateway.authority.robot_authority import Kept, RobotAuthority
 from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
-from gateway.command.lease_numbers import LeaseNumbers
-from gateway.command.request import RawRequest
+from gateway.command.restart import LeaseNumbers
+from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.guard.beat import GuardView
+from gateway.guard.stopper import GuardView
 from gateway.telemetry.health import Links
 from schemas.codec import Sample
 from schemas.decisions import Severity

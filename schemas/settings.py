@@ -10,7 +10,7 @@ link gets everything. Replies, and with them history, are left out only of subje
 Every setting, and every limit that decides what the robot or the log does, with unit, bounds and start value.
 
 What bounds the work of one module alone (the timeout of a port, the length of a queue, how often a view is drawn)
-is a named constant at the top of that module, and what the virtual chassis can do in ``gateway.sim.parameters``.
+is a named constant at the top of that module, and what the virtual chassis can do in ``gateway.sim.body``.
 The recorder's are in ``recorder_settings``.
 ``configuration`` fills these classes from a TOML file, the environment and flags. The table in
 ``docs/configuration.md`` is generated from here: the docstrings say what each setting is.

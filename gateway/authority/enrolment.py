@@ -1,4 +1,15 @@
-"""Enrolment: a request, which leaves the machine where the keys stay, and a bundle in answer. Pure.
+"""Access to Zenoh by role, and the enrolment of robots and people.
+
+Mutual TLS and access control by role, as a Zenoh configuration. Pure.
+
+The role of a node is the common name (CN) of its certificate. One table says what each role sends to the router
+and receives from it; the router's file has all of it, the file of any other node its own rows, with the router at
+the other end. What is in no row is denied, and Zenoh says nothing of it to anybody.
+
+This bounds what a stranger or a node that was taken over reaches. It lets nobody command a robot: for that a
+request is signed, because a router could send anything.
+
+Enrolment: a request, which leaves the machine where the keys stay, and a bundle in answer. Pure.
 
 A request is JSON, and all of it is signed by each key in it: the Ed25519 key that the grant is to be for, and the
 TLS key of the request for a certificate. A bundle is two lines, like a statement: JSON, and the authority's
@@ -8,8 +19,11 @@ signature over it. Their fingerprints, which people compare, cover all that is d
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from enum import Enum
-from typing import Annotated, Final, TypeVar
+from pathlib import PurePath
+from string import ascii_lowercase, digits
+from typing import Annotated, Final, Literal, TypeVar
 
 import msgspec
 from cryptography import x509
@@ -19,9 +33,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.hashes import SHA256
 from msgspec import Meta
 
-from gateway.authority.transport import TransportRole
+from schemas import keys
 from schemas.authority.proof import (
     ALGORITHM,
+    TEXT_MAX_BYTES,
     GrantRole,
     KeyHex,
     ProofKind,
@@ -33,10 +48,325 @@ from schemas.authority.proof import (
 from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fingerprint, fits
 from schemas.command_line import CommandError, ExitCode
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROOT_PATTERN
+from schemas.settings import REQUEST_MAX_BYTES, ZenohSettings
+from schemas.subjects import (
+    AUTHORITY_CHUNK,
+    COMMAND_CHUNK,
+    COMMANDS,
+    RECORDER_CHUNK,
+    RECORDER_SUBJECTS,
+    STOP_VERB,
+    SUBJECTS,
+    Asking,
+)
+from schemas.zenoh_session import WITH_NAMES, Json, session_settings
+
+
+class TransportRole(Enum):
+    """The role of a node of the network: the common name of its certificate.
+
+    Nobody is ``nothing``: no row of the table has this role. A robot tests with it that it is shut out.
+    """
+
+    ROBOT = "robot"
+    OPERATOR = "operator"
+    VIEWER = "viewer"
+    RECORDER = "recorder"
+    DESK = "desk"
+    ROUTER = "router"
+    NOTHING = "nothing"
+
+
+_R = TransportRole
+
+LISTENING: Final = frozenset({_R.ROUTER, _R.DESK})
+"""Roles whose certificates may be a server's. All others only dial out."""
+
+MESSAGE_MAX_BYTES: Final = 1 << 20
+"""The largest message that a node receives; Zenoh drops a larger one while it arrives."""
+
+COMMAND_MAX_BYTES: Final = 2 * REQUEST_MAX_BYTES
+"""The largest request for a verb, its proof included. None is set for a stop: it is never filtered."""
+
+STATEMENT_MAX_BYTES: Final = TEXT_MAX_BYTES + REQUEST_MAX_BYTES
+
+HISTORY: Final = "@adv/**"
+"""The key suffix where advanced publishers answer queries for earlier samples."""
+
+Flow = Literal["ingress", "egress"]
+_TURNED: Final[dict[str, Flow]] = {"ingress": "egress", "egress": "ingress"}
+
+
+class AccessRow(msgspec.Struct, frozen=True):
+    """A row of the table: what nodes of these roles send to the router, or receive from it.
+
+    Attributes:
+        id: its name.
+        roles: of the nodes.
+        flow: ingress is what the router receives from them, egress what they receive from it.
+        messages: kinds of messages, in Zenoh's words.
+        keys: key expressions; a message passes if one of them includes all of its own.
+    """
+
+    id: str
+    roles: tuple[TransportRole, ...]
+    flow: Flow
+    messages: tuple[str, ...]
+    keys: tuple[str, ...]
+
+
+def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
+    """All that may be said between the router and any node.
+
+    Args:
+        root: first chunks of every key.
+        robot: the name of the robot whose own file it is for: it speaks, and is spoken to, under this name alone,
+            but for a stop or a statement that is for all robots. The router does not know robots' names.
+    """
+    one, every = f"{root}/{robot}", f"{root}/{keys.ALL}"
+    everything = f"{root}/**"
+    own, seen = _published(one), _published(every)
+    token, tokens = (keys.liveliness(root, robot), *_histories(one)), (keys.liveliness(root), *_histories(every))
+    commands, all_commands = f"{one}/{COMMAND_CHUNK}/*/*", f"{every}/{COMMAND_CHUNK}/*/*"
+    all_stops = f"{every}/{COMMAND_CHUNK}/*/{STOP_VERB}"
+    statement, all_statements = f"{one}/{AUTHORITY_CHUNK}", f"{every}/{AUTHORITY_CHUNK}"
+    recorders = f"{root}/{RECORDER_CHUNK}/*"
+    says = tuple(f"{recorders}/{subject.name}" for subject in RECORDER_SUBJECTS)
+    orders = (f"{recorders}/{COMMAND_CHUNK}/*/*",)
+    put, all_puts = (_verbs(robots, Asking.QUERY) for robots in (one, every))
+    asked, all_asked = (_verbs(robots, Asking.PUT) for robots in (one, every))
+
+    robots, viewers, recording = (_R.ROBOT,), (_R.VIEWER,), (_R.RECORDER,)
+    commanding, people = (_R.OPERATOR, _R.DESK), (_R.OPERATOR, _R.DESK, _R.VIEWER)
+    subscribe, queryable = "declare_subscriber", "declare_queryable"
+    told = (subscribe, queryable)
+    return [
+        # A robot publishes, answers for what it published, and finds out whether its name is free.
+        AccessRow("robot-publishes", robots, "ingress", ("put", "reply", queryable), own),
+        AccessRow("robot-is-there", robots, "ingress", ("liveliness_token",), token),
+        AccessRow("robot-looks", robots, "ingress", ("liveliness_query", "query"), (token[0], f"{one}/gateway/*")),
+        AccessRow("robot-finds", robots, "egress", ("liveliness_token", "reply"), (token[0], f"{one}/gateway/*")),
+        AccessRow("robot-is-subscribed", robots, "egress", (subscribe,), (*seen, everything)),
+        AccessRow("robot-is-queried", robots, "egress", ("query",), seen),
+        # A robot is commanded. Of what is for all robots it receives a stop, and a statement of the authority.
+        AccessRow("robot-listens", robots, "ingress", told, (commands,)),
+        AccessRow("robot-listens-to-the-authority", robots, "ingress", (queryable,), (statement,)),
+        AccessRow("robot-is-commanded", robots, "egress", ("put",), put),
+        AccessRow("robot-is-asked", robots, "egress", ("query",), asked),
+        AccessRow("robot-is-stopped", robots, "egress", ("put", "query"), (all_stops,)),
+        AccessRow("robot-is-shown", robots, "egress", ("query",), (statement, all_statements)),
+        AccessRow("robot-replies", robots, "ingress", ("reply",), (commands, statement)),
+        # People see all robots, one subject at a time: '**' would let them fill memory with subscriptions.
+        AccessRow("people-subscribe", people, "ingress", (subscribe, "query"), (*seen, *says)),
+        AccessRow("people-see", people, "egress", ("put", "reply"), (*seen, *says)),
+        AccessRow("people-are-answered", people, "egress", (queryable,), seen),
+        AccessRow(
+            "people-look",
+            people,
+            "ingress",
+            ("liveliness_query", "declare_liveliness_subscriber"),
+            (*tokens, recorders),
+        ),
+        AccessRow("people-find", people, "egress", ("liveliness_token",), (*tokens, recorders)),
+        # Anybody asks a robot who it is, to believe it: it is shown a statement, or nothing.
+        AccessRow("people-show", people, "ingress", ("query",), (all_statements,)),
+        AccessRow("people-are-told", people, "egress", ("reply", queryable), (all_statements,)),
+        # Anybody stops a robot; who may command them, all at once.
+        AccessRow("viewer-stops-one", viewers, "ingress", ("put", "query"), tuple(_single(root, STOP_VERB))),
+        AccessRow("people-reach", people, "egress", told, (all_commands,)),
+        AccessRow("viewer-is-answered", viewers, "egress", ("reply",), (all_stops,)),
+        AccessRow("operator-sends", commanding, "ingress", ("put",), all_puts),
+        AccessRow("operator-asks", commanding, "ingress", ("query",), all_asked),
+        AccessRow("operator-is-answered", commanding, "egress", ("reply",), (all_commands,)),
+        AccessRow("operator-orders", commanding, "ingress", ("query",), orders),
+        AccessRow("operator-is-obeyed", commanding, "egress", ("reply", queryable), orders),
+        # A recorder receives everything but commands, and fetches what it lacks from robots.
+        AccessRow("recorder-subscribes", recording, "ingress", (subscribe,), (everything, *says)),
+        AccessRow("recorder-receives", recording, "egress", ("put",), (everything, *says)),
+        AccessRow("recorder-fetches", recording, "ingress", ("query",), seen),
+        AccessRow("recorder-gets", recording, "egress", ("reply", queryable), seen),
+        AccessRow(
+            "recorder-looks",
+            recording,
+            "ingress",
+            ("liveliness_query", "declare_liveliness_subscriber"),
+            (keys.ANY_TOKEN, *tokens, recorders),
+        ),
+        AccessRow("recorder-finds", recording, "egress", ("liveliness_token",), (*tokens, recorders)),
+        AccessRow("recorder-says", recording, "ingress", ("put",), says),
+        AccessRow("recorder-is-subscribed", recording, "egress", (subscribe,), (everything, *says)),
+        AccessRow("recorder-is-there", recording, "ingress", ("liveliness_token",), (recorders,)),
+        AccessRow("recorder-listens", recording, "ingress", (queryable, "reply"), orders),
+        AccessRow("recorder-is-ordered", recording, "egress", ("query", queryable), orders),
+    ]
+
+
+def zenoh_configuration(
+    role: TransportRole, root: str, directory: PurePath, endpoints: Sequence[str], robot: str = ""
+) -> dict[str, Json]:
+    """The Zenoh configuration of a node, to be written as JSON, which is JSON5.
+
+    Args:
+        role: of the node.
+        root: first chunks of every key.
+        directory: the place of its certificate and key.
+        endpoints: where a router listens; for any other node, where the routers are.
+        robot: a robot's name.
+
+    Raises:
+        ValueError: an endpoint is of a protocol without certificates, or there is none.
+    """
+    protocols = sorted({_protocol(endpoint) for endpoint in endpoints})
+    if not protocols:
+        raise ValueError("there is no endpoint of a router")
+    is_router = role is _R.ROUTER
+    own_role = (_R.ROUTER,) if not is_router else ()
+    rows = [row for row in access_table(root, robot or keys.ALL) if is_router or role in row.roles]
+    settings = ZenohSettings()
+    configuration = _nested(session_settings(settings, *(((), endpoints) if is_router else (endpoints, ()))))
+    configuration |= {"mode": "router" if is_router else "client"}
+    # zenohd has its admin space on, whatever a file says; who may read and write there, it leaves to the file.
+    configuration["adminspace"] = {"enabled": False, "permissions": {"read": False, "write": False}}
+    if is_router:
+        configuration["timestamping"] = {"enabled": True}
+    transport = configuration["transport"]
+    if not isinstance(transport, dict) or not isinstance(link := transport["link"], dict):
+        raise TypeError(transport)
+    link |= {
+        "protocols": list(protocols),
+        "rx": {"max_message_size": MESSAGE_MAX_BYTES},
+        "tls": tls_configuration(role, directory),
+    }
+    configuration["access_control"] = _access_control(rows, own_role)
+    configuration["low_pass_filter"] = _size_limits(root)
+    return configuration
+
+
+def tls_configuration(role: TransportRole, directory: PurePath) -> dict[str, Json]:
+    """The files of a node's certificate. Who does not listen has none to listen with."""
+    certificate, key = (str(directory / name.format(who=role.value)) for name in (CERTIFICATE_FILE, TLS_KEY_FILE))
+    ends = ("connect", "listen") if role in LISTENING else ("connect",)
+    files = {f"{end}_certificate": certificate for end in ends} | {f"{end}_private_key": key for end in ends}
+    return {
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        "root_ca_certificate": str(directory / CA_FILE),
+        **files,
+    }
+
+
+TLS_KEY_FILE, CERTIFICATE_FILE, CA_FILE = "{who}-tls.key", "{who}-tls.pem", "ca.pem"
+SHUT_OUT_FILE: Final = CERTIFICATE_FILE.format(who=_R.NOTHING.value)
+"""A robot's certificate without any right, for the key of its other one."""
+
+
+def _published(robot: str) -> tuple[str, ...]:
+    """Return the key expressions that a robot publishes, and those of its histories."""
+    parts = (re.sub(r"[^/]+", "*", rest) for rest in (subject.name.partition("/")[2] for subject in SUBJECTS))
+    firsts = (subject.name.partition("/")[0] for subject in SUBJECTS)
+    names = dict.fromkeys("/".join(filter(None, pair)) for pair in zip(firsts, parts, strict=True))
+    return (*(f"{robot}/{name}" for name in names), *_histories(robot))
+
+
+def _verbs(robot: str, other: Asking) -> tuple[str, ...]:
+    """The verbs that are not sent in this way alone."""
+    names = (command.verb for command in COMMANDS if command.asking is not other)
+    return tuple(f"{robot}/{COMMAND_CHUNK}/*/{verb}" for verb in names)
+
+
+def _histories(robot: str) -> tuple[str, ...]:
+    """Return the key expressions where late joiners ask for earlier samples."""
+    places = {subject.name.partition("/")[0] for subject in SUBJECTS if subject.qos.history}
+    return tuple(f"{robot}/{place}/*/{HISTORY}" for place in sorted(places))
+
+
+def _single(root: str, verb: str) -> Iterator[str]:
+    """Key expressions of a verb that include each robot's, and not that of all robots at once."""
+    for letter in (*ascii_lowercase, *digits, "-"):
+        yield f"{root}/{letter}$*/{COMMAND_CHUNK}/*/{verb}"
+
+
+def _access_control(rows: list[AccessRow], at_the_other_end: tuple[TransportRole, ...]) -> dict[str, Json]:
+    """Zenoh's form of the rows. Every subject has names: one without would be everybody.
+
+    Args:
+        rows: of the table.
+        at_the_other_end: of the links; empty for the router, at whose other ends are the roles of the rows.
+    """
+    rules: list[Json] = [
+        {
+            "id": row.id,
+            "permission": "allow",
+            "flows": [_TURNED[row.flow] if at_the_other_end else row.flow],
+            "messages": list(row.messages),
+            "key_exprs": list(dict.fromkeys(row.keys)),
+        }
+        for row in rows
+    ]
+    roles = at_the_other_end or tuple(dict.fromkeys(role for row in rows for role in row.roles))
+    policies: list[Json] = [
+        {
+            "rules": [row.id for row in rows if at_the_other_end or role in row.roles],
+            "subjects": [role.value],
+        }
+        for role in roles
+    ]
+    subjects: list[Json] = [{"id": role.value, "cert_common_names": [role.value]} for role in roles]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _size_limits(root: str) -> list[Json]:
+    """No request is larger than it can be. A stop is of any size: nothing filters it."""
+    every, recorders = f"{root}/{keys.ALL}", f"{root}/{RECORDER_CHUNK}/*"
+    verbs = [f"{every}/{COMMAND_CHUNK}/*/{command.verb}" for command in COMMANDS if command.verb != STOP_VERB]
+    limits = (
+        ("requests", COMMAND_MAX_BYTES, [*verbs, f"{recorders}/{COMMAND_CHUNK}/*/*"]),
+        ("statements", STATEMENT_MAX_BYTES, [f"{every}/{AUTHORITY_CHUNK}"]),
+    )
+    return [
+        {
+            "id": name,
+            "flows": ["ingress"],
+            "messages": ["put", "query"],
+            "key_exprs": list[Json](expressions),
+            "size_limit": size,
+        }
+        for name, size, expressions in limits
+    ]
+
+
+def _protocol(endpoint: str) -> str:
+    protocol = endpoint.partition("/")[0]
+    if protocol not in WITH_NAMES:
+        raise ValueError(f"{endpoint} is of a protocol without certificates; {' and '.join(WITH_NAMES)} have them")
+    return protocol
+
+
+def _nested(entries: dict[str, Json]) -> dict[str, Json]:
+    """Values by path, as Zenoh's file has them: one in the other."""
+    whole: dict[str, Json] = {}
+    for path, value in entries.items():
+        *parents, last = path.split("/")
+        place = whole
+        for parent in parents:
+            inner = place.setdefault(parent, {})
+            if not isinstance(inner, dict):
+                raise TypeError(path)
+            place = inner
+        place[last] = value
+    return whole
+
 
 _T = TypeVar("_T")
 
-TEXT_MAX_BYTES: Final = 65_536
+ENROLMENT_MAX_BYTES: Final = 65_536
 """No request and no bundle is longer."""
 
 
@@ -323,8 +653,8 @@ def _judged(trust: Trust, chain_text: str, now_s: int, what: str) -> HeldGrant:
 
 
 def _decoded(text: bytes, kind: type[_T], what: str) -> _T:
-    if len(text) > TEXT_MAX_BYTES:
-        raise EnrolmentError(f"it is no {what}: longer than {TEXT_MAX_BYTES} bytes")
+    if len(text) > ENROLMENT_MAX_BYTES:
+        raise EnrolmentError(f"it is no {what}: longer than {ENROLMENT_MAX_BYTES} bytes")
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

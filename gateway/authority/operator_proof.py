@@ -18,9 +18,17 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
-from gateway.authority.unmet import SILENT, UNSIGNED, Unmet, not_believed, not_taken
-from gateway.telemetry.received import Received
+from gateway.authority.session import (
+    SILENT,
+    UNSIGNED,
+    DriveTags,
+    Unmet,
+    lease_key,
+    not_believed,
+    not_taken,
+    public_bytes,
+)
+from gateway.telemetry.samples import Received
 from schemas import keys
 from schemas.authority.identity import prove_request
 from schemas.authority.proof import (

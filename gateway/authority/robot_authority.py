@@ -1,4 +1,17 @@
-"""All that a robot in signed mode knows of its authority, and what follows from it in each tick. Pure.
+"""The authority over this robot: statements, the floor of time, the proof of the robot's name.
+
+The time, as far as it is proven: a robot has no clock that it can trust.
+
+The floor is the newest time that the authority named in a statement that was verified. It is kept across restarts.
+From there the time since start-up is counted. A wall clock that is set back revives nothing; one that is set
+forward only ends what would end later. The floor falls only where a new authority takes the place of the former.
+
+The proof that a gateway which answers under a robot's name was granted that name. Pure.
+
+Anybody's gateway could answer on ``gateway/info`` under any name, since certificates of robots say only that they
+are robots. So the answer is signed over bytes drawn for the query, and has the chain of the robot's grant.
+
+All that a robot in signed mode knows of its authority, and what follows from it in each tick. Pure.
 
 Statements come from anyone, by the query ``@auth``: what counts are their signatures. Grants are kept in memory;
 revocations, rotations and the floor of time outlive a restart.
@@ -6,35 +19,135 @@ revocations, rotations and the floor of time outlive a restart.
 
 from __future__ import annotations
 
+import secrets
+from collections.abc import Callable
 from typing import Final
 
 import msgspec
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.floor import TimeFloor
-from gateway.authority.name_proof import NameProof
-from gateway.authority.signer import RobotSigner
-from gateway.authority.unmet import life_of
+from gateway.authority.session import RobotSigner, life_of
 from gateway.command.flow import PendingReply
-from gateway.command.request import RawRequest, Ruling
+from gateway.command.rulings import RawRequest, Ruling
 from schemas import codec, keys
 from schemas.authority.proof import (
+    ROBOT_PROOF_BYTES,
     Grant,
     GrantRole,
     Revocations,
+    RobotProof,
     Rotation,
     Signed,
     StatementFault,
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, is_signed
+from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits, is_signed
 from schemas.codec import Sample
 from schemas.decisions import SignedStatement, StatementReply
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
-from schemas.subjects import STATEMENT_REPLY_ENCODING
+from schemas.subjects import BY_NAME, STATEMENT_REPLY_ENCODING
+
+_S: Final = 1_000_000_000
+
+
+class TimeFloor:
+    """A lower bound of the time."""
+
+    def __init__(self, floor_s: int, boot_ns: int) -> None:
+        """The floor as it was kept.
+
+        Args:
+            floor_s: seconds since 1970.
+            boot_ns: time since the machine's start, sleep included (CLOCK_BOOTTIME).
+        """
+        self.restart(floor_s, boot_ns)
+
+    def least_s(self, boot_ns: int) -> int:
+        """The earliest that it can be, seconds since 1970."""
+        return self._floor_s + max(0, boot_ns - self._since_ns) // _S
+
+    def now_s(self, boot_ns: int, wall_s: int) -> int:
+        """The time by which grants are judged: the later of the floor and the wall clock."""
+        return max(self.least_s(boot_ns), wall_s)
+
+    def restart(self, at_s: int, boot_ns: int) -> None:
+        """A new authority says what time it is: a thief of the former one's key may have said anything."""
+        self._floor_s, self._since_ns = at_s, boot_ns
+
+    def lift(self, at_s: int, boot_ns: int) -> None:
+        """A statement that was verified says that it is so late at least: seconds since 1970."""
+        if at_s > self.least_s(boot_ns):
+            self.restart(at_s, boot_ns)
+
+
+QUESTION_BYTES: Final = 16
+
+_INFO: Final = BY_NAME["gateway/info"]
+
+
+class NameProof:
+    """Answers for the robot's name, and judges who else does."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        signer: RobotSigner,
+        admission: SignedAdmission,
+        own: Callable[[], list[Signed]],
+    ) -> None:
+        """For the robot that the settings name.
+
+        Args:
+            settings: the robot's name and root.
+            signer: the robot's.
+            admission: knows the authority.
+            own: the chain of the robot's own grant, as it is now.
+        """
+        self._robot = settings.robot.name
+        self._key = keys.build(settings.robot.root, settings.robot.name, _INFO)
+        self._signer = signer
+        self._admission = admission
+        self._own = own
+
+    def attachment(self, payload: bytes, question: bytes) -> bytes:
+        """The attachment of an answer: the robot's proof, and behind it the chain of its grant, as text."""
+        return self._signer.reply(self._key, _INFO.encoding, payload, question) + chain_text(self._own()).encode()
+
+    def is_namesake(self, payload: bytes, attachment: bytes, question: bytes, now_s: int) -> bool:
+        """Return True if an answer is of a gateway with this robot's key, or with a grant for its name.
+
+        Args:
+            payload: the answer's.
+            attachment: the answer's.
+            question: the attachment of the query, drawn for it (``new_name_question``).
+            now_s: seconds since 1970.
+        """
+        proof = RobotProof.read(attachment[:ROBOT_PROOF_BYTES])
+        if proof is None:
+            return False
+        text = proof.signed_reply(self._key, _INFO.encoding, payload, question)
+        if fits(self._signer.public_key, proof.signature, text):
+            return True
+        chain = read_chain(attachment[ROBOT_PROOF_BYTES:])
+        if isinstance(chain, StatementFault):
+            return False
+        # At its beginning, if this computer's clock is behind.
+        starts = [one.statement.not_before for one in chain if isinstance(one.statement, Grant)]
+        held = self._admission.trust.judge(chain, max([now_s, *starts]))
+        return (
+            isinstance(held, HeldGrant)
+            and (held.grant.role, held.grant.name) == (GrantRole.ROBOT, self._robot)
+            and fits(held.key, proof.signature, text)
+        )
+
+
+def new_name_question() -> bytes:
+    """The attachment of one query for a namesake: random."""
+    return secrets.token_bytes(QUESTION_BYTES)
+
 
 REPEAT_NS: Final = 60_000_000_000
 """Period at which the grants in use are published again, so that every log holds them."""

@@ -1,1 +1,5 @@
-"""The chassis on CAN: frames, their layout from the DBC, decoding, encoding, supervision, the variant."""
+"""A chassis on CAN, in general; what is the Cruiser's alone is in ``cruiser``. Pure.
+
+``frame`` is what the bus carries, ``supervision`` sees whether it does in time, ``layout`` decodes and encodes; by
+``port`` the rules of driving see the chassis.
+"""

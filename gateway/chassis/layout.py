@@ -1,13 +1,54 @@
-"""The layout of every frame: bits, scales, units and cycle times."""
+"""Layouts of messages: decoding and encoding by them, values that can be.
+
+- Rules for the values of a feedback frame; ``decode`` compiles them into its decoder.
+- The layout of every frame: bits, scales, units and cycle times.
+- Signals to frames, by the layout.
+
+Frames to signals and messages, compiled from the layout when the process starts.
+
+For each frame of the layout one small function is generated and compiled, as ``dataclasses`` does it: the eight
+bytes become one integer, each signal is a shift and a mask of it, or of its byte. A test holds every one against
+cantools. The rules of ``value_rules`` become comparisons of raw integers in the same function.
+"""
 
 from __future__ import annotations
 
-from typing import Final, Literal
+import math
+import re
+from collections.abc import Callable, Container, Mapping, Sequence
+from enum import Enum
+from functools import cache
+from types import CodeType
+from typing import Any, Final, Literal
 
 import msgspec
 
+from gateway.chassis.frame import ERROR, REMOTE, FaultKind, Frame, FrameFault
 from schemas.can_word import snake_case
-from schemas.messages import Variant
+from schemas.messages import Feedback, Variant
+from schemas.subjects import BY_DBC_MESSAGE, Subject
+
+
+class Within(msgspec.Struct, frozen=True):
+    """The physical value, in the signal's unit, lies between these, both included."""
+
+    minimum: float
+    maximum: float
+
+
+class Named(msgspec.Struct, frozen=True):
+    """The value table has a name for the value."""
+
+
+class Requires(msgspec.Struct, frozen=True):
+    """This choice counts only where a flag of the same frame is set; any other choice needs none."""
+
+    choice: str
+    flag: str
+
+
+Rule = Within | Named | Requires
+
 
 ALIVE_COUNTER: Final = "AliveCounter"
 CHECKSUM: Final = "Checksum"
@@ -112,3 +153,271 @@ class ChassisLayout(msgspec.Struct, frozen=True):
     def commands(self) -> tuple[MessageLayout, ...]:
         """The frames that the chassis accepts."""
         return tuple(message for message in self.messages.values() if not message.is_feedback)
+
+
+Value = bool | int | float | str
+Signals = dict[str, Value]
+"""Values by signal name: a flag is a bool, a choice its name, or its raw value if the table has no name for it."""
+
+
+class Decoded(msgspec.Struct, frozen=True):
+    """A valid frame's signals."""
+
+    layout: MessageLayout
+    signals: Signals
+
+
+def check(frame: Frame) -> FaultKind | None:
+    """Return the fault of a frame whose identifier the layout has, or None."""
+    data = frame.data
+    if frame.fd_flags:
+        return FaultKind.FD_FRAME
+    if len(data) != 8:
+        return FaultKind.LENGTH
+    if data[0] ^ data[1] ^ data[2] ^ data[3] ^ data[4] ^ data[5] ^ data[6] != data[7]:
+        return FaultKind.CHECKSUM
+    return None
+
+
+class FrameDecoder:
+    """Decodes every frame of a variant to signals; for people and tests. The loop uses ``MessageDecoder``."""
+
+    def __init__(self, layout: ChassisLayout) -> None:
+        self._by_can_id = {
+            message.can_id: (message, compile_signals(message)) for message in layout.messages.values()
+        }
+
+    def decode(self, frame: Frame) -> Decoded | FrameFault:
+        """The frame's signals, or its fault. Never raises, whatever the frame holds."""
+        row = self._by_can_id.get(frame.can_id)
+        if row is None:
+            return unknown_frame(frame, self._by_can_id)
+        layout, signals = row
+        kind = check(frame)
+        if kind is not None:
+            return FrameFault(kind, frame.can_id, layout.name, f"data {frame.data.hex(' ')}")
+        return Decoded(layout, signals(frame.data))
+
+
+def unknown_frame(frame: Frame, known: Container[int]) -> FrameFault:
+    """The fault of a frame whose ``can_id``, flags included, is not among the known ones."""
+    if frame.can_id & ERROR:
+        return FrameFault(FaultKind.ERROR_FRAME, frame.can_id)
+    if frame.can_id & REMOTE and frame.can_id & ~REMOTE in known:
+        return FrameFault(FaultKind.REMOTE_FRAME, frame.can_id)
+    return FrameFault(FaultKind.UNKNOWN_IDENTIFIER, frame.can_id)
+
+
+def compile_signals(layout: MessageLayout) -> Callable[[bytes], Signals]:
+    """A function from the eight data bytes to the signals by name."""
+    scope: dict[str, Any] = {}
+    items = ", ".join(f"{signal.name!r}: {_expression(signal, scope, unnamed='raw')}" for signal in layout.signals)
+    return _compile(f"{{{items}}}", "data", scope)
+
+
+MessageBuilder = Callable[[bytes, int, int], Feedback | None]
+"""(data, time_ns, sequence) to the typed message, or None if a value is not plausible."""
+
+
+class MessageDecoder(msgspec.Struct, frozen=True):
+    """A feedback frame's way to its message.
+
+    Attributes:
+        build: makes the message.
+        undefined: whether a choice in these plausible data has no name in its value table; None if all have one.
+    """
+
+    layout: MessageLayout
+    subject: Subject
+    build: MessageBuilder
+    undefined: Callable[[bytes], bool] | None
+
+
+def compile_message(layout: MessageLayout, rules: Sequence[tuple[str, Rule]]) -> MessageDecoder:
+    """Return the decoder of a feedback frame, whose message class the subject table names.
+
+    Args:
+        layout: of the frame.
+        rules: signal and rule; a message is made only of values that keep all of them.
+
+    Raises:
+        KeyError: no subject is made from this frame.
+        ValueError: the fields of the message class are not the signals of the frame.
+    """
+    subject = BY_DBC_MESSAGE[layout.name]
+    by_field = {signal.field: signal for signal in layout.signals}
+    annotations = _annotations(subject.type)
+    fields = [name for name in annotations if name not in {"time_ns", "sequence"}]
+    if set(fields) != {ALIVE_COUNTER_FIELD, *(signal.field for signal in layout.payload_signals)}:
+        raise ValueError(f"{subject.type.__name__} and {layout.name} do not have the same fields")
+    scope: dict[str, Any] = {"cls": subject.type}
+    values = ", ".join(
+        _expression(by_field[name], scope, unnamed="undefined", enum=annotations[name]) for name in fields
+    )
+    message = f"cls(time_ns, sequence, {values})"
+    if rules:
+        message += f" if {' and '.join(_condition(layout, name, rule) for name, rule in rules)} else None"
+    named = {name for name, rule in rules if isinstance(rule, Named)}
+    choices = [signal for signal in layout.payload_signals if signal.kind == "choice" and signal.name not in named]
+    tests = [f"{_raw(signal)} not in {set(signal.choices)!r}" for signal in choices]
+    return MessageDecoder(
+        layout=layout,
+        subject=subject,
+        build=_compile(message, "data, time_ns, sequence", scope),
+        undefined=_compile(" or ".join(tests), "data", {}) if tests else None,
+    )
+
+
+@cache
+def _annotations(kind: type[msgspec.Struct]) -> dict[str, Any]:
+    """The fields of a class with their types, looked up once for all cores that run a log again."""
+    return {field.name: field.type for field in msgspec.structs.fields(kind)}
+
+
+ROUNDING_STEPS: Final = 1e-6
+"""Of a signal's own steps: far below one, far above what floating point adds."""
+
+ALIVE_COUNTER_FIELD: Final = SignalLayout(ALIVE_COUNTER, 0, 4, False, 1, 0, 0, 15, "", {}, 0).field  # noqa: FBT003
+
+
+def _compile(expression: str, arguments: str, scope: dict[str, Any]) -> Callable[..., Any]:
+    """A function of the data that computes the expression, in which ``w`` is the data as one integer."""
+    if re.search(r"\bw\b", expression):
+        scope["from_bytes"] = int.from_bytes
+        expression = f"(w := from_bytes(data, 'little'), {expression})[1]"
+    # The source is made of our own layout's numbers and identifiers alone; nothing from the wire reaches it.
+    function: Callable[..., Any] = eval(_code(f"lambda {arguments}: {expression}"), scope)  # noqa: S307
+    return function
+
+
+@cache
+def _code(source: str) -> CodeType:
+    """The compiled source: whoever runs a log again makes core after core of one layout."""
+    return compile(source, "<layout>", "eval")
+
+
+def _raw(signal: SignalLayout) -> str:
+    """The raw value: of one byte where the signal lies in one, for that is fastest, else of the whole integer."""
+    byte, bit = divmod(signal.start_bit, 8)
+    mask = (1 << signal.length) - 1
+    source, shift = (f"data[{byte}]", bit) if bit + signal.length <= 8 else ("w", signal.start_bit)
+    raw = f"({source} >> {shift} & {mask:#x})" if shift else f"({source} & {mask:#x})"
+    if signal.is_signed:
+        sign = 1 << signal.length - 1
+        raw = f"(({raw} ^ {sign:#x}) - {sign:#x})"
+    return raw
+
+
+def _condition(layout: MessageLayout, signal_name: str, rule: Rule) -> str:
+    """The rule as a comparison of raw values, which costs less than one of physical values."""
+    signal = layout.signal(signal_name)
+    match rule:
+        case Within(minimum, maximum):
+            # A bound that is a raw value's own may come out beside it by a rounding error.
+            lowest = math.ceil((minimum - signal.offset) / signal.scale - ROUNDING_STEPS)
+            highest = math.floor((maximum - signal.offset) / signal.scale + ROUNDING_STEPS)
+            return f"{lowest} <= {_raw(signal)} <= {highest}"
+        case Named():
+            return f"{_raw(signal)} in {set(signal.choices)!r}"
+        case Requires(choice, flag):
+            raw = next(raw for raw, name in signal.choices.items() if name == choice)
+            return f"({_raw(signal)} != {raw} or {_raw(layout.signal(flag))})"
+
+
+def _expression(signal: SignalLayout, scope: dict[str, Any], *, unnamed: str, enum: Any = None) -> str:  # noqa: ANN401
+    raw = _raw(signal)
+    if signal.kind == "flag":
+        return f"{raw} == 1"
+    if signal.kind == "integer":
+        return raw
+    if signal.kind == "physical":
+        return f"{raw} * {signal.scale!r} + {signal.offset!r}"
+    table_name = f"choices_{signal.name}"
+    table = range(1 << signal.length)
+    if unnamed == "undefined":
+        if not (isinstance(enum, type) and issubclass(enum, Enum)):
+            raise ValueError(f"{signal.name} has a value table, so its field must be an enumeration")
+        scope[table_name] = [enum(signal.choices.get(raw_value, unnamed)) for raw_value in table]
+    else:
+        scope[table_name] = [signal.choices.get(raw_value, raw_value) for raw_value in table]
+    return f"{table_name}[{raw}]"
+
+
+def checksum(data: bytes | bytearray) -> int:
+    """XOR of bytes 0 to 6 (manual V2.0, section 5, last note)."""
+    return data[0] ^ data[1] ^ data[2] ^ data[3] ^ data[4] ^ data[5] ^ data[6]
+
+
+class Encoder:
+    """Encodes every frame of a variant."""
+
+    def __init__(self, layout: ChassisLayout) -> None:
+        self._messages = {
+            message.name: (message, {signal.name: signal for signal in message.payload_signals})
+            for message in layout.messages.values()
+        }
+        # Of each message the last values and their bits: from one tick to the next most stay the same.
+        self._last: dict[str, tuple[dict[str, Value], int]] = {}
+        first = next(iter(layout.messages.values()))
+        # Every frame ends with these two, at the same bits (manual V2.0, section 5).
+        self._alive_bit = first.signal(ALIVE_COUNTER).start_bit
+        self._checksum_bit = first.signal(CHECKSUM).start_bit
+
+    def encode(self, name: str, values: Mapping[str, Value], alive_counter: int, wall_ns: int = 0) -> Frame:
+        """The frame of this name.
+
+        Args:
+            name: the frame's name in the DBC.
+            values: signal values by name, physical; a signal that is not named has its start value.
+            alive_counter: taken modulo 16.
+            wall_ns: the frame's time.
+
+        Raises:
+            KeyError: no such frame or signal.
+            ValueError: a value does not fit into its signal.
+        """
+        layout, signals = self._messages[name]
+        last = self._last.get(name)
+        if last is not None and last[0] == values:
+            word = last[1]
+        else:
+            word = _bits(name, values, signals)
+            self._last[name] = dict(values), word
+        word |= (alive_counter & 0xF) << self._alive_bit
+        data = word.to_bytes(layout.length, "little")
+        word |= checksum(data) << self._checksum_bit
+        return Frame(layout.can_id, word.to_bytes(layout.length, "little"), wall_ns)
+
+
+def _bits(name: str, values: Mapping[str, Value], signals: Mapping[str, SignalLayout]) -> int:
+    """The signals' bits, at their places."""
+    if not values.keys() <= signals.keys():
+        unknown = values.keys() - signals.keys()
+        raise KeyError(f"{name} has no signal {', '.join(sorted(unknown))}")
+    word = 0
+    for signal_name, signal in signals.items():
+        raw = to_raw(signal, values[signal_name]) if signal_name in values else signal.start_raw
+        word |= (raw & ((1 << signal.length) - 1)) << signal.start_bit
+    return word
+
+
+def to_raw(signal: SignalLayout, value: Value) -> int:
+    """The raw value nearest to a physical one; a choice may be given by its name.
+
+    Raises:
+        ValueError: it does not fit into the signal's bits, or the value table has no such name.
+    """
+    if isinstance(value, str):
+        for raw, name in signal.choices.items():
+            if name == value:
+                return raw
+        raise ValueError(f"{signal.name} has no value {value!r}")
+    raw = round((value - signal.offset) / signal.scale)
+    low, high = (
+        (-(1 << signal.length - 1), (1 << signal.length - 1) - 1)
+        if signal.is_signed
+        else (0, (1 << signal.length) - 1)
+    )
+    if not low <= raw <= high:
+        raise ValueError(f"{signal.name}: {value} does not fit into {signal.length} bits")
+    return raw

@@ -70,7 +70,7 @@ def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[s
     file = path if path is not None else environ.get(CONFIG_VARIABLE) or None
     settings = merge(None if file is None else _read(file), environ, flags)
     if settings.zenoh.config:
-        from gateway.provisioning.tls_files import check_kinds  # noqa: PLC0415 - not for who has no such file
+        from gateway.provisioning.key_files import check_kinds  # noqa: PLC0415 - not for who has no such file
 
         check_kinds(Path(settings.zenoh.config))
     return settings

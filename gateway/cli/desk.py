@@ -91,9 +91,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         CommandError: a package is missing, the address is taken or needs a certificate, or no Zenoh node answers.
     """
     try:
-        from gateway.cli.desk_hub import Hub  # noqa: PLC0415 - needs the extra 'desk'
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
-        from gateway.cli.desk_server import make_app, make_logs_app, serve  # noqa: PLC0415 - the same
+        from gateway.cli.desk_server import Hub, make_app, make_logs_app, serve  # noqa: PLC0415 - needs the extra 'desk'
         from gateway.desk.words import FROM_BROWSER_BYTES  # noqa: PLC0415 - the same
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in PACKAGES:

@@ -17,29 +17,27 @@ from typing import Final
 
 import msgspec
 
-from gateway.can.bus_claim import count_claims
-from gateway.can.open_bus import describe
+from gateway.can.open_bus import count_claims, describe
 from gateway.cli.configuration_file import load_settings, settings_file
-from gateway.client.payloads import read_sample
+from gateway.client.fleet import read_sample
 from gateway.doctor.checks import Diagnosis, diagnose, summary
-from gateway.doctor.facts import Facts, ZenohReport
-from gateway.doctor.reach import reach
-from gateway.host.bus_look import listen, look_at_interface
-from gateway.host.computer_look import (
+from gateway.doctor.facts import Facts, ZenohReport, reach
+from gateway.host.looks import (
     booted_s,
     earliest_s,
     is_synchronised,
+    listen,
     look_at_credentials,
     look_at_disk,
+    look_at_interface,
     look_at_stop_note,
     look_at_units,
     run_program,
     was_shut_down,
 )
 from gateway.host.self_test import find_hole
-from gateway.provisioning.key_files import directory_of
-from gateway.provisioning.tls_files import role_of
-from gateway.telemetry.received import Received, TokenChange
+from gateway.provisioning.key_files import directory_of, role_of
+from gateway.telemetry.samples import Received, TokenChange
 from gateway.zenoh.client import FleetListener, PendingQuery
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.authority.identity import KEY_FILE

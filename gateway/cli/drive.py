@@ -1,31 +1,292 @@
-"""``cruiser drive``: drive a robot with the keys of a terminal, or for a while from a script."""
+"""``cruiser drive``: from the keys of a terminal, or from a script.
+
+- A terminal whose keys are read one by one, as they come.
+- The view of a person who drives. Pure.
+- ``cruiser drive``: drive a robot with the keys of a terminal, or for a while from a script.
+
+Hold to move: the motion that the held key of a terminal asks for. Pure, time as an argument.
+
+A terminal reports no release of a key. A key counts as held while it repeats: motion begins with its first
+repetition, and ends soon after the last. A link that stalls delivers old strokes in a burst: after a pause or a
+burst a key must be let go and pressed again.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
+import re
+import select
 import sys
+import termios
 import time
+import tty
 from collections.abc import Callable, Iterator
-from typing import Final
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Final, Self
 
-from rich.console import Console
+import msgspec
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.panel import Panel
+from rich.text import Text
 
-from gateway.cli.drive_view import Cockpit, panel
-from gateway.cli.engaged import come_to_rest, engaged
-from gateway.cli.held_keys import BINDINGS, REPEAT_NS, HeldKeys, KeyDecoder, Wish
-from gateway.cli.operator_arguments import add_robot_arguments, add_take_arguments, connect, wanted_lease
-from gateway.cli.terminal import Terminal
-from gateway.client.reasons_text import link_line, reason_line
-from gateway.client.refusal import Refused, Stopped
+from gateway.cli.operator_arguments import (
+    add_robot_arguments,
+    add_take_arguments,
+    come_to_rest,
+    connect,
+    engaged,
+    wanted_lease,
+)
+from gateway.client.fleet import BAD, GOOD, LOUD, NO_VALUE
+from gateway.client.link import Sighting
+from gateway.client.refusal import Refused, Stopped, link_line, reason_line, state_line
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import seconds
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode, plain
 from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
-from schemas.decisions import SafetyState
+from schemas.decisions import ArbiterState, SafetyState
 from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S, Settings
+
+_READ_BYTES: Final = 1024
+
+
+class Terminal:
+    """A terminal without echo, lines and signals while the block runs; as it was afterwards."""
+
+    def __init__(self, read_from: int) -> None:
+        self._in = read_from
+        self._saved: list[Any] = []
+
+    def __enter__(self) -> Self:
+        self._saved = termios.tcgetattr(self._in)
+        changed = termios.tcgetattr(self._in)
+        # Ctrl-C is a key like the others: it stops the robot first. Ctrl-S shall not hold up what is drawn.
+        changed[tty.LFLAG] &= ~(termios.ICANON | termios.ECHO | termios.ISIG | termios.IEXTEN)
+        changed[tty.IFLAG] &= ~(termios.IXON | termios.ICRNL)
+        changed[tty.CC][termios.VMIN], changed[tty.CC][termios.VTIME] = 0, 0
+        termios.tcsetattr(self._in, termios.TCSADRAIN, changed)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(termios.error):  # The terminal may have gone.
+            # What was typed for the robot is no command for the shell.
+            termios.tcsetattr(self._in, termios.TCSAFLUSH, self._saved)
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Return the typed bytes; none if nothing was typed in time; None once the terminal has gone."""
+        try:
+            if not select.select([self._in], [], [], timeout_s)[0]:
+                return b""
+            return os.read(self._in, _READ_BYTES) or None
+        except OSError:
+            return None
+
+
+REPEAT_NS: Final = 200_000_000
+"""A key that repeats comes again within this time; slow keyboards take 90 ms."""
+
+BEGIN_NS: Final = 800_000_000
+"""A key that is held begins to repeat within this time; keyboards wait for up to 660 ms."""
+
+BEGIN_MIN_NS: Final = 150_000_000
+"""No keyboard begins to repeat sooner."""
+
+BURST_STROKES: Final = 6
+"""As many strokes of one key in one read have waited somewhere: the fastest keyboards take 15 ms for each."""
+
+LONGEST: Final = 64
+"""No sequence that a terminal sends is longer."""
+
+_ESCAPE: Final = 0x1B
+_SEQUENCE: Final = re.compile(rb"\x1b(?:\[[0-9:;<=>?]*[ -/]*([@-~])|O([A-Z]))")
+_BEGUN: Final = re.compile(rb"\x1b(\[[0-9:;<=>?]*[ -/]*|O)?")
+_ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
+_ARROW_BYTES: Final = 3
+"""A longer sequence is an arrow with Ctrl, Alt or Shift: another key."""
+
+_CHARACTERS: Final = {0x03: "ctrl-c", 0x20: "space"}
+
+
+class Wish(msgspec.Struct, frozen=True):
+    """The motion asked for, as fractions of the chosen speed and angle. Forward and left are positive."""
+
+    forward: int = 0
+    left: int = 0
+
+
+NOTHING: Final = Wish()
+
+BINDINGS: Final[dict[str, Wish]] = {
+    "w": Wish(1, 0),
+    "up": Wish(1, 0),
+    "s": Wish(-1, 0),
+    "down": Wish(-1, 0),
+    "a": Wish(0, 1),
+    "left": Wish(0, 1),
+    "d": Wish(0, -1),
+    "right": Wish(0, -1),
+    "u": Wish(1, 1),
+    "o": Wish(1, -1),
+    "m": Wish(-1, 1),
+    ".": Wish(-1, -1),
+}
+"""Any other key means: stand. Those that drive a curve are where ROS's teleop_twist_keyboard has them: a terminal
+repeats one key only, so speed and angle must come from one."""
+
+
+class KeyDecoder:
+    """Makes keys of what is read, however it is cut in pieces.
+
+    A key is a lower-case letter, ``up``, ``space``, ``ctrl-c``; empty if it is any other.
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """The keys of these bytes. Without any, what has begun is a key by itself, such as Escape."""
+        if not data:
+            begun, self._rest = self._rest, b""
+            return [""] if begun else []
+        buffer, self._rest = self._rest + data, b""
+        keys: list[str] = []
+        while buffer:
+            length = 1
+            if buffer[0] != _ESCAPE:
+                keys.append(_character(buffer[0]))
+            elif (match := _SEQUENCE.match(buffer)) is not None:
+                length = match.end()
+                keys.append(_ARROWS.get(match[1] or match[2], "") if length == _ARROW_BYTES else "")
+            elif len(buffer) < LONGEST and _BEGUN.fullmatch(buffer) is not None:
+                self._rest = buffer
+                break
+            else:
+                keys.append("")
+            buffer = buffer[length:]
+        return keys
+
+
+class HeldKeys:
+    """The key that is held."""
+
+    def __init__(self) -> None:
+        self._last = ""
+        self._last_ns = 0
+        self._is_press = False
+        self._until_ns = 0
+
+    def receive(self, keys: list[str], now_ns: int) -> list[str]:
+        """Take in the keys that the terminal sent at one time. Returns those that do not drive."""
+        pressed, strokes = "", 0
+        for key in keys:
+            if key in BINDINGS:
+                strokes = strokes + 1 if key == pressed else 1
+                pressed = key
+            else:
+                self.release_all()
+                pressed = ""
+        if pressed:
+            self._repeat(pressed, strokes, now_ns)
+        return [key for key in keys if key not in BINDINGS]
+
+    def wish(self, now_ns: int) -> Wish:
+        """Return the motion asked for now."""
+        return BINDINGS[self._last] if self._last and now_ns < self._until_ns else NOTHING
+
+    def release_all(self) -> None:
+        """Forget the held key: it must be pressed again."""
+        self._last = ""
+        self._until_ns = 0
+
+    def _repeat(self, key: str, strokes: int, now_ns: int) -> None:
+        """A key came, and its terminal does not say whether it is held: if it repeats as a keyboard does, it is.
+
+        That is: a stroke after a silence is a press, its first repetition comes after a keyboard's own delay, and
+        the others follow without a pause.
+        """
+        same, since_ns = key == self._last, now_ns - self._last_ns
+        goes_on = same and now_ns < self._until_ns
+        begins = same and self._is_press and BEGIN_MIN_NS <= since_ns <= BEGIN_NS
+        is_burst = strokes >= BURST_STROKES
+        self._is_press = not (is_burst or goes_on or begins) and (since_ns > REPEAT_NS or not same)
+        self._last, self._last_ns = key, now_ns
+        self._until_ns = now_ns + REPEAT_NS if (goes_on or begins) and not is_burst else 0
+
+
+def _character(code: int) -> str:
+    if code in _CHARACTERS:
+        return _CHARACTERS[code]
+    return chr(code).lower() if 0x21 <= code < 0x7F else ""
+
+
+class Cockpit(msgspec.Struct, frozen=True):
+    """All that is shown.
+
+    Attributes:
+        lease: its number.
+        speed_mps, angle_deg: the target of a held key.
+        wish: the motion that the held key asks for.
+        message: the last one for the person.
+    """
+
+    robot: str
+    lease: int
+    sighting: Sighting
+    speed_mps: float
+    angle_deg: float
+    wish: Wish
+    message: str
+
+
+def panel(cockpit: Cockpit) -> RenderableType:
+    """The view."""
+    state, chassis = cockpit.sighting.state, cockpit.sighting.chassis
+    good = state.state is ArbiterState.ENGAGED
+    lines = [
+        Text(state_line(state), style=GOOD if good else BAD),
+        Text(_speeds(cockpit)),
+    ]
+    link = link_line(state)
+    if link:
+        lines.append(Text(link))
+    if chassis is not None:
+        hit = [side for side, on in (("front", chassis.front_bumper), ("rear", chassis.rear_bumper)) if on]
+        text = f"mode {chassis.mode.value}, gear {chassis.gear_position.value}, bumpers {' '.join(hit) or 'clear'}"
+        lines.append(Text(text, style=BAD if hit else ""))
+    lines += [Text(reason_line(reason, cockpit.robot, state.blocked_by), style=BAD) for reason in state.blocked_by]
+    if cockpit.message:
+        lines.append(Text(plain(cockpit.message), style=LOUD))
+    lines += [Text(text, style="dim") for text in _keys(cockpit)]
+    return Panel(Group(*lines), title=Text(f"{cockpit.robot}, lease {cockpit.lease}"), expand=False)
+
+
+def _speeds(cockpit: Cockpit) -> str:
+    state, chassis = cockpit.sighting.state, cockpit.sighting.chassis
+    measured = NO_VALUE if chassis is None or chassis.speed_mps is None else f"{chassis.speed_mps:+z.2f} m/s"
+    asked = (
+        f"{cockpit.speed_mps * cockpit.wish.forward:+z.2f} m/s {cockpit.angle_deg * cockpit.wish.left:+z.0f} deg"
+    )
+    told = f"{state.output_speed_mps:+z.2f} m/s {state.output_angle_deg:+z.0f} deg"
+    return f"asked {asked}, told {told}, measured {measured}, limit {state.speed_limit_mps:.2f} m/s"
+
+
+def _keys(cockpit: Cockpit) -> list[str]:
+    limit_mps = cockpit.sighting.state.speed_limit_mps
+    bound = f", of which the limit leaves {limit_mps:.2f}" if cockpit.speed_mps > limit_mps else ""
+    return [
+        "hold to move, which begins when the key repeats: w s or arrows, a d steer; any other key: stand",
+        "u o forward and m . backward in a curve, to the left and to the right",
+        f"+ - speed ({cockpit.speed_mps:.2f} m/s{bound})",
+        "g engage, r reset; x, q or Ctrl-C: stop and leave",
+    ]
+
 
 EXAMPLE = """\
   cruiser drive cruiser-1                                     hold w s a d, arrows, u o m . (curves); x leaves

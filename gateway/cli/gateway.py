@@ -16,35 +16,25 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-from gateway.authority.statement_sieve import StatementSieve
-from gateway.can.bus_claim import BusClaim
+from gateway.authority.admission import StatementSieve
 from gateway.can.can_bus import Bus, BusLost
-from gateway.can.open_bus import describe, open_bus
-from gateway.can.reconnecting_bus import ReconnectingBus
-from gateway.chassis.cruiser.layout import load
+from gateway.can.open_bus import BusClaim, ReconnectingBus, describe, open_bus
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.cli.shut_out import why_away
-from gateway.command.carried import Carried
+from gateway.command.restart import Carried
 from gateway.core import Core
-from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import Stopper
-from gateway.host.former_guard import FormerGuard
-from gateway.host.guard_process import GuardLink, start_guard
-from gateway.host.guard_run import stop_alone
-from gateway.host.latch_note import LatchNote, RunNote
-from gateway.host.log_queue import logging_aside
-from gateway.host.mileage_note import MileageNote
-from gateway.host.realtime import has_realtime, request_realtime
-from gateway.host.renewal import ENDS, LOOK_NS, Renewal
+from gateway.host.guard_main import stop_alone
+from gateway.host.guard_process import FormerGuard, GuardLink, start_guard
+from gateway.host.notes import LatchNote, MileageNote, NoteClearer, RunNote, StopNote
+from gateway.host.process import ServiceManager, has_realtime, logging_aside, request_realtime
 from gateway.host.self_test import Reached, own_fault
-from gateway.host.service_manager import ServiceManager
-from gateway.host.signed_mode import SignedMode
-from gateway.host.stop_note import NoteClearer, StopNote
+from gateway.host.signed_mode import ENDS, LOOK_NS, Renewal, SignedMode
 from gateway.loop import LoopPorts, Manager, NoManager, warn_of_bars
 from gateway.loop import run as run_loop
-from gateway.provisioning.certificates import RENEW_S
-from gateway.provisioning.tls_files import check_tls_files, why_shut_out
-from gateway.zenoh.inbox import CommandInbox, open_inbox
-from gateway.zenoh.late_node import Joined, LateInbox, LateNode
+from gateway.provisioning.key_files import RENEW_S, check_tls_files, why_shut_out
+from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_inbox
 from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.authority.identity import renewed

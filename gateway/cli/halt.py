@@ -13,14 +13,13 @@ import msgspec
 
 from gateway.can.can_bus import Bus, BusFull, BusLost
 from gateway.can.open_bus import describe, open_bus
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.cruiser.variant import VariantDetector
+from gateway.chassis.cruiser.frames import VariantDetector, load
+from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
 from gateway.core import CONFIGURED_VARIANT
-from gateway.guard.chassis_view import ChassisView
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
-from gateway.host.realtime import request_realtime
-from gateway.host.stop_note import NoteWriter, StopNote
+from gateway.host.notes import NoteWriter, StopNote
+from gateway.host.process import request_realtime
 from schemas.arguments import seconds
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Mode, Variant

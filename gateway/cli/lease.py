@@ -11,9 +11,8 @@ from typing import Final
 
 import msgspec
 
-from gateway.cli.engaged import engaged
-from gateway.cli.operator_arguments import add_robot_arguments, add_take_arguments, connect, wanted_lease
-from gateway.client.reasons_text import holder_line
+from gateway.cli.operator_arguments import add_robot_arguments, add_take_arguments, connect, engaged, wanted_lease
+from gateway.client.refusal import holder_line
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import ending_after, seconds
 from schemas.command_line import ExitCode

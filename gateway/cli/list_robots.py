@@ -16,11 +16,11 @@ from typing import Final
 
 import msgspec
 
-from gateway.client import view
+from gateway.client import fleet
 from gateway.client.fleet import Fleet, RobotStatus
-from gateway.client.roll import RollCall
-from gateway.host.state_directory import state_directory, write_whole
-from gateway.telemetry.received import TokenChange
+from gateway.client.remote_stop import RollCall
+from gateway.host.notes import state_directory, write_whole
+from gateway.telemetry.samples import TokenChange
 from gateway.zenoh.client import RobotListener
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, robot_names, seconds
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if not reports and not search.is_complete:
         text = f"the Zenoh node at {where} did not say within {arguments.timeout:g} s which robots are connected"
         raise CommandError(text, ExitCode.UNREACHABLE)
-    lines = (msgspec.json.encode(one).decode() for one in reports) if arguments.json else view.list_lines(reports)
+    lines = (msgspec.json.encode(one).decode() for one in reports) if arguments.json else fleet.list_lines(reports)
     sys.stdout.writelines(f"{line}\n" for line in lines)
     sys.stdout.flush()
     expected.keep(report.robot for report in reports if report.state is not None)
@@ -126,7 +126,7 @@ def check_role(config: str) -> None:
     Raises:
         CommandError: it is.
     """
-    from gateway.provisioning.tls_files import role_of  # noqa: PLC0415 - only where nobody is seen
+    from gateway.provisioning.key_files import role_of  # noqa: PLC0415 - only where nobody is seen
 
     if (role := role_of(Path(config))) in BLIND_ROLES:
         raise CommandError(

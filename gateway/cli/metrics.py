@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.cli.shut_out import check_session_files
-from gateway.provisioning.tls_files import certificate_ends_s
+from gateway.provisioning.key_files import certificate_ends_s
 from gateway.zenoh.client import FleetListener
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.command_line import ExitCode, address, missing_extra
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     try:
         from gateway.cli.metrics_server import MetricsServer  # noqa: PLC0415 - needs the extra 'metrics'
-        from gateway.metrics.fleet_metrics import FleetMetrics  # noqa: PLC0415 - the same
+        from gateway.metrics import FleetMetrics  # noqa: PLC0415 - the same
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "prometheus_client":
             raise

@@ -19,7 +19,7 @@ from prometheus_client import CollectorRegistry, Metric, ProcessCollector, make_
 from prometheus_client.exposition import ThreadingWSGIServer
 from prometheus_client.registry import Collector
 
-from gateway.metrics.fleet_metrics import FleetMetrics
+from gateway.metrics import FleetMetrics
 from gateway.zenoh.client import FleetListener
 from schemas.command_line import CommandError, ExitCode, shown_address
 from schemas.peers import REQUEST_S, Peers, most_connections, peer_of

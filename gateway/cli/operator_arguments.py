@@ -1,14 +1,21 @@
-"""The flags that an operator's commands share."""
+"""Arguments of commands to one robot, and the lease that they take for it.
+
+- The flags that an operator's commands share.
+- A robot that is engaged for a while by a command, and is at rest when the command ends.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Final
 
-from gateway.client.refusal import Unreachable
+from gateway.client.refusal import LOOK, Unreachable
+from gateway.client.remote_stop import who_is_there
 from gateway.client.robot import CONNECT_TIMEOUT_S, Lease, Robot
-from gateway.client.roll import who_is_there
 from schemas.arguments import add_zenoh_arguments, operator_name, robot_name, seconds
+from schemas.command_line import CommandError
 from schemas.requests import LEASE_MAX, Role
 from schemas.settings import Settings
 
@@ -78,3 +85,43 @@ def lease_number(text: str) -> int:
     if not text.isascii() or not text.isdigit() or int(text) > LEASE_MAX:
         raise argparse.ArgumentTypeError(f"{text!a} is not the number of a lease")
     return int(text)
+
+
+POLL_S: Final = 0.05
+
+
+@contextmanager
+def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Iterator[None]:
+    """The robot is engaged within the block, and stands by after it. A stop under way is waited for.
+
+    Raises:
+        CommandError: it is refused, is stopped, or was not seen to come to rest.
+        Unreachable: it is not heard any more, so that nobody knows whether it stands.
+    """
+    lease.engage(deadman_s=deadman_s)
+    try:
+        yield
+        lease.check()
+    except BaseException as error:
+        # Why the block ended is the news; that the robot does not answer now either is none.
+        with suppress(CommandError):
+            come_to_rest(lease, robot)
+        if isinstance(error, Unreachable):
+            raise Unreachable(f"{error}. {LOOK}") from error
+        raise
+    come_to_rest(lease, robot)
+    if latched := robot.state().state.latched:
+        raise CommandError(
+            f"{robot.name} was stopped ({', '.join(one.value for one in latched)}): see 'cruiser why'"
+        )
+
+
+def come_to_rest(lease: Lease, robot: Robot) -> None:
+    """Disengage, if the robot is engaged, and wait until its stop sequence has ended.
+
+    Raises:
+        CommandError: it has not.
+    """
+    if lease.is_engaged:
+        lease.disengage(wait=False)
+    robot.wait_for_rest()

@@ -1,4 +1,7 @@
-"""The end of a command whose parent is gone: by a pipe that only the parent can close."""
+"""The end of a command whose parent is gone: by a pipe that only the parent can close.
+
+A module of its own, so that ``cruiser --help`` loads no settings.
+"""
 
 from __future__ import annotations
 

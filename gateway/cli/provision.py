@@ -1,4 +1,9 @@
-"""``cruiser provision``: keys, certificates and grants. Keys are made where they stay; only requests travel."""
+"""``cruiser provision``: keys, certificates, grants and statements.
+
+- The flags by which ``cruiser provision sign`` says what is granted, and a grant in words.
+- ``cruiser provision show``: statements of the authority, shown to robots, and their answers.
+- ``cruiser provision``: keys, certificates and grants. Keys are made where they stay; only requests travel.
+"""
 
 from __future__ import annotations
 
@@ -9,42 +14,325 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import msgspec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import (
+    EnrolmentError,
+    EnrolmentRequest,
     EnrolmentRole,
     FleetPlace,
+    chain_of,
     read_bundle,
     read_request,
     request_fingerprint,
 )
-from gateway.cli.grant_arguments import add_grant_arguments, grant_line, matching, unlimited_warning, wanted_grant
-from gateway.cli.statements import run_show
-from gateway.provisioning.certificates import CertificateError
+from gateway.authority.operator_proof import OperatorProof, new_question
 from gateway.provisioning.issuer import (
     ISSUED_FILE,
+    ZENOH_FILE,
     Issuer,
+    Wanted,
+    ask_again,
+    install,
     make_authority,
+    make_keys,
     make_standby,
+    names_here,
     rotate,
 )
-from gateway.provisioning.key_files import directory_of
-from gateway.provisioning.key_store import (
+from gateway.provisioning.key_files import (
     STANDBY_FILE,
+    CertificateError,
     KeyStore,
     Passphrase,
+    check_kinds,
+    directory_of,
     naming,
     read_input,
     write_public,
 )
-from gateway.provisioning.machine_keys import ask_again, install, make_keys, names_here
+from gateway.telemetry.samples import Received
+from gateway.zenoh.operator import StatementPort
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
-from schemas.authority.proof import Signed
+from schemas.authority.identity import AUTHORITY_FILE
+from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation, Signed, chain_text
 from schemas.authority.trust import AuthorityKeys, in_utc, key_fingerprint, keys_fingerprint
+from schemas.codec import PAYLOAD_ERRORS
 from schemas.command_line import CommandError, ExitCode, plain
+from schemas.decisions import StatementReply
+from schemas.reasons import Reason
 from schemas.settings import Settings
+from schemas.subjects import BY_VERB, STOP_VERB
+from schemas.zenoh_session import place
+
+HOUR_S, DAY_S = 3600, 86_400
+
+PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S
+"""The duration of a grant without ``--lasts``, seconds."""
+
+ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
+"""Verbs that want a grant: a stop wants none."""
+
+PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
+
+_SPEED_MAX_MPS: Final = 100
+_LIFE_MAX_S: Final = 3653 * DAY_S
+
+_GRANT_FLAGS: Final = ("robots", "verbs", "role", "override", "speed_limit")
+_FOR_ALL: Final = {"robots"}
+
+
+def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags that ``wanted_grant`` reads."""
+    grant = parser.add_argument_group(
+        "grant", "what is not said is as in the last grant of the same key, or usual"
+    )
+    grant.add_argument(
+        "--robots",
+        action="append",
+        type=matching("[a-z0-9*-]{1,64}", "no pattern of robots: lower case, digits, '-' and '*'"),
+        metavar="PATTERN",
+        help="such as 'depot-*'; may be repeated (all)",
+    )
+    grant.add_argument("--verbs", type=_verbs, metavar="LIST", help="with commas (all)")
+    grant.add_argument(
+        "--role",
+        choices=[role.value for role in PERSONS],
+        metavar="ROLE",
+        help="operator (the default), program or supervisor",
+    )
+    grant.add_argument("--override", action="store_true", help="may take the lease of a robot that moves")
+    grant.add_argument("--speed-limit", type=_speed, metavar="M/S", help="no robot drives faster for this holder")
+    lasts = grant.add_mutually_exclusive_group()
+    lasts.add_argument("--hours", dest="lasts", type=_times(HOUR_S), metavar="H", help="a person's life (12)")
+    lasts.add_argument("--days", dest="lasts", type=_times(DAY_S), metavar="D", help="all others' (90)")
+
+
+def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
+    """Return the grant that the flags ask for; where they are silent, as the same key had it, or else the usual.
+
+    Args:
+        arguments: as ``add_grant_arguments`` declares them.
+        request: the applicant's.
+        last: the last grant to the same key; None if there was none.
+
+    Raises:
+        CommandError: a flag does not fit the applicant's role.
+    """
+    given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
+    if request.role is not EnrolmentRole.OPERATOR and set(given) - _FOR_ALL:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise CommandError(f"{flags}: nothing of that is for a {request.role.value}", ExitCode.USAGE)
+    usual_s = PERSON_S if request.role in {EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER} else OTHERS_S
+    usual = [] if request.role is EnrolmentRole.RECORDER else ROBOT_VERBS
+    last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
+    return Wanted(
+        verbs=arguments.verbs or (last.verbs if last else usual),
+        robots=arguments.robots or (last.robots if last else ["*"]),
+        lasts_s=usual_s if arguments.lasts is None else round(arguments.lasts),
+        role=GrantRole(arguments.role) if arguments.role else last_role,
+        override=arguments.override or (last is not None and last.override),
+        speed_limit_mps=arguments.speed_limit or (last.speed_limit_mps if last else None),
+    )
+
+
+def unlimited_warning(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> str:
+    """Return a warning that all is granted because the key was never let in here; empty if it is not so.
+
+    The list of who was let in is the authority's own: a new authority knows none of the former's limits.
+    """
+    is_limited = arguments.robots or arguments.verbs or arguments.speed_limit is not None
+    if last is not None or is_limited or request.role is not EnrolmentRole.OPERATOR:
+        return ""
+    return (
+        "nothing is known of this key here: all robots, all verbs, no speed limit; --robots and --speed-limit "
+        "narrow it"
+    )
+
+
+def grant_line(grant: Grant) -> str:
+    """A grant, for people."""
+    limit = "" if grant.speed_limit_mps is None else f", at most {grant.speed_limit_mps:g} m/s"
+    override = ", may override" if grant.override else ""
+    verbs = "all" if set(grant.verbs) >= set(ROBOT_VERBS) else ", ".join(grant.verbs)
+    may = f"{grant.role.value} on {', '.join(grant.robots)}" + (f", verbs {verbs}" if verbs else "")
+    return f"{may}{limit}{override}, until {in_utc(grant.not_after)}"
+
+
+def matching(pattern: str, what: str) -> Callable[[str], str]:
+    """An argument that matches a pattern; of another one is said what it is."""
+
+    def checked(text: str) -> str:
+        if re.fullmatch(pattern, text) is None:
+            raise argparse.ArgumentTypeError(f"{text!a} is {what}")
+        return text
+
+    return checked
+
+
+def _verbs(text: str) -> list[str]:
+    names = ROBOT_VERBS if text == "all" else list(dict.fromkeys(text.split(",")))
+    unknown = [name for name in names if name not in ROBOT_VERBS]
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"{unknown[0]!a} is no verb of a robot; there are {', '.join(ROBOT_VERBS)}"
+        )
+    return names
+
+
+def _speed(text: str) -> float:
+    return _number(text, _SPEED_MAX_MPS, f"no speed in m/s, above 0 and up to {_SPEED_MAX_MPS}")
+
+
+def _times(unit_s: int) -> Callable[[str], float]:
+    def life(text: str) -> float:
+        unit = "hours" if unit_s == HOUR_S else "days"
+        most = _LIFE_MAX_S // unit_s
+        return max(1, _number(text, most, f"no number of {unit}, above 0 and up to {most}") * unit_s)
+
+    return life
+
+
+def _number(text: str, most: float, otherwise: str) -> float:
+    """A number above 0 and not above ``most``.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none; the text is what ``otherwise`` calls it.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= most:
+        raise argparse.ArgumentTypeError(f"{text!a} is {otherwise}")
+    return value
+
+
+SENDERS: Final = ("desk", "operator", "viewer")
+"""The roles whose certificate is used, in order of preference, if the settings name none."""
+
+Stopped = Callable[[], bool]
+
+
+class _Answer(msgspec.Struct, frozen=True):
+    """The result of a statement at one robot."""
+
+    text: str
+    code: ExitCode
+
+
+def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
+    """Show robots a statement, once or again and again.
+
+    Raises:
+        CommandError: the file holds no statement, or Zenoh cannot be opened.
+    """
+    file = Path(arguments.statement)
+    try:
+        chain = chain_of(read_input(file))
+    except EnrolmentError as error:
+        raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
+
+    def show(port: StatementPort, robot: str) -> _Answer:
+        return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
+
+    settings = _reaching(settings, store)
+    with StatementPort.open(settings) as port:
+        while True:
+            robots = arguments.robot or port.robots(arguments.timeout)
+            answers = {robot: show(port, robot) for robot in robots if not stopped()}
+            for robot, answer in answers.items():
+                sys.stdout.write(f"{robot}: {plain(answer.text)}\n")
+            if not robots:
+                sys.stderr.write(f"no robot is connected at {place(settings.zenoh)}\n")
+            if not settings.zenoh.config and all(one.code is ExitCode.UNREACHABLE for one in answers.values()):
+                sys.stderr.write(
+                    f"no Zenoh file was used: {plain(str(store.directory))} has none of a desk, an operator or a "
+                    "viewer; --config names the settings of one, such as viewer.toml\n"
+                )
+            sys.stdout.flush()
+            if arguments.every is None or stopped():
+                return _code([answer.code for answer in answers.values()])
+            next_s = time.monotonic() + arguments.every
+            while time.monotonic() < next_s and not stopped():
+                time.sleep(0.1)
+            if stopped():
+                return ExitCode.OK
+
+
+def _code(codes: list[ExitCode]) -> ExitCode:
+    if not codes:
+        return ExitCode.UNREACHABLE
+    return codes[0] if len(set(codes)) == 1 else ExitCode.PARTIAL
+
+
+class _Shown(msgspec.Struct, frozen=True):
+    """A robot's answer to a statement, and the question that the answer has to cover."""
+
+    question: bytes
+    reply: Received | None
+
+    @classmethod
+    def to(cls, port: StatementPort, robot: str, chain: list[Signed], timeout_s: float) -> Self:
+        question = new_question()
+        return cls(question, port.show(robot, chain_text(chain).encode(), question, timeout_s))
+
+
+def _judge(shown: _Shown, robot: str, chain: list[Signed], settings: Settings, store: KeyStore) -> _Answer:
+    reply = shown.reply
+    if reply is None:
+        return _Answer("does not answer", ExitCode.UNREACHABLE)
+    try:
+        said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
+    except PAYLOAD_ERRORS as error:
+        return _Answer(f"its answer cannot be read: {error}", ExitCode.FAILURE)
+    doubt = _doubt(reply, shown.question, robot, chain, said, settings, store)
+    if doubt:
+        return _Answer(f"{'yes' if said.ok else 'no'}, and the answer is not proven: {doubt}", ExitCode.FAILURE)
+    if said.ok:
+        return _Answer("taken over", ExitCode.OK)
+    if said.reason is Reason.REPLAYED and isinstance(chain[0].statement, Revocations | Rotation):
+        return _Answer(f"has it, or a newer one ({said.detail})", ExitCode.OK)
+    return _Answer(f"refused: {said.detail}; {said.cure}", ExitCode.REFUSED)
+
+
+def _doubt(
+    reply: Received,
+    question: bytes,
+    robot: str,
+    chain: list[Signed],
+    said: StatementReply,
+    settings: Settings,
+    store: KeyStore,
+) -> str:
+    """Return why the answer may be somebody else's; empty if the robot signed it."""
+    if not store.has(AUTHORITY_FILE):
+        return f"{store.path(AUTHORITY_FILE)} is not there"
+    trust = store.read_as(AUTHORITY_FILE, AuthorityKeys, "'cruiser provision install' writes it").trust
+    # A key of its own: nothing is signed with it.
+    proof = OperatorProof(
+        Ed25519PrivateKey.generate(), chain, trust, settings.robot.root, lambda: int(time.time())
+    )
+    refusal = proof.meet(robot, reply, question)
+    if refusal is None or (not said.ok and refusal.reason is said.reason and refusal.detail == said.detail):
+        return ""
+    return refusal.text
+
+
+def _reaching(settings: Settings, store: KeyStore) -> Settings:
+    """The settings, with the Zenoh file of who is provisioned here where they name none."""
+    if settings.zenoh.config:
+        return settings
+    found = [name for who in SENDERS if store.has(name := ZENOH_FILE.format(who=who))]
+    if not found:
+        return settings
+    check_kinds(store.path(found[0]))
+    zenoh = msgspec.structs.replace(settings.zenoh, config=str(store.path(found[0])))
+    return msgspec.structs.replace(settings, zenoh=zenoh)
+
 
 EXAMPLE: Final = """\
   cruiser provision robot cruiser-1                         on the robot: keys, and a request
@@ -64,8 +352,6 @@ ABOUT: Final = {
     EnrolmentRole.ROUTER: "where robots and people meet",
     EnrolmentRole.DESK: "a control room's machine",
 }
-
-Stopped = Callable[[], bool]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,7 @@
-"""``cruiser reset``: clear what is latched."""
+"""``cruiser reset``: clear what is latched.
+
+Small, because each command is a file.
+"""
 
 from __future__ import annotations
 

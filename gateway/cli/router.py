@@ -11,7 +11,7 @@ from typing import Final
 
 from gateway.cli.shut_out import check_session_files
 from gateway.provisioning.key_files import directory_of
-from gateway.zenoh.router import open_router
+from gateway.zenoh.client import open_router
 from schemas.arguments import ending_after, seconds
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings

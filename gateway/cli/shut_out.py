@@ -15,8 +15,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
-from gateway.host.service_manager import ServiceManager
-from gateway.provisioning.tls_files import check_tls_files, why_shut_out
+from gateway.host.process import ServiceManager
+from gateway.provisioning.key_files import check_tls_files, why_shut_out
 from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import MODE, SessionError, client_endpoints, close_session, open_session

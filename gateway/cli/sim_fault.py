@@ -8,9 +8,8 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from gateway.sim.address import parse_address
-from gateway.sim.faults import GRAMMAR, FaultTextError, parse
-from gateway.sim.socketcand_protocol import HI, OK
+from gateway.can.socketcand_server import HI, OK
+from gateway.sim.disturbances import GRAMMAR, FaultTextError, parse, parse_address
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 

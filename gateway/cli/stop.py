@@ -12,9 +12,8 @@ import msgspec
 
 from gateway.cli.operator_arguments import add_operator_arguments
 from gateway.client import remote_stop
-from gateway.client.reasons_text import LOOK
-from gateway.client.remote_stop import NotSentError, StopReport, Unverified
-from gateway.client.roll import who_is_there
+from gateway.client.refusal import LOOK
+from gateway.client.remote_stop import NotSentError, StopReport, Unverified, who_is_there
 from schemas import keys
 from schemas.arguments import robot_names
 from schemas.command_line import CommandError, ExitCode, plain

@@ -10,9 +10,8 @@ from typing import Final
 
 import msgspec
 
-from gateway.cli.engaged import POLL_S, engaged
-from gateway.cli.operator_arguments import add_robot_arguments, connect, lease_number
-from gateway.client.payloads import BY_REQUEST
+from gateway.cli.operator_arguments import POLL_S, add_robot_arguments, connect, engaged, lease_number
+from gateway.client.fleet import BY_REQUEST
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import ending_after, seconds
 from schemas.command_line import ExitCode

@@ -14,9 +14,9 @@ from rich.console import Console
 from rich.live import Live
 
 from gateway.cli.list_robots import Expected
-from gateway.client import view
+from gateway.client import fleet as view
 from gateway.client.fleet import Fleet, RobotStatus
-from gateway.client.roll import who_is_there
+from gateway.client.remote_stop import who_is_there
 from gateway.zenoh.client import RobotListener
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.command_line import CommandError, ExitCode, plain

@@ -11,8 +11,16 @@ from typing import Final
 import msgspec
 
 from gateway.cli.operator_arguments import add_robot_arguments, connect
-from gateway.client.reasons_text import event_line, is_idle, link_line, reason_line, state_line, text_of
-from gateway.client.refusal import Refused, Unreachable
+from gateway.client.refusal import (
+    Refused,
+    Unreachable,
+    event_line,
+    is_idle,
+    link_line,
+    reason_line,
+    state_line,
+    text_of,
+)
 from gateway.client.robot import Robot
 from schemas.command_line import ExitCode, plain
 from schemas.reasons import Reason

@@ -1,23 +1,134 @@
-"""The newest of each robot, and its age. Pure: samples go in, reports come out.
+"""Robots as they say themselves: their newest samples, in words, and as a view.
+
+- The bytes of requests, replies and samples, and what is wrong with those that cannot be read. Pure.
+- One word for all that a robot does or suffers, the same in the overview of a browser and of a terminal. Pure.
+- A robot's report as people see it: a line, a panel, a table of robots. Pure.
+
+The newest of each robot, and its age. Pure: samples go in, reports come out.
 
 A report never gives an old value as a present one: a state or a health that is too old is not in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final, TypeVar
 
 import msgspec
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
 
-from gateway.client.payloads import NewerWords, SampleRead, read_sample
-from gateway.telemetry.received import Arrival, Missed, TokenChange
-from schemas import keys
-from schemas.codec import PayloadFault
+from gateway.client.refusal import is_idle, last_stop, link_line
+from gateway.telemetry.samples import Arrival, Missed, Received, TokenChange
+from schemas import codec, keys
+from schemas.codec import PayloadFault, encoding_fault
 from schemas.command_line import plain
-from schemas.decisions import SafetyState
-from schemas.messages import GatewayHealth, Message, RobotState
+from schemas.decisions import COMMANDING, ArbiterState, LeaseReply, Reply, SafetyState
+from schemas.messages import GatewayHealth, Message, Mode, RobotState
+from schemas.reasons import Reason
 from schemas.recording import RecorderHealth
+from schemas.settings import STANDSTILL_MPS
+from schemas.subjects import COMMANDS, Command
+
+BY_REQUEST: Final = {command.request: command for command in COMMANDS}
+
+THIS_SIDE: Final = "this program"
+"""Who reads, in what is said of another version."""
+
+encode_request: Final = msgspec.msgpack.Encoder().encode
+"""A request's MessagePack bytes."""
+
+
+CONTRADICTION: Final = "the replies contradict each other: another gateway of this name, or an impostor, is there"
+
+
+def contradict(replies: list[Reply | PayloadFault]) -> bool:
+    """Replies to one question differ in more than their words."""
+    return len({_essence(reply) for reply in replies}) > 1
+
+
+def _essence(reply: Reply | PayloadFault) -> tuple[object, ...]:
+    if isinstance(reply, PayloadFault):
+        return ()
+    return reply.ok, reply.reason, reply.lease if isinstance(reply, LeaseReply) else 0
+
+
+def read_reply(command: Command, received: Received) -> Reply | PayloadFault:
+    """The typed reply, or what is wrong with it."""
+    if received.encoding != command.reply_encoding:
+        fault = encoding_fault(received.encoding, command.reply_encoding, THIS_SIDE, "the robot's gateway")
+        return PayloadFault(f"the reply is {fault}")
+    read = codec.understand(command.reply, received.payload)
+    return (
+        PayloadFault(f"the reply cannot be read: {read.detail}")
+        if isinstance(read, PayloadFault)
+        else read.message
+    )
+
+
+class SampleRead(msgspec.Struct, frozen=True, gc=False):
+    """A sample of a robot or a recorder.
+
+    Attributes:
+        parts: of its key.
+        message: what it says, or why that cannot be read.
+        unknown: what in it a newer version says and this one does not know.
+    """
+
+    parts: keys.KeyParts
+    message: Message | PayloadFault
+    unknown: tuple[str, ...] = ()
+
+
+def read_sample(received: Received) -> SampleRead | None:
+    """Read a sample; None if it is no robot's and no recorder's."""
+    parts = keys.parse(received.key)
+    if parts is None:
+        return None
+    subject = parts.subject
+    if received.encoding != subject.encoding:
+        sender = "the recorder" if parts.recorder else "the robot's gateway"
+        fault = encoding_fault(received.encoding, subject.encoding, THIS_SIDE, sender)
+        return SampleRead(parts, PayloadFault(f"{subject.name} is {fault}"))
+    read = codec.understand(subject.type, received.payload)
+    if isinstance(read, PayloadFault):
+        return SampleRead(parts, PayloadFault(f"{subject.name}: {read.detail}"))
+    return SampleRead(parts, read.message, tuple(f"{subject.name}: {one}" for one in read.unknown))
+
+
+class NewerWords:
+    """Words and fields of a newer version that this one does not know: each counted, and logged once.
+
+    Attributes:
+        counts: samples by what is unknown in them.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+
+    def note(self, unknown: tuple[str, ...]) -> list[str]:
+        """Count what is unknown in a sample; returns what of it is new, of a bounded number."""
+        new = [one for one in unknown if one not in self.counts][: max(0, NEWER_WORDS_MAX - len(self.counts))]
+        self.counts.update(one for one in unknown if one in self.counts or one in new)
+        return new
+
+    @property
+    def text(self) -> str:
+        """All of it in one line; empty if there is none."""
+        shown = ", ".join(sorted(self.counts)[:NEWER_WORDS_SHOWN])
+        return (
+            f"a newer version says what {THIS_SIDE} does not know ({shown}): upgrade {THIS_SIDE}" if shown else ""
+        )
+
+
+NEWER_WORDS_MAX: Final = 64
+"""Unknown words that are counted; the words are the sender's, and so may be any number."""
+
+NEWER_WORDS_SHOWN: Final = 4
+
 
 STATE_STALE_NS: Final = 1_000_000_000
 """A state, due every 50 ms, is no longer shown after 1 s."""
@@ -251,3 +362,309 @@ class Fleet:
             linked=self.linked,
             newer=known.newer.text,
         )
+
+
+FINE: Final = 0
+LOOK: Final = 1
+ALARM: Final = 2
+"""The levels: nothing is wrong; somebody should look; it needs a person."""
+
+WORDS: Final = {
+    "offline": ALARM,
+    "needs_reset": ALARM,
+    "bus_down": ALARM,
+    "stopping": LOOK,
+    "remote_control": LOOK,
+    "blocked": LOOK,
+    "driving": FINE,
+    "in_control": FINE,
+    "ready": FINE,
+    "telemetry": FINE,
+}
+"""The words, the gravest first, and their levels. ``telemetry``: it has no arbiter."""
+
+OFFLINE: Final = "offline"
+
+LABELS: Final = {"needs_reset": "stopped - needs reset", "telemetry": "telemetry only"}
+"""The words as people read them, where that is not the word itself."""
+
+COUNTED: Final = {"needs_reset": ("needs reset", "need reset"), "telemetry": ("telemetry only", "telemetry only")}
+"""The words behind a number: of one robot, and of several."""
+
+
+def word_of(report: RobotStatus) -> tuple[str, list[Reason]]:
+    """Return a robot's word, and the reasons for it."""
+    state, safety = report.state, report.safety
+    if state is None:
+        return OFFLINE, []
+    if not state.bus_up:
+        return "bus_down", [Reason.BUS_DOWN]
+    return ("telemetry", []) if safety is None else _word_of_arbiter(state, safety)
+
+
+def _word_of_arbiter(state: RobotState, safety: SafetyState) -> tuple[str, list[Reason]]:
+    if safety.latched:
+        return "needs_reset", safety.latched
+    if safety.state is ArbiterState.STOPPING:
+        return "stopping", [safety.stop_reason]
+    if state.mode is Mode.REMOTE:
+        return "remote_control", [Reason.HAND_TRANSMITTER]
+    if safety.state in COMMANDING:
+        moves = state.speed_mps is not None and abs(state.speed_mps) >= STANDSTILL_MPS
+        return "driving" if moves else "in_control", []
+    blocked = [one for one in safety.blocked_by if not is_idle([one])]
+    if blocked:
+        return "blocked", blocked
+    return "in_control" if safety.lease_holder else "ready", []
+
+
+def label_of(word: str) -> str:
+    """Return a word as people read it."""
+    return LABELS.get(word, word.replace("_", " "))
+
+
+def summary(reports: Sequence[RobotStatus]) -> str:
+    """Several robots in one line: so many of each word, ``52 ready, 6 driving, 2 need reset, 1 offline``."""
+    words = Counter(word_of(report)[0] for report in reports)
+    counted = (
+        f"{words[word]} {COUNTED.get(word, (label_of(word), label_of(word)))[words[word] > 1]}"
+        for word in reversed(WORDS)
+        if words[word]
+    )
+    return ", ".join(counted)
+
+
+GOOD: Final = "green"
+BAD: Final = "bold red"
+LOUD: Final = "bold white on red"
+PLAIN: Final = ""
+
+NO_VALUE: Final = "--"
+"""A value that is not known: never seen, or silent."""
+
+
+class Fact(msgspec.Struct, frozen=True):
+    """One thing to see, with the style that it is seen in."""
+
+    label: str
+    text: str
+    style: str = PLAIN
+
+
+def state_facts(state: RobotState) -> list[Fact]:
+    """Return the facts of a robot's state."""
+    hit = [side for side, on in (("front", state.front_bumper), ("rear", state.rear_bumper)) if on]
+    lamps = (
+        ("headlamp", state.headlamp),
+        ("left", state.left_indicator),
+        ("right", state.right_indicator),
+        ("horn", state.horn),
+    )
+    return [
+        Fact("mode", state.mode.value),
+        Fact("gear", state.gear_position.value),
+        Fact("speed", _number(state.speed_mps, "+z.2f", "m/s")),
+        Fact("angle", _number(state.angle_deg, "+z.1f", "deg")),
+        Fact("brake", state.braking_status.value),
+        Fact("parking", state.parking_status.value),
+        Fact("bumpers", _bumpers(state, hit), BAD if hit else PLAIN),
+        Fact("lamps", _lamps(lamps)),
+        Fact("mileage", _number(state.total_mileage_km, ".3f", "km")),
+        Fact("variant", state.variant.value, BAD if state.variant.value == "unknown" else PLAIN),
+        Fact("bus", "up" if state.bus_up else "DOWN", GOOD if state.bus_up else BAD),
+        Fact("silent", ", ".join(map(plain, state.silent)) or "none", BAD if state.silent else PLAIN),
+    ]
+
+
+def health_facts(health: GatewayHealth) -> list[Fact]:
+    """Return the facts of a gateway's health."""
+    lost = sum(frame.lost for frame in health.feedback)
+    faults = ", ".join(f"{plain(kind)} {count}" for kind, count in sorted(health.faults.items()) if count)
+    bus = f"{plain(health.bus)} {'up' if health.bus_up else 'DOWN'}"
+    if health.bus_detail and not health.bus_up:
+        bus += f" ({plain(health.bus_detail)})"
+    return [
+        Fact("bus", bus, GOOD if health.bus_up else BAD),
+        Fact("frames", f"{health.frames_per_s:.0f}/s, {lost} lost", BAD if lost else PLAIN),
+        Fact("variant", health.variant.value),
+        Fact("faults", faults or "none", BAD if faults else PLAIN),
+        Fact("version", plain(health.gateway_version)),
+        Fact("up", f"{health.uptime_s:.0f} s"),
+        *([] if health.realtime else [Fact("real-time", "no", BAD)]),
+    ]
+
+
+def line(report: RobotStatus) -> str:
+    """A robot in one line."""
+    words = [report.robot]
+    if report.state is None:
+        words.append(_offline(report))
+    else:
+        words.append(label_of(word_of(report)[0]))
+        words += [_word(fact) for fact in (*state_facts(report.state), *safety_facts(report))]
+        words.append(f"age {report.state_age_s or 0:.2f} s")
+    words.append(_faults_word(report))
+    if report.newer:
+        words.append(plain(report.newer))
+    return "  ".join(words)
+
+
+def safety_facts(report: RobotStatus) -> list[Fact]:
+    """Return the arbiter's facts: operator, latches, blockers, last stop, limit, the commands' age."""
+    safety = report.safety
+    if report.state is None or safety is None:
+        return []
+    latched = ", ".join(reason.value for reason in safety.latched)
+    link, stop = link_line(safety), last_stop(safety)
+    blocked_by = [reason for reason in safety.blocked_by if reason not in safety.latched]
+    blocked = ", ".join(reason.value for reason in blocked_by)
+    return [
+        Fact("arbiter", safety.state.value),
+        Fact("driver", plain(safety.lease_holder) or "nobody"),
+        *([Fact("latched", latched, BAD)] if latched else []),
+        *([Fact("stopped by", plain(", ".join(safety.stopped_by)), BAD)] if safety.stopped_by else []),
+        *([Fact("blocked by", blocked, PLAIN if is_idle(blocked_by) else BAD)] if blocked else []),
+        *([Fact("last stop", stop)] if stop else []),
+        *([Fact("limit", f"{safety.speed_limit_mps:.2f} m/s")] if safety.state in COMMANDING else []),
+        *([Fact("link", link)] if link else []),
+    ]
+
+
+def list_lines(reports: Sequence[RobotStatus]) -> Iterator[str]:
+    """Robots, one a line with what needs attention below it; several after a line on all of them."""
+    if len(reports) > 1:
+        yield summary(reports)
+    for report in reports:
+        yield _list_line(report)
+        yield from (f"  needs attention: {note}" for note in _attention(report))
+
+
+def _list_line(report: RobotStatus) -> str:
+    """A robot's state, speed, driver, and its gateway's health."""
+    words = [report.robot]
+    if report.state is None:
+        words.append(_offline(report))
+    else:
+        words += [label_of(word_of(report)[0]), _number(report.state.speed_mps, "+z.2f", "m/s")]
+        words += (
+            [f"driver {plain(report.safety.lease_holder)}"] if report.safety and report.safety.lease_holder else []
+        )
+        words += [] if report.connected else ["no liveliness token"]
+        words += ["no health"] if report.health is None else []
+    words += [_word(fact) for fact in health_facts(report.health)] if report.health is not None else []
+    return "  ".join([*words, *([plain(report.newer)] if report.newer else [])])
+
+
+def _attention(report: RobotStatus) -> list[str]:
+    """Everything that somebody has to see to."""
+    safety = report.safety
+    latched = [] if safety is None else [reason.value.replace("_", " ") for reason in safety.latched]
+    by = f" by {plain(', '.join(safety.stopped_by))}" if safety is not None and safety.stopped_by else ""
+    notes = [f"{', '.join(latched)}{by}, reset required"] if latched else []
+    return notes if report.health is None else [*notes, *map(plain, report.health.notes)]
+
+
+def panel(report: RobotStatus) -> RenderableType:
+    """A robot, large."""
+    grid = Table.grid(padding=(0, 2))
+    for _ in range(4):
+        grid.add_column(no_wrap=False)
+    if report.state is not None:
+        cells = [text for fact in state_facts(report.state) for text in _cells(fact)]
+        for start in range(0, len(cells), 4):
+            grid.add_row(*cells[start : start + 4])
+        top = Text(f"state {report.state_age_s or 0:.2f} s old", style=GOOD)
+    else:
+        top = Text(_offline(report), style=LOUD)
+    # What is wrong comes first: a small window cuts the rest off.
+    safety = [Text(_word(fact), style=fact.style) for fact in safety_facts(report)]
+    newer = [Text(plain(report.newer))] if report.newer else []
+    return Panel(Group(top, _health_text(report), *safety, *newer, grid), title=Text(report.robot), expand=False)
+
+
+def table(reports: Sequence[RobotStatus]) -> RenderableType:
+    """Robots, one a row: what each does, and whatever is wrong with it."""
+    shown = Table(expand=False, title=summary(reports) if len(reports) > 1 else None)
+    for label in ("robot", "state", *_TABLE_LABELS, "age"):
+        shown.add_column(label, no_wrap=True)
+    shown.add_column("wrong")
+    for report in reports:
+        cells = [Text(NO_VALUE)] * len(_TABLE_LABELS)
+        if report.state is not None:
+            facts = {fact.label: fact for fact in state_facts(report.state)}
+            cells = [Text(facts[label].text, style=facts[label].style) for label in _TABLE_LABELS]
+        word, _ = word_of(report)
+        state = Text(label_of(word), style=(PLAIN, BAD, LOUD)[WORDS[word]])
+        shown.add_row(Text(report.robot), state, *cells, _age(report), _wrong(report))
+    return shown if reports else Group(shown, Text("no robot is connected", style=BAD))
+
+
+_TABLE_LABELS: Final = ("speed", "angle")
+
+
+def _wrong(report: RobotStatus) -> Text:
+    text = Text()
+    if report.state is None:
+        text.append(_offline(report), style=LOUD)
+    facts = [
+        *(state_facts(report.state) if report.state else ()),
+        *(health_facts(report.health) if report.health else ()),
+        *safety_facts(report),
+    ]
+    wrong = {f"{fact.label} {fact.text}": fact.style for fact in facts if fact.style == BAD}
+    if report.state is not None and report.health is None:
+        wrong["no health"] = BAD
+    for word, style in wrong.items():
+        text.append("; " if text else "").append(word, style=style)
+    return text
+
+
+def _offline(report: RobotStatus) -> str:
+    return f"OFFLINE: {alarm(report)}"
+
+
+def _age(report: RobotStatus) -> Text:
+    if report.state_age_s is None:
+        return Text("never", style=LOUD)
+    return Text(f"{report.state_age_s:.1f} s", style=LOUD if report.state is None else GOOD)
+
+
+def _cells(fact: Fact) -> tuple[Text, Text]:
+    return Text(fact.label, style="dim"), Text(fact.text, style=fact.style)
+
+
+def _word(fact: Fact) -> str:
+    return fact.text if fact.label in {"speed", "angle"} else f"{fact.label} {fact.text}"
+
+
+def _health_text(report: RobotStatus) -> Text:
+    if report.health is None:
+        age = "yet" if report.health_age_s is None else f"for {report.health_age_s:.1f} s"
+        return Text(f"no health {age}", style=BAD)
+    text = Text()
+    for fact in health_facts(report.health):
+        text.append(f"{fact.label} ", style="dim").append(f"{fact.text}  ", style=fact.style)
+    return text
+
+
+def _faults_word(report: RobotStatus) -> str:
+    if report.health is None:
+        return "faults not known: no health"
+    return _word(next(fact for fact in health_facts(report.health) if fact.label == "faults"))
+
+
+def _number(value: float | None, form: str, unit: str) -> str:
+    return NO_VALUE if value is None else f"{value:{form}} {unit}"
+
+
+def _bumpers(state: RobotState, hit: list[str]) -> str:
+    if hit:
+        return " and ".join(hit) + " HIT"
+    return NO_VALUE if state.front_bumper is None or state.rear_bumper is None else "clear"
+
+
+def _lamps(lamps: Iterable[tuple[str, bool | None]]) -> str:
+    values = dict(lamps)
+    if all(value is None for value in values.values()):
+        return NO_VALUE
+    return ", ".join(name for name, on in values.items() if on) or "off"

@@ -1,4 +1,8 @@
-"""Exceptions in place of success, which carry the reason and what would cure it.
+"""Refusals, and the reasons for them and for stops in words.
+
+The reasons for which a robot does not move, in words. Pure.
+
+Exceptions in place of success, which carry the reason and what would cure it.
 
 Each is a ``CommandError`` too: a command that meets one ends with its line and its exit code.
 """
@@ -6,11 +10,101 @@ Each is a ``CommandError`` too: a command that meets one ends with its line and 
 from __future__ import annotations
 
 import re
+from collections.abc import Collection, Iterable
+from datetime import UTC, datetime
 from typing import Final
 
 from schemas.command_line import CommandError, ExitCode, plain
-from schemas.decisions import Reply
-from schemas.reasons import ACQUIRE, TEXTS, Reason, cure_of
+from schemas.decisions import COMMANDING, Reply, SafetyEvent, SafetyState, StopPhase
+from schemas.reasons import ACQUIRE, TEXTS, Reason, Text, cure_of, of_a_robot
+
+NEWER_S: Final = 1.0
+"""An event may be so much newer than the state that was seen last."""
+
+LOOK: Final = "Look at the robot, and use its button if it moves"
+"""The sentence for whoever commanded a robot of which nobody knows whether it stands."""
+
+
+def text_of(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> Text:
+    """A reason for which this robot stands still, beside others."""
+    text = of_a_robot(reason, beside)
+    return Text(text.means, cure_of(text.cure, robot))
+
+
+def reason_line(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> str:
+    """A reason with what would cure it, beside others."""
+    text = text_of(reason, robot, beside)
+    cure = f" -> {text.cure}" if text.cure else ""
+    return f"{reason.value}: {text.means}{cure}"
+
+
+def state_line(state: SafetyState) -> str:
+    """Return the arbiter's state, and its operator."""
+    words = [state.state.value]
+    if state.stop_phase is not StopPhase.IDLE:
+        words.append(f"{state.stop_phase.value}, because of {_stop(state)}")
+    elif last_stop(state):
+        words.append(f"last stop {last_stop(state)}")
+    if state.stopped_by:
+        words.append(f"stopped by {plain(', '.join(state.stopped_by))}")
+    words.append(holder_line(state))
+    return "; ".join(words)
+
+
+def last_stop(state: SafetyState) -> str:
+    """Return the reason of a robot's last stop; empty if it is commanded again, or never was stopped."""
+    return "" if state.state in COMMANDING or state.stop_reason is Reason.NONE else _stop(state)
+
+
+def is_idle(blocked_by: Iterable[Reason]) -> bool:
+    """Nothing is wrong: the robot only waits for somebody who drives it."""
+    return {Reason.NO_LEASE, Reason.NOT_ENGAGED}.issuperset(blocked_by)
+
+
+def _stop(state: SafetyState) -> str:
+    detail = f" ({plain(state.stop_detail)})" if state.stop_detail else ""
+    return f"{state.stop_reason.value}{detail}"
+
+
+def link_line(state: SafetyState) -> str:
+    """Return the age of the commands that drive the robot, and its cost; empty while it executes none."""
+    if state.link_age_s is None or state.travel_speed_limit_mps is None:
+        return ""
+    words = [f"command latency {_ms(state.link_age_s)}"]
+    if state.link_age_p99_s is not None:
+        words[0] += f" (p99 {_ms(state.link_age_p99_s)})"
+    words.append(f"timeout {_ms(state.deadman_s)}")
+    words.append(f"reaction distance {state.travel_delay_m:.2f} m")
+    words.append(f"speed limit {state.travel_speed_limit_mps:.2f} m/s")
+    return ", ".join(words)
+
+
+def _ms(time_s: float) -> str:
+    return f"{time_s * 1e3:.0f} ms"
+
+
+def holder_line(state: SafetyState) -> str:
+    """Return the holder of the lease."""
+    if not state.lease_holder:
+        return "nobody holds the lease"
+    holder = plain(state.lease_holder)
+    return f"{holder} holds the lease as {state.lease_role.value}, expires in {state.lease_expires_s:.1f} s"
+
+
+def event_line(event: SafetyEvent, now_ns: int) -> str:
+    """An event and how long ago it was; or, where the robot's clock was set back since, its time.
+
+    Args:
+        event: the event to put in words.
+        now_ns: by the robot's clock, which need not be this machine's.
+    """
+    ago_s = (now_ns - event.time_ns) / 1e9
+    when = f"{max(0.0, ago_s):.1f} s ago"
+    if ago_s < -NEWER_S:
+        when = f"at {datetime.fromtimestamp(event.time_ns // 10**9, UTC):%H:%M:%S} UTC by the robot's clock"
+    by = f" ({plain(event.operator)})" if event.operator and event.operator not in event.text else ""
+    return f"{when}: {event.severity.value}: {plain(event.text)}{by}"
+
 
 _METHODS: Final = {
     f"{ACQUIRE}, and use the number that it shows": "acquire it with robot.lease()",

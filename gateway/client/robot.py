@@ -21,9 +21,8 @@ from types import TracebackType
 from typing import Final, Self
 
 from gateway.client import remote_stop
-from gateway.client.drive_stream import HOLD_S, DriveStream, SetPoint
-from gateway.client.link import RobotLink, Sighting
-from gateway.client.link_proof import LinkProof, operator_proof
+from gateway.client.link import HOLD_S, DriveStream, RobotLink, SetPoint, Sighting
+from gateway.client.proof import LinkProof, operator_proof
 from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, Unreachable
 from gateway.client.remote_stop import REST_S, StopReport
 from gateway.zenoh.operator import CommandPort, SafetyListener

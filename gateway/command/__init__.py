@@ -1,7 +1,8 @@
 """The command flow: request > arbiter > decision > actuation > frames > gate.
 
-No I/O, one thread, time as an argument. ``arbiter`` has a tick's steps; ``verbs`` rules on each request;
-``engagement`` has each way into and out of motion. These act on small states: ``lease``, ``operator_link``,
-``chassis_monitor``, ``setpoint``, ``output``, ``latches``, ``outbox``. ``motion`` keeps every limit;
-``stop`` brings the robot to rest; ``gate`` stands last before the bus and trusts none of them.
+No I/O, one thread, time as an argument. ``flow`` has the steps, ``arbiter`` those of a tick and their report;
+``verbs`` rules on each request (``rulings``); ``engagement`` has each way into and out of motion. These act on
+small states: ``lease``, ``monitor``, ``output``. ``motion`` keeps every limit; ``stop`` brings the robot to rest;
+``restart`` is what survives a restart. The gate, which trusts none of these, is with the frames in
+``gateway.chassis.cruiser``.
 """

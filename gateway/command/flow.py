@@ -10,15 +10,13 @@ from typing import Final
 
 import msgspec
 
+from gateway.chassis.cruiser.bursts import FrameMaker
 from gateway.chassis.cruiser.frames import MOTION_FRAMES
+from gateway.chassis.cruiser.gate import Gate
 from gateway.chassis.frame import Frame
-from gateway.command.arbiter import Arbiter
-from gateway.command.chassis_state import ChassisState
-from gateway.command.frames import FrameMaker
-from gateway.command.gate import Gate
-from gateway.command.outcome import TickOutcome
-from gateway.command.report import Reporter, reply
-from gateway.command.request import RawRequest
+from gateway.chassis.port import ChassisState
+from gateway.command.arbiter import Arbiter, Reporter, reply
+from gateway.command.rulings import RawRequest, TickOutcome
 from schemas.codec import Sample, sample_of
 from schemas.decisions import COMMANDING, ArbiterState, SafetyEvent
 from schemas.settings import MUTE_FAILURES, Settings

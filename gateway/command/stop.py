@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.command.actuation import AT_REST, Actuation
+from gateway.chassis.port import AT_REST, Actuation
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition
 from schemas.settings import (

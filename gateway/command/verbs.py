@@ -8,11 +8,9 @@ from typing import Any, Final
 import msgspec
 
 from gateway.command.engagement import Engagement
-from gateway.command.lease import HeldLease, Leases
-from gateway.command.limits import steering_angle_deg
-from gateway.command.motion import Target
-from gateway.command.operator_link import OperatorLink
-from gateway.command.request import Credentials, RawRequest, Ruling
+from gateway.command.lease import HeldLease, Leases, OperatorLink
+from gateway.command.motion import Target, steering_angle_deg
+from gateway.command.rulings import Credentials, RawRequest, Ruling
 from schemas import codec, requests
 from schemas.codec import PayloadFault
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, Severity

@@ -1,7 +1,12 @@
-"""The messages between browser and desk: MessagePack maps over a WebSocket, told apart by ``is``."""
+"""Words between a browser and the desk: orders, and answers.
+
+- The messages between browser and desk: MessagePack maps over a WebSocket, told apart by ``is``.
+- The messages that wait for one browser. A slow one gets the newest: rows are merged, old samples go. Pure.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Annotated, Final
 
@@ -276,3 +281,67 @@ decode: Final[Callable[[bytes], FromBrowser]] = msgspec.msgpack.Decoder(FromBrow
 """A browser's message. Raises ``msgspec.DecodeError`` or ``msgspec.ValidationError``, and nothing else."""
 
 encode: Final = msgspec.msgpack.Encoder().encode
+
+
+SAMPLES_WAITING: Final = 64
+"""Samples of the robot that is shown closely; a second of them. Beyond it the oldest go."""
+
+WAITING: Final = 512
+"""Replies and all else that may wait; a browser that reads fewer is cut off."""
+
+
+class BrowserOutbox:
+    """Messages for one browser.
+
+    Attributes:
+        robot: the one that it shows closely; empty if none.
+        is_full: it does not read, and should be cut off.
+    """
+
+    def __init__(self) -> None:
+        self.robot = ""
+        self.is_full = False
+        self._messages: deque[ToBrowser] = deque()
+        self._samples: deque[DeskSample] = deque(maxlen=SAMPLES_WAITING)
+        self._rows: dict[str, RobotRow | None] = {}
+        self._recorders: list[RecorderRow] | None = None
+        self._linked: bool | None = None
+        self._full = False
+
+    def look(self, robot: str) -> None:
+        """Show another robot closely. Samples of the one before are of no use any more."""
+        self.robot = robot
+        self._samples.clear()
+
+    def add(self, message: ToBrowser) -> None:
+        """Add a message that may not be left out."""
+        if isinstance(message, DeskSample):
+            self._samples.append(message)
+        elif len(self._messages) < WAITING:
+            self._messages.append(message)
+        else:
+            self.is_full = True
+
+    def add_rows(
+        self,
+        rows: dict[str, RobotRow | None],
+        recorders: list[RecorderRow] | None,
+        *,
+        linked: bool,
+        full: bool = False,
+    ) -> None:
+        """Add the rows that have changed; those that still wait are replaced."""
+        self._rows |= rows
+        self._recorders = self._recorders if recorders is None else recorders
+        self._linked, self._full = linked, full
+
+    def take(self) -> list[ToBrowser]:
+        """Return all that waits, and keep nothing of it."""
+        taken: list[ToBrowser] = [*self._messages]
+        self._messages.clear()
+        if self._linked is not None:
+            taken.append(DeskRows(self._rows, self._linked, self._recorders, self._full))
+            self._rows, self._recorders, self._linked = {}, None, None
+        taken += self._samples
+        self._samples.clear()
+        return taken

@@ -3,10 +3,10 @@
 It sends nothing while the loop is in time. A loop that comes back in the very moment in which the guard begins may
 have one burst under way that it can no longer hold back: once, at most, one burst of each is on the bus together.
 
-    loop  > heartbeat, each tick, after sending    > ``Guardian``     in shared memory
-    bus   > feedback, and the loop's own frames    > ``ChassisView``
-    guard > late, mute or gone while active?       > ``Stopper``      the stop sequence, on a bus handle of its own
+    loop  > beat, each tick, after sending       > ``Guardian``     in shared memory
+    bus   > feedback, and the loop's own frames  > ``ChassisView``
+    guard > late, mute or gone while active?     > ``Stopper``      the stop sequence, on a bus handle of its own
 
-All of it is pure: ``gateway.host.guard_run`` is its one thread, ``gateway.host.guard_main`` the process, and
-``gateway.host.guard_process`` starts it.
+All of it is pure: ``gateway.host.guard_main`` is the process with its one thread, which
+``gateway.host.guard_process`` starts.
 """

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import Final
 
+from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
-from gateway.guard.beat import Beat, Cause, GuardStatus, StopOutcome
-from gateway.guard.chassis_view import ChassisView
-from gateway.guard.stopper import MOTOR, NOT_OBEYED, REMOTE, STANDS, UNSEEN, Stopper
+from gateway.guard.stopper import (
+    MOTOR,
+    NOT_OBEYED,
+    REMOTE,
+    STANDS,
+    UNSEEN,
+    Beat,
+    Cause,
+    GuardStatus,
+    StopOutcome,
+    Stopper,
+)
 from schemas.messages import Mode
 from schemas.settings import (
     COMMANDER_NS,

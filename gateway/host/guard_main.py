@@ -1,33 +1,246 @@
-"""``python -m gateway.host.guard_main``: the guard as a process, which the gateway starts.
+"""The guard's process: the memory that it shares with the gateway, its loop, its start.
+
+The guard's one thread: frames in, the heartbeat every 5 ms, stop frames out when it has to be.
+
+The heartbeat in shared memory: the loop's beats one way, the guard's status the other.
+
+Each way has two slots, written in turn, each with a number and a checksum. A writer that is killed half-way leaves
+the other slot whole, and what is half written, or seen out of order by another core, is never believed.
+
+``python -m gateway.host.guard_main``: the guard as a process, which the gateway starts.
 
 Its only argument is the descriptor of the shared memory; its settings come on stdin.
 """
 
 from __future__ import annotations
 
+import fcntl
 import gc
+import mmap
 import os
 import select
 import signal
+import struct
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import Final, Generic, Protocol, Self, TypeVar
+from zlib import crc32
 
 import msgspec
 
 from gateway.can.can_bus import Bus, BusLost
-from gateway.can.open_bus import open_bus
-from gateway.can.reconnecting_bus import ReconnectingBus
-from gateway.chassis.cruiser.layout import load
+from gateway.can.open_bus import ReconnectingBus, open_bus
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.cruiser.guard_view import ChassisView
+from gateway.chassis.frame import Frame
 from gateway.guard.guardian import Guardian
-from gateway.host.guard_run import run
-from gateway.host.heartbeat import Heartbeat
-from gateway.host.realtime import request_realtime
-from gateway.host.stop_note import NoteWriter, StopNote
+from gateway.guard.stopper import Beat, GuardStatus, Stopper
+from gateway.host.notes import NoteWriter, StopNote
+from gateway.host.process import request_realtime
 from schemas.command_line import CommandError
 from schemas.messages import Variant
-from schemas.settings import Settings
+from schemas.settings import GUARD_GIVES_UP_NS, GUARD_POLL_NS, GUARD_SILENT_NS, Settings
+
+Kind = TypeVar("Kind")
+
+SIZE_BYTES: Final = 4096
+_BEATS_AT: Final = 0
+_STATUS_AT: Final = 2048
+
+_HEAD: Final = struct.Struct("<QH")
+"""The number of the write, and the length of its content."""
+
+_CHECKSUM: Final = struct.Struct("<I")
+
+_ENCODER: Final = msgspec.msgpack.Encoder()
+
+
+class _Record(Generic[Kind]):
+    """A value with one writer, in two slots, as MessagePack."""
+
+    def __init__(self, memory: mmap.mmap, at: int, kind: type[Kind]) -> None:
+        self._memory = memory
+        self._decoder = msgspec.msgpack.Decoder(kind)
+        self._slots = (at, at + SIZE_BYTES // 4)
+        self._number = 0
+
+    def write(self, value: Kind) -> None:
+        """Make this the newest value."""
+        self._number += 1
+        content = _ENCODER.encode(value)
+        content = _HEAD.pack(self._number, len(content)) + content
+        at = self._slots[self._number & 1]
+        self._memory[at : at + len(content) + _CHECKSUM.size] = content + _CHECKSUM.pack(crc32(content))
+
+    def read(self) -> Kind | None:
+        """The newest whole value; None before the first."""
+        newest, content = 0, b""
+        for at in self._slots:
+            number, length = _HEAD.unpack_from(self._memory, at)
+            end = at + _HEAD.size + length
+            if number <= newest or end + _CHECKSUM.size > SIZE_BYTES:
+                continue
+            found = self._memory[at:end]
+            if _CHECKSUM.unpack_from(self._memory, end)[0] == crc32(found):
+                newest, content = number, found
+        return self._decoder.decode(content[_HEAD.size :]) if content else None
+
+
+class Heartbeat:
+    """The shared memory, as either side sees it.
+
+    Attributes:
+        descriptor: of the memory, to be handed to the other process.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._memory = mmap.mmap(descriptor, SIZE_BYTES)
+        self._beats = _Record(self._memory, _BEATS_AT, Beat)
+        self._status = _Record(self._memory, _STATUS_AT, GuardStatus)
+
+    @classmethod
+    def create(cls) -> Self:
+        """New memory, which no file names and nobody can resize.
+
+        Any process of the same user can open it through /proc. If it could be truncated, the next access would
+        kill gateway and guard alike (SIGBUS), and nobody would be left to stop the robot.
+        """
+        descriptor = os.memfd_create("cruiser-heartbeat", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        os.ftruncate(descriptor, SIZE_BYTES)
+        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
+        return cls(descriptor)
+
+    def close(self) -> None:
+        """Let go of the memory; the other side keeps it."""
+        self._memory.close()
+        os.close(self.descriptor)
+
+    def write_beat(self, beat: Beat) -> None:
+        """The loop lives."""
+        self._beats.write(beat)
+
+    def read_beat(self) -> Beat | None:
+        """The loop's newest beat; None before the first."""
+        return self._beats.read()
+
+    def write_status(self, status: GuardStatus) -> None:
+        """The guard lives."""
+        self._status.write(status)
+
+    def read_status(self) -> GuardStatus | None:
+        """The guard's newest status; None before the first."""
+        return self._status.read()
+
+
+_SKIP_MAX_FRAMES: Final = 100_000
+"""More than any socket holds: an end there must be, also on a bus that fills faster than it is read."""
+
+
+class GuardBus(Protocol):
+    """The guard's own handle of the bus: it never fails, it is up or it is not."""
+
+    is_up: bool
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None if there was none in time."""
+        ...
+
+    def send(self, frames: list[Frame]) -> int:
+        """Hand frames to the bus, without waiting. Returns how many it took."""
+        ...
+
+
+class Memory(Protocol):
+    """The shared memory, as the guard uses it."""
+
+    def read_beat(self) -> Beat | None:
+        """The loop's newest beat."""
+        ...
+
+    def write_status(self, status: GuardStatus) -> None:
+        """Tell the loop."""
+        ...
+
+
+def run(
+    bus: GuardBus,
+    memory: Memory,
+    guardian: Guardian,
+    parent_lives: Callable[[], bool],
+    asked_to_end: Callable[[], bool],
+    say: Callable[[str], None],
+) -> None:
+    """Watch until there is nothing left to guard.
+
+    Args:
+        bus: a handle of the guard's own.
+        memory: shared with the loop.
+        guardian: decides.
+        parent_lives: the gateway's process has not ended.
+        asked_to_end: a signal came since the last time that this was asked.
+        say: a line for people; must not block.
+    """
+    monotonic_ns = time.monotonic_ns
+    due_ns = monotonic_ns()
+    while not guardian.is_ended:
+        now_ns = monotonic_ns()
+        if now_ns < due_ns:
+            frame = bus.receive((due_ns - now_ns) / 1e9)
+            if frame is not None:
+                guardian.receive(frame, monotonic_ns())
+            continue
+        if now_ns - due_ns > GUARD_SILENT_NS:
+            _skip_what_waits(bus)
+            now_ns = monotonic_ns()
+        if asked_to_end():
+            guardian.ask_to_end()
+        frames = guardian.tick(memory.read_beat(), now_ns, parent_lives=parent_lives(), bus_up=bus.is_up)
+        # First the word, then the deed: a loop that comes back sees that it must not send.
+        memory.write_status(guardian.status(now_ns, bus_up=bus.is_up))
+        if frames:
+            guardian.sent(bus.send(frames), now_ns)
+        for line in guardian.take_lines():
+            say(line)
+        due_ns = guardian.next_look_ns(now_ns)
+
+
+def _skip_what_waits(bus: GuardBus) -> None:
+    """Drop frames that arrived while this process stood still: they are old."""
+    for _ in range(_SKIP_MAX_FRAMES):
+        if bus.receive(0) is None:
+            return
+
+
+def stop_alone(bus: GuardBus, stopper: Stopper, view: ChassisView, is_relieved: Callable[[], bool]) -> str:
+    """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended.
+
+    Args:
+        bus: the gateway's own, still open.
+        stopper: has begun.
+        view: what the stopper looks at.
+        is_relieved: somebody else stops the robot, or there has to be an end.
+    """
+    monotonic_ns = time.monotonic_ns
+    end_ns = monotonic_ns() + GUARD_GIVES_UP_NS
+    while not stopper.is_over:
+        now_ns = monotonic_ns()
+        if is_relieved() or now_ns > end_ns:
+            stopper.give_up("given up")
+            break
+        frames = stopper.tick(now_ns) if bus.is_up else []
+        if frames:
+            stopper.sent(bus.send(frames), now_ns)
+        until_ns = now_ns + GUARD_POLL_NS
+        while (now_ns := monotonic_ns()) < until_ns:
+            frame = bus.receive((until_ns - now_ns) / 1e9)
+            if frame is not None:
+                view.receive(frame, monotonic_ns())
+    return stopper.outcome
+
 
 _STDERR: Final = 2
 _PRIORITY_MAX: Final = 99

@@ -1,24 +1,115 @@
-"""Signed mode on a robot: its keys, its authority, and the statements that it has taken over since."""
+"""Signed mode on this computer: keys, the authority's note, renewed certificates.
+
+- Statements that a robot has taken over since it was provisioned: a file that outlives a restart.
+- Signed mode on a robot: its keys, its authority, and the statements that it has taken over since.
+
+A robot whose keys or grant were installed anew since its gateway was started.
+
+Keys, grants and certificates are read once, at the start. So the gateway ends once the robot stands and nobody
+needs it, and its service manager starts it again with the new ones. Where none would, it stays, and says so.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
+import threading
 import time
-from typing import Final
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Final, Self
+
+import msgspec
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.floor import TimeFloor
-from gateway.authority.robot_authority import Kept, RobotAuthority, resume
-from gateway.authority.signer import RobotSigner
+from gateway.authority.robot_authority import Kept, RobotAuthority, TimeFloor, resume
+from gateway.authority.session import RobotSigner
 from gateway.core import Core
-from gateway.host.authority_note import CURE, AuthorityNote
-from gateway.provisioning.key_files import directory_of, read_identity
-from gateway.provisioning.tls_files import certificate_ends_s
+from gateway.host.notes import state_directory, write_whole
+from gateway.provisioning.key_files import certificate_ends_s, directory_of, read_identity
+from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE
 from schemas.authority.proof import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode, check_regular
 from schemas.settings import Settings
+
+log = logging.getLogger(__name__)
+
+CURE: Final = (
+    "remove it, start the gateway again, and show the robot the newest list of revocations "
+    "('cruiser provision show'), and each rotation since the robot was provisioned"
+)
+
+WRITE_TIMEOUT_S: Final = 2.0
+"""The longest wait of a gateway that ends for a disk that stalls."""
+
+
+class AuthorityNote:
+    """The file, written by a thread of its own: a disk that stalls must not hold up the loop.
+
+    Attributes:
+        path: of the file; None if there is no directory for it.
+        report: is given, on that thread, why the file could not be written; empty once it was.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.report: Callable[[str], None] = lambda _: None
+        self._kept: SimpleQueue[Kept | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="authority-note", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The file of the robot that the settings name."""
+        return cls(note_path(settings, environment))
+
+    def read(self) -> Kept | str:
+        """Return the statements as saved last, none if there is no file; or why it cannot be read, in words."""
+        if self.path is None:
+            return "nothing can be kept: gateway.state_dir is empty, and what is revoked must outlive a restart"
+        try:
+            check_regular(self.path, self.path.stat().st_mode)
+            return msgspec.json.decode(self.path.read_bytes(), type=Kept)
+        except FileNotFoundError:
+            return Kept()
+        except CommandError as error:
+            return str(error)
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+            return f"{self.path} is damaged, and so is what was revoked: {error}; {CURE}"
+
+    def save(self, kept: Kept) -> None:
+        """Have this written, without waiting."""
+        self._kept.put(kept)
+
+    def close(self) -> None:
+        """Wait until all is written, or until the disk has had its time."""
+        self._kept.put(None)
+        self._thread.join(WRITE_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while (kept := self._kept.get()) is not None:
+            fault = ""
+            try:
+                self._write(kept)
+            except OSError as error:
+                fault = f"{self.path} cannot be written: {error.strerror}"
+                log.warning("%s", fault)
+            self.report(fault)
+
+    def _write(self, kept: Kept) -> None:
+        if self.path is None:
+            return
+        write_whole(self.path, msgspec.json.encode(kept))
+
+
+def note_path(settings: Settings, environment: Mapping[str, str]) -> Path | None:
+    """Where the file of the robot that the settings name is; None if there is no directory for it."""
+    directory = state_directory(settings.gateway.state_dir, environment)
+    robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+    return None if directory is None else directory / f"{robot}.authority.json"
+
 
 BOOT_BYTES: Final = 8
 
@@ -26,8 +117,6 @@ AHEAD_S: Final = 3600
 """A note of a later time than this after the clock's is said."""
 
 _DAY_S: Final = 86_400
-
-log = logging.getLogger(__name__)
 
 
 class SignedMode:
@@ -108,3 +197,57 @@ def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings
             ExitCode.USAGE,
         )
     return chain
+
+
+LOOK_NS: Final = 1_000_000_000
+"""Period at which the files are looked at, while the robot can do without its gateway."""
+
+ENDS: Final = "keys or certificates were installed anew: the gateway ends, and is started again with them"
+WAITS: Final = "keys or certificates were installed anew: start the gateway again, nobody else does"
+
+FileStamp = tuple[int, int]
+
+
+class Renewal:
+    """Looks at the files that every installation writes.
+
+    Attributes:
+        is_taken: they were replaced, and the gateway is to end.
+        note: what somebody has to see to, in one line; empty if there is nothing.
+    """
+
+    def __init__(self, settings: Settings, *, is_managed: bool) -> None:
+        """Take the present files as those in use.
+
+        Args:
+            settings: the gateway's.
+            is_managed: a service manager starts the gateway again when it ends.
+        """
+        self.is_taken = False
+        self.note = ""
+        directory = directory_of(settings.authority)
+        names = (GRANT_FILE.format(who="robot"), AUTHORITY_FILE) if settings.authority.mode == "signed" else ()
+        self._files = [directory / name for name in names]
+        self._is_managed = is_managed
+        self._in_use = self._before = self._stamps()
+
+    def look(self) -> bool:
+        """Return True if the gateway is to end. Two looks have to find the same: an installation writes many."""
+        stamps = self._stamps()
+        is_new = stamps == self._before != self._in_use and None not in stamps
+        self._before = stamps
+        self.is_taken = is_new and self._is_managed
+        self.note = WAITS if is_new and not self._is_managed else ""
+        return self.is_taken
+
+    def _stamps(self) -> list[FileStamp | None]:
+        return [_stamp(file) for file in self._files]
+
+
+def _stamp(file: Path) -> FileStamp | None:
+    """Return numbers that change when a file is replaced; None if it is missing."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino

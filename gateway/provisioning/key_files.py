@@ -1,4 +1,17 @@
-"""The keys and grants of this machine: the files that ``cruiser provision`` made, read and checked.
+"""Keys and certificates as files.
+
+The certificates and keys that a Zenoh file names. Zenoh says of none which it is, nor that one is over.
+
+Certificates of the network: its authority (CA), requests, and certificates of nodes. X.509 on P-256.
+
+The common name (CN) is the node's role, by which access is ruled; its names, of hosts or nodes, are the subject's
+alternative names (SAN). A role that only dials out gets a certificate that no client accepts from a server.
+
+The directory of keys, certificates and grants: what is secret is its owner's alone, and nothing is overwritten.
+
+Everything that is wrong is one line that names the file and the cure.
+
+The keys and grants of this machine: the files that ``cruiser provision`` made, read and checked.
 
 A private key is its owner's alone: a file that others may read is refused. Everything that is wrong is one line
 that names the file and the cure.
@@ -6,14 +19,616 @@ that names the file and the cure.
 
 from __future__ import annotations
 
+import getpass
+import ipaddress
+import json
 import os
-from pathlib import Path
+import re
+import stat
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path, PurePath
+from typing import Final, TypeVar
 
-from gateway.provisioning.key_store import find
+import msgspec
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
+    Encoding,
+    KeySerializationEncryption,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+)
+from cryptography.x509 import Certificate
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from gateway.authority.enrolment import CA_FILE, LISTENING, SHUT_OUT_FILE, TLS_KEY_FILE, TransportRole
 from schemas.authority import identity
-from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, Identity
-from schemas.authority.trust import Trust
-from schemas.settings import AuthoritySettings
+from schemas.authority.identity import (
+    AUTHORITY_FILE,
+    GRANT_FILE,
+    INSTALLED,
+    KEY_FILE,
+    FoundFile,
+    Identity,
+    check_owner,
+    not_found,
+    remade,
+    renewed,
+)
+from schemas.authority.proof import Signed, StatementFault, read_chain
+from schemas.authority.trust import Trust, fingerprint
+from schemas.command_line import CommandError, ExitCode, check_regular, plain
+from schemas.settings import AuthoritySettings, ZenohSettings
+
+LEAF_DAYS: Final = 30
+"""Life of a node's certificate."""
+
+RENEW_S: Final = LEAF_DAYS * 86_400 / 3
+"""It is time to renew when no more than this is left."""
+
+CA_DAYS: Final = 3653
+
+BACKDATED: Final = timedelta(minutes=5)
+"""A certificate is valid from a little earlier: no two clocks agree."""
+
+NAME_PATTERN: Final = r"[A-Za-z0-9_.:-]{1,64}"
+
+_CLIENT, _SERVER = ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH
+
+
+class CertificateError(CommandError):
+    """A request, certificate or key that cannot be used: one line, to which who read the file adds its name."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, ExitCode.USAGE)
+
+
+class Applicant(msgspec.Struct, frozen=True):
+    """The applicant in a certificate request whose signature was verified.
+
+    Attributes:
+        role: the common name.
+        names: of hosts or of the node.
+        key: fingerprint of the key.
+    """
+
+    role: str
+    names: list[str]
+    key: str
+
+
+def new_key() -> ec.EllipticCurvePrivateKey:
+    """A key on P-256, the curve that every TLS library has."""
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def new_authority(key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
+    """The certificate of a new authority, self-signed, PEM."""
+    name = _name("cruiser transport authority")
+    builder = _builder(name, name, key.public_key(), now_s, now_s + CA_DAYS * 86_400)
+    return _pem(_as_authority(builder).sign(key, SHA256()))
+
+
+def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]) -> str:
+    """A request (CSR, PKCS #10) for a certificate, PEM: signed by the key that it is for."""
+    builder = x509.CertificateSigningRequestBuilder().subject_name(_name(role))
+    return _pem(builder.add_extension(_alternatives(names), critical=False).sign(key, SHA256()))
+
+
+def read_request(text: str) -> Applicant:
+    """Return the applicant of a certificate request.
+
+    Raises:
+        CertificateError: it is no request, or not signed by its own key.
+    """
+    return _applicant(_request(text))
+
+
+def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
+    """The certificate that is asked for, PEM.
+
+    Args:
+        text: the request. Its names and its key are taken over; what else it wants is not.
+        role: that of the node.
+        certificates: of the authority that signs first; while two count, that of the former one too.
+        key: of the authority that signs.
+        now_s: seconds since 1970.
+
+    Raises:
+        CertificateError: the request, or the authority's certificate, cannot be used.
+    """
+    request, authority = _request(text), read_certificates(certificates)[0]
+    usage = [_SERVER, _CLIENT] if role in LISTENING else [_CLIENT]
+    builder = (
+        _below(authority, key, request, role.value, now_s)
+        .add_extension(_alternatives(_applicant(request).names), critical=False)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(usage), critical=False)
+    )
+    return _pem(builder.sign(key, SHA256()))
+
+
+def read_certificates(text: str) -> list[x509.Certificate]:
+    """The certificates of a PEM file, at least one.
+
+    Raises:
+        CertificateError: there is none, or one is damaged.
+    """
+    try:
+        return x509.load_pem_x509_certificates(text.encode())
+    except (ValueError, UnsupportedAlgorithm) as error:
+        raise CertificateError("it is no certificate") from error
+
+
+def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool:
+    """Return True if it is the certificate of this key."""
+    return _raw(certificate.public_key()) == _raw(key.public_key())
+
+
+def is_issued(chain: Sequence[x509.Certificate], roots: Sequence[x509.Certificate]) -> bool:
+    """Return True if each certificate is signed by the next one, and the last by a root (RFC 5280, 6.1).
+
+    Args:
+        chain: of a node, its own first.
+        roots: of the network's authorities.
+    """
+    above = [one for one in chain[1:] if one not in roots]
+    return all(
+        any(_is_signer(signer, one) for signer in signers)
+        for one, signers in zip((chain[0], *above), (*([one] for one in above), roots), strict=True)
+    )
+
+
+def _is_signer(above: x509.Certificate, below: x509.Certificate) -> bool:
+    try:
+        below.verify_directly_issued_by(above)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
+def begins_s(certificate: x509.Certificate) -> int:
+    """The beginning of a certificate, seconds since 1970."""
+    return int(certificate.not_valid_before_utc.timestamp())
+
+
+def expires_s(certificate: x509.Certificate) -> int:
+    """The end of a certificate, seconds since 1970."""
+    return int(certificate.not_valid_after_utc.timestamp())
+
+
+def names_of(certificate: x509.Certificate) -> list[str]:
+    """The alternative names of a certificate: host names and addresses."""
+    try:
+        found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return []
+    return _names(found)
+
+
+def common_name_of(certificate: x509.Certificate) -> str:
+    """The common name of a certificate: the role of its holder. Empty if it has none."""
+    commons = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(commons[0].value) if commons else ""
+
+
+def _request(text: str) -> x509.CertificateSigningRequest:
+    try:
+        request = x509.load_pem_x509_csr(text.encode())
+        is_signed = request.is_signature_valid
+    except (ValueError, UnsupportedAlgorithm, InvalidSignature) as error:
+        raise CertificateError("it holds no request for a certificate") from error
+    if not is_signed:
+        raise CertificateError("the request for a certificate is not signed by its own key")
+    _public_key(request)
+    return request
+
+
+def _applicant(request: x509.CertificateSigningRequest) -> Applicant:
+    commons = request.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    try:
+        names = _names(request.extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
+    except (x509.ExtensionNotFound, ValueError) as error:
+        raise CertificateError("the request for a certificate has no name") from error
+    if len(commons) != 1 or not names or not all(re.fullmatch(NAME_PATTERN, name) for name in names):
+        raise CertificateError("the request for a certificate has no role or no name")
+    return Applicant(str(commons[0].value), names, fingerprint(_raw(request.public_key())))
+
+
+def _public_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
+    key = request.public_key()
+    if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
+        raise CertificateError("the request for a certificate is not of a key on P-256")
+    return key
+
+
+def _names(found: x509.SubjectAlternativeName) -> list[str]:
+    hosts = found.get_values_for_type(x509.DNSName)
+    return [*hosts, *map(str, found.get_values_for_type(x509.IPAddress))]
+
+
+def _alternatives(names: Sequence[str]) -> x509.SubjectAlternativeName:
+    return x509.SubjectAlternativeName([_general_name(name) for name in names])
+
+
+def _general_name(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, now_s: int, until_s: int
+) -> x509.CertificateBuilder:
+    if until_s <= now_s:
+        raise CertificateError("the certificate of the authority is over")
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(datetime.fromtimestamp(now_s, UTC) - BACKDATED)
+        .not_valid_after(datetime.fromtimestamp(until_s, UTC))
+    )
+
+
+def _as_authority(builder: x509.CertificateBuilder) -> x509.CertificateBuilder:
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    constraints = x509.BasicConstraints(ca=True, path_length=0)
+    return builder.add_extension(constraints, critical=True).add_extension(usage, critical=True)
+
+
+def _below(
+    above: x509.Certificate,
+    signer: ec.EllipticCurvePrivateKey,
+    request: x509.CertificateSigningRequest,
+    common: str,
+    now_s: int,
+) -> x509.CertificateBuilder:
+    """A certificate that the authority signs, and that lasts no longer than its own."""
+    if not fits(above, signer):
+        raise CertificateError("the authority's key is not that of its certificate")
+    key = _public_key(request)
+    until_s = min(now_s + LEAF_DAYS * 86_400, expires_s(above))
+    builder = _builder(_name(common), above.subject, key, now_s, until_s)
+    own = x509.SubjectKeyIdentifier.from_public_key(key)
+    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key())
+    return builder.add_extension(own, critical=False).add_extension(authority, critical=False)
+
+
+def _raw(key: object) -> bytes:
+    if not isinstance(key, ec.EllipticCurvePublicKey):
+        return b""
+    return key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
+
+
+def _pem(made: x509.Certificate | x509.CertificateSigningRequest) -> str:
+    return made.public_bytes(Encoding.PEM).decode()
+
+
+PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey
+_T = TypeVar("_T")
+
+FILE_MAX_BYTES: Final = 4_000_000
+
+STANDBY_FILE: Final = "standby.pub"
+
+PUBLIC: Final = frozenset({STANDBY_FILE, AUTHORITY_FILE, CA_FILE})
+"""Files that are copied to others, who have to read them: public keys of standby, authority and network."""
+
+
+class Passphrase:
+    """The source of the keys' passphrase: a file, or the terminal, asked once.
+
+    Args:
+        file: its first line is the passphrase.
+        is_wanted: new keys are to have one.
+    """
+
+    def __init__(self, file: str | None = None, *, is_wanted: bool = True) -> None:
+        self._file = file
+        self._is_wanted = is_wanted
+        self._known: bytes | None = None
+
+    def new(self) -> KeySerializationEncryption:
+        """Return the encryption for new keys.
+
+        Raises:
+            CommandError: there is nobody to ask, or two answers differ.
+        """
+        if not self._is_wanted:
+            return NoEncryption()
+        if self._known is None:
+            text = self._read() if self._file else self._ask("passphrase for the new keys: ")
+            if not self._file and self._ask("once more: ") != text:
+                raise CommandError("the two passphrases differ", ExitCode.USAGE)
+            self._known = text
+        if not self._known:
+            raise CommandError("an empty passphrase protects nothing; --no-passphrase says so", ExitCode.USAGE)
+        return BestAvailableEncryption(self._known)
+
+    def of(self, path: Path) -> bytes:
+        """That of a key that has one.
+
+        Raises:
+            CommandError: there is nobody to ask.
+        """
+        if self._known is None:
+            self._known = self._read() if self._file else self._ask(f"passphrase of {path.name}: ")
+        return self._known
+
+    def _read(self) -> bytes:
+        try:
+            return Path(self._file or "").read_bytes().partition(b"\n")[0].rstrip(b"\r")
+        except OSError as error:
+            raise CommandError(f"{self._file} cannot be read: {error.strerror}", ExitCode.USAGE) from error
+
+    def _ask(self, prompt: str) -> bytes:
+        if not sys.stdin.isatty():
+            raise CommandError(
+                "there is no terminal to ask for a passphrase: say --passphrase-file, or --no-passphrase",
+                ExitCode.USAGE,
+            )
+        try:
+            return getpass.getpass(prompt).encode()
+        except EOFError as error:
+            raise CommandError("no passphrase was given", ExitCode.USAGE) from error
+
+
+class KeyStore:
+    """A directory that is its owner's alone.
+
+    Attributes:
+        directory: its place.
+    """
+
+    def __init__(self, directory: Path, passphrase: Passphrase | None = None) -> None:
+        self.directory = directory
+        self._passphrase = passphrase or Passphrase()
+
+    def path(self, name: str) -> Path:
+        """Return the path of a file."""
+        return self.directory / name
+
+    def has(self, name: str) -> bool:
+        """Return True if the file is there."""
+        return os.path.lexists(self.path(name))
+
+    def write(
+        self, files: Mapping[str, str], *, replace: bool = False, cure: str = "--replace writes over"
+    ) -> None:
+        """Write files, all of them or none that is there already.
+
+        Args:
+            files: texts by name.
+            replace: over what is there.
+            cure: the advice if a file is there already.
+
+        Raises:
+            CommandError: a file is there already, or cannot be written.
+        """
+        present = [name for name in files if self.has(name)]
+        if present and not replace:
+            raise CommandError(f"{plain(str(self.path(present[0])))} is there already; {cure}", ExitCode.USAGE)
+        try:
+            self.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise CommandError(f"{plain(str(self.directory))} cannot be made: {error.strerror}") from error
+        self._check_directory()
+        for name, text in files.items():
+            write = write_public if name in PUBLIC else write_private
+            write(self.path(name), text, replace=replace)
+
+    def append(self, name: str, line: str) -> None:
+        """Add a line to a file.
+
+        Raises:
+            CommandError: it cannot be written.
+        """
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
+        try:
+            with os.fdopen(os.open(self.path(name), flags, 0o600), "w", encoding="utf-8") as file:
+                file.write(f"{line}\n")
+        except OSError as error:
+            raise CommandError(f"{plain(str(self.path(name)))} cannot be written: {error.strerror}") from error
+
+    def read(self, name: str, cure: str) -> bytes:
+        """The content of a file.
+
+        Args:
+            name: of the file.
+            cure: the command that makes it, if it is missing.
+
+        Raises:
+            CommandError: it is missing or cannot be read.
+        """
+        return read_input(self.path(name), cure)
+
+    def read_as(self, name: str, kind: type[_T], cure: str) -> _T:
+        """A JSON file.
+
+        Raises:
+            CommandError: it is missing, cannot be read, or is not what it should be.
+        """
+        try:
+            return msgspec.json.decode(self.read(name, cure), type=kind)
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+            raise CommandError(
+                f"{plain(str(self.path(name)))} is damaged: {error}; {cure}", ExitCode.USAGE
+            ) from error
+
+    def chain(self, name: str, cure: str) -> list[Signed]:
+        """A file of statements.
+
+        Raises:
+            CommandError: it is missing, or holds none.
+        """
+        chain = read_chain(self.read(name, cure))
+        if isinstance(chain, StatementFault):
+            raise CommandError(
+                f"{plain(str(self.path(name)))} is no grant: {chain.detail}; {cure}", ExitCode.USAGE
+            )
+        return chain
+
+    def pem(self, private: PrivateKey, *, is_protected: bool) -> str:
+        """A private key as a file holds it, under the passphrase if it is to be protected.
+
+        Raises:
+            CommandError: there is no passphrase.
+        """
+        encryption = self._passphrase.new() if is_protected else NoEncryption()
+        return private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption).decode()
+
+    def ed25519(self, name: str, cure: str) -> Ed25519PrivateKey:
+        """A key that signs statements and requests.
+
+        Raises:
+            CommandError: it is missing, others may read it, or it is another kind of key.
+        """
+        key = self._key(name, cure)
+        if not isinstance(key, Ed25519PrivateKey):
+            raise self._other_kind(name, cure)
+        return key
+
+    def p256(self, name: str, cure: str) -> EllipticCurvePrivateKey:
+        """A key of a certificate.
+
+        Raises:
+            CommandError: see ``ed25519``.
+        """
+        key = self._key(name, cure)
+        if not isinstance(key, EllipticCurvePrivateKey):
+            raise self._other_kind(name, cure)
+        return key
+
+    def _key(self, name: str, cure: str) -> object:
+        file = find(self.path(name), cure)
+        check_owner(file)
+        is_protected = b"BEGIN ENCRYPTED PRIVATE KEY" in file.content
+        password = self._passphrase.of(self.path(name)) if is_protected else None
+        try:
+            return load_pem_private_key(file.content, password)
+        except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+            why = "the passphrase is wrong, or the file damaged" if is_protected else f"no private key; {cure}"
+            raise CommandError(f"{plain(str(file.path))}: {why}", ExitCode.USAGE) from error
+
+    def _other_kind(self, name: str, cure: str) -> CommandError:
+        return CommandError(f"{plain(str(self.path(name)))} is another kind of key; {cure}", ExitCode.USAGE)
+
+    def _check_directory(self) -> None:
+        found, shown = self.directory.stat(), plain(str(self.directory))
+        if found.st_uid not in {0, os.geteuid()}:
+            raise CommandError(f"{shown} belongs to another user; chown it to yours", ExitCode.USAGE)
+        if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            raise CommandError(f"{shown} can be written by others; chmod 700 {shown}", ExitCode.USAGE)
+
+
+def find(path: Path, cure: str = "") -> FoundFile:
+    """A file, which is not large, with what it takes to judge whose it is.
+
+    Raises:
+        CommandError: it is missing, too large, no regular file, or cannot be read.
+    """
+    try:
+        check_regular(path, path.stat().st_mode)
+        with path.open("rb") as file:
+            status = os.fstat(file.fileno())
+            content = file.read(FILE_MAX_BYTES + 1)
+    except OSError as error:
+        raise not_found(path, error, cure) from error
+    if len(content) > FILE_MAX_BYTES:
+        raise CommandError(f"{plain(str(path))} is too large to be what it should be", ExitCode.USAGE)
+    return FoundFile(path, content, status.st_mode, status.st_uid in {0, os.geteuid()})
+
+
+def read_input(path: Path, cure: str = "") -> bytes:
+    """The content of a file.
+
+    Raises:
+        CommandError: see ``find``.
+    """
+    return find(path, cure).content
+
+
+@contextmanager
+def naming(path: str | PurePath, cure: str = "") -> Iterator[None]:
+    """Begin what is said to be wrong with a file's content with its name, and end it with the cure."""
+    try:
+        yield
+    except CommandError as error:
+        raise CommandError(f"{plain(str(path))}: {error}{cure and f'; {cure}'}", error.code) from error
+
+
+def replace_whole(path: Path, text: str, mode: int) -> None:
+    """Write a file of this mode: whole, or not at all; through no link.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    # What is left of a writing that was cut off, or what somebody else has put there to read along.
+    unfinished.unlink(missing_ok=True)
+    descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
+def write_private(path: Path, text: str, *, replace: bool) -> None:
+    """Write a file that is its owner's alone: whole, or not at all; through no link.
+
+    Raises:
+        CommandError: see ``write_public``.
+    """
+    _write(path, text, 0o600, replace=replace)
+
+
+def write_public(path: Path, text: str, *, replace: bool) -> None:
+    """Write a file that is given to others, for everybody to read: whole, or not at all; through no link.
+
+    Raises:
+        CommandError: it is there already and not to be replaced, or cannot be written.
+    """
+    _write(path, text, 0o644, replace=replace)
+
+
+def _write(path: Path, text: str, mode: int, *, replace: bool) -> None:
+    shown = plain(str(path))
+    try:
+        if not replace and os.path.lexists(path):
+            raise CommandError(f"{shown} is there already; --replace writes over", ExitCode.USAGE)
+        replace_whole(path, text, mode)
+    except OSError as error:
+        raise CommandError(f"{shown} cannot be written: {error.strerror}") from error
 
 
 def directory_of(settings: AuthoritySettings) -> Path:
@@ -45,3 +660,155 @@ def read_trust(directory: Path, who: str = "viewer") -> Trust:
         CommandError: the file is missing, unreadable or damaged.
     """
     return identity.trust_of(find(directory / AUTHORITY_FILE, identity.installed(who)), who)
+
+
+ENDS: Final = ("connect", "listen")
+
+_DAY_S: Final = 86_400
+
+
+def check_tls_files(file: Path, who: str, now_s: float) -> str:
+    """Hold the certificates and keys of a Zenoh file against each other and the time.
+
+    Args:
+        file: a Zenoh file as it was provisioned. Nothing is said of one that somebody wrote in JSON5.
+        who: for whom it is, as ``cruiser provision`` calls it.
+        now_s: seconds since 1970.
+
+    Returns:
+        A warning that a certificate ends soon; empty if none does.
+
+    Raises:
+        CommandError: a file is missing, wrong, or over.
+    """
+    cure = renewed(who)
+    tls = tls_entries(file)
+    names = {end: (tls.get(f"{end}_certificate"), tls.get(f"{end}_private_key")) for end in ENDS}
+    ca = tls.get("root_ca_certificate")
+    roots = _read(Path(ca), INSTALLED) if isinstance(ca, str) else []
+    if isinstance(ca, str) and max(map(expires_s, roots)) <= now_s:
+        raise _ended(Path(ca), max(map(expires_s, roots)) - now_s, "the fleet needs a new authority")
+    warning = ""
+    for certificate, key in dict.fromkeys(names.values()):
+        if not isinstance(certificate, str) or not isinstance(key, str):
+            continue
+        shown, chain = plain(certificate), _read(Path(certificate), cure)
+        private = KeyStore(Path(key).parent).p256(Path(key).name, remade(who))
+        if not fits(chain[0], private):
+            raise CommandError(f"{shown} is not the certificate of {plain(key)}; {cure}", ExitCode.USAGE)
+        if roots and not is_issued(chain, roots):
+            raise CommandError(
+                f"{shown} is of another network than {plain(str(ca))}: none of its authorities signed it; {cure}",
+                ExitCode.USAGE,
+            )
+        left_s = expires_s(chain[0]) - now_s
+        if left_s <= 0:
+            raise _ended(Path(certificate), left_s, cure)
+        if left_s < RENEW_S:
+            warning = f"{shown} ends in {left_s / _DAY_S:.1f} days; {cure}"
+    return warning
+
+
+def check_kinds(file: Path) -> None:
+    """Check that a Zenoh file, and each that it names, is a regular file: Zenoh would wait for a FIFO for ever.
+
+    Raises:
+        CommandError: one is not. Nothing is said of one that is missing: Zenoh does.
+    """
+    for path in (file, *tls_files(file)):
+        with suppress(OSError, ValueError):
+            check_regular(path, path.stat().st_mode)
+
+
+def why_shut_out(file: Path, now_s: float) -> str:
+    """Return what is wrong with the certificates and keys of a Zenoh file with which no session opened.
+
+    Empty if nothing is found.
+
+    Args:
+        file: named for whom it is, as it was provisioned.
+        now_s: seconds since 1970, by this computer's clock.
+    """
+    try:
+        check_tls_files(file, file.stem, now_s)
+        for path in tls_files(file):
+            begins_in_s = 0.0 if path.suffix == ".key" else begins_s(_read(path, "")[0]) - now_s
+            if begins_in_s > 0:
+                begins = f"{plain(str(path))} begins in {begins_in_s / _DAY_S:.1f} days"
+                return f"{begins} by this computer's clock, which is behind: set it"
+    except CommandError as error:
+        return str(error)
+    return ""
+
+
+def certificate_ends_s(settings: ZenohSettings) -> int | None:
+    """Return when the certificate ends that a session connects with, seconds since 1970; None if none is found."""
+    try:
+        path = tls_entries(Path(settings.config)).get("connect_certificate") if settings.config else None
+        if not isinstance(path, str):
+            return None
+        return expires_s(read_certificates(read_input(Path(path)).decode(errors="replace"))[0])
+    except (CommandError, CertificateError):
+        return None
+
+
+def tls_entries(file: Path) -> dict[str, object]:
+    """The TLS part of a Zenoh file as it was provisioned; nothing of one that somebody wrote in JSON5."""
+    try:
+        tls = json.loads(read_input(file))["transport"]["link"]["tls"]
+    except (ValueError, LookupError, TypeError):
+        return {}
+    return tls if isinstance(tls, dict) else {}
+
+
+def _read(path: Path, cure: str) -> list[Certificate]:
+    try:
+        return read_certificates(read_input(path, cure).decode(errors="replace"))
+    except CertificateError as error:
+        raise CommandError(f"{plain(str(path))}: {error}; {cure}", ExitCode.USAGE) from error
+
+
+def _ended(path: Path, left_s: float, cure: str) -> CommandError:
+    ended = f"{plain(str(path))} ended {-left_s / _DAY_S:.1f} days ago"
+    return CommandError(f"{ended}; {cure}", ExitCode.USAGE)
+
+
+def tls_files(file: Path) -> list[Path]:
+    """The certificates and keys that a Zenoh file names, if it is as it was provisioned."""
+    try:
+        tls = tls_entries(file)
+    except CommandError:
+        return []
+    names = ("root_ca_certificate", *(f"{end}_{what}" for end in ENDS for what in ("certificate", "private_key")))
+    return [Path(found) for name in names if isinstance(found := tls.get(name), str)]
+
+
+def role_of(file: Path) -> str:
+    """Return the role of the certificate that a Zenoh file names; empty if it names none that can be read."""
+    try:
+        tls = tls_entries(file)
+        names = (tls.get(f"{end}_certificate") for end in ENDS)
+        certificate = next((name for name in names if isinstance(name, str)), "")
+        return common_name_of(_read(Path(certificate), "")[0]) if certificate else ""
+    except CommandError:
+        return ""
+
+
+def check_shut_out(directory: Path, now_s: float) -> None:
+    """Hold the certificate with which a robot tests its network against its key and the time.
+
+    Args:
+        directory: of the robot's keys.
+        now_s: seconds since 1970.
+
+    Raises:
+        CommandError: it is missing, wrong, or over.
+    """
+    cure = "'cruiser provision renew robot' asks for it"
+    path = directory / SHUT_OUT_FILE
+    certificate = _read(path, cure)[0]
+    if expires_s(certificate) <= now_s:
+        raise _ended(path, expires_s(certificate) - now_s, cure)
+    key = KeyStore(directory).p256(TLS_KEY_FILE.format(who="robot"), remade("robot"))
+    if not fits(certificate, key):
+        raise CommandError(f"{plain(str(path))} is not of the key beside it; {cure}", ExitCode.USAGE)

@@ -17,9 +17,9 @@ import msgspec
 import zenoh
 from zenoh import ext
 
-from gateway.authority.name_proof import QUESTION_BYTES, NameProof, new_name_question
-from gateway.authority.signer import RobotSigner
-from gateway.telemetry.kept_samples import KeptSamples
+from gateway.authority.robot_authority import QUESTION_BYTES, NameProof, new_name_question
+from gateway.authority.session import RobotSigner
+from gateway.telemetry.samples import KeptSamples
 from gateway.zenoh.client import links_of
 from schemas import keys
 from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED, TEXT_MAX_BYTES

@@ -10,7 +10,7 @@ from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.layout import MessageLayout
 from recorder.reading.faults import Faults
 from recorder.reading.log_file import LogFile

@@ -16,12 +16,11 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.lease_key import public_bytes
 from gateway.authority.operator_proof import OperatorProof
-from gateway.authority.signer import RobotSigner
+from gateway.authority.session import RobotSigner, public_bytes
 from gateway.command.flow import PendingReply
-from gateway.command.request import RawRequest
-from gateway.telemetry.received import Received
+from gateway.command.rulings import RawRequest
+from gateway.telemetry.samples import Received
 from schemas import codec, keys
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import HeldGrant

@@ -21,7 +21,7 @@ import zenoh
 
 from gateway.can.can_bus import BusLost
 from gateway.can.open_bus import open_bus
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings
 from schemas.zenoh_session import close_session, open_session

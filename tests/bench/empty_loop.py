@@ -16,7 +16,7 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.host.realtime import request_realtime
+from gateway.host.process import request_realtime
 from schemas.settings import Settings
 from schemas.zenoh_session import close_session, open_session
 

@@ -22,9 +22,9 @@ from typing import Any, Final
 import msgspec
 import zenoh
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Value
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
+from gateway.chassis.layout import Value
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from schemas import codec, keys

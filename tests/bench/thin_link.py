@@ -23,7 +23,7 @@ import zenoh
 
 from gateway.client.refusal import Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
-from gateway.zenoh.router import open_local_router
+from gateway.zenoh.client import open_local_router
 from schemas.configuration import TomlSource, merge
 from schemas.settings import PROFILES, Settings, ZenohSettings
 from schemas.zenoh_session import close_session, open_session

@@ -20,12 +20,12 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.admission import SignedAdmission
 from gateway.authority.operator_proof import OperatorProof
-from gateway.authority.signer import RobotSigner
-from gateway.cli import candump
-from gateway.cli.desk_hub import Hub
+from gateway.authority.session import RobotSigner
+from gateway.cli import decode
+from gateway.cli.desk_server import Hub
 from gateway.command.flow import PendingReply
-from gateway.command.request import RawRequest
-from gateway.telemetry.received import Received
+from gateway.command.rulings import RawRequest
+from gateway.telemetry.samples import Received
 from recorder.mcap import recovery
 from recorder.mcap.reader import is_mcap, read_pieces
 from recorder.mcap.summary_reader import read_summary
@@ -317,7 +317,7 @@ def key_expressions(data: bytes) -> None:
 
 def candump_lines(data: bytes) -> None:
     """Lines of candump: frames that a bus can carry."""
-    line = candump.parse(data.decode("utf-8", "replace"))
+    line = decode.parse(data.decode("utf-8", "replace"))
     if line is not None:
         assert len(line.frame.data) <= 64
         assert line.time_ns is None or 0 <= line.time_ns < 10**19

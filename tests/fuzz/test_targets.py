@@ -34,6 +34,6 @@ def test_a_target_fails_where_its_rule_is_broken(monkeypatch: pytest.MonkeyPatch
     right = next(seed for seed in BY_NAME["requests"].seeds if seed.endswith(DRIVE))
     forged = right[: -len(DRIVE) - 1] + bytes([right[-len(DRIVE) - 1] ^ 1]) + DRIVE
     requests(forged)
-    monkeypatch.setattr("gateway.authority.lease_key.DriveTags.fits", lambda *_: True)
+    monkeypatch.setattr("gateway.authority.session.DriveTags.fits", lambda *_: True)
     with pytest.raises(AssertionError):
         requests(forged)

@@ -2,8 +2,7 @@
 
 import pytest
 
-from gateway.chassis.cruiser.gate_table import MotionBurst
-from gateway.command.gate import motion_fault, step_fault
+from gateway.chassis.cruiser.gate import MotionBurst, motion_fault, step_fault
 from schemas.messages import Variant
 from tests.support.bus_rules import DRIVE, STEERING
 from tests.support.gate_domain import (

@@ -15,10 +15,10 @@ from select import select
 from types import TracebackType
 from typing import Final, NamedTuple, Self
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder
+from gateway.chassis.cruiser.early_stop import DRIVE, DRIVE_COMMAND, EXTENDED, EXTRAS, MOTION
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
-from gateway.host.early_stop import DRIVE, DRIVE_COMMAND, EXTENDED, EXTRAS, MOTION
+from gateway.chassis.layout import Decoded, FrameDecoder
 from schemas.messages import Variant
 from tests.robot.bridge import CAN_HEADER, CAN_TYPE, LIFE, LIFE_TYPE
 from tests.support.waiting import wait_until

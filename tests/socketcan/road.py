@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Final
 
-from gateway.client.drive_stream import HOLD_MAX_S
+from gateway.client.link import HOLD_MAX_S
 from gateway.client.refusal import Refused, Stopped
 from gateway.client.robot import Lease, Robot
 from schemas.decisions import ArbiterState

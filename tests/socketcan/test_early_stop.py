@@ -9,9 +9,9 @@ from typing import Final
 
 import pytest
 
-from gateway.command.actuation import Actuation
-from gateway.command.frames import FrameMaker
-from gateway.host import early_stop
+from gateway.chassis.cruiser import early_stop
+from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.port import Actuation
 from schemas.messages import GearPosition, Variant
 from schemas.reasons import Reason
 from tests.socketcan import commands

@@ -7,10 +7,9 @@ from typing import Final
 import can
 import pytest
 
-from gateway.can.can_bus import BusFull
-from gateway.can.socketcan import SocketCanBus
-from gateway.chassis.controller import controller_state
+from gateway.can.can_bus import BusFull, SocketCanBus
 from gateway.chassis.frame import EXTENDED, Frame
+from gateway.chassis.supervision import controller_state
 from schemas.messages import ControllerState
 from tests.socketcan.commands import BURST
 from tests.socketcan.serial_adapter import SerialAdapter

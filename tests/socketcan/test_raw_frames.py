@@ -8,7 +8,7 @@ from typing import Final
 
 import pytest
 
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from schemas.messages import Variant
 from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.hearing import hearing

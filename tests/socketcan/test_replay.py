@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 import zenoh
 
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.sim.model import VirtualChassis
 from schemas.messages import CanFrames, Variant

@@ -12,8 +12,7 @@ import can
 import msgspec
 import pytest
 
-from gateway.can.can_bus import BusLost
-from gateway.can.socketcan import SocketCanBus
+from gateway.can.can_bus import BusLost, SocketCanBus
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
 from tests.socketcan.can_utils import Candump
 from tests.socketcan.interface import Vcan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 
 ROBOT, OTHER, OPERATOR, VIEWER, RECORDER, DESK = "robot", "other", "operator", "viewer", "recorder", "desk"
 ROLES: Final = {

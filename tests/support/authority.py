@@ -9,10 +9,9 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.floor import TimeFloor
-from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority
-from gateway.authority.signer import RobotSigner
-from gateway.command.request import RawRequest
+from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority, TimeFloor
+from gateway.authority.session import RobotSigner
+from gateway.command.rulings import RawRequest
 from schemas.authority.proof import (
     Grant,
     GrantRole,

@@ -11,13 +11,12 @@ from typing import Final
 
 import msgspec
 
-from gateway.cli.desk_hub import Hub
 from gateway.cli.desk_logs import DeskLogs
-from gateway.cli.desk_server import make_app, serve
+from gateway.cli.desk_server import Hub, make_app, serve
+from gateway.client.fleet import WORDS
 from gateway.client.remote_stop import StopReport
-from gateway.client.robot_word import WORDS
 from gateway.desk.words import FROM_BROWSER_BYTES
-from gateway.telemetry.received import Arrival
+from gateway.telemetry.samples import Arrival
 from schemas import keys
 from schemas.decisions import ArbiterState, Severity, StopPhase
 from schemas.messages import Message, Mode

@@ -2,10 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Value
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
+from gateway.chassis.layout import Encoder, Value
 from schemas.messages import Variant
 
 MS = 1_000_000

@@ -6,9 +6,8 @@ from itertools import product
 from random import Random
 from typing import Final, NamedTuple
 
-from gateway.chassis.cruiser.gate_table import MotionBurst, read_motion
+from gateway.chassis.cruiser.gate import Gate, MotionBurst, read_motion, step_fault, word_fault
 from gateway.chassis.frame import EXTENDED, Frame
-from gateway.command.gate import Gate, step_fault, word_fault
 from schemas.messages import Variant
 from tests.support import bus_rules
 from tests.support.bus_rules import BURST, PICTURES, Bus, Told, compose

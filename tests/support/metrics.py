@@ -12,8 +12,8 @@ import msgspec
 from prometheus_client import CollectorRegistry, Metric, generate_latest
 from prometheus_client.registry import Collector
 
-from gateway.metrics.fleet_metrics import FleetMetrics
-from gateway.telemetry.received import Received, TokenChange
+from gateway.metrics import FleetMetrics
+from gateway.telemetry.samples import Received, TokenChange
 from schemas import codec, keys
 from schemas.messages import Message
 from schemas.reasons import Reason

@@ -22,8 +22,7 @@ from gateway.authority.enrolment import (
     new_request,
     request_fingerprint,
 )
-from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
-from gateway.authority.signer import RobotSigner
+from gateway.authority.session import DriveTags, RobotSigner, lease_key, public_bytes
 from schemas import keys
 from schemas.authority.proof import (
     Grant,

@@ -13,7 +13,7 @@ from gateway.authority.enrolment import Bundle
 from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
 from gateway.provisioning.issuer import Issuer
-from gateway.provisioning.key_store import KeyStore
+from gateway.provisioning.key_files import KeyStore
 from schemas.authority.proof import Grant, Signed, StatementFault, read_chain
 
 ENDPOINT = "tls/127.0.0.1:47447"

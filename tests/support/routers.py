@@ -15,8 +15,8 @@ from typing import Final
 
 import zenoh
 
-from gateway.authority.transport import TransportRole
-from gateway.zenoh.router import open_router
+from gateway.authority.enrolment import TransportRole
+from gateway.zenoh.client import open_router
 from tests.support.processes.gateway import Running
 from tests.support.processes.listening import listening
 from tests.support.secured import Network

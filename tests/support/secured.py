@@ -10,7 +10,7 @@ import zenoh
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from gateway.authority.transport import (
+from gateway.authority.enrolment import (
     CA_FILE,
     CERTIFICATE_FILE,
     SHUT_OUT_FILE,
@@ -19,7 +19,7 @@ from gateway.authority.transport import (
     tls_configuration,
     zenoh_configuration,
 )
-from gateway.provisioning.certificates import issue, new_authority, new_key, new_request
+from gateway.provisioning.key_files import issue, new_authority, new_key, new_request
 
 ROOT = "fleet"
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from gateway.command.request import Credentials
+from gateway.command.rulings import Credentials
 from recorder.record.signature import SIGNATURE_SUFFIX, LogSigner
 from schemas import keys
 from schemas.authority.identity import Identity

@@ -10,8 +10,7 @@ from pathlib import Path
 import msgspec
 import zenoh
 
-from gateway.client.reasons_text import is_idle
-from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable, is_idle
 from gateway.client.robot import Lease, Robot
 from schemas import keys
 from schemas.authority.proof import GrantRole

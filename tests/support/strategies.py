@@ -7,10 +7,9 @@ import msgspec
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.encode import to_raw
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import REMOTE, Frame
-from gateway.chassis.layout import MessageLayout
+from gateway.chassis.layout import MessageLayout, to_raw
 from schemas.messages import Message, Variant
 from schemas.requests import Request
 from schemas.subjects import COMMANDS, SUBJECTS, Command, Subject

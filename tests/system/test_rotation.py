@@ -16,8 +16,7 @@ from typing import Final
 import pytest
 
 from gateway.cli.configuration_file import load_settings
-from gateway.client.reasons_text import is_idle
-from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable, is_idle
 from gateway.client.robot import Lease, Robot
 from schemas.command_line import CommandError
 from schemas.reasons import TEXTS, Reason

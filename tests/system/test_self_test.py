@@ -13,10 +13,9 @@ from typing import Any, Final
 import pytest
 
 from gateway.cli.configuration_file import load_settings
-from gateway.client.reasons_text import is_idle
-from gateway.client.refusal import Refused
+from gateway.client.refusal import Refused, is_idle
 from gateway.client.robot import Robot
-from gateway.zenoh.late_node import AGAIN_S
+from gateway.zenoh.inbox import AGAIN_S
 from schemas.command_line import ExitCode
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode

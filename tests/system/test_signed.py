@@ -14,10 +14,9 @@ import pytest
 import zenoh
 
 from gateway.client import remote_stop
-from gateway.client.reasons_text import is_idle
-from gateway.client.refusal import LeaseLost, Refused, Unreachable
+from gateway.client.refusal import LeaseLost, Refused, Unreachable, is_idle
 from gateway.client.robot import Lease, Robot
-from gateway.zenoh.statements import StatementPort
+from gateway.zenoh.operator import StatementPort
 from schemas import codec, keys
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.command_line import CommandError, ExitCode
@@ -417,7 +416,7 @@ def test_a_stop_by_somebody_whose_clock_is_behind_is_no_silence(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By it the robot's own grant has not begun. The dates show it."""
-    monkeypatch.setattr("gateway.client.link_proof._now_s", lambda: int(time.time()) - 2 * DAY_S)
+    monkeypatch.setattr("gateway.client.proof._now_s", lambda: int(time.time()) - 2 * DAY_S)
     with standing(site):
         word = word_of_a_stop(site, "")
         assert word.why.startswith("the robot's own grant begins on ")

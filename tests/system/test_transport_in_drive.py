@@ -15,13 +15,13 @@ from typing import Final
 import msgspec
 import pytest
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 from gateway.can.open_bus import open_bus
 from gateway.chassis.frame import EXTENDED
 from gateway.client import remote_stop
 from gateway.client.refusal import LeaseLost, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
-from gateway.provisioning.certificates import LEAF_DAYS
+from gateway.provisioning.key_files import LEAF_DAYS
 from schemas.command_line import CommandError
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import AuthoritySettings, CanSettings, ZenohSettings

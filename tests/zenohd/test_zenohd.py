@@ -19,8 +19,8 @@ from typing import Final
 import pytest
 import zenoh
 
-from gateway.authority.transport import TransportRole
-from gateway.provisioning.certificates import LEAF_DAYS
+from gateway.authority.enrolment import TransportRole
+from gateway.provisioning.key_files import LEAF_DAYS
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.listening import listening
 from tests.support.routers import PROGRAM, Zenohd

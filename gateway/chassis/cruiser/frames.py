@@ -1,11 +1,51 @@
-"""The Cruiser's frames by their names in the DBC, and the signals of its commands."""
+"""The Cruiser's frames: identifiers, layouts, feedback that can be, and its variant.
+
+- The Cruiser's frames by their names in the DBC, and the signals of its commands.
+- The layout of the Cruiser's frames, in either firmware variant.
+
+Plausible values of the Cruiser's feedback. The checksum is weak: eight zero bytes pass it.
+
+A frame with one value outside the table is not believed at all: a fault, never data. A frame whose scale is not
+known is not published, so it is not judged either.
+
+Rules are for what a robot is driven by. Gear and mode must have a name in their value table: the manual's lists of
+them are whole, and commands will depend on them. The parking status need not: the manual names 1 and 3 of eight
+bits, a brake on its way may well say 2, and a dropped frame would hide the brake. The braking frame is reserved.
+Both are published as ``undefined``, which permits nothing, and counted. Lamps, horn and encoder counts have no
+value that is wrong.
+
+The firmware variant, by the wheel speed frame of a standing robot.
+
+Standing still, it reads about 200 raw in the coarse variant and about 32768 in the fine one; read in the wrong
+variant a standing robot shows -8 m/s or -32.6 m/s (protocol notes, 'Two firmware variants').
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
+from importlib import resources
 from typing import Final
 
-from gateway.chassis.decode import Signals
-from schemas.messages import GearPosition
+import msgspec
+
+from gateway.chassis.frame import FaultKind
+from gateway.chassis.layout import (
+    ChassisLayout,
+    MessageDecoder,
+    MessageLayout,
+    Named,
+    Requires,
+    Rule,
+    Signals,
+    Within,
+    compile_message,
+    compile_signals,
+)
+from schemas.cruiser import DBC_FILES, SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG, dbc_text
+from schemas.messages import GearPosition, Variant
+from schemas.settings import STANDSTILL_MPS, VARIANT_EVIDENCE_FRAMES
 
 GEAR: Final = "Auto_GearFeedBack"
 STEERING: Final = "Auto_SteeringFeedBack"
@@ -63,3 +103,133 @@ def speaker_signals(*, horn: bool = False) -> Signals:
 def odometer_signals(*, clears: bool = False) -> Signals:
     """Return the signals of the odometer command."""
     return {"Enable": clears, "ClearMileage": clears}
+
+
+LAYOUTS: Final = "layouts.json"
+"""The file of the layouts. To import cantools and read the DBC took a sixth of a gateway's start."""
+
+
+class ReadLayout(msgspec.Struct, frozen=True):
+    """A layout, and the SHA-256 of the DBC that it was read from."""
+
+    dbc_sha256: str
+    layout: ChassisLayout
+
+
+def digest(variant: Variant) -> str:
+    """Return the SHA-256 of a variant's DBC."""
+    return sha256(dbc_text(variant).encode("ascii")).hexdigest()
+
+
+@cache
+def load(variant: Variant) -> ChassisLayout:
+    """Return the layout of a variant.
+
+    Raises:
+        ValueError: it is not that of the DBC beside which it is installed.
+    """
+    text = resources.files(__package__).joinpath(LAYOUTS).read_bytes()
+    read = msgspec.json.decode(text, type=dict[Variant, ReadLayout])[variant]
+    if read.dbc_sha256 != digest(variant):
+        raise ValueError(f"{LAYOUTS} was not made of this {DBC_FILES[variant]}; 'make generate' makes it anew")
+    return read.layout
+
+
+PLAUSIBLE: Final[tuple[tuple[str, str, Rule], ...]] = (
+    (GEAR, "GearPosition", Named()),
+    (STEERING, "Angle", Within(-STEERING_PLAUSIBLE_DEG, STEERING_PLAUSIBLE_DEG)),
+    (DRIVE, "Speed", Within(0, SPEED_PLAUSIBLE_MPS)),
+    (WHEEL_SPEED, "RearLeftSpeed", Within(-SPEED_PLAUSIBLE_MPS, SPEED_PLAUSIBLE_MPS)),
+    (WHEEL_SPEED, "RearRightSpeed", Within(-SPEED_PLAUSIBLE_MPS, SPEED_PLAUSIBLE_MPS)),
+    (BODY, "Mode", Named()),
+    # Auto is 0, as in eight zero bytes. A robot in auto whose bumpers are not valid must not be driven either.
+    (BODY, "Mode", Requires("auto", "Valid")),
+)
+"""Frame, signal, rule. Every rule of a frame must hold."""
+
+
+def compile_feedback(layout: MessageLayout) -> MessageDecoder:
+    """Return the decoder of a feedback frame, which rejects implausible values.
+
+    Raises:
+        KeyError: no subject is made from this frame.
+        ValueError: the fields of the message class are not the signals of the frame.
+    """
+    return compile_message(layout, [(signal, rule) for name, signal, rule in PLAUSIBLE if name == layout.name])
+
+
+_KNOWN: Final = (Variant.COARSE, Variant.FINE)
+
+
+def _unused_bits(layout: MessageLayout) -> int:
+    used = 0
+    for signal in layout.signals:
+        used |= ((1 << signal.length) - 1) << signal.start_bit
+    return ~used & (1 << 8 * layout.length) - 1
+
+
+class StandstillEvidence:
+    """Evidence of the variant in a wheel speed frame."""
+
+    def __init__(self) -> None:
+        layouts = {variant: load(variant).messages[WHEEL_SPEED] for variant in _KNOWN}
+        self._readers: dict[Variant, tuple[Callable[[bytes], Signals], int]] = {
+            variant: (compile_signals(layout), _unused_bits(layout)) for variant, layout in layouts.items()
+        }
+
+    def of(self, data: bytes) -> Variant:
+        """The variant in which these eight bytes are those of a standing robot; UNKNOWN if they are not."""
+        word = int.from_bytes(data, "little")
+        for variant, (read, unused_bits) in self._readers.items():
+            signals = read(data)
+            stands = all(
+                abs(float(signals[wheel])) <= STANDSTILL_MPS for wheel in ("RearLeftSpeed", "RearRightSpeed")
+            )
+            if signals["Valid"] and stands and not word & unused_bits:
+                return variant
+        return Variant.UNKNOWN
+
+    def turns(self, data: bytes) -> bool | None:
+        """Return True if these eight bytes are of no standing robot in any variant; None if they are not valid."""
+        read, _ = self._readers[Variant.COARSE]
+        return self.of(data) is Variant.UNKNOWN if read(data)["Valid"] else None
+
+
+class VariantDetector:
+    """Collects evidence until it is enough; afterwards watches for evidence to the contrary.
+
+    Attributes:
+        variant: the configured variant, or the one that the evidence confirmed, or UNKNOWN.
+        confirmed: the evidence agrees with ``variant``.
+        contradicted: the evidence is against it; no speed can be trusted.
+        evidence: reads it in a frame.
+    """
+
+    def __init__(self, configured: Variant) -> None:
+        self._configured = configured
+        self.evidence = StandstillEvidence()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the evidence: the bus was away, and another chassis may be on it now."""
+        self.variant = self._configured
+        self.confirmed = False
+        self.contradicted = False
+        self._candidate = Variant.UNKNOWN
+        self._streak = 0
+
+    def receive_wheel_speed(self, data: bytes) -> FaultKind | None:
+        """Take a valid wheel speed frame as evidence. Returns a fault if it speaks for another variant."""
+        evidence = self.evidence.of(data)
+        self._streak = self._streak + 1 if evidence == self._candidate else 1
+        self._candidate = evidence
+        if evidence is Variant.UNKNOWN:
+            return None
+        contrary = self.variant not in {Variant.UNKNOWN, evidence}
+        if self._streak >= VARIANT_EVIDENCE_FRAMES:
+            if self._configured is Variant.UNKNOWN:
+                # Nobody has said which it is, so the evidence decides, also when the chassis has been changed.
+                self.variant = evidence
+            self.confirmed = evidence == self.variant
+            self.contradicted = not self.confirmed
+        return FaultKind.VARIANT_CONTRADICTED if contrary else None

@@ -12,7 +12,7 @@ from typing import Final
 import msgspec
 from cantools.database.can import Database, Message, Signal
 
-from gateway.chassis.cruiser.layout import LAYOUTS, ReadLayout, digest
+from gateway.chassis.cruiser.frames import LAYOUTS, ReadLayout, digest
 from gateway.chassis.frame import EXTENDED
 from gateway.chassis.layout import ChassisLayout, MessageLayout, SignalLayout
 from schemas.cruiser import DBC_FILES, dbc_text

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.layout import MessageLayout
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.arrays import Bytes, Numbers, Places

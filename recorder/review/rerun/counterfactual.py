@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.rerun.what_if import GivenOutput, what_if
+from gateway.rerun import GivenOutput, what_if
 from recorder.reading.configurations import settings_from
 from recorder.reading.topics import UNREADABLE
 from recorder.review.rerun.player import NO_CONFIGURATION, RerunPlayer, RerunResult, SampleAgain

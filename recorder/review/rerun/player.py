@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
-from gateway.rerun.rerun import rerun
+from gateway.rerun import rerun
 from recorder.encoding.routes import Route
 from recorder.reading.configurations import Configurations, settings_from
 from recorder.reading.faults import Faults

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from gateway.telemetry.received import Arrival, Received
+from gateway.telemetry.samples import Arrival, Received
 from gateway.zenoh.client import PendingQuery
 
 

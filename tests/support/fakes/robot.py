@@ -11,9 +11,9 @@ import msgspec
 import zenoh
 from zenoh import ext
 
-from gateway.command.chassis_state import ChassisState
+from gateway.chassis.port import ChassisState
 from gateway.command.flow import CommandFlow
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from schemas import codec, keys
 from schemas.codec import Sample
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState

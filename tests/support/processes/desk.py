@@ -10,9 +10,8 @@ from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
 from gateway.can.open_bus import open_bus
-from gateway.chassis.cruiser.frames import TARGET_SPEED
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder
+from gateway.chassis.cruiser.frames import TARGET_SPEED, load
+from gateway.chassis.layout import Decoded, FrameDecoder
 from schemas.messages import Variant
 from schemas.settings import CanSettings
 from tests.support.fakes.peer import free_endpoint

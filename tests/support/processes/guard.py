@@ -14,10 +14,9 @@ import msgspec
 
 from gateway.can.can_bus import Bus
 from gateway.can.open_bus import open_bus
-from gateway.chassis.cruiser.frames import MOTION_FRAMES
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import MOTION_FRAMES, load
+from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
-from gateway.guard.chassis_view import ChassisView
 from schemas.messages import Mode, Variant
 from schemas.settings import CanSettings
 from tests.support.processes.gateway import chassis

@@ -15,11 +15,9 @@ import sys
 import time
 from types import FrameType
 
-from gateway.can.open_bus import open_bus
-from gateway.can.reconnecting_bus import ReconnectingBus
-from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.auxiliary import AuxiliaryFrame
-from gateway.command.frames import FrameMaker
+from gateway.can.open_bus import ReconnectingBus, open_bus
+from gateway.chassis.cruiser.bursts import AuxiliaryFrame, FrameMaker
+from gateway.chassis.port import AT_REST, Actuation
 from gateway.host.guard_process import GuardProcess, start_guard
 from schemas.messages import GearPosition, Variant
 from schemas.settings import TICK_NS, CanSettings, GatewaySettings, Settings

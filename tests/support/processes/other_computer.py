@@ -1,8 +1,8 @@
 """Another computer on the bus, which drives a robot and goes away."""
 
 from gateway.can.open_bus import open_bus
-from gateway.command.actuation import Actuation
-from gateway.command.frames import FrameMaker
+from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.port import Actuation
 from schemas.messages import GearPosition, Variant
 from schemas.settings import CanSettings
 from tests.support.processes.guard import Listener

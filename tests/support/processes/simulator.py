@@ -9,9 +9,8 @@ from contextlib import contextmanager
 import can
 
 from gateway.can.socketcand_server import SocketcandServer
-from gateway.chassis.cruiser.layout import load
-from gateway.cli.sim_run import SimClock, SimSummary, live
-from gateway.cli.typed_lines import TypedLines
+from gateway.chassis.cruiser.frames import load
+from gateway.cli.sim import SimClock, SimSummary, TypedLines, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 

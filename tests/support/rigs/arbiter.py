@@ -2,10 +2,9 @@
 
 import msgspec
 
+from gateway.chassis.port import ChassisState
 from gateway.command.arbiter import Arbiter
-from gateway.command.chassis_state import ChassisState
-from gateway.command.outcome import Event, TickOutcome
-from gateway.command.request import Credentials, RawRequest, Ruling
+from gateway.command.rulings import Credentials, Event, RawRequest, Ruling, TickOutcome
 from schemas.cruiser import SPEED_TOP_MPS
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant

@@ -1,12 +1,11 @@
 """A virtual chassis on the bench: commands in by name, feedback out by name."""
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder, Value
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
-from gateway.sim.faults import FaultLine, parse
+from gateway.chassis.layout import Decoded, Encoder, FrameDecoder, Value
+from gateway.sim.body import NOMINAL, Conditions
+from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis
-from gateway.sim.parameters import NOMINAL, Conditions
 from schemas.messages import Variant
 
 MS = 1_000_000

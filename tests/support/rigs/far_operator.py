@@ -8,8 +8,8 @@ from statistics import median
 
 import msgspec
 
-from gateway.client.drive_stream import PERIOD_S, DriveEnd, DriveStream, SetPoint
-from gateway.client.payloads import encode_request
+from gateway.client.fleet import encode_request
+from gateway.client.link import PERIOD_S, DriveEnd, DriveStream, SetPoint
 from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, SafetyState
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Engage, Renew, Request, Unpark

@@ -13,13 +13,12 @@ from typing import TypeVar
 
 import msgspec
 
-from gateway.chassis.cruiser.frames import BRAKE_FIRST_FRAMES, MOTION_FRAMES
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder, Value
+from gateway.chassis.cruiser.frames import BRAKE_FIRST_FRAMES, MOTION_FRAMES, load
 from gateway.chassis.frame import Frame
-from gateway.command.request import RawRequest
+from gateway.chassis.layout import Decoded, FrameDecoder, Value
+from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.sim.faults import FaultLine, parse
+from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from schemas import codec, decisions

@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import msgspec
 
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.cruiser.gate import Gate
 from gateway.chassis.frame import Frame
-from gateway.command.actuation import Actuation
-from gateway.command.frames import FrameMaker
-from gateway.command.gate import Gate
-from gateway.guard.beat import Beat
+from gateway.chassis.port import Actuation
 from gateway.guard.guardian import Guardian
-from gateway.sim.faults import FaultLine, parse
+from gateway.guard.stopper import Beat
+from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_POLL_NS, TICK_NS, CommandSettings

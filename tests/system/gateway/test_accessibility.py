@@ -9,7 +9,7 @@ from typing import Final, Literal
 import pytest
 from playwright.sync_api import Browser, Page
 
-from gateway.client.robot_word import WORDS
+from gateway.client.fleet import WORDS
 from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.desk_states import desk_of_all_states
 from tests.support.nights import by_night, every_value

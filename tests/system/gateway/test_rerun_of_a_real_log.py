@@ -23,7 +23,7 @@ from schemas.subjects import BY_NAME
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis, gateway
 from tests.support.waiting import DEADLINE_S, wait_until
-from tests.unit.gateway.rerun.test_rerun import ReadBack
+from tests.unit.gateway.test_rerun import ReadBack
 
 SAFETY: dict[str, type[Message]] = {"safety/decision": Decision, "safety/event": SafetyEvent}
 

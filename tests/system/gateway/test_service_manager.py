@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.service_manager import ServiceManager
+from gateway.host.process import ServiceManager
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final
 
+from gateway.chassis.cruiser.early_stop import Command, EarlyStop
 from gateway.chassis.frame import EXTENDED, IDENTIFIER_MASK
-from gateway.host.early_stop import Command, EarlyStop
 from tests.system.scenarios.plant import (
     BODY,
     DRIVE,

@@ -13,12 +13,12 @@ from typing import Any, Final, Protocol
 import msgspec
 
 from gateway.chassis.frame import EXTENDED, IDENTIFIER_MASK, Frame
-from gateway.command.actuation import AT_REST
-from gateway.command.request import RawRequest
+from gateway.chassis.port import AT_REST
+from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.guard.beat import Beat, GuardView
 from gateway.guard.guardian import Guardian
-from gateway.rerun.rerun import rerun
+from gateway.guard.stopper import Beat, GuardView
+from gateway.rerun import rerun
 from gateway.telemetry.health import Links
 from schemas.codec import Sample
 from schemas.decisions import Journal, StopPhase

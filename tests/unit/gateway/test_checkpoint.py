@@ -13,17 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway import checkpoint as module
 from gateway import core as core_module
-from gateway.chassis.decode import MessageDecoder
-from gateway.chassis.encode import Encoder
-from gateway.chassis.layout import MessageLayout
-from gateway.checkpoint import CheckpointError, checkpoint
-from gateway.checkpoint_classes import RENAMED
+from gateway import journal as module
+from gateway.chassis.layout import Encoder, MessageDecoder, MessageLayout
 from gateway.command.flow import TickEffects
 from gateway.core import Core
-from gateway.journal import Input, JournalWriter, follow, inputs_of
-from gateway.rerun.rerun import give, rerun, run_again, run_of
+from gateway.journal import RENAMED, CheckpointError, Input, JournalWriter, checkpoint, follow, inputs_of
+from gateway.rerun import give, rerun, run_again, run_of
 from schemas.codec import Sample
 from schemas.decisions import ArbiterState
 from schemas.journal import Kind

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 
 from gateway import core as core_module
-from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT, load
 from gateway.chassis.frame import ERROR, EXTENDED, Frame
-from gateway.command.request import RawRequest
+from gateway.chassis.layout import Encoder
+from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from schemas import codec

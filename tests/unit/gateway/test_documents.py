@@ -4,8 +4,7 @@ from pathlib import Path
 import pytest
 
 from gateway import documents
-from gateway.command.causes import STOPS
-from gateway.command.states import TRANSITIONS
+from gateway.command.rulings import STOPS, TRANSITIONS
 from schemas.documents import ROOT
 
 

@@ -4,8 +4,8 @@ import msgspec
 import pytest
 
 from gateway.chassis.frame import EXTENDED, FD, REMOTE, Frame
-from gateway.command.carried import Carried
-from gateway.command.request import RawRequest
+from gateway.command.restart import Carried
+from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.journal import BrokenJournalError, Input, JournalGapError, JournalWriter, reach, read
 from gateway.telemetry.health import Links

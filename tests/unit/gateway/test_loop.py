@@ -11,13 +11,13 @@ import msgspec
 import pytest
 
 from gateway import loop as loop_module
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
+from gateway.chassis.layout import Encoder
 from gateway.command.flow import CommandFlow, PendingReply, TickEffects
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.guard.beat import GuardView
+from gateway.guard.stopper import GuardView
 from gateway.loop import BURST_MAX_FRAMES, SELDOM_TICKS, LoopPorts, run
 from gateway.sim.model import VirtualChassis
 from schemas import codec

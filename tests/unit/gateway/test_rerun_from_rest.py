@@ -5,9 +5,9 @@ from random import Random
 import pytest
 
 from gateway.chassis.frame import Frame
-from gateway.command.snapshot import QUIET_NS
+from gateway.command.restart import QUIET_NS
 from gateway.journal import inputs_of
-from gateway.rerun.rerun import WARM_UP_NS, rerun, run_again, run_of
+from gateway.rerun import WARM_UP_NS, rerun, run_again, run_of
 from schemas.codec import Sample
 from schemas.journal import Kind
 from tests.support.rigs.day import RestfulDay, restful_day

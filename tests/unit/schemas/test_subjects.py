@@ -3,7 +3,7 @@ from enum import Enum
 import msgspec
 import pytest
 
-from gateway.chassis.cruiser import layout
+from gateway.chassis.cruiser import frames
 from gateway.chassis.layout import MessageLayout
 from schemas import messages
 from schemas.can_word import snake_case
@@ -23,7 +23,7 @@ from schemas.subjects import (
 )
 
 VARIANTS = (Variant.COARSE, Variant.FINE)
-FRAMES = [(variant, frame) for variant in VARIANTS for frame in layout.load(variant).feedback]
+FRAMES = [(variant, frame) for variant in VARIANTS for frame in frames.load(variant).feedback]
 FRAME_IDS = [f"{variant.value}-{frame.name}" for variant, frame in FRAMES]
 
 
@@ -105,7 +105,7 @@ def test_every_message_class_says_what_it_is(subject: Subject) -> None:
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_feedback_frame_has_a_subject(variant: Variant) -> None:
     """The chassis sends nothing that has no subject, and no subject waits for a frame that does not exist."""
-    assert {frame.name for frame in layout.load(variant).feedback} == set(BY_DBC_MESSAGE)
+    assert {frame.name for frame in frames.load(variant).feedback} == set(BY_DBC_MESSAGE)
 
 
 @pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=FRAME_IDS)

@@ -1,6 +1,6 @@
 import os
 
-from gateway.can.bus_claim import BusClaim, count_claims
+from gateway.can.open_bus import BusClaim, count_claims
 from schemas.settings import CanSettings
 
 

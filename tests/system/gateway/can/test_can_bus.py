@@ -18,8 +18,7 @@ from gateway.can.can_bus import (
     BusLost,
     CanBus,
 )
-from gateway.can.open_bus import open_bus
-from gateway.can.reconnecting_bus import ReconnectingBus
+from gateway.can.open_bus import ReconnectingBus, open_bus
 from gateway.chassis.frame import EXTENDED, Frame
 from schemas.settings import CanSettings
 from tests.support.waiting import DEADLINE_S, wait_until
@@ -101,7 +100,7 @@ def test_a_server_that_does_not_speak_socketcand_is_told() -> None:
 @pytest.mark.parametrize("answers", [0, 1])
 def test_a_server_that_falls_silent_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch, answers: int) -> None:
     """It greets, and then answers the handshake not at all, or not to its end: nobody waits for ever."""
-    monkeypatch.setattr("gateway.can.socketcand.HANDSHAKE_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("gateway.can.can_bus.HANDSHAKE_TIMEOUT_S", 0.5)
     with (
         server(b"< hi >", answers) as (channel, _),
         pytest.raises(BusLost, match=f"{channel}: the server did not answer within 0.5 s"),

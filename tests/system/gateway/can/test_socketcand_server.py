@@ -17,9 +17,9 @@ from gateway.can.socketcand_server import (
     SocketcandServer,
     _Outbox,
 )
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import EXTENDED, Frame
+from gateway.chassis.layout import Encoder
 from schemas.messages import Mode, Variant
 from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
 from tests.support.waiting import wait_until

@@ -14,7 +14,7 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from gateway.cli import desk_door as door
+from gateway.cli import desk_server as door
 from gateway.cli.desk import listening_socket
 from gateway.cli.desk_server import serve
 from schemas.peers import FRAME_BYTES, PEER_CONNECTIONS_MAX, PIECES_MAX, SOCKET_BURST_S, SOCKET_BYTES_PER_S

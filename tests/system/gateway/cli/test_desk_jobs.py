@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli import desk_jobs as jobs
-from gateway.cli.desk_jobs import ask_review
+from gateway.cli import desk_logs as jobs
+from gateway.cli.desk_logs import ask_review
 from recorder.cli.review.command import QUESTIONS
 from tests.support.rigs.scenarios import front_bumper, recorded
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.authority.transport import TransportRole
-from gateway.provisioning.certificates import LEAF_DAYS
-from gateway.zenoh.late_node import AGAIN_S
-from gateway.zenoh.router import open_local_router
+from gateway.authority.enrolment import TransportRole
+from gateway.provisioning.key_files import LEAF_DAYS
+from gateway.zenoh.client import open_local_router
+from gateway.zenoh.inbox import AGAIN_S
 from schemas.command_line import ExitCode
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night, some_by_day

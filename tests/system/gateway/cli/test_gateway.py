@@ -16,15 +16,15 @@ import msgpack
 import pytest
 import zenoh
 
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.port import Actuation
 from gateway.cli.gateway import run as run_gateway
 from gateway.client.refusal import Refused
 from gateway.client.robot import Lease, Robot
-from gateway.command.actuation import Actuation
 from gateway.core import Core
-from gateway.guard.beat import GuardView
+from gateway.guard.stopper import GuardView
 from gateway.host.guard_process import NoGuard
-from gateway.host.stop_note import StopNote
+from gateway.host.notes import StopNote
 from gateway.loop import LoopPorts
 from schemas.cruiser import dbc_text
 from schemas.decisions import EventKind, SafetyEvent

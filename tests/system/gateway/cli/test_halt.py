@@ -8,7 +8,7 @@ import time
 import pytest
 
 from gateway.cli import halt as command
-from gateway.host.stop_note import StopNote
+from gateway.host.notes import StopNote
 from schemas.messages import Mode
 from schemas.settings import CanSettings, Settings
 from tests.support.commands import run_command

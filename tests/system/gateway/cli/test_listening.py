@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import GatewayInfo
 from schemas.settings import ZenohSettings

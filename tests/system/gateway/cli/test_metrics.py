@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 from gateway.cli.metrics import add_arguments, run
 from gateway.cli.metrics_server import MetricsServer
-from gateway.metrics.fleet_metrics import FleetMetrics
-from gateway.provisioning.certificates import expires_s, read_certificates
-from gateway.zenoh.router import open_router
+from gateway.metrics import FleetMetrics
+from gateway.provisioning.key_files import expires_s, read_certificates
+from gateway.zenoh.client import open_router
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_session import close_session

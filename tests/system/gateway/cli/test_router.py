@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 from tests.support.fakes.peer import free_endpoint
 from tests.support.secured import Network
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import can
 import pytest
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import IDENTIFIER_MASK
+from gateway.chassis.layout import Encoder
 from gateway.cli.main import main
 from schemas.command_line import ExitCode
 from schemas.messages import Variant

@@ -13,13 +13,12 @@ import pytest
 import zenoh
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.floor import TimeFloor
-from gateway.authority.robot_authority import Kept, RobotAuthority
-from gateway.authority.signer import RobotSigner
+from gateway.authority.robot_authority import Kept, RobotAuthority, TimeFloor
+from gateway.authority.session import RobotSigner
 from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
 from gateway.command.flow import PendingReply
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from gateway.provisioning.key_files import read_identity
 from schemas.authority.proof import TEXT_MAX_BYTES
 from schemas.command_line import CommandError, ExitCode

@@ -20,7 +20,7 @@ def terminal() -> Iterator[tuple[int, int]]:
 
 IN_BACKGROUND = """
 import fcntl, os, sys, termios
-from gateway.cli.typed_lines import TypedLines
+from gateway.cli.sim import TypedLines
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 os.tcsetpgrp(0, os.getpgrp())
 child = os.fork()

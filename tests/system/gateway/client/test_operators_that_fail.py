@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from gateway.can.open_bus import open_bus
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from gateway.client.robot import Robot
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent
 from schemas.messages import Mode, Variant

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gateway.client.drive_stream import PERIOD_S
+from gateway.client.link import PERIOD_S
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from schemas.command_line import CommandError, ExitCode

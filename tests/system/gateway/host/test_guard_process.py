@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.frames import FrameMaker
-from gateway.guard.beat import Cause, StopOutcome
+from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.port import AT_REST, Actuation
+from gateway.guard.stopper import Cause, StopOutcome
 from gateway.host.guard_process import GuardProcess, NoGuard, start_guard
-from gateway.host.stop_note import StopNote
+from gateway.host.notes import StopNote
 from schemas.messages import Mode, Variant
 from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, CanSettings, Settings
 from tests.support.processes.gateway import chassis

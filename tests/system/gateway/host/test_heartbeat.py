@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from gateway.guard.beat import Beat
-from gateway.host.heartbeat import Heartbeat
+from gateway.guard.stopper import Beat
+from gateway.host.guard_main import Heartbeat
 
 
 @pytest.fixture

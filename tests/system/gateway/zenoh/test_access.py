@@ -18,8 +18,8 @@ import pytest
 import zenoh
 from zenoh import ext
 
-from gateway.authority.transport import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
-from gateway.provisioning.certificates import LEAF_DAYS
+from gateway.authority.enrolment import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
+from gateway.provisioning.key_files import LEAF_DAYS
 from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import open_session

@@ -5,7 +5,7 @@ import msgspec
 import pytest
 import zenoh
 
-from gateway.telemetry.received import Arrival, Missed, Received, TokenChange
+from gateway.telemetry.samples import Arrival, Missed, Received, TokenChange
 from gateway.zenoh import client as zenoh_client
 from gateway.zenoh.client import SAMPLES_WAITING, PendingQuery, RobotListener, call_roll
 from schemas import codec

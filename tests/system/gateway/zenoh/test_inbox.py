@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from gateway.command.flow import PendingReply
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from gateway.zenoh import inbox as zenoh_inbox
 from gateway.zenoh.inbox import (
     DRIVES_WAITING,

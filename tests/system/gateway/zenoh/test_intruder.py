@@ -13,9 +13,9 @@ from typing import Any, Final
 import pytest
 import zenoh
 
-from gateway.authority.transport import CERTIFICATE_FILE, TLS_KEY_FILE, TransportRole
-from gateway.zenoh.intruder import Attempt, enters_without_certificate, intrude
-from gateway.zenoh.router import open_router
+from gateway.authority.enrolment import CERTIFICATE_FILE, TLS_KEY_FILE, TransportRole
+from gateway.host.self_test import Attempt, enters_without_certificate, intrude
+from gateway.zenoh.client import open_router
 from schemas.settings import Settings, ZenohSettings
 from tests.support.fakes.peer import free_endpoint
 from tests.support.secured import Network

@@ -10,12 +10,10 @@ import pytest
 import zenoh
 from zenoh import ext
 
-from gateway.zenoh import late_node
-from gateway.zenoh.client import PendingQuery
-from gateway.zenoh.inbox import CommandInbox, open_inbox
-from gateway.zenoh.late_node import Joined, LateInbox, LateNode
+from gateway.zenoh import inbox as late_node
+from gateway.zenoh.client import PendingQuery, open_local_router
+from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_inbox
 from gateway.zenoh.node import ZenohNode, client_place, open_node
-from gateway.zenoh.router import open_local_router
 from schemas.codec import Sample
 from schemas.command_line import CommandError
 from schemas.settings import RobotSettings, Settings, ZenohSettings

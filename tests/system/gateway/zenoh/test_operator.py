@@ -2,7 +2,7 @@ from functools import partial
 
 import pytest
 
-from gateway.telemetry.received import Missed, Received
+from gateway.telemetry.samples import Missed, Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import codec, keys

@@ -11,10 +11,10 @@ import pytest
 import zenoh
 
 from gateway.command.flow import PendingReply
+from gateway.zenoh.client import open_local_router
 from gateway.zenoh.inbox import CommandInbox, open_inbox
 from gateway.zenoh.node import ZenohNode, open_node
 from gateway.zenoh.operator import CommandPort
-from gateway.zenoh.router import open_local_router
 from schemas.codec import Sample
 from schemas.settings import PUBLISHED, Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST

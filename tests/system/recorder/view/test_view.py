@@ -13,7 +13,7 @@ import zenoh
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 from recorder.cli import view
 from recorder.encoding.protobuf_schema import message_class
 from schemas.command_line import CommandError, ExitCode

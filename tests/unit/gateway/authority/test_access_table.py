@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import pytest
 import zenoh
 
-from gateway.authority.transport import AccessRow, TransportRole, access_table
+from gateway.authority.enrolment import AccessRow, TransportRole, access_table
 from tests.support.access import OTHER, PUTS, QUERIES, ROBOT, ROLES, SUBSCRIPTIONS, TOKENS, R
 
 

@@ -22,11 +22,10 @@ from gateway.authority.admission import (
     GivenLease,
     SignedAdmission,
 )
-from gateway.authority.lease_key import DriveTags, lease_key, public_bytes
-from gateway.authority.signer import RobotSigner
+from gateway.authority.session import DriveTags, RobotSigner, lease_key, public_bytes
 from gateway.command.flow import PendingReply
-from gateway.command.freshness import ChallengeLog
-from gateway.command.request import Credentials, RawRequest
+from gateway.command.lease import ChallengeLog
+from gateway.command.rulings import Credentials, RawRequest
 from schemas import keys
 from schemas.authority.proof import GrantRole, RequestProof, RobotProof
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.authority.enrolment import (
+    ENROLMENT_MAX_BYTES,
     SITES_ARE_GONE,
-    TEXT_MAX_BYTES,
     Bundle,
     EnrolmentError,
     EnrolmentRequest,
@@ -28,8 +28,8 @@ from gateway.authority.enrolment import (
     read_request,
     request_fingerprint,
 )
-from gateway.provisioning.certificates import new_key
-from gateway.provisioning.certificates import new_request as new_csr
+from gateway.provisioning.key_files import new_key
+from gateway.provisioning.key_files import new_request as new_csr
 from schemas.authority.proof import GrantRole, ProofKind, chain_text, signed_bytes
 from schemas.authority.trust import BY_SITE, AuthorityKeys, fits, key_fingerprint, keys_fingerprint
 from tests.support.authority import NOW_S, Fleet, Party
@@ -198,7 +198,7 @@ def test_no_field_of_an_authority_can_be_changed_unseen() -> None:
 def test_a_request_that_is_too_long_is_refused_although_it_is_proven() -> None:
     """An authority keeps what it signs."""
     with pytest.raises(EnrolmentError, match="longer than"):
-        new_request(EnrolmentRole.OPERATOR, ["ann"], "x" * TEXT_MAX_BYTES, Ed25519PrivateKey.generate(), TLS)
+        new_request(EnrolmentRole.OPERATOR, ["ann"], "x" * ENROLMENT_MAX_BYTES, Ed25519PrivateKey.generate(), TLS)
 
 
 def test_a_bundles_signature_is_one_of_nothing_else() -> None:

@@ -6,8 +6,7 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.authority.floor import TimeFloor
-from gateway.authority.robot_authority import Kept
+from gateway.authority.robot_authority import Kept, TimeFloor
 from tests.support.authority import S
 
 

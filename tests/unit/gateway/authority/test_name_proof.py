@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.authority.name_proof import NameProof, new_name_question
-from gateway.authority.signer import RobotSigner
+from gateway.authority.robot_authority import NameProof, new_name_question
+from gateway.authority.session import RobotSigner
 from schemas.authority.proof import ROBOT_PROOF_BYTES, GrantRole, chain_text
 from schemas.settings import Settings
 from tests.support.authority import DAY_S, NOW_S, AuthorityBench, Fleet, Party

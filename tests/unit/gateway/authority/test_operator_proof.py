@@ -5,11 +5,10 @@ import pytest
 
 from gateway.authority.operator_proof import OperatorProof, ViewerProof, new_lease_key, new_question
 from gateway.authority.robot_authority import RobotAuthority
-from gateway.authority.signer import RobotSigner
-from gateway.authority.unmet import SILENT, UNSIGNED
+from gateway.authority.session import SILENT, UNSIGNED, RobotSigner
 from gateway.command.flow import PendingReply
-from gateway.command.request import Credentials, RawRequest
-from gateway.telemetry.received import Received
+from gateway.command.rulings import Credentials, RawRequest
+from gateway.telemetry.samples import Received
 from schemas.authority.trust import Objection
 from schemas.command_line import CommandError
 from schemas.decisions import LeaseReply, StatementReply

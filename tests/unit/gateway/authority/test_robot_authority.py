@@ -9,7 +9,7 @@ from gateway.authority.admission import GRANTS_KEPT
 from gateway.authority.operator_proof import new_lease_key
 from gateway.authority.robot_authority import AuthorityEffects, Kept, resume, trust_of
 from gateway.command.flow import PendingReply
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode

@@ -2,7 +2,7 @@
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from gateway.authority.signer import RobotSigner
+from gateway.authority.session import RobotSigner
 from schemas.authority.proof import RobotProof
 from schemas.authority.trust import fits
 

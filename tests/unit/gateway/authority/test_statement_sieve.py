@@ -8,7 +8,7 @@ from random import Random
 import msgspec
 import pytest
 
-from gateway.authority.statement_sieve import KEPT_WAITING, WORDS_PER_TICK, StatementKind, StatementSieve
+from gateway.authority.admission import KEPT_WAITING, WORDS_PER_TICK, StatementKind, StatementSieve
 from schemas.authority.proof import Signed, chain_text
 from tests.support.authority import AuthorityBench, Fleet, Party
 

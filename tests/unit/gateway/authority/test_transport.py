@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.authority.transport import TransportRole, access_table, zenoh_configuration
+from gateway.authority.enrolment import TransportRole, access_table, zenoh_configuration
 from schemas.subjects import COMMANDS, SUBJECTS
 
 PLACE = PurePosixPath("/etc/cruiser")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.authority.unmet import SOMEBODY_ELSE, Unmet, not_believed, not_taken
+from gateway.authority.session import SOMEBODY_ELSE, Unmet, not_believed, not_taken
 from schemas.authority.proof import GrantRole, Signed
 from schemas.authority.trust import Objection, fingerprint
 from schemas.reasons import Reason

@@ -9,7 +9,7 @@ from gateway.can.can_bus import (
     BusFull,
     BusLost,
 )
-from gateway.can.reconnecting_bus import ReconnectingBus
+from gateway.can.open_bus import ReconnectingBus
 from gateway.chassis.frame import EXTENDED, Frame
 from tests.support.waiting import DEADLINE_S, wait_until
 

@@ -10,9 +10,8 @@ import can
 import pytest
 from hypothesis import given
 
-from gateway.can.can_bus import BusFull, BusLost
+from gateway.can.can_bus import RECEIVE_BUFFER_BYTES, SEND_BUFFER_BYTES, BusFull, BusLost, SocketCanBus, check_up
 from gateway.can.open_bus import open_bus
-from gateway.can.socketcan import RECEIVE_BUFFER_BYTES, SEND_BUFFER_BYTES, SocketCanBus, check_up
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
 from schemas.settings import CanSettings
 from tests.support.strategies import frames

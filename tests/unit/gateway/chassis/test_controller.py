@@ -2,8 +2,8 @@
 
 import pytest
 
-from gateway.chassis.controller import controller_state
 from gateway.chassis.frame import ERROR, Frame
+from gateway.chassis.supervision import controller_state
 from schemas.messages import ControllerState
 
 

@@ -11,14 +11,19 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.feedback import compile_feedback
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder, Value, compile_message, compile_signals
-from gateway.chassis.encode import Encoder
-from gateway.chassis.faults import FaultKind, FrameFault
-from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, Frame
-from gateway.chassis.layout import MessageLayout, SignalLayout
-from gateway.chassis.value_rules import Within
+from gateway.chassis.cruiser.frames import compile_feedback, load
+from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, FaultKind, Frame, FrameFault
+from gateway.chassis.layout import (
+    Decoded,
+    Encoder,
+    FrameDecoder,
+    MessageLayout,
+    SignalLayout,
+    Value,
+    Within,
+    compile_message,
+    compile_signals,
+)
 from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG, dbc_text
 from schemas.messages import Variant
 from tests.support import SUPPORT

@@ -6,10 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded
-from gateway.chassis.encode import Encoder
-from gateway.chassis.layout import MessageLayout, SignalLayout
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.layout import Decoded, Encoder, MessageLayout, SignalLayout
 from schemas.messages import Variant
 from tests.support.strategies import LAYOUTS, VARIANTS, identify
 from tests.unit.gateway.chassis.test_decode import DECODERS, reference

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.faults import FaultKind
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.frame import FaultKind
 from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period, silence_ns
 from recorder.review.checking.frames import AliveCount
 from schemas.messages import Variant

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, EXTENDED, FD, REMOTE, Frame
-from gateway.cli.candump import CandumpLine, parse
+from gateway.cli.decode import CandumpLine, parse
 
 TIME = "(1436509052.249713) "
 TIME_NS = 1_436_509_052_249_713_000

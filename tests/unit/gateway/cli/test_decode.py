@@ -4,19 +4,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser import layout
-from gateway.chassis.decode import FrameDecoder
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser import frames
 from gateway.chassis.frame import hex_identifier
-from gateway.chassis.layout import MessageLayout
+from gateway.chassis.layout import Encoder, FrameDecoder, MessageLayout
 from gateway.cli.decode import MAX_LINE_BYTES, describe
 from schemas.messages import Variant
 from schemas.subjects import BY_DBC_MESSAGE
 
 VARIANTS = (Variant.COARSE, Variant.FINE)
-DECODERS = {variant: FrameDecoder(layout.load(variant)) for variant in VARIANTS}
+DECODERS = {variant: FrameDecoder(frames.load(variant)) for variant in VARIANTS}
 DECODER = DECODERS[Variant.COARSE]
-FRAMES = [(variant, frame) for variant in VARIANTS for frame in layout.load(variant).messages.values()]
+FRAMES = [(variant, frame) for variant in VARIANTS for frame in frames.load(variant).messages.values()]
 GEAR = "(1436509052.249713) vcan0 18C4D1EF#0104000000000005"
 
 
@@ -35,7 +33,7 @@ def test_a_valid_frame_has_its_signals_under_the_field_names() -> None:
 @pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=[f"{v.value}-{f.name}" for v, f in FRAMES])
 def test_every_frame_of_either_variant_is_decoded(variant: Variant, frame: MessageLayout) -> None:
     """Each frame has all its signals but the checksum, and feedback has the fields of its message."""
-    sent = Encoder(layout.load(variant)).encode(frame.name, {}, alive_counter=5)
+    sent = Encoder(frames.load(variant)).encode(frame.name, {}, alive_counter=5)
     record = describe(DECODERS[variant], f"(1.0) c {hex_identifier(sent.can_id)}#{sent.data.hex()}".encode(), 1)
     assert record is not None
     assert record["name"] == frame.name

@@ -10,19 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.cli.desk_hub import (
-    LOOK_NS,
-    QUESTIONS_MAX,
-    REPLIES_MAX,
-    SAMPLE_MAX_BYTES,
-    STOPS_MAX,
-    Browser,
-    Hub,
-)
+from gateway.cli.desk_server import LOOK_NS, QUESTIONS_MAX, REPLIES_MAX, SAMPLE_MAX_BYTES, STOPS_MAX, Browser, Hub
 from gateway.client.remote_stop import StopReport
 from gateway.desk import words
 from gateway.desk.fleet_view import BOUNDS, EVENT_MAX_BYTES
-from gateway.telemetry.received import Received
+from gateway.telemetry.samples import Received
 from schemas.messages import Message
 from schemas.settings import Settings
 from schemas.subjects import BY_VERB

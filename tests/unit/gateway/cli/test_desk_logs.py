@@ -11,8 +11,7 @@ import pytest
 from starlette.applications import Starlette
 
 from gateway.cli import desk_logs
-from gateway.cli.desk_jobs import WAITING_MAX, JobDone
-from gateway.cli.desk_logs import QUESTIONS_AT_ONCE, DeskLogs, viewer
+from gateway.cli.desk_logs import QUESTIONS_AT_ONCE, WAITING_MAX, DeskLogs, JobDone, viewer
 from gateway.cli.desk_server import make_logs_app
 from schemas.command_line import CommandError
 from tests.support.asgi import ask, asked

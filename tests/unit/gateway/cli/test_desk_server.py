@@ -4,8 +4,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from gateway.cli.desk_hub import Hub
-from gateway.cli.desk_server import FAILED, _serve
+from gateway.cli.desk_server import FAILED, Hub, _serve
 from gateway.desk import words
 from schemas.settings import Settings
 from tests.support.fakes.desk import FakeCommandPort, FakeDeskListener

@@ -7,11 +7,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 from gateway.cli import doctor
 from gateway.doctor.checks import Diagnosis
-from gateway.doctor.facts import Facts
-from gateway.doctor.reach import reach
+from gateway.doctor.facts import Facts, reach
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import AuthoritySettings, CanSettings, Settings, ZenohSettings
 from tests.support.secured import Network

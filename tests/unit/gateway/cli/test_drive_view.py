@@ -1,7 +1,6 @@
 import msgspec
 
-from gateway.cli.drive_view import Cockpit, panel
-from gateway.cli.held_keys import BINDINGS, NOTHING
+from gateway.cli.drive import BINDINGS, NOTHING, Cockpit, panel
 from gateway.client.link import Sighting
 from tests.unit.gateway.client.test_drive_stream import ENGAGED
 from tests.unit.gateway.client.test_view import drawn

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from gateway.chassis.cruiser.bursts import FrameMaker
 from gateway.chassis.frame import Frame
+from gateway.chassis.port import Actuation
 from gateway.cli import gateway, halt
 from gateway.cli.configuration_file import load_settings
-from gateway.command.actuation import Actuation
-from gateway.command.frames import FrameMaker
-from gateway.host.stop_note import StopNote
+from gateway.host.notes import StopNote
 from schemas.messages import Variant
 from schemas.settings import Settings
 

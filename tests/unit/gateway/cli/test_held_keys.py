@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gateway.cli.held_keys import (
+from gateway.cli.drive import (
     BEGIN_MIN_NS,
     BEGIN_NS,
     BINDINGS,

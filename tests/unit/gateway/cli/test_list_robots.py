@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.authority.transport import TransportRole
+from gateway.authority.enrolment import TransportRole
 from gateway.cli.list_robots import check_role
 from schemas.command_line import CommandError, ExitCode
 from tests.support.secured import Network

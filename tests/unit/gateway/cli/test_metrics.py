@@ -44,7 +44,7 @@ def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyP
     """The product does not need it otherwise."""
     for name in [name for name in sys.modules if name.startswith("prometheus_client")]:
         monkeypatch.delitem(sys.modules, name)
-    for name in ("gateway.cli.metrics_server", "gateway.metrics.fleet_metrics"):
+    for name in ("gateway.cli.metrics_server", "gateway.metrics"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     with pytest.raises(CommandError, match=r"prometheus_client: pip install -e '\.\[metrics\]'"):

@@ -5,10 +5,9 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from gateway.can.can_bus import BusLost
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import ERROR, Frame
-from gateway.cli.sim_run import CanBusLink, Inject, SimClock, SimSummary, live
-from gateway.cli.typed_lines import TypedLines
+from gateway.cli.sim import CanBusLink, Inject, SimClock, SimSummary, TypedLines, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 from tests.support.rigs.chassis import MS, ChassisRig, S

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli.typed_lines import TypedLines
+from gateway.cli.sim import TypedLines
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.cli import watch as watch_command
 from gateway.client.fleet import Fleet, RobotStatus
-from gateway.telemetry.received import Arrival
+from gateway.telemetry.samples import Arrival
 from gateway.zenoh.client import RobotListener
 
 

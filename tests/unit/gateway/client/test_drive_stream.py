@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.client.drive_stream import BEGAN_ANEW, HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, SetPoint
+from gateway.client.link import BEGAN_ANEW, HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, SetPoint
 from schemas.decisions import RUN_TICKS, ArbiterState, SafetyState, StopPhase
 from schemas.reasons import TEXTS, Reason
 from tests.support.messages import STANDBY

@@ -1,6 +1,6 @@
 import pytest
 
-from gateway.client.evidence import CONFIRM_NS, Evidence
+from gateway.client.proof import CONFIRM_NS, Evidence
 
 MS = 1_000_000
 

@@ -3,9 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS, Bounds, Fleet
-from gateway.client.view import line
-from gateway.telemetry.received import Received, TokenChange
+from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS, Bounds, Fleet, line
+from gateway.telemetry.samples import Received, TokenChange
 from schemas import codec, keys
 from schemas.messages import Message
 from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS

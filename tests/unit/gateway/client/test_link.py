@@ -8,7 +8,7 @@ import pytest
 from gateway.client import link
 from gateway.client.link import RobotLink
 from gateway.client.refusal import Refused, Unreachable
-from gateway.telemetry.received import Missed, Received
+from gateway.telemetry.samples import Missed, Received
 from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import LeaseReply, SafetyState

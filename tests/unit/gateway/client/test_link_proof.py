@@ -5,10 +5,9 @@ import msgspec
 import pytest
 
 from gateway.authority.operator_proof import KnownRobots, OperatorProof
-from gateway.authority.signer import RobotSigner
-from gateway.authority.unmet import Unmet
-from gateway.client.link_proof import ASK_AGAIN_NS, SIGN_AGAIN_NS, LinkProof, StopProof, stop_proof
-from gateway.telemetry.received import Received
+from gateway.authority.session import RobotSigner, Unmet
+from gateway.client.proof import ASK_AGAIN_NS, SIGN_AGAIN_NS, LinkProof, StopProof, stop_proof
+from gateway.telemetry.samples import Received
 from schemas.authority.proof import GrantRole, RequestProof, chain_text
 from schemas.authority.trust import fits
 from schemas.decisions import StatementReply
@@ -53,7 +52,7 @@ class Scene:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_ns = 0
-        monkeypatch.setattr("gateway.client.link_proof.time.monotonic_ns", lambda: self.now_ns)
+        monkeypatch.setattr("gateway.client.proof.time.monotonic_ns", lambda: self.now_ns)
         self.fleet, self.robot = Fleet(), Party("cruiser-1")
         self.fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
         self.ann = self.fleet.operator()

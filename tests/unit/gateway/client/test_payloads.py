@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.client.payloads import BY_REQUEST, NewerWords, encode_request, read_reply, read_sample
+from gateway.client.fleet import BY_REQUEST, NewerWords, encode_request, read_reply, read_sample
 from gateway.client.refusal import refused
-from gateway.telemetry.received import Received
+from gateway.telemetry.samples import Received
 from schemas.codec import PayloadFault, decode_request
 from schemas.decisions import LeaseReply, Reply
 from schemas.messages import Message

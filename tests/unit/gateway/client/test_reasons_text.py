@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.client.reasons_text import event_line
+from gateway.client.refusal import event_line
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.reasons import Reason
 

@@ -4,9 +4,9 @@ from typing import Any
 
 import msgspec
 
-from gateway.authority.unmet import SILENT
+from gateway.authority.session import SILENT
 from gateway.client import remote_stop
-from gateway.telemetry.received import Missed, Received
+from gateway.telemetry.samples import Missed, Received
 from schemas import keys
 from schemas.decisions import Reply, SafetyState
 from schemas.messages import RobotState

@@ -2,8 +2,7 @@
 
 import msgspec
 
-from gateway.client.fleet import RobotStatus
-from gateway.client.robot_word import ALARM, FINE, LOOK, WORDS, summary
+from gateway.client.fleet import ALARM, FINE, LOOK, WORDS, RobotStatus, summary
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import Reason

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console, RenderableType
 
-from gateway.client import view
+from gateway.client import fleet
 from gateway.client.fleet import RobotStatus, alarm
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import GatewayHealth, Mode, RobotState, Variant
@@ -51,17 +51,17 @@ def drawn(renderable: RenderableType, width: int = 200) -> str:
 
 def listed(report: RobotStatus) -> str:
     """A report in the list."""
-    return "\n".join(view.list_lines([report]))
+    return "\n".join(fleet.list_lines([report]))
 
 
 def every_view(report: RobotStatus) -> list[str]:
     """A report as a line, as a panel and as a row of a table."""
-    return [view.line(report), drawn(view.panel(report)), drawn(view.table([report]))]
+    return [fleet.line(report), drawn(fleet.panel(report)), drawn(fleet.table([report]))]
 
 
 def test_a_fresh_state_shows_what_the_robot_does() -> None:
     """Mode, gear, signed speed and angle, brakes, bumpers, lamps, variant, bus, faults and age are all there."""
-    for text in (view.line(FRESH), drawn(view.panel(FRESH))):
+    for text in (fleet.line(FRESH), drawn(fleet.panel(FRESH))):
         for part in (
             "auto",
             "drive",
@@ -86,7 +86,7 @@ def test_the_view_shows_how_old_the_commands_are() -> None:
     )  # fmt: skip
     far = msgspec.structs.replace(FRESH, safety=safety)
     words = "command latency 430 ms (p99 810 ms), timeout 1000 ms, reaction distance 0.71 m"
-    for text in (view.line(far), drawn(view.panel(far))):
+    for text in (fleet.line(far), drawn(fleet.panel(far))):
         assert f"{words}, speed limit 0.70 m/s" in text
     for report in (
         FRESH,
@@ -105,7 +105,7 @@ def test_the_view_shows_what_is_latched_and_the_limit_in_force() -> None:
         assert "latched remote_stop, rolling" in text
         assert "limit" not in text
     driven = msgspec.structs.replace(FRESH, safety=msgspec.structs.replace(ENGAGED, speed_limit_mps=0.5))
-    for text in (view.line(driven), drawn(view.panel(driven))):
+    for text in (fleet.line(driven), drawn(fleet.panel(driven))):
         assert "limit 0.50 m/s" in text
         assert "latched" not in text
 
@@ -129,20 +129,20 @@ def test_the_view_shows_who_drives_and_why_it_does_not_move() -> None:
         stop_detail="by bob",
     )
     lapsed = msgspec.structs.replace(idle, stop_reason=Reason.DEADMAN)
-    for text in (view.line(driven), drawn(view.panel(driven))):
+    for text in (fleet.line(driven), drawn(fleet.panel(driven))):
         assert "driver ann" in text
         assert "blocked" not in text
-    for text in (view.line(of(idle)), drawn(view.panel(of(idle)))):
+    for text in (fleet.line(of(idle)), drawn(fleet.panel(of(idle)))):
         assert "driver nobody" in text
         assert "blocked by no_lease, not_engaged" in text
         assert "last stop" not in text
-    for text in (view.line(of(stopped)), drawn(view.panel(of(stopped)))):
+    for text in (fleet.line(of(stopped)), drawn(fleet.panel(of(stopped)))):
         assert "blocked by no_lease, bus_down, not_engaged" in text
         assert "last stop remote_stop (by bob)" in text
-    assert "last stop deadman" in view.line(of(lapsed))
+    assert "last stop deadman" in fleet.line(of(lapsed))
     # Among many, what is wrong alone.
-    assert "blocked" not in drawn(view.table([of(idle)]))
-    assert "bus_down" in drawn(view.table([of(stopped)]))
+    assert "blocked" not in drawn(fleet.table([of(idle)]))
+    assert "bus_down" in drawn(fleet.table([of(stopped)]))
 
 
 def test_a_stale_view_says_so_and_shows_no_value() -> None:
@@ -183,9 +183,9 @@ def test_an_alarm_says_what_is_known_of_the_cause(change: dict[str, object], rea
 def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) -> None:
     """A bumper hit, a bus that is down, silent frames and an unknown variant are never left out."""
     report = msgspec.structs.replace(FRESH, state=msgspec.structs.replace(STATE, **change))
-    assert word in view.line(report)
-    assert word in drawn(view.table([report]))
-    assert word.split(" ", 1)[1] in drawn(view.panel(report))
+    assert word in fleet.line(report)
+    assert word in drawn(fleet.table([report]))
+    assert word.split(" ", 1)[1] in drawn(fleet.panel(report))
 
 
 def test_what_is_wrong_with_the_gateway_is_shown() -> None:
@@ -194,12 +194,12 @@ def test_what_is_wrong_with_the_gateway_is_shown() -> None:
         HEALTH, bus_up=False, bus_detail="no such device", faults={"checksum": 3, "length": 0}, realtime=False
     )
     report = msgspec.structs.replace(FRESH, health=sick)
-    for text in (listed(report), drawn(view.panel(report)), drawn(view.table([report]))):
+    for text in (listed(report), drawn(fleet.panel(report)), drawn(fleet.table([report]))):
         assert "checksum 3" in text
         assert "length" not in text
         assert "no such device" in text
         assert "real-time" in text
-    assert "faults checksum 3" in view.line(report)
+    assert "faults checksum 3" in fleet.line(report)
 
 
 def test_a_value_that_is_not_known_is_no_zero() -> None:
@@ -207,7 +207,7 @@ def test_a_value_that_is_not_known_is_no_zero() -> None:
     unknown = msgspec.structs.replace(
         STATE, speed_mps=None, angle_deg=None, mode=Mode.UNDEFINED, front_bumper=None
     )
-    text = view.line(msgspec.structs.replace(FRESH, state=unknown))
+    text = fleet.line(msgspec.structs.replace(FRESH, state=unknown))
     assert "mode undefined  gear drive  --  --" in text
     assert "bumpers --" in text
 
@@ -216,17 +216,17 @@ def test_a_robot_without_health_is_said_to_have_none() -> None:
     """Connected is not healthy: the list says what it has not heard."""
     report = msgspec.structs.replace(FRESH, health=None)
     assert listed(report) == "cruiser-1  telemetry only  +1.25 m/s  no health"
-    assert "no health" in drawn(view.table([report]))
+    assert "no health" in drawn(fleet.table([report]))
 
 
 def test_an_empty_fleet_is_said_to_be_empty() -> None:
     """A table without robots says that there are none."""
-    assert "no robot is connected" in drawn(view.table([]))
+    assert "no robot is connected" in drawn(fleet.table([]))
 
 
 def test_the_table_keeps_what_matters_in_80_columns() -> None:
     """In a small terminal the names, the motion and the alarm are still whole."""
-    text = drawn(view.table([FRESH, STALE]), width=80)
+    text = drawn(fleet.table([FRESH, STALE]), width=80)
     for part in ("cruiser-1", "telemetry only", "+1.25 m/s", "-3.5 deg", "OFFLINE"):
         assert part in text
 
@@ -234,13 +234,13 @@ def test_the_table_keeps_what_matters_in_80_columns() -> None:
 @given(report=REPORTS)
 def test_any_report_can_be_shown(report: RobotStatus) -> None:
     """Whatever a robot sends, a line is one printable line, and panel and table are drawn."""
-    assert view.line(report).isprintable()
-    assert all(line.isprintable() for line in view.list_lines([report]))
-    for text in (drawn(view.panel(report), 80), drawn(view.table([report]), 80)):
+    assert fleet.line(report).isprintable()
+    assert all(line.isprintable() for line in fleet.list_lines([report]))
+    for text in (drawn(fleet.panel(report), 80), drawn(fleet.table([report]), 80)):
         assert text.replace("\n", "").isprintable()
 
 
 def test_nothing_is_shown_as_less_than_zero_when_it_rounds_to_zero() -> None:
     """An angle a hair right of straight ahead is shown as zero, not as minus zero."""
     straight = msgspec.structs.replace(STATE, angle_deg=-0.0006, speed_mps=-0.001)
-    assert "+0.00 m/s  +0.0 deg" in view.line(msgspec.structs.replace(FRESH, state=straight))
+    assert "+0.00 m/s  +0.0 deg" in fleet.line(msgspec.structs.replace(FRESH, state=straight))

@@ -2,10 +2,10 @@
 
 import pytest
 
-from gateway.command.actuation import Actuation
-from gateway.command.auxiliary import AuxiliaryFrame
+from gateway.chassis.cruiser.bursts import AuxiliaryFrame
+from gateway.chassis.port import Actuation
 from gateway.command.motion import Target
-from gateway.command.request import Ruling
+from gateway.command.rulings import Ruling
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason

@@ -7,11 +7,10 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from gateway.command.carried import Carried
-from gateway.command.snapshot import QUIET_NS
+from gateway.command.restart import QUIET_NS, Carried
 from gateway.core import Core
 from gateway.journal import inputs_of
-from gateway.rerun.rerun import run_again
+from gateway.rerun import run_again
 from schemas.decisions import ArbiterState, EventKind
 from schemas.journal import Kind
 from schemas.reasons import Reason

@@ -3,10 +3,9 @@
 import msgspec
 import pytest
 
-from gateway.command.actuation import Actuation
-from gateway.command.causes import STOPS
-from gateway.command.chassis_monitor import ChassisMonitor
-from gateway.command.chassis_state import ChassisState
+from gateway.chassis.port import Actuation, ChassisState
+from gateway.command.monitor import ChassisMonitor
+from gateway.command.rulings import STOPS
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from tests.support.rigs.arbiter import MS

@@ -7,13 +7,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from gateway.chassis.cruiser.frames import MOTION_FRAMES
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import check
+from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.cruiser.frames import MOTION_FRAMES, load
 from gateway.chassis.frame import ERROR, FD, Frame
-from gateway.command.actuation import Actuation
-from gateway.command.frames import FrameMaker
-from gateway.guard.beat import Cause
+from gateway.chassis.layout import check
+from gateway.chassis.port import Actuation
+from gateway.guard.stopper import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase

@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
+from gateway.chassis.cruiser.gate import GateFault
 from gateway.command.flow import CommandFlow
-from gateway.command.gate import GateFault
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from gateway.telemetry.health import Links
 from schemas.decisions import ArbiterState, Decision, Reply, SafetyState, StopPhase
 from schemas.messages import Mode, ParkingStatus, Variant

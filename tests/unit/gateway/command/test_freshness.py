@@ -1,6 +1,6 @@
 """Row 'command age, by echo': the arbiter knows when it published the challenge that a command carries."""
 
-from gateway.command.freshness import REMEMBERED_NS, ChallengeLog
+from gateway.command.lease import REMEMBERED_NS, ChallengeLog
 from schemas.reasons import Reason
 
 

@@ -3,9 +3,8 @@
 import msgspec
 import pytest
 
-from gateway.command.actuation import Actuation
-from gateway.command.chassis_state import ChassisState
-from gateway.command.handover import Handover, may_be_stopped, may_obey
+from gateway.chassis.port import Actuation, ChassisState
+from gateway.command.output import Handover, may_be_stopped, may_obey
 from schemas.messages import GearPosition, Mode
 from schemas.reasons import Reason
 from schemas.settings import LEFT_BLIND_NS

@@ -7,11 +7,11 @@ from typing import Any
 import msgspec
 import pytest
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
+from gateway.chassis.layout import Encoder
+from gateway.sim.body import Conditions
 from gateway.sim.model import VirtualChassis
-from gateway.sim.parameters import Conditions
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason

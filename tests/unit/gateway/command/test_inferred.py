@@ -5,10 +5,9 @@ from math import radians, tan
 import msgspec
 import pytest
 
-from gateway.command.actuation import Actuation
-from gateway.command.chassis_state import ChassisState
-from gateway.command.inferred import inferred_actuation, inferred_angle_deg
-from gateway.command.limits import MotionLimits
+from gateway.chassis.port import Actuation, ChassisState
+from gateway.command.motion import MotionLimits
+from gateway.command.output import inferred_actuation, inferred_angle_deg
 from schemas.messages import GearPosition
 from schemas.settings import CommandSettings
 

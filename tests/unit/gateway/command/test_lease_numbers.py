@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.command.flow import PendingReply
-from gateway.command.lease_numbers import LeaseNumbers
-from gateway.command.request import RawRequest
+from gateway.command.restart import LeaseNumbers
+from gateway.command.rulings import RawRequest
 from schemas.decisions import LeaseReply, Reply
 from schemas.reasons import Reason
 from schemas.requests import LEASE_MAX

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.limits import MotionLimits, steering_angle_deg
+from gateway.command.motion import MotionLimits, steering_angle_deg
 from schemas.requests import Drive
 from schemas.settings import CommandSettings
 

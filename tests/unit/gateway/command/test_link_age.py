@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.link_age import KEPT, MEAN_NS, QUANTILES_NS, Ages, LinkAge
+from gateway.command.lease import KEPT, MEAN_NS, QUANTILES_NS, Ages, LinkAge
 from gateway.command.motion import Target
 from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S, CommandSettings

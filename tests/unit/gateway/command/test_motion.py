@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.limits import MotionLimits
-from gateway.command.motion import MotionConstraints, MotionProfile, Target
+from gateway.chassis.port import AT_REST, Actuation
+from gateway.command.motion import MotionConstraints, MotionLimits, MotionProfile, Target
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
 from schemas.settings import CommandSettings

@@ -1,8 +1,7 @@
 """What is told although it stops nothing."""
 
-from gateway.command.chassis_state import ChassisState
-from gateway.command.notices import Notices
-from gateway.command.outcome import Event
+from gateway.chassis.port import ChassisState
+from gateway.command.rulings import Event, Notices
 from schemas.decisions import EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import Reason

@@ -5,10 +5,9 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.chassis_state import ChassisState
-from gateway.command.plausibility import Plausibility, exceeds, fits, fitting_scale
-from gateway.telemetry.chassis_tracker import Encoders
+from gateway.chassis.cruiser.tracker import Encoders
+from gateway.chassis.port import AT_REST, Actuation, ChassisState
+from gateway.command.monitor import Plausibility, exceeds, fits, fitting_scale
 from schemas.messages import GearPosition, WheelPulse
 from schemas.reasons import Reason
 

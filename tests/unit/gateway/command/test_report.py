@@ -2,9 +2,9 @@
 
 import pytest
 
-from gateway.command.actuation import AT_REST
-from gateway.command.report import Reporter, reply
-from gateway.command.request import Judged, RawRequest, Ruling, VerbAnswer
+from gateway.chassis.port import AT_REST
+from gateway.command.arbiter import Reporter, reply
+from gateway.command.rulings import Judged, RawRequest, Ruling, VerbAnswer
 from schemas.decisions import ArbiterState, Bound, EventKind, LeaseReply, Reply, SafetyState, Verdict
 from schemas.messages import SEQUENCE_MAX, GearPosition, Mode
 from schemas.reasons import TEXTS, Reason

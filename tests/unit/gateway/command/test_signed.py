@@ -5,7 +5,7 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from gateway.command.request import Credentials
+from gateway.command.rulings import Credentials
 from schemas.decisions import ArbiterState, EventKind
 from schemas.reasons import Reason
 from schemas.requests import Role

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from gateway.command.flow import CommandFlow
-from gateway.command.snapshot import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
+from gateway.command.restart import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
 from schemas.messages import Variant
 from schemas.reasons import Reason
 from tests.support.rigs.gateway import GUARDED, GatewayRig, Operator, ready

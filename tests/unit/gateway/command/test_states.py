@@ -1,6 +1,6 @@
 """The table of states."""
 
-from gateway.command.states import TRANSITIONS, Trigger, diagram
+from gateway.command.rulings import TRANSITIONS, Trigger, diagram
 from schemas.decisions import ArbiterState
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.actuation import Actuation
+from gateway.chassis.port import Actuation
 from gateway.command.stop import StopFeedback, StopSequence
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition

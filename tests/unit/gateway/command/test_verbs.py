@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from schemas.decisions import ArbiterState, Bound, EventKind
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.reasons import TEXTS, Reason

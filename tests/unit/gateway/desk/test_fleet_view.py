@@ -2,10 +2,9 @@
 
 import msgspec
 
-from gateway.desk.fleet_view import BOUNDS, EVENTS_KEPT, FleetView
-from gateway.desk.history import FIELDS, LENGTH, PERIOD_NS
+from gateway.desk.fleet_view import BOUNDS, EVENTS_KEPT, FIELDS, LENGTH, PERIOD_NS, FleetView
 from gateway.desk.words import RecorderRow, RobotRow
-from gateway.telemetry.received import Missed, TokenChange
+from gateway.telemetry.samples import Missed, TokenChange
 from schemas import keys
 from schemas.decisions import Severity
 from schemas.messages import Message

@@ -8,8 +8,8 @@ import pytest
 
 import gateway.desk
 import schemas
-from gateway.client.robot_word import WORDS
-from gateway.desk.overview import reasons_in_words
+from gateway.client.fleet import WORDS
+from gateway.desk.fleet_view import reasons_in_words
 from schemas.decisions import EventKind
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus
 from schemas.reasons import OF_A_ROBOT, TEXTS, Reason

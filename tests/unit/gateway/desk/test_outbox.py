@@ -2,8 +2,16 @@
 
 import msgspec
 
-from gateway.desk.outbox import SAMPLES_WAITING, WAITING, BrowserOutbox
-from gateway.desk.words import DeskRefused, DeskRows, DeskSample, RobotRow, ToBrowser
+from gateway.desk.words import (
+    SAMPLES_WAITING,
+    WAITING,
+    BrowserOutbox,
+    DeskRefused,
+    DeskRows,
+    DeskSample,
+    RobotRow,
+    ToBrowser,
+)
 
 ROW = RobotRow(0, "ready", "", "", 0.0, 1.0, None, 0, "", 0)
 

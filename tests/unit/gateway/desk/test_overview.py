@@ -3,9 +3,8 @@
 import msgspec
 import pytest
 
-from gateway.client.fleet import RobotStatus
-from gateway.client.robot_word import ALARM, FINE, LOOK, WORDS
-from gateway.desk.overview import row_of, why_not
+from gateway.client.fleet import ALARM, FINE, LOOK, WORDS, RobotStatus
+from gateway.desk.fleet_view import row_of, why_not
 from schemas.decisions import ArbiterState, SafetyState, StopPhase
 from schemas.messages import Mode, RobotState
 from schemas.reasons import Reason

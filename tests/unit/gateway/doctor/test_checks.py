@@ -14,8 +14,8 @@ from gateway.doctor.facts import (
     LogDisk,
     ServiceUnit,
     ZenohReport,
+    reach,
 )
-from gateway.doctor.reach import reach
 from schemas.messages import ControllerState, GatewayHealth, Variant
 from schemas.reasons import Reason
 from schemas.recording import RecorderState

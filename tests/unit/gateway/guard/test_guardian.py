@@ -9,15 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from gateway.chassis.cruiser.gate_table import MOTION
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder, Value
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.bursts import AuxiliaryFrame
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.cruiser.gate import MOTION
 from gateway.chassis.frame import Frame
-from gateway.command.actuation import AT_REST, Actuation
-from gateway.command.auxiliary import AuxiliaryFrame
-from gateway.guard.beat import Cause
+from gateway.chassis.layout import Decoded, Encoder, FrameDecoder, Value
+from gateway.chassis.port import AT_REST, Actuation
 from gateway.guard.guardian import Guardian
+from gateway.guard.stopper import Cause
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.settings import (
     DISABLE_NS,

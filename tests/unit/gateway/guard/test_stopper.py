@@ -5,11 +5,10 @@ from math import inf, nan
 import msgspec
 import pytest
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder
-from gateway.chassis.encode import Encoder
-from gateway.command.actuation import Actuation
-from gateway.guard.chassis_view import ChassisView
+from gateway.chassis.cruiser.frames import load
+from gateway.chassis.cruiser.guard_view import ChassisView
+from gateway.chassis.layout import Decoded, Encoder, FrameDecoder
+from gateway.chassis.port import Actuation
 from gateway.guard.stopper import Stopper
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Variant

@@ -7,12 +7,11 @@ from pathlib import Path
 import pytest
 
 from gateway.can.can_bus import BusLost
-from gateway.chassis.cruiser.frames import MOTION_FRAMES
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.encode import Encoder
+from gateway.chassis.cruiser.frames import MOTION_FRAMES, load
 from gateway.chassis.frame import ERROR, EXTENDED, Frame
+from gateway.chassis.layout import Encoder
 from gateway.doctor.facts import BusReport, CanInterface
-from gateway.host.bus_look import can_interfaces, listen, look_at_interface
+from gateway.host.looks import can_interfaces, listen, look_at_interface
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ChassisSettings, Settings
 from tests.support.frames import Feedback

@@ -9,8 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from gateway.doctor.facts import ServiceUnit
-from gateway.host.authority_note import AuthorityNote
-from gateway.host.computer_look import (
+from gateway.host.looks import (
     earliest_s,
     is_synchronised,
     look_at_credentials,
@@ -19,7 +18,8 @@ from gateway.host.computer_look import (
     look_at_units,
     was_shut_down,
 )
-from gateway.host.stop_note import StopNote
+from gateway.host.notes import StopNote
+from gateway.host.signed_mode import AuthorityNote
 from schemas.settings import AuthoritySettings, GatewaySettings, Settings
 from tests.support.provisioning import ProvisionedFleet
 

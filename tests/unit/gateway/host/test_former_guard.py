@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host import former_guard
-from gateway.host.former_guard import STOP_MAX_S, FormerGuard
-from gateway.host.stop_note import StopNote
+from gateway.host import guard_process
+from gateway.host.guard_process import STOP_MAX_S, FormerGuard
+from gateway.host.notes import StopNote
 from tests.support.waiting import wait_until
 
 BEGUN = "guard: the gateway is gone, last heartbeat 51 ms ago: stopping the robot"
@@ -61,7 +61,7 @@ def test_a_damaged_note_tells_of_no_stop_under_way(note: StopNote, content: str)
 
 def test_a_guard_that_never_says_how_it_ended_is_given_up(note: StopNote, monkeypatch: pytest.MonkeyPatch) -> None:
     """It was killed too."""
-    monkeypatch.setattr(former_guard, "STOP_MAX_S", 0.2)
+    monkeypatch.setattr(guard_process, "STOP_MAX_S", 0.2)
     note.add(BEGUN)
     former = FormerGuard(note)
     wait_until(lambda: not former.is_stopping)

@@ -1,7 +1,7 @@
 import pytest
 
 from gateway.command.flow import CommandFlow
-from gateway.guard.beat import GuardView
+from gateway.guard.stopper import GuardView
 from gateway.host.guard_process import start_guard
 from schemas.settings import CanSettings, GatewaySettings, Settings
 

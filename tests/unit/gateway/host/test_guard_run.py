@@ -4,11 +4,11 @@ import threading
 
 import pytest
 
-from gateway.chassis.cruiser.gate_table import MOTION
+from gateway.chassis.cruiser.gate import MOTION
 from gateway.chassis.frame import Frame
-from gateway.guard.beat import Beat, GuardStatus
 from gateway.guard.guardian import Guardian
-from gateway.host.guard_run import run
+from gateway.guard.stopper import Beat, GuardStatus
+from gateway.host.guard_main import run
 from schemas.messages import Mode, Variant
 from schemas.settings import CommandSettings
 from tests.support.frames import Feedback
@@ -117,7 +117,7 @@ class Paused(World):
 def test_what_came_while_the_guard_stood_still_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is old, and would be taken for what the chassis says now."""
     world = Paused()
-    monkeypatch.setattr("gateway.host.guard_run.time.monotonic_ns", world.monotonic_ns)
+    monkeypatch.setattr("gateway.host.guard_main.time.monotonic_ns", world.monotonic_ns)
     guardian = live(world)
     assert world.frames == []
     assert not guardian.view.has_feedback(world.now_ns)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.actuation import Actuation
-from gateway.guard.beat import Beat, Cause, GuardStatus, StopOutcome
-from gateway.host.heartbeat import Heartbeat
+from gateway.chassis.port import Actuation
+from gateway.guard.stopper import Beat, Cause, GuardStatus, StopOutcome
+from gateway.host.guard_main import Heartbeat
 from schemas.messages import GearPosition, Variant
 
 TIMES_NS = st.integers(0, 2**62)

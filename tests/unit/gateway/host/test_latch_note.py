@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.latch_note import LatchNote, RunNote
+from gateway.host.notes import LatchNote, RunNote
 from schemas.reasons import Reason
 from schemas.settings import GatewaySettings, Settings
 from tests.support.waiting import wait_until

@@ -3,7 +3,7 @@
 import logging
 import threading
 
-from gateway.host.log_queue import LINES_WAITING, logging_aside
+from gateway.host.process import LINES_WAITING, logging_aside
 
 log = logging.getLogger("test")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host import mileage_note
-from gateway.host.mileage_note import MileageNote
+from gateway.host import notes
+from gateway.host.notes import MileageNote
 from schemas.settings import GatewaySettings, RobotSettings, Settings
 from tests.support.waiting import wait_until
 
@@ -28,7 +28,7 @@ def drive(note: MileageNote, *mileages_km: float | None) -> list[str]:
     asked = []
     for mileage_km in mileages_km:
         asked.append(note.follow(mileage_km))
-        wait_until(lambda: note._path is not None and mileage_note._read(note._path) == note._noted_km)
+        wait_until(lambda: note._path is not None and notes._read(note._path) == note._noted_km)
     return [one for one in asked if one]
 
 
@@ -75,7 +75,7 @@ def test_a_disk_that_stalls_holds_nobody_up(
         goes_on.wait()
         written.append(mileage_km)
 
-    monkeypatch.setattr(mileage_note, "_write", write)
+    monkeypatch.setattr(notes, "_write_mileage", write)
     note = start()
     for number in range(100):
         assert note.follow(float(number)) == ""

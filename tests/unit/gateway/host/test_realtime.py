@@ -5,13 +5,13 @@ import os
 
 import pytest
 
-from gateway.host import realtime
+from gateway.host import process
 
 
 def test_nothing_is_asked_for_at_priority_0(monkeypatch: pytest.MonkeyPatch) -> None:
     """0 is off: the system is not even asked."""
     monkeypatch.delattr(os, "sched_setscheduler")
-    assert realtime.request_realtime(0) is False
+    assert process.request_realtime(0) is False
 
 
 def test_a_refusal_is_logged_and_changes_nothing(
@@ -24,7 +24,7 @@ def test_a_refusal_is_logged_and_changes_nothing(
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with caplog.at_level(logging.INFO):
-        assert realtime.request_realtime(10) is False
+        assert process.request_realtime(10) is False
     assert "no real-time scheduling" in caplog.text
 
 
@@ -37,4 +37,4 @@ def test_real_time_priority_is_what_the_system_says_whoever_gave_it(monkeypatch:
         (os.SCHED_BATCH | os.SCHED_RESET_ON_FORK, False),
     ):
         monkeypatch.setattr(os, "sched_getscheduler", lambda _pid, policy=policy: policy)
-        assert realtime.has_realtime() is is_realtime
+        assert process.has_realtime() is is_realtime

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.renewal import WAITS, Renewal
+from gateway.host.signed_mode import WAITS, Renewal
 from schemas.settings import AuthoritySettings, Settings
 from tests.support.provisioning import ProvisionedFleet, run
 

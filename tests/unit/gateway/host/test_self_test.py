@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from gateway.host import self_test
-from gateway.host.self_test import Reached, access_fault, find_hole, own_fault
-from gateway.zenoh.intruder import Attempt
+from gateway.host.self_test import Attempt, Reached, access_fault, find_hole, own_fault
 from schemas.command_line import CommandError
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from tests.support.provisioning import ENDPOINT, ProvisionedFleet

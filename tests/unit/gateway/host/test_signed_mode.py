@@ -11,11 +11,10 @@ import msgspec
 import pytest
 
 from gateway.authority.robot_authority import Kept
-from gateway.command.request import RawRequest
+from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.host.authority_note import note_path
-from gateway.host.signed_mode import SignedMode
-from gateway.provisioning.certificates import expires_s, read_certificates
+from gateway.host.signed_mode import SignedMode, note_path
+from gateway.provisioning.key_files import expires_s, read_certificates
 from schemas.authority.proof import Grant, chain_text
 from schemas.authority.trust import AuthorityKeys
 from schemas.command_line import CommandError

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.stop_note import NOTE_MAX_BYTES, NoteClearer, NoteWriter, StopNote
+from gateway.host.notes import STOP_NOTE_MAX_BYTES, NoteClearer, NoteWriter, StopNote
 from schemas.settings import GatewaySettings, RobotSettings, Settings
 from tests.support.waiting import wait_until
 
@@ -68,7 +68,7 @@ def test_a_note_stays_small(note: StopNote) -> None:
     """A guard that stops the robot again and again fills no disk, and what it did first is kept."""
     for number in range(100):
         note.add(f"guard: stop {number} {'x' * 60}")
-    assert path_of(note).stat().st_size <= NOTE_MAX_BYTES
+    assert path_of(note).stat().st_size <= STOP_NOTE_MAX_BYTES
     assert "guard: stop 0 " in note.read()
     assert "damaged" not in note.read()
 

@@ -12,11 +12,14 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from gateway.authority.transport import TransportRole
-from gateway.provisioning.certificates import (
+from gateway.authority.enrolment import TransportRole
+from gateway.provisioning.key_files import (
     RENEW_S,
     CertificateError,
     begins_s,
+    certificate_ends_s,
+    check_kinds,
+    check_tls_files,
     expires_s,
     is_issued,
     issue,
@@ -26,8 +29,8 @@ from gateway.provisioning.certificates import (
     new_request,
     read_certificates,
     read_request,
+    why_shut_out,
 )
-from gateway.provisioning.tls_files import certificate_ends_s, check_kinds, check_tls_files, why_shut_out
 from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
 from tests.support.secured import Network

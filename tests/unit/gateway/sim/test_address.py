@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.sim.address import parse_address, show_address
+from gateway.sim.disturbances import parse_address, show_address
 from schemas.command_line import CommandError, ExitCode
 
 

@@ -4,11 +4,9 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.chassis.decode import Decoded
-from gateway.chassis.encode import checksum
-from gateway.chassis.faults import FaultKind, FrameFault
-from gateway.chassis.frame import ERROR, EXTENDED
-from gateway.sim.faults import ScheduledFault, parse_scheduled
+from gateway.chassis.frame import ERROR, EXTENDED, FaultKind, FrameFault
+from gateway.chassis.layout import Decoded, checksum
+from gateway.sim.disturbances import ScheduledFault, parse_scheduled
 from tests.support.rigs.chassis import ChassisRig, S
 
 GEAR = "Auto_GearFeedBack"

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.frame import ERROR, EXTENDED
-from gateway.sim.faults import (
+from gateway.sim.disturbances import (
     GRAMMAR,
     Bumper,
     Clear,

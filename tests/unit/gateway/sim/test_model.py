@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, FrameDecoder
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
+from gateway.chassis.layout import Decoded, FrameDecoder
+from gateway.sim.body import Conditions, StopMode
 from gateway.sim.model import VirtualChassis
-from gateway.sim.parameters import Conditions, StopMode
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
 from tests.support import SUPPORT
 from tests.support.rigs.chassis import ENABLES, MS, ChassisRig, S

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gateway.sim.motion import Demand, Motion
-from gateway.sim.parameters import (
+from gateway.sim.body import (
     ACCELERATION_MPS2,
     BRAKING_DECELERATION_MPS2,
     DECELERATION_MPS2,
@@ -19,6 +18,8 @@ from gateway.sim.parameters import (
     STEERING_RATE_DEGPS,
     TOP_SPEED_MPS,
     Conditions,
+    Demand,
+    Motion,
 )
 from schemas.messages import GearPosition
 

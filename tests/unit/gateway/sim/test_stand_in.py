@@ -4,11 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.decode import Decoded, Value, check
-from gateway.chassis.encode import Encoder, checksum
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
-from gateway.sim.stand_in import StandIn
+from gateway.chassis.layout import Decoded, Encoder, Value, check, checksum
+from gateway.sim.model import StandIn
 from schemas.messages import Variant
 from tests.support.rigs.chassis import ENABLES, MS, ChassisRig
 from tests.support.strategies import frames as any_frames

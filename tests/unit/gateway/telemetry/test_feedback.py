@@ -3,9 +3,8 @@
 from collections import Counter
 from collections.abc import Iterable
 
-from gateway.chassis.cruiser.feedback import compile_feedback
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.faults import FaultKind
+from gateway.chassis.cruiser.frames import compile_feedback, load
+from gateway.chassis.frame import FaultKind
 from gateway.chassis.supervision import silence_ns
 from gateway.telemetry.feedback import FeedbackStream
 from schemas.messages import Variant

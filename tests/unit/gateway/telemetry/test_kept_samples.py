@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.telemetry.kept_samples import KeptSamples
+from gateway.telemetry.samples import KeptSamples
 from schemas.subjects import KEPT_PIECE
 
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
-from gateway.telemetry.raw_frames import FrameBatch
+from gateway.telemetry.feedback import FrameBatch
 
 
 @given(batches=st.lists(st.integers(0, 30), max_size=8))

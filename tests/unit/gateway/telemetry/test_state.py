@@ -5,7 +5,7 @@ from typing import Any, Final
 import msgspec
 import pytest
 
-from gateway.telemetry.state import LatestMessages, robot_state
+from gateway.telemetry.health import LatestMessages, robot_state
 from schemas.messages import (
     Body,
     Braking,

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pytest
 from mcap.opcode import Opcode
 
-from gateway.command.request import Credentials
+from gateway.command.rulings import Credentials
 from recorder.disk.log_directory import lock
 from recorder.encoding.protobuf_schema import descriptor_set, schema_name
 from recorder.encoding.transcode import compile_encoder

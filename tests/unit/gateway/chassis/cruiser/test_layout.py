@@ -6,8 +6,8 @@ import cantools
 import pytest
 from cantools.database.can import Database
 
-from gateway.chassis.cruiser import layout as layout_module
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser import frames as layout_module
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.cruiser.layout_file import FILE, layouts_text, read_layout
 from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import Variant

@@ -3,10 +3,9 @@
 import pytest
 from hypothesis import given
 
-from gateway.chassis.cruiser.layout import load
-from gateway.chassis.cruiser.variant import StandstillEvidence, VariantDetector
-from gateway.chassis.encode import Encoder
-from gateway.chassis.faults import FaultKind
+from gateway.chassis.cruiser.frames import StandstillEvidence, VariantDetector, load
+from gateway.chassis.frame import FaultKind
+from gateway.chassis.layout import Encoder
 from schemas.messages import Variant
 from tests.support.strategies import VARIANTS, payloads
 

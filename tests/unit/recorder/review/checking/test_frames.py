@@ -8,7 +8,7 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.layout import load
+from gateway.chassis.cruiser.frames import load
 from recorder.encoding.transcode import compile_encoder
 from recorder.mcap.arrays import PADDING, Places
 from recorder.review.checking.frames import AliveCount, FrameCount, feedback_frames

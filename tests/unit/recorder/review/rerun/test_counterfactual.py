@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.rerun.what_if import GivenOutput, what_if
+from gateway.rerun import GivenOutput, what_if
 from recorder.reading.configurations import settings_from
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs

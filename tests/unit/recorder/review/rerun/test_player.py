@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Message, Schema
 from mcap.writer import Writer
 
 from gateway import core
-from gateway.rerun.rerun import rerun
+from gateway.rerun import rerun
 from recorder.reading.configurations import CONFIGURATION
 from recorder.reading.faults import Faults
 from recorder.reading.logs import find_logs

@@ -1,0 +1,250 @@
+"""Between robot and operator: the key of a lease, signatures by it, and reasons why a proof is unmet.
+
+- The robot's own signature: replies and states. Pure.
+- Why a robot is not believed, or does not take somebody's grant: in words, with the cure. Pure.
+
+The key of a lease, known only to its holder and the robot: X25519 (RFC 7748) and HKDF-SHA256 (RFC 5869).
+
+The request for the lease carries the holder's public key, the signed reply the robot's. Both are drawn for this
+one lease, so a key that is learnt later opens nothing of before.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Final
+
+import msgspec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+
+from schemas.authority.proof import TAG_BYTES, DriveProof, Grant, ProofKind, RobotProof, Signed, signed_bytes
+from schemas.authority.trust import Objection, Trust, fingerprint
+from schemas.reasons import TEXTS, Reason
+
+LEASE_KEY_BYTES: Final = 32
+
+_LENGTH_BYTES: Final = 4
+
+
+def public_bytes(private: X25519PrivateKey) -> bytes:
+    """The public key that goes to the other side, 32 bytes."""
+    return private.public_key().public_bytes_raw()
+
+
+def lease_key(private: X25519PrivateKey, other: bytes, boot: bytes, lease: int, expression: str) -> bytes | None:
+    """The key of a lease, 32 bytes, the same on both sides; None if the other side's public key is none.
+
+    Args:
+        private: of this side.
+        other: the public key of the other side, 32 bytes.
+        boot: of the gateway's run, 8 bytes.
+        lease: the lease's number.
+        expression: the key expression of its drive commands.
+    """
+    try:
+        shared = private.exchange(X25519PublicKey.from_public_bytes(other))
+    except ValueError:  # of the wrong length, or of small order
+        return None
+    salt = signed_bytes(ProofKind.LEASE, boot, lease.to_bytes(8, "big"), expression.encode())
+    info = signed_bytes(ProofKind.LEASE, *sorted((public_bytes(private), other)))
+    return HKDF(SHA256(), LEASE_KEY_BYTES, salt=salt, info=info).derive(shared)
+
+
+class DriveTags:
+    """Makes and checks the tags of one lease: of its drive commands, and of its holder's verbs."""
+
+    def __init__(self, key: bytes, lease: int, expression: str, encoding: str) -> None:
+        """For the commands of one lease.
+
+        Args:
+            key: of the lease.
+            lease: its number.
+            expression: the key expression of its drive commands.
+            encoding: theirs.
+        """
+        # All before the payload is the same in each command, so the state of the hash after it is kept.
+        before = DriveProof(lease).signed(expression, encoding, b"")[:-_LENGTH_BYTES]
+        self.lease = lease
+        self._state = hmac.new(key, before, "sha256")
+        self._empty = hmac.new(key, digestmod="sha256")
+
+    def tag(self, payload: bytes) -> bytes:
+        """The tag of a command, 16 bytes."""
+        state = self._state.copy()
+        state.update(len(payload).to_bytes(_LENGTH_BYTES, "big") + payload)
+        return state.digest()[:TAG_BYTES]
+
+    def verb_tag(self, text: bytes) -> bytes:
+        """The tag of a verb, 16 bytes, over the text that its holder signs."""
+        state = self._empty.copy()
+        state.update(text)
+        return state.digest()[:TAG_BYTES]
+
+    def fits_verb(self, tag: bytes, text: bytes) -> bool:
+        """Return True if the tag was made for a verb with this signed text, under this lease's key."""
+        return hmac.compare_digest(tag, self.verb_tag(text))
+
+    def attachment(self, payload: bytes) -> bytes:
+        """The attachment that goes with a command."""
+        return DriveProof(self.lease, self.tag(payload)).attachment()
+
+    def fits(self, attachment: bytes, payload: bytes) -> bool:
+        """Return True if the attachment was made for this command, under this lease's key."""
+        proof = DriveProof.read(attachment)
+        return (
+            proof is not None and proof.lease == self.lease and hmac.compare_digest(proof.tag, self.tag(payload))
+        )
+
+
+class RobotSigner:
+    """Signs in the robot's name.
+
+    Attributes:
+        boot: random, of this run of the gateway, 8 bytes.
+        public_key: the robot's, Ed25519, 32 bytes.
+    """
+
+    def __init__(self, private: Ed25519PrivateKey, boot: bytes) -> None:
+        """Sign for one run.
+
+        Args:
+            private: the robot's key.
+            boot: random, 8 bytes.
+        """
+        self.boot = boot
+        self.public_key = private.public_key().public_bytes_raw()
+        self._private = private
+        self._unsigned = RobotProof(boot)
+
+    def reply(self, key: str, encoding: str, payload: bytes, request: bytes) -> bytes:
+        """The attachment of a reply to the request that had this attachment."""
+        return self._proof(self._unsigned.signed_reply(key, encoding, payload, request))
+
+    def publication(self, key: str, encoding: str, payload: bytes) -> bytes:
+        """The attachment of a published sample."""
+        return self._proof(self._unsigned.signed_publication(key, encoding, payload))
+
+    def _proof(self, text: bytes) -> bytes:
+        return msgspec.structs.replace(self._unsigned, signature=self._private.sign(text)).attachment()
+
+
+LATEST_S: Final = 253_402_300_799
+"""The last second of the year 9999: what dates can say."""
+
+SOMEBODY_ELSE: Final = "look at the robot: somebody may answer in its place"
+
+
+class Unmet(msgspec.Struct, frozen=True):
+    """The reason why a robot is not met.
+
+    Attributes:
+        reason: an enumeration.
+        text: the reason in words, with dates.
+        cure: the way to make it succeed.
+        is_refusal: the robot is believed, and refuses the grant that it was shown.
+    """
+
+    reason: Reason
+    text: str
+    cure: str
+    is_refusal: bool = False
+
+
+SILENT: Final = Unmet(
+    Reason.PROOF_MISSING,
+    "it does not say who it is: its own keys may be missing or damaged, or it is not in signed mode",
+    "'cruiser why ROBOT' shows what it says of itself, not verified",
+)
+"""A robot that answers nothing on ``@auth``."""
+
+UNSIGNED: Final = Unmet(
+    Reason.PROOF_WRONG,
+    "its answer is not signed by the robot that was met",
+    "it may have been started again: try again; 'cruiser why ROBOT' shows what it says of itself",
+)
+"""A robot that was met, and whose answer does not fit its key."""
+
+
+NEW_GRANT: Final = "'cruiser provision renew operator', 'sign' at the authority, 'install --replace'"
+
+_CURES: Final = {
+    Reason.GRANT_EXPIRED: f"set the clock that is wrong, if one is; if not, get a new grant: {NEW_GRANT}",
+    Reason.GRANT_UNKNOWN: f"get a grant of the authority that this robot has: {NEW_GRANT}, with --fingerprint F",
+}
+"""Cures of a grant that a robot refuses, where they say more than the robot's own."""
+
+
+def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust, now_s: int) -> Unmet:
+    """Return why the robot whose reply has this chain is not believed.
+
+    Args:
+        objection: to the reply.
+        chain: the robot's own grant, and those of its signers; empty if it cannot be read.
+        trust: the fleet's authority, as it is known here.
+        now_s: by this computer's clock, seconds since 1970.
+    """
+    life = life_of(chain, now_s)
+    if objection.reason is Reason.GRANT_EXPIRED and life:
+        is_over = all(one.statement.not_before <= now_s for one in chain if isinstance(one.statement, Grant))
+        cure = (
+            "set this computer's clock if it is wrong; if not, the robot needs a new grant: "
+            "'cruiser provision renew robot' on the robot, 'sign' at the authority, 'install --replace'"
+            if is_over
+            else "set this computer's clock: it is behind"
+        )
+        return Unmet(objection.reason, f"the robot's own grant {life}, and {_clock(now_s)}", cure)
+    if objection.reason is Reason.GRANT_UNKNOWN and chain:
+        return Unmet(
+            objection.reason,
+            f"the robot's own grant is signed by the authority's key {fingerprint(chain[-1].signer)}, and "
+            f"authority.json here names the key {fingerprint(trust.active)}",
+            "if it is a robot of yours, one of the two has the files of a former authority: 'cruiser provision "
+            "renew' there, 'sign' at the authority of today, 'install --replace --fingerprint F'",
+        )
+    return Unmet(objection.reason, objection.detail or objection.text, SOMEBODY_ELSE)
+
+
+def not_taken(objection: Objection, cure: str, chain: Sequence[Signed], now_s: int) -> Unmet:
+    """Return why a robot that is believed refuses the grant that it was shown.
+
+    Args:
+        objection: the robot's, in its reply.
+        cure: the robot's.
+        chain: the grant, and those of its signers; empty if none was shown.
+        now_s: by this computer's clock, seconds since 1970.
+    """
+    life = life_of(chain, now_s)
+    dates = f". The grant here {life}, and {_clock(now_s)}" if life else ""
+    timely = dates if objection.reason is Reason.GRANT_EXPIRED else ""
+    return Unmet(
+        objection.reason,
+        f"it refuses the grant: {objection.text}{timely}",
+        _CURES.get(objection.reason) or cure or TEXTS[objection.reason].cure,
+        is_refusal=True,
+    )
+
+
+def life_of(chain: Sequence[Signed], now_s: int) -> str:
+    """Return when a chain of grants holds, or why it does not hold now, in words; empty if it has no grant."""
+    grants = [one.statement for one in chain if isinstance(one.statement, Grant)]
+    if not grants:
+        return ""
+    begins_s, ends_s = max(one.not_before for one in grants), min(one.not_after for one in grants)
+    if now_s > ends_s:
+        return f"ended on {_date(ends_s)}"
+    if now_s < begins_s:
+        return f"begins on {_date(begins_s)}"
+    return f"holds from {_date(begins_s)} until {_date(ends_s)}"
+
+
+def _clock(now_s: int) -> str:
+    return f"this computer's clock says {_date(now_s)}"
+
+
+def _date(time_s: int) -> str:
+    return f"{datetime.fromtimestamp(min(time_s, LATEST_S), UTC):%Y-%m-%d %H:%M} UTC"

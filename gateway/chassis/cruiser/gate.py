@@ -1,0 +1,284 @@
+"""The last gate before the bus, with its own table.
+
+The gate's table of the Cruiser's command frames: identifiers, bits, values, steps.
+
+Written by hand, from the manual, and not from the DBC that the encoder uses, nor from the figures that others
+share: one mistake must not pass both.
+
+The last gate before the bus. Default deny: it admits what its own table allows, and nothing else.
+
+It knows nothing of leases, states or limits in force, and trusts nobody: it reads the bytes. What it refuses is a
+fault of the gateway's own. Its table, ``gateway.chassis.cruiser.gate``, is not the encoder's.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.frame import EXTENDED, Frame
+from schemas.messages import Variant
+
+_GEAR: Final = 0x18C4D1D0 | EXTENDED
+_STEERING: Final = 0x18C4D2D0 | EXTENDED
+DRIVE_ID: Final = 0x18C4D3D0 | EXTENDED
+_BRAKING: Final = 0x18C4D4D0 | EXTENDED
+_PARKING: Final = 0x18C4D5D0 | EXTENDED
+_ODOMETER: Final = 0x18C4D6D0 | EXTENDED
+_LIGHT: Final = 0x18C4D7D0 | EXTENDED
+_SPEAKER: Final = 0x18C4D8D0 | EXTENDED
+
+MOTION: Final = (DRIVE_ID, _GEAR, _STEERING, _BRAKING, _PARKING)
+"""The five of a burst, in their order."""
+
+BRAKE_FIRST: Final = (DRIVE_ID, _PARKING, _GEAR, _STEERING, _BRAKING)
+"""Their order at zero speed, after a burst of which the bus took only a part."""
+
+_ALIVE_BITS: Final = 0xF << 52
+
+USED_BITS: Final[dict[int, int]] = {
+    _GEAR: 0x1 | 0x7 << 8 | _ALIVE_BITS,
+    _STEERING: 0x1 | 0xFFF << 8 | _ALIVE_BITS,
+    DRIVE_ID: 0x1 | 0xFFFF << 8 | _ALIVE_BITS,
+    _BRAKING: 0x1 | 0xFF << 8 | _ALIVE_BITS,
+    _PARKING: 0x1 | 0x1 << 8 | _ALIVE_BITS,
+    _ODOMETER: 0x1 | 0x1 << 16 | _ALIVE_BITS,
+    _LIGHT: 0x1 | 0x1 << 8 | 0x1 << 16 | _ALIVE_BITS,
+    _SPEAKER: 0x1 | _ALIVE_BITS,
+}
+"""The bits of bytes 0 to 6 that may be set, by identifier (manual V2.0, section 5)."""
+
+UNUSED_BITS: Final = {can_id: (1 << 56) - 1 & ~bits for can_id, bits in USED_BITS.items()}
+
+REVERSE, NEUTRAL, DRIVE = 2, 3, 4
+"""Raw gears. Park, 1, is reserved."""
+
+GEARS: Final = frozenset({REVERSE, NEUTRAL, DRIVE})
+
+ENABLES: Final = frozenset({0, len(MOTION)})
+"""None of the five, or all."""
+
+ANGLE_RAW: Final = range(1502, 2595)
+"""-24 to 24 deg at 0.043945 deg/bit from -90 deg."""
+
+SPEED_RAW_MAX: Final = {Variant.COARSE: 55, Variant.FINE: 2222, Variant.UNKNOWN: 0}
+"""2.222 m/s at 0.04 or 0.001 m/s a bit. In an unknown scale only zero is safe."""
+
+SPEED_RISE_RAW: Final = {Variant.COARSE: 1, Variant.FINE: 16, Variant.UNKNOWN: 0}
+"""Most that the speed may rise from one burst to the next: 1.6 m/s2, or one bit."""
+
+ANGLE_STEP_RAW: Final = 15
+"""Most that the angle may change from one burst to the next: 60 deg/s, and rounding."""
+
+
+class MotionBurst(msgspec.Struct, frozen=True, gc=False):
+    """The five frames of a burst, read back from their bytes.
+
+    Attributes:
+        enables: number of the five that are set.
+        gear, angle_raw, speed_raw, pedal_raw: unscaled, as in the bytes.
+        parking: the parking request.
+    """
+
+    enables: int
+    gear: int
+    angle_raw: int
+    speed_raw: int
+    pedal_raw: int
+    parking: int
+
+
+def read_motion(frames: list[Frame]) -> MotionBurst:
+    """Read the five frames that a burst begins with, in whatever order."""
+    words = {frame.can_id: int.from_bytes(frame.data, "little") for frame in frames[:5]}
+    drive, gear, steering, braking, parking = (words[can_id] for can_id in MOTION)
+    return MotionBurst(
+        enables=(drive & 1) + (gear & 1) + (steering & 1) + (braking & 1) + (parking & 1),
+        gear=gear >> 8 & 0x7,
+        angle_raw=steering >> 8 & 0xFFF,
+        speed_raw=drive >> 8 & 0xFFFF,
+        pedal_raw=braking >> 8 & 0xFF,
+        parking=parking >> 8 & 1,
+    )
+
+
+BURST_MAX_FRAMES: Final = 8
+"""The five and one of each other frame."""
+
+RATE_FRAMES: Final = 12
+"""Frames of one identifier that pass at most in ``RATE_WINDOW_NS``; 10 are nominal."""
+
+RATE_WINDOW_NS: Final = 100_000_000
+"""Window of the rate limit, 100 ms."""
+
+FORGET_NS: Final = 200_000_000
+"""After a pause the next burst is not held against the one before."""
+
+
+class GateFault(msgspec.Struct, frozen=True):
+    """The fault for which the gate refused a burst."""
+
+    can_id: int
+    detail: str
+
+
+class Gate:
+    """Admits a burst as a whole or not at all.
+
+    Attributes:
+        counters: the last alive counter of each identifier that was ever sent.
+    """
+
+    def __init__(self, *, may_release: bool = False) -> None:
+        """Nothing was sent yet.
+
+        Args:
+            may_release: what is sent first is a stop of an engagement, which may release the parking brake once.
+        """
+        self.counters: dict[int, int] = {}
+        self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
+        self._before: MotionBurst | None = None
+        self._before_ns = 0
+        self._is_stopping = self._is_torn = False
+        # In a stop the parking brake is released once at most, by a robot that it does not hold.
+        self._may_release = may_release
+
+    def admit(
+        self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False
+    ) -> GateFault | None:
+        """Return the fault for which these frames must not be sent together, or None if they may.
+
+        One stop is always admitted, whatever was admitted before: zero speed, gear and angle of the burst before,
+        the parking request, all enables and no pedal.
+
+        Args:
+            frames: a burst.
+            variant: the scale of the speed in it.
+            now_ns: monotonic.
+            stopping: they belong to a stop. Only a stop may begin with the parking brake released; in a stop no
+                speed rises, and the parking brake stays applied, but for one release at zero speed.
+        """
+        if len(frames) > BURST_MAX_FRAMES or len({frame.can_id for frame in frames}) != len(frames):
+            return GateFault(0, "too many frames, or one twice")
+        for frame in frames:
+            fault = self._frame_fault(frame, now_ns)
+            if fault:
+                return GateFault(frame.can_id, fault)
+        order = tuple(frame.can_id for frame in frames[: len(MOTION)])
+        if order != MOTION and not (order == BRAKE_FIRST and self._is_torn):
+            return GateFault(0, "a burst begins with the five motion frames")
+        motion = read_motion(frames)
+        if order != MOTION and motion.speed_raw:
+            return GateFault(DRIVE_ID, "the parking frame comes second at zero speed alone")
+        before = self._before if now_ns - self._before_ns < FORGET_NS else None
+        self._is_stopping = stopping
+        fault = motion_fault(motion, variant) or step_fault(
+            motion, before, variant, stopping=stopping, may_release=self._may_release
+        )
+        return GateFault(DRIVE_ID, fault) if fault else None
+
+    def sent(self, frames: list[Frame], now_ns: int) -> None:
+        """These were sent, the first of a burst that was admitted: what follows is held against them."""
+        for frame in frames:
+            self.counters[frame.can_id] = frame.data[6] >> 4
+            self._times_ns[frame.can_id].append(now_ns)
+        if frames:
+            self._is_torn = len(frames) < len(MOTION)
+        if len(frames) >= len(MOTION):
+            motion, before = read_motion(frames), self._before
+            if not self._is_stopping:
+                self._may_release = True
+            elif before is not None and before.parking > motion.parking:
+                self._may_release = False
+            self._before, self._before_ns = motion, now_ns
+
+    def pause(self) -> None:
+        """Nothing is sent, on purpose: somebody else may command meanwhile, and what follows begins anew."""
+        self._before = None
+
+    def _frame_fault(self, frame: Frame, now_ns: int) -> str:
+        can_id, data = frame.can_id, frame.data
+        if can_id not in USED_BITS:
+            return "this identifier is not sent"
+        if len(data) != 8 or frame.fd_flags or frame.remote_length:
+            return "a command frame is a classic one of 8 bytes"
+        times_ns = self._times_ns[can_id]
+        if len(times_ns) == RATE_FRAMES and now_ns - times_ns[0] < RATE_WINDOW_NS:
+            return "too many frames of this identifier"
+        return word_fault(can_id, int.from_bytes(data, "little"), self.counters.get(can_id))
+
+
+def word_fault(can_id: int, word: int, last_counter: int | None) -> str:
+    """Return the fault of a frame's eight bytes, read as one little-endian number; empty if there is none.
+
+    Args:
+        can_id: one of ``USED_BITS``.
+        word: the bytes.
+        last_counter: the alive counter sent last under this identifier; None if none was.
+    """
+    folded = word ^ word >> 32
+    folded ^= folded >> 16
+    if (folded ^ folded >> 8) & 0xFF:
+        return "the checksum is wrong"
+    if word & UNUSED_BITS[can_id]:
+        return "a bit is set that has no meaning"
+    if last_counter is not None and word >> 52 & 0xF != (last_counter + 1) & 0xF:
+        return "the alive counter does not follow the last one"
+    return ""
+
+
+def motion_fault(motion: MotionBurst, variant: Variant) -> str:
+    """Return the fault of the five frames together; empty if there is none."""
+    moves = motion.speed_raw > 0
+    rules = (
+        (motion.gear in GEARS, "this gear is not commanded"),
+        (motion.angle_raw in ANGLE_RAW, "the angle is beyond 24 deg"),
+        (motion.speed_raw <= SPEED_RAW_MAX[variant], "the speed is beyond what this variant may be told"),
+        (motion.enables in ENABLES, "the five enables differ"),
+        # Disabled is neutral, neutral is parked, parked is at zero speed: each of these follows from the next.
+        (motion.gear == NEUTRAL or motion.enables, "a gear without the enables"),
+        (motion.gear != NEUTRAL or motion.parking, "neutral without the parking brake"),
+        (not moves or not motion.parking, "a speed against the parking brake"),
+        (not motion.pedal_raw, "the brake pedal is never pressed"),
+    )
+    return _broken(rules)
+
+
+def step_fault(
+    motion: MotionBurst, before: MotionBurst | None, variant: Variant, *, stopping: bool, may_release: bool
+) -> str:
+    """Return the fault of the step from one burst to the next; empty if there is none.
+
+    Args:
+        motion: the burst; neither it nor the one before has a motion fault.
+        before: the one before; None out of silence.
+        variant: the scale of the speeds.
+        stopping: the burst belongs to a stop.
+        may_release: this stop may release the parking brake, for there was an engagement before it, and no release
+            since.
+    """
+    if before is None:
+        return "" if stopping or motion.parking else "released out of silence"
+    moves = motion.speed_raw > 0
+    rise_raw = 0 if stopping else SPEED_RISE_RAW[variant]
+    shifts = motion.gear != before.gear
+    releases = before.parking > motion.parking
+    rules = (
+        (motion.speed_raw - before.speed_raw <= rise_raw, "the speed rises too fast"),
+        (abs(motion.angle_raw - before.angle_raw) <= ANGLE_STEP_RAW, "the angle changes too fast"),
+        # Parked is at zero speed: this keeps the gear at speed as well.
+        (not shifts or motion.parking & before.parking, "the gear changes without the parking brake"),
+        (not shifts or NEUTRAL in {motion.gear, before.gear}, "the direction changes without neutral"),
+        (not releases or not stopping or may_release, "a stop releases the parking brake"),
+        (not releases or not moves, "the parking brake is released at speed"),
+    )
+    return _broken(rules)
+
+
+def _broken(rules: tuple[tuple[object, str], ...]) -> str:
+    for holds, fault in rules:
+        if not holds:
+            return fault
+    return ""

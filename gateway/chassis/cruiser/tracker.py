@@ -1,0 +1,240 @@
+"""The chassis as the arbiter sees it, from the telemetry flow: the one place where the two flows touch. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import TypeVar
+
+from gateway.chassis.cruiser.frames import (
+    BODY,
+    DRIVE,
+    GEAR,
+    PARKING,
+    STEERING,
+    WHEEL_PULSE,
+    WHEEL_SPEED,
+    VariantDetector,
+)
+from gateway.chassis.port import ChassisState
+from gateway.chassis.supervision import silence_ns
+from gateway.telemetry.feedback import FeedbackStream
+from gateway.telemetry.health import Links
+from schemas.can_word import COUNTER_SPAN
+from schemas.cruiser import TURNING_RAW_MIN
+from schemas.messages import (
+    Body,
+    ControllerState,
+    Drive,
+    Feedback,
+    Gear,
+    GearPosition,
+    Mode,
+    Parking,
+    ParkingStatus,
+    Steering,
+    Variant,
+    WheelPulse,
+    WheelSpeed,
+)
+from schemas.settings import PULSES_MOVING_FRAMES, PULSES_STEADY
+
+_Kind = TypeVar("_Kind", bound=Feedback)
+
+
+class ChassisTracker:
+    """Makes the chassis's state of the newest feedback, each tick."""
+
+    def __init__(
+        self, streams: Iterable[FeedbackStream], detector: VariantDetector, required: Iterable[str]
+    ) -> None:
+        """Nothing was seen yet.
+
+        Args:
+            streams: of all feedback frames.
+            detector: of the variant.
+            required: the frames without which the robot is not commanded, by their names in the DBC.
+        """
+        self._streams = {stream.layout.name: stream for stream in streams}
+        self._required = {name: self._streams[name] for name in required}
+        self._encoders = Encoders()
+        self._hits = [False, False]
+        self._detector = detector
+        # A frame that says that it is not valid is waited for as long as one that stays away.
+        self._patience_ns = {
+            name: silence_ns(self._streams[name].layout.period_ns) for name in (WHEEL_SPEED, BODY)
+        }
+        self._valid_ns = dict.fromkeys(self._patience_ns, 0)
+
+    def note_body(self) -> None:
+        """A body frame came: a bumper that it says was hit counts at the next tick, whatever comes after it."""
+        body = self._latest(BODY, Body)
+        if body is not None:
+            self._hits[0] |= body.front_bumper
+            self._hits[1] |= body.rear_bumper
+
+    def state(
+        self,
+        links: Links,
+        controller: ControllerState,
+        variant: Variant,
+        commander_ns: int | None,
+        now_ns: int,
+    ) -> ChassisState:
+        """The chassis now.
+
+        Args:
+            links: the bus and the guard.
+            controller: the CAN controller's error state.
+            variant: the firmware variant in force.
+            commander_ns: when another computer's command frame was last received.
+            now_ns: monotonic.
+        """
+        wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)
+        drive, gear = self._latest(DRIVE, Drive), self._latest(GEAR, Gear)
+        steering = self._latest(STEERING, Steering)
+        (front, rear), self._hits = self._hits, [False, False]
+        parking = self._latest(PARKING, Parking)
+        return ChassisState(
+            bus_up=links.bus_up,
+            bus_losses=links.bus_losses,
+            controller=controller,
+            missing=tuple(self._missing(wheels, body, now_ns)),
+            faulty=tuple(self._faulty(now_ns)),
+            absurd=tuple(self._absurd(now_ns)),
+            variant=variant,
+            confirmed=self._detector.confirmed,
+            mode=body.mode if body is not None else Mode.UNDEFINED,
+            gear=gear.gear_position if gear is not None else GearPosition.UNDEFINED,
+            brake=parking.parking_status if parking is not None else ParkingStatus.UNDEFINED,
+            speed_mps=drive.speed_mps if drive is not None else None,
+            wheel_speed_mps=_mean_mps(wheels),
+            fastest_wheel_mps=_fastest_mps(wheels),
+            turns=self._turns(now_ns),
+            pulses=self._encoders.direction(self._latest(WHEEL_PULSE, WheelPulse)),
+            angle_deg=steering.angle_deg if steering is not None else None,
+            front_bumper=front or (_bumper(body, body.front_bumper) if body is not None else None),
+            rear_bumper=rear or (_bumper(body, body.rear_bumper) if body is not None else None),
+            total_mileage_km=body.total_mileage_km if body is not None and body.valid else None,
+            commander_ns=commander_ns,
+            guarded=links.guarded,
+            guard_sends=links.guard_sends,
+            guard_stops=links.guard_stops,
+            guard_says=links.guard_says,
+            is_behind=links.is_behind,
+            realtime=links.realtime,
+        )
+
+    def _latest(self, name: str, kind: type[_Kind]) -> _Kind | None:
+        message = self._streams[name].latest
+        return message if isinstance(message, kind) else None
+
+    def _missing(self, wheels: WheelSpeed | None, body: Body | None, now_ns: int) -> Iterable[str]:
+        for name, message in ((WHEEL_SPEED, wheels), (BODY, body)):
+            if message is not None and message.valid:
+                self._valid_ns[name] = now_ns
+        for name, stream in self._required.items():
+            if stream.supervisor.is_silent or (
+                name in self._valid_ns
+                and stream.latest is not None
+                and now_ns - self._valid_ns[name] > self._patience_ns[name]
+            ):
+                yield name
+
+    def _faulty(self, now_ns: int) -> Iterable[str]:
+        for name, stream in self._required.items():
+            supervisor = stream.supervisor
+            # Nearly always there was none yet, and this is asked of each frame in every tick.
+            checksums = supervisor.checksums
+            if supervisor.alive.has_failed or (checksums.faults and checksums.has_failed(now_ns)):
+                yield name
+
+    def _absurd(self, now_ns: int) -> Iterable[str]:
+        for name, stream in self._required.items():
+            implausible = stream.supervisor.implausible
+            if implausible.faults and implausible.has_failed(now_ns):
+                yield name
+
+    def _turns(self, now_ns: int) -> bool | None:
+        """Return whether the drive feedback is not zero, in whatever scale: in motion no variant shows.
+
+        Where there is none, the wheels tell.
+        """
+        drive, wheels = self._streams[DRIVE], self._streams[WHEEL_SPEED]
+        if drive.data is not None:
+            return int.from_bytes(drive.data[1:3], "little") >= TURNING_RAW_MIN
+        if drive.supervisor.implausible.has_failed(now_ns):
+            # Beyond what this chassis can do is not zero either, as it reads where the wrong scale is configured.
+            return True
+        return None if wheels.data is None else self._detector.evidence.turns(wheels.data)
+
+
+class Encoders:
+    """Reads from wheel pulses whether and where the robot goes, without knowing how far a pulse is."""
+
+    def __init__(self) -> None:
+        self._before: WheelPulse | None = None
+        # What was counted from one frame to the next, and over how many periods: frames may be lost.
+        self._counted: deque[tuple[int, int]] = deque(maxlen=PULSES_MOVING_FRAMES)
+        self._direction = 0
+
+    def direction(self, pulses: WheelPulse | None) -> int:
+        """1 forward, -1 backward: both wheels together count that way in many frames, and no slower; else 0.
+
+        A robot on its last centimetres to standstill counts slower and slower, and does not roll.
+        """
+        if pulses is None or not pulses.valid:
+            self._before, self._direction = None, 0
+            self._counted.clear()
+        elif pulses != self._before:  # By value: a core that resumes has two objects of one frame.
+            if self._before is not None:
+                periods = (pulses.alive_counter - self._before.alive_counter) % COUNTER_SPAN
+                self._counted.append((_counted(pulses, self._before), max(1, periods)))
+                self._direction = self._judge()
+            self._before = pulses
+        return self._direction
+
+    def _judge(self) -> int:
+        counted = list(self._counted)
+        if len(counted) < PULSES_MOVING_FRAMES or len({_sign(count) for count, _ in counted}) > 1:
+            return 0
+        half = PULSES_MOVING_FRAMES // 2
+        earlier, later = _rate(counted[:half]), _rate(counted[half:])
+        return _sign(counted[0][0]) if later >= earlier * PULSES_STEADY else 0
+
+
+def _rate(counted: list[tuple[int, int]]) -> float:
+    """Pulses in a period, a magnitude."""
+    return abs(sum(count for count, _ in counted)) / sum(periods for _, periods in counted)
+
+
+def _counted(pulses: WheelPulse, before: WheelPulse) -> int:
+    """Return the pulses of both wheels, across the wrap of the signed 16 bits."""
+    left = pulses.rear_left_pulses - before.rear_left_pulses
+    right = pulses.rear_right_pulses - before.rear_right_pulses
+    return _wrapped(left) + _wrapped(right)
+
+
+def _wrapped(pulses: int) -> int:
+    return (pulses + 0x8000) % 0x1_0000 - 0x8000
+
+
+def _sign(number: int) -> int:
+    return (number > 0) - (number < 0)
+
+
+def _mean_mps(wheels: WheelSpeed | None) -> float | None:
+    if wheels is None or not wheels.valid:
+        return None
+    return (wheels.rear_left_speed_mps + wheels.rear_right_speed_mps) / 2
+
+
+def _fastest_mps(wheels: WheelSpeed | None) -> float | None:
+    if wheels is None or not wheels.valid:
+        return None
+    return max(abs(wheels.rear_left_speed_mps), abs(wheels.rear_right_speed_mps))
+
+
+def _bumper(body: Body, is_pressed: bool) -> bool | None:  # noqa: FBT001 - it is what the frame says
+    """A hit counts although the frame says that it is not valid; that nothing was hit does not."""
+    return is_pressed if body.valid else is_pressed or None

@@ -1,0 +1,261 @@
+"""State that survives a restart or a gap, and leases by public numbers.
+
+Snapshots of a gateway at rest, from which its journal can be run again. Pure.
+
+At rest the robot stands, nobody holds the lease, nothing is latched or asked, and all feedback is well. What the
+arbiter knows then is in the feedback of the last seconds, but for a few numbers: those are here.
+
+When a gateway may be started again, and what it begins with. Pure.
+
+A restart must never clear a latch. The gateway that starts again is not ready by itself: it begins in standby,
+with all that was latched. In logs of before it began with more: a stop that was owed, lamps and horn.
+
+The numbers of leases: a secret between the holder and the robot. Pure.
+
+Every request of a holder carries the number that the reply to ``acquire`` or ``take`` gave. The core, the journal
+and everything that is published know a lease by its identifier alone, which gives nobody anything. The run loop
+puts identifiers for numbers into each request before the core gets it, numbers for identifiers into each reply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from gateway.chassis.layout import Signals
+from gateway.command.flow import CommandFlow, PendingReply
+from gateway.command.motion import Target
+from gateway.command.rulings import RawRequest
+from schemas import codec
+from schemas.codec import PayloadFault
+from schemas.decisions import ArbiterState, LeaseReply
+from schemas.reasons import Reason
+from schemas.requests import Leased
+from schemas.settings import REQUEST_MAX_BYTES
+from schemas.subjects import BY_VERB, STOP_VERB
+
+QUIET_NS: Final = 5_000_000_000
+"""The time without a request or a command after which a snapshot may be taken."""
+
+
+class Snapshot(msgspec.Struct, frozen=True, array_like=True):
+    """The few numbers. In the journal it is an array, in this order.
+
+    Attributes:
+        tick_number: of the last tick.
+        challenges: those that were published lately, each with its monotonic time.
+        leases: number of leases given in this run.
+        ended: the leases that ended last, and why.
+        stop_reason, stop_detail: why the last stop was begun, and its figures.
+        parked, target_speed_mps, target_angle_deg: the last requested ones.
+        sequences: the next sequence of each message of the arbiter, by the class's name.
+        state_due_ns: when the next safety/state is due, monotonic.
+        sent: the last alive counter of each command frame that was ever sent, by identifier.
+        bars: why nobody may engage the robot, each reason with its words; left out if there is none.
+    """
+
+    tick_number: int
+    challenges: list[tuple[bytes, int]]
+    leases: int
+    ended: list[tuple[int, str]]
+    stop_reason: str
+    stop_detail: str
+    parked: bool
+    target_speed_mps: float
+    target_angle_deg: float
+    sequences: dict[str, int]
+    state_due_ns: int
+    sent: dict[int, int]
+    bars: dict[str, str] = {}
+
+
+def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
+    """True if nothing is under way, and ``snapshot`` holds all that remains of what was."""
+    arbiter = flow.arbiter
+    return (
+        arbiter.state is ArbiterState.STANDBY
+        and now_ns - flow.busy_ns >= QUIET_NS
+        and arbiter.leases.held is None
+        and not arbiter.latches.details
+        and not arbiter.engagement.is_closing
+        and arbiter.handover.left is None
+        and not arbiter.engagement.owes_stop
+        and not arbiter.engagement.is_after_crash
+        and arbiter.auxiliary.is_off(now_ns)
+        and arbiter.monitor.stands
+        and not arbiter.monitor.pressed
+        and not arbiter.monitor.chassis_faults()
+        and arbiter.monitor.chassis.bus_up
+    )
+
+
+def snapshot(flow: CommandFlow) -> Snapshot:
+    """Return the snapshot of a gateway at rest."""
+    arbiter = flow.arbiter
+    return Snapshot(
+        tick_number=arbiter.tick_number,
+        challenges=arbiter.link.challenges.published,
+        leases=arbiter.leases.given,
+        ended=[(number, reason.value) for number, reason in arbiter.leases.ended],
+        stop_reason=arbiter.engagement.stop_reason.value,
+        stop_detail=arbiter.engagement.stop_detail,
+        parked=arbiter.setpoint.parked,
+        target_speed_mps=arbiter.setpoint.target.speed_mps,
+        target_angle_deg=arbiter.setpoint.target.angle_deg,
+        sequences=dict(flow.reporter.sequences),
+        state_due_ns=flow.reporter.state_due_ns,
+        sent=dict(flow.gate.counters),
+        bars={reason.value: words for reason, words in arbiter.engagement.bars.items()},
+    )
+
+
+def as_array(kept: Snapshot) -> tuple[object, ...]:
+    """The snapshot as the journal holds it; as before there were bars, if there are none."""
+    values = msgspec.structs.astuple(kept)
+    return values if kept.bars else values[:-1]
+
+
+def restore(flow: CommandFlow, kept: Snapshot, now_ns: int) -> None:
+    """From here on the flow is the one that is remembered.
+
+    Args:
+        flow: a new one, which has seen the feedback of the last seconds.
+        kept: the snapshot.
+        now_ns: when it was, monotonic.
+    """
+    arbiter = flow.arbiter
+    arbiter.tick_number = kept.tick_number
+    arbiter.link.challenges.restore(kept.challenges)
+    arbiter.leases.restore(kept.leases, [(number, Reason(reason)) for number, reason in kept.ended])
+    arbiter.engagement.stop_reason, arbiter.engagement.stop_detail = Reason(kept.stop_reason), kept.stop_detail
+    arbiter.engagement.bars = {Reason(reason): words for reason, words in kept.bars.items()}
+    arbiter.setpoint.parked = kept.parked
+    arbiter.setpoint.target = Target(kept.target_speed_mps, kept.target_angle_deg)
+    flow.maker.restore(kept.sent)
+    flow.gate.counters = dict(kept.sent)
+    flow.reporter.restore(kept.sequences, kept.state_due_ns, now_ns)
+
+
+class Carried(msgspec.Struct, frozen=True, array_like=True):
+    """All of a standing robot's past that a new arbiter cannot see on the chassis. In the journal it is an array.
+
+    Attributes:
+        latched: the causes that nobody has reset, oldest first, each with its detail.
+        stop_reason, stop_detail: why the last stop was begun, and its figures.
+        owes_stop: a stop could not be carried out, or ended without an applied parking brake.
+        lamps, horn: the lamps and the horn as the chassis was left with them.
+    """
+
+    latched: dict[str, str] = {}
+    stop_reason: str = Reason.NONE.value
+    stop_detail: str = ""
+    owes_stop: bool = False
+    lamps: Signals = {}
+    horn: bool = False
+
+    @property
+    def words(self) -> str:
+        """The latched causes, each with its detail; empty if there is none."""
+        return "; ".join(f"{reason} ({detail})" if detail else reason for reason, detail in self.latched.items())
+
+
+def may_start_again(flow: CommandFlow, now_ns: int) -> bool:
+    """Return True if the gateway may be away for some seconds, and the note of latches is all that it must know.
+
+    The robot stands, nobody holds the lease, nothing is sent, and nobody asked anything lately. That something is
+    latched, or the robot cannot be engaged, is no objection: renewed files may be the cure. Where the chassis may
+    yet execute a command that was left to it, a stop is owed, or the horn was left on, the gateway stays.
+    Events are no objection either: on a busy computer the loop is late, and says so, again and again.
+    """
+    arbiter = flow.arbiter
+    chassis = arbiter.monitor.chassis
+    return (
+        arbiter.state is ArbiterState.STANDBY
+        and now_ns - flow.asked_ns >= QUIET_NS
+        and arbiter.leases.held is None
+        and not arbiter.engagement.is_closing
+        and arbiter.handover.left is None
+        and not arbiter.engagement.owes_stop
+        and not arbiter.engagement.auxiliary.is_sounding
+        and arbiter.monitor.stands
+        and chassis.bus_up
+    )
+
+
+def take_over(flow: CommandFlow, former: Carried, now_ns: int) -> None:
+    """Begin where the gateway before this one ended.
+
+    Args:
+        flow: a new one.
+        former: carried over from the one before it.
+        now_ns: monotonic.
+    """
+    engagement = flow.arbiter.engagement
+    for reason, detail in former.latched.items():
+        engagement.latch(Reason(reason), detail, now_ns)
+    engagement.stop_reason, engagement.stop_detail = Reason(former.stop_reason), former.stop_detail
+    engagement.owes_stop = former.owes_stop
+    engagement.auxiliary.restore(former.lamps, horn=former.horn)
+
+
+UNKNOWN_LEASE: Final = 0
+"""The identifier of no lease, for a number that was not given."""
+
+_KEPT: Final = 32
+"""More than the leases whose end the arbiter remembers: their holders are told how they lost them."""
+
+
+class LeaseNumbers:
+    """The number of each lease that was given."""
+
+    def __init__(self, draw: Callable[[], int]) -> None:
+        """No lease was given yet.
+
+        Args:
+            draw: a random number from 1 to ``LEASE_MAX`` that nobody can foretell.
+        """
+        self._draw = draw
+        self._ids: dict[int, int] = {}
+
+    def admit(self, raw: RawRequest, _now_ns: int = 0) -> RawRequest:
+        """The request as the core may know it, and the journal may keep it.
+
+        What the core needs not read, and what cannot be read, is left out: a number could be anywhere in it.
+        """
+        raw = msgspec.structs.replace(raw, attachment=b"") if raw.attachment else raw
+        command = BY_VERB.get(raw.verb)
+        if command is None or raw.verb == STOP_VERB or raw.size > REQUEST_MAX_BYTES or raw.fault:
+            return msgspec.structs.replace(raw, payload=b"")
+        request = codec.decode_request(command, raw.payload)
+        if isinstance(request, PayloadFault):
+            return msgspec.structs.replace(raw, payload=b"", fault=request.detail)
+        if isinstance(request, Leased):
+            request = msgspec.structs.replace(request, lease=self._ids.get(request.lease, UNKNOWN_LEASE))
+        return msgspec.structs.replace(raw, payload=_ENCODER.encode(request))
+
+    def reply(self, reply: PendingReply) -> PendingReply:
+        """The reply as its receiver gets it: the lease that it gives by its number, which is drawn here."""
+        command = BY_VERB.get(reply.verb)
+        if command is None or command.reply is not LeaseReply:
+            return reply
+        said = _LEASE_REPLY.decode(reply.payload)
+        if not said.ok:
+            return reply
+        number = self.number_of(said.lease)
+        if not number:
+            number = self._draw()
+            self._ids[number] = said.lease
+            if len(self._ids) > _KEPT:
+                del self._ids[next(iter(self._ids))]
+        payload = _ENCODER.encode(msgspec.structs.replace(said, lease=number))
+        return msgspec.structs.replace(reply, payload=payload)
+
+    def number_of(self, lease_id: int) -> int:
+        """The number of a lease that was given; 0, which is no lease's, for any other."""
+        return next((number for number, known in self._ids.items() if known == lease_id), 0)
+
+
+_ENCODER: Final = msgspec.msgpack.Encoder()
+_LEASE_REPLY: Final = msgspec.msgpack.Decoder(LeaseReply)

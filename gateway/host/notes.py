@@ -1,0 +1,459 @@
+"""Notes on the disk that outlive the process: stops, latches, the mileage.
+
+The directory of what outlives a restart of the gateway, and the way in which its files are written.
+
+The note of a stop by the guard: a small file, so that its latch outlives a restart of the gateway.
+
+The guard, or ``cruiser halt``, adds a line for each thing that it says. While the file exists the stop is latched,
+whatever the file holds. A reset removes it.
+
+The note of what is latched: a small file, so that no restart of the gateway's process clears a latch.
+
+It is written as soon as something is latched, and removed by the reset. A stop by the guard has a note of its own
+(``gateway.host.notes``), for the guard writes it when the gateway is gone.
+
+The note of a robot's total mileage: one that is far off at a start may be that of another chassis.
+
+A computer that was moved to another chassis, or a configuration that was copied with its name, drives on under
+that name: logs, grants and people take it for the robot that it was.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Final, Self
+
+import msgspec
+
+from gateway.host.process import request_realtime
+from schemas.command_line import plain
+from schemas.reasons import Reason
+from schemas.settings import MILEAGE_DIFFERS_KM, Settings
+
+AUTO: Final = "auto"
+
+
+def state_directory(setting: str, environment: Mapping[str, str]) -> Path | None:
+    """The directory that ``gateway.state_dir`` names; None if there is none.
+
+    Auto is ``$STATE_DIRECTORY``, which systemd sets, else ``$XDG_STATE_HOME/cruiser``, else
+    ``~/.local/state/cruiser``.
+    """
+    if setting != AUTO:
+        return Path(setting) if setting else None
+    given = environment.get("STATE_DIRECTORY", "").partition(":")[0]
+    if given:
+        return Path(given)
+    state = environment.get("XDG_STATE_HOME", "")
+    home = environment.get("HOME", "")
+    if state.startswith("/"):
+        return Path(state) / "cruiser"
+    return Path(home) / ".local" / "state" / "cruiser" if home else None
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is there as it was or as it is now, whatever happens meanwhile. Makes its directory.
+
+    Raises:
+        OSError: it cannot be written; it is as it was.
+    """
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".unfinished")
+    descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+    sync_directory(path.parent)
+
+
+def sync_directory(directory: Path) -> None:
+    """Have the disk hold which files a directory has: a power cut undoes no change of before."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+log = logging.getLogger(__name__)
+
+STOP_NOTE_MAX_BYTES: Final = 2048
+"""A longer note is neither extended nor read to its end: its first lines say what happened."""
+
+STOP_WRITE_TIMEOUT_S: Final = 10.0
+"""The longest wait of a guard, or a halt, that has done for a disk that stalls."""
+
+CLEAR_TIMEOUT_S: Final = 1.0
+"""The longest wait of a gateway that ends for a disk that stalls; a note that stays latches once more."""
+
+
+class StopNote:
+    """The file of one robot. Everything here may block for as long as the disk does.
+
+    Attributes:
+        path: of the file; None if no note is kept.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The note of the robot that the settings name."""
+        directory = state_directory(settings.gateway.state_dir, environment)
+        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+        return cls(None if directory is None else directory / f"{robot}.guard-stop")
+
+    def why_not(self) -> str:
+        """Why no note can be kept, for people; empty if one can. Makes the directory."""
+        if self.path is None:
+            return "gateway.state_dir is empty, or there is no home directory to take its place"
+        try:
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            return f"{self.path.parent} cannot be made: {error.strerror}"
+        return "" if os.access(self.path.parent, os.W_OK | os.X_OK) else f"{self.path.parent} cannot be written to"
+
+    def read(self) -> str:
+        """Return the note's text in one line; empty if there is none. A damaged note is a note."""
+        if self.path is None:
+            return ""
+        try:
+            if not self.path.is_file() and self.path.exists():
+                return f"the note {self.path} is no file"
+            with self.path.open("rb") as file:
+                content = file.read(STOP_NOTE_MAX_BYTES)
+        except FileNotFoundError:
+            return ""
+        except OSError as error:
+            return f"the note {self.path} cannot be read: {error.strerror}"
+        if not content:
+            return f"the note {self.path} is empty: the disk was full"
+        lines = content.decode(errors="backslashreplace").splitlines()
+        if not content.endswith(b"\n") or not all(map(_is_whole, lines)):
+            return f"the note {self.path} is damaged: {plain(' / '.join(lines))}"
+        return plain("; ".join(lines))
+
+    def last(self) -> tuple[datetime, str] | None:
+        """The last line, and when it was added; None if there is none, or it is damaged."""
+        try:
+            content = b"" if self.path is None else self.path.read_bytes()[:STOP_NOTE_MAX_BYTES]
+        except OSError:
+            return None
+        lines = content.decode(errors="backslashreplace").splitlines()
+        if not content.endswith(b"\n") or not lines or not _is_whole(lines[-1]):
+            return None
+        time, _, text = lines[-1].partition(" ")
+        return datetime.fromisoformat(time), text
+
+    def add(self, line: str) -> None:
+        """Add a line with the time of day; the file is there with its first line or not at all.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        if self.path is None:
+            return
+        content = f"{datetime.now(UTC).isoformat(timespec='milliseconds')} {line}\n".encode()
+        try:
+            descriptor = os.open(self.path, os.O_WRONLY | os.O_APPEND)
+        except FileNotFoundError:
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            unfinished = self.path.with_suffix(".unfinished")
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
+            descriptor = os.open(unfinished, flags, 0o600)
+            try:
+                _write_all(descriptor, content)
+            finally:
+                # On a full disk the note is empty, and latches all the same.
+                unfinished.replace(self.path)
+            sync_directory(self.path.parent)
+        else:
+            is_full = os.fstat(descriptor).st_size + len(content) > STOP_NOTE_MAX_BYTES
+            _write_all(descriptor, b"" if is_full else content)
+
+    def clear(self) -> None:
+        """Remove the note: it was reset.
+
+        Raises:
+            OSError: it cannot be removed.
+        """
+        if self.path is not None:
+            with suppress(FileNotFoundError):
+                self.path.unlink()
+                sync_directory(self.path.parent)
+
+
+class NoteWriter:
+    """Writes a note on a thread of its own: a disk that stalls must not hold up a stop."""
+
+    def __init__(self, note: StopNote, complain: Callable[[str], None], realtime_priority: int = 0) -> None:
+        """Start the thread.
+
+        Args:
+            note: where to.
+            complain: is given the one line that says why a line could not be written.
+            realtime_priority: of the thread, which must not hold the interpreter while others run: that of the
+                process's main thread.
+        """
+        self._note = note
+        self._complain = complain
+        self._realtime_priority = realtime_priority
+        self._lines: SimpleQueue[str | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="note-writer", daemon=True)
+        self._thread.start()
+
+    def add(self, line: str) -> None:
+        """Have this line written, without waiting."""
+        self._lines.put(line)
+
+    def close(self) -> None:
+        """Wait until all lines are written, or until the disk has had its time."""
+        self._lines.put(None)
+        self._thread.join(STOP_WRITE_TIMEOUT_S)
+
+    def _run(self) -> None:
+        request_realtime(self._realtime_priority)
+        while (line := self._lines.get()) is not None:
+            try:
+                self._note.add(line)
+            except OSError as error:
+                self._complain(f"the note {self._note.path} cannot be written: {error.strerror}")
+
+
+class NoteClearer:
+    """Removes the note when what it latched was reset; nothing blocks but ``close``."""
+
+    def __init__(self, note: StopNote) -> None:
+        self._note = note
+        self._was_latched = False
+        self._thread: threading.Thread | None = None
+
+    def follow(self, *, is_latched: bool) -> None:
+        """Each tick: whether a stop by the guard is latched."""
+        if self._was_latched and not is_latched:
+            # Seldom, and only while the robot is told nothing: starting a thread takes a tenth of a millisecond.
+            self._thread = threading.Thread(target=self._clear, name="note-clearer", daemon=True)
+            self._thread.start()
+        self._was_latched = is_latched
+
+    def close(self) -> None:
+        """Wait until the note is removed, or until the disk has had its time."""
+        if self._thread is not None:
+            self._thread.join(CLEAR_TIMEOUT_S)
+
+    def _clear(self) -> None:
+        try:
+            self._note.clear()
+        except OSError as error:
+            log.warning("the note %s cannot be removed: %s", self._note.path, error.strerror)
+
+
+def _is_whole(line: str) -> bool:
+    """A line of a note begins with its time, and all of it can be printed."""
+    try:
+        datetime.fromisoformat(line.partition(" ")[0])
+    except ValueError:
+        return False
+    return line.isprintable()
+
+
+def _write_all(descriptor: int, content: bytes) -> None:
+    try:
+        os.write(descriptor, content)
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+LATCH_NOTE_MAX_BYTES: Final = 65_536
+"""A longer file is no note of ours."""
+
+LATCH_WRITE_TIMEOUT_S: Final = 2.0
+"""The longest wait of a gateway that ends for a disk that stalls."""
+
+
+class LatchNote:
+    """The file of one robot, written by a thread of its own: a disk that stalls must not hold up the loop.
+
+    Attributes:
+        path: of the file; None if no note is kept.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        """Start the thread."""
+        self.path = path
+        self._last: dict[Reason, str] = {}
+        self._waiting: SimpleQueue[dict[str, str] | None] = SimpleQueue()
+        self._faults: SimpleQueue[str] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="latch-note", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The note of the robot that the settings name."""
+        return cls(_path(settings, environment, "latched.json"))
+
+    def read(self) -> dict[Reason, str]:
+        """Return what was latched, with the details, oldest first. A note that cannot be read latches a stop."""
+        if self.path is None:
+            return {}
+        try:
+            with self.path.open("rb") as file:
+                content = file.read(LATCH_NOTE_MAX_BYTES)
+            said = msgspec.json.decode(content, type=dict[str, str])
+            self._last = {Reason(name): plain(detail) for name, detail in said.items()}
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else "it is damaged"
+            # So the note is written anew, and a reset removes it.
+            return {Reason.REMOTE_STOP: f"the note of what was latched cannot be read: {self.path}: {why}"}
+        return dict(self._last)
+
+    def follow(self, latched: Mapping[Reason, str]) -> str:
+        """Each tick: have the note written if something else is latched now, without waiting.
+
+        Returns:
+            Why the last change could not be written, once; else an empty text.
+        """
+        if latched != self._last:
+            self._last = dict(latched)
+            self._waiting.put({one.value: text for one, text in latched.items() if one is not Reason.GUARD})
+        return "" if self._faults.empty() else self._faults.get()
+
+    def close(self) -> None:
+        """Wait until all is written, or until the disk has had its time."""
+        self._waiting.put(None)
+        self._thread.join(LATCH_WRITE_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while (latched := self._waiting.get()) is not None:
+            if self._waiting.qsize() > 1:
+                continue  # Stops under ever other names come faster than a disk writes: the last of them counts.
+            try:
+                self._write(latched)
+            except OSError as error:
+                fault = f"a restart would forget or bring back what is latched: {self.path}: {error.strerror}"
+                log.warning("%s", fault)
+                self._faults.put(fault)
+
+    def _write(self, latched: dict[str, str]) -> None:
+        if self.path is None:
+            return
+        if not latched:
+            with suppress(FileNotFoundError):
+                self.path.unlink()
+                sync_directory(self.path.parent)
+            return
+        write_whole(self.path, msgspec.json.encode(latched))
+
+
+class RunNote:
+    """A file that is there while the gateway runs, so that the next one knows how this one ended."""
+
+    def __init__(self, path: Path | None) -> None:
+        """Nothing is written yet."""
+        self.path = path
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The note of the robot that the settings name."""
+        return cls(_path(settings, environment, "running"))
+
+    def begin(self) -> bool:
+        """Write it. Return True if it is there already: the gateway before did not end in order."""
+        if self.path is None:
+            return False
+        is_there = self.path.exists()
+        try:
+            write_whole(self.path, b"")
+        except OSError as error:
+            log.warning("the next start will not know how this one ended: %s: %s", self.path, error.strerror)
+        return is_there
+
+    def end(self) -> None:
+        """Remove it: the gateway ends in order."""
+        if self.path is not None:
+            with suppress(OSError):
+                self.path.unlink()
+
+
+def _path(settings: Settings, environment: Mapping[str, str], ending: str) -> Path | None:
+    directory = state_directory(settings.gateway.state_dir, environment)
+    robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+    return None if directory is None else directory / f"{robot}.{ending}"
+
+
+STEP_KM: Final = 0.1
+"""The note is written again after this way: a power cut leaves it no further off."""
+
+MILEAGE_NOTE_MAX_BYTES: Final = 256
+
+
+class MileageNote:
+    """The file of one robot, read at the start, and written by a thread of its own: a disk may stall."""
+
+    def __init__(self, path: Path | None, name: str) -> None:
+        """Read it, and start the thread. A file that is missing or damaged says nothing."""
+        self._path = path
+        self._name = name
+        self._noted_km = None if path is None else _read(path)
+        self._is_first = True
+        self._waiting: SimpleQueue[float] = SimpleQueue()
+        threading.Thread(target=self._run, name="mileage-note", daemon=True).start()
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The note of the robot that the settings name."""
+        directory = state_directory(settings.gateway.state_dir, environment)
+        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+        return cls(None if directory is None else directory / f"{robot}.mileage.json", settings.robot.name)
+
+    def follow(self, mileage_km: float | None) -> str:
+        """Each tick: have the mileage noted if it has changed enough, without waiting.
+
+        Returns:
+            Once, after a start with another mileage, the question whether it is the same chassis; else nothing.
+        """
+        if self._path is None or mileage_km is None or not self._waiting.empty():
+            return ""
+        noted_km, is_first, self._is_first = self._noted_km, self._is_first, False
+        if noted_km is not None and abs(mileage_km - noted_km) < STEP_KM:
+            return ""
+        self._noted_km = mileage_km
+        self._waiting.put(mileage_km)
+        if not is_first or noted_km is None or abs(mileage_km - noted_km) <= MILEAGE_DIFFERS_KM:
+            return ""
+        return (
+            f"its mileage reads {mileage_km:.1f} km, and read {noted_km:.1f} km when this computer last saw "
+            f"{self._name}: is this the same chassis? If not, give it a name of its own (robot.name)"
+        )
+
+    def _run(self) -> None:
+        while self._path is not None:
+            _write_mileage(self._path, self._waiting.get())
+
+
+def _read(path: Path) -> float | None:
+    try:
+        with path.open("rb") as file:
+            return msgspec.json.decode(file.read(MILEAGE_NOTE_MAX_BYTES), type=float)
+    except (OSError, ValueError):
+        return None
+
+
+def _write_mileage(path: Path, mileage_km: float) -> None:
+    try:
+        write_whole(path, msgspec.json.encode(mileage_km))
+    except OSError as error:
+        log.warning("the mileage cannot be noted: %s: %s", path, error.strerror)

@@ -1,0 +1,145 @@
+"""The process on its computer: priority, log lines, the service manager.
+
+- Real-time scheduling and locked memory, where the system allows them.
+- Logging that never holds who logs: lines wait in a queue, and a thread of their own writes them.
+- The service manager, systemd, as the loop reports to it: ready, alive, and in what state (sd_notify(3)).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import socket
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from logging.handlers import QueueHandler
+from queue import Full, Queue
+from typing import Final, Self
+
+from schemas.command_line import plain
+
+log = logging.getLogger(__name__)
+
+# From <sys/mman.h> on Linux. ONFAULT locks pages as they are touched, instead of all of every stack at once.
+MCL_CURRENT: Final = 1
+MCL_FUTURE: Final = 2
+MCL_ONFAULT: Final = 4
+
+
+def request_realtime(priority: int) -> bool:
+    """Ask for SCHED_FIFO at this priority for the calling thread, and for locked memory.
+
+    Args:
+        priority: 1 to 99; 0 asks for nothing.
+
+    Returns:
+        Whether SCHED_FIFO was granted. A refusal of either is logged and changes nothing else.
+    """
+    if priority == 0:
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError as error:
+        log.info("no real-time scheduling: %s", error)
+        return False
+    if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0:
+        log.info("no locked memory: %s", os.strerror(ctypes.get_errno()))
+    return True
+
+
+def has_realtime() -> bool:
+    """Look whether the calling thread has a real-time policy, whoever gave it."""
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in {os.SCHED_FIFO, os.SCHED_RR}
+
+
+LINES_WAITING: Final = 1000
+"""Beyond it lines are lost: a full pipe behind stderr must not hold the loop."""
+
+
+END_TIMEOUT_S: Final = 1.0
+"""A pipe that stays full does not keep the process from ending."""
+
+
+class _Aside(QueueHandler):
+    def enqueue(self, record: logging.LogRecord) -> None:
+        try:
+            self.queue.put_nowait(record)
+        except Full:
+            return
+
+
+@contextmanager
+def logging_aside() -> Iterator[None]:
+    """Meanwhile what is logged goes through a queue to the handlers that there are."""
+    root = logging.getLogger()
+    handlers = root.handlers[:]
+    waiting: Queue[logging.LogRecord | None] = Queue(LINES_WAITING)
+    writer = threading.Thread(target=_write, args=(waiting, handlers), name="log-writer", daemon=True)
+    root.handlers = [_Aside(waiting)]
+    writer.start()
+    try:
+        yield
+    finally:
+        root.handlers = handlers
+        with suppress(Full):
+            waiting.put(None, timeout=END_TIMEOUT_S)
+        writer.join(END_TIMEOUT_S)
+
+
+def _write(waiting: Queue[logging.LogRecord | None], handlers: list[logging.Handler]) -> None:
+    while (record := waiting.get()) is not None:
+        for handler in handlers:
+            if record.levelno >= handler.level:
+                handler.handle(record)
+
+
+_SOCKET: Final = "NOTIFY_SOCKET"
+
+
+class ServiceManager:
+    """Sends datagrams to the socket that systemd names. Nothing blocks."""
+
+    def __init__(self, address: str) -> None:
+        """Send nothing yet.
+
+        Args:
+            address: a path, or an abstract name that begins with ``@``.
+        """
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._socket.settimeout(0)
+        self._is_ready = False
+        self._status = ""
+
+    @classmethod
+    def of(cls, environment: Mapping[str, str]) -> Self | None:
+        """The one that started this process; None if none wants to be told."""
+        address = environment.get(_SOCKET, "")
+        return cls(address) if address.startswith(("/", "@")) else None
+
+    def alive(self, status: str) -> None:
+        """The loop gets round: feed the watchdog. The first time says that the service is ready.
+
+        Args:
+            status: a line for people, sent where it has changed.
+        """
+        words = ["WATCHDOG=1"]
+        if not self._is_ready:
+            words.append("READY=1")
+        if status != self._status:
+            words.append(f"STATUS={plain(status)}")
+        if self._send(words):
+            self._is_ready, self._status = True, status
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _send(self, words: list[str]) -> bool:
+        try:
+            self._socket.sendto("\n".join(words).encode(), self._address)
+        except OSError:
+            return False
+        return True

@@ -1,0 +1,437 @@
+"""Recorded runs through the core again, with their settings or with others.
+
+Run the core again from its journal: the same inputs must give the same decisions and the same frames. Pure.
+
+A recorded run repeated twice: as it was, and as it would have been with other settings. Pure.
+
+Both runs get the same inputs at the same times. Where the other one commands the chassis differently, a virtual
+chassis answers in place of the recorded one, until both robots stand again with nobody in command: see
+``gateway.sim.model``. What people would have done otherwise nobody knows: the requests stay as recorded, but
+for what the arbiter gave out itself, the lease and the challenge to echo.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
+from typing import Any, Final
+
+import msgspec
+
+from gateway.chassis.frame import Frame
+from gateway.command.flow import TickEffects
+from gateway.command.lease import HeldLease
+from gateway.command.restart import Carried, Snapshot
+from gateway.command.rulings import Credentials, RawRequest
+from gateway.core import Core
+from gateway.journal import LINKS, BrokenJournalError, CheckpointError, Input, follow
+from gateway.sim.model import StandIn
+from gateway.telemetry.health import Links
+from schemas.codec import PAYLOAD_ERRORS, Sample
+from schemas.decisions import Journal
+from schemas.journal import COMMAND_RULES, Kind
+from schemas.messages import ControllerState, Variant
+from schemas.reasons import Reason
+from schemas.requests import CHALLENGE_BYTES
+from schemas.settings import Settings
+from schemas.subjects import BY_TYPE
+
+WARM_UP_NS: Final = 3_000_000_000
+"""Before a place of rest the core sees so much of what was seen: nothing that it knows of frames is older."""
+
+JOURNAL: Final = BY_TYPE[Journal].name
+
+CHECKPOINTS_TRIED: Final = 20
+"""So many that do not fit: then the others of a run will not, either. An attempt makes a core, in milliseconds."""
+
+INPUTS_MAX: Final = 100_000
+"""Inputs between two journals of a core: a bus and all that asks give it some hundred. It holds all of them."""
+
+MADE_UP: Final = "what no core was given"
+"""Somebody made it up: values may be of any kind, and a checkpoint may have any class of the core anywhere."""
+
+
+class Run(msgspec.Struct, frozen=True):
+    """A recorded run, or the part of it that can be run again.
+
+    Attributes:
+        run: its number.
+        begins_ns: when its first input came, monotonic; of a part, the first of those that warm it up.
+        inputs: all of them, in their order.
+        warm_up: of a part that begins at a place of rest, what came right before it; the last of them is the
+            place.
+        state: of a part that begins at a checkpoint, the core's.
+    """
+
+    run: int
+    begins_ns: int
+    inputs: Iterator[Input]
+    warm_up: tuple[Input, ...] = ()
+    state: bytes = b""
+
+    def core(self, settings: Settings) -> Core:
+        """A core as it was when the run, or the part, began."""
+        core = Core(settings, "", self.begins_ns, self.run)
+        if self.state:
+            core.resume(self.state)
+        if self.warm_up:
+            *before, (_, now_ns, kept, controller, *told) = self.warm_up
+            core.look_from(_as_links(told), ControllerState(controller))
+            for one in before:
+                # Nobody asked anything then.
+                if one[0] in {Kind.FRAME, Kind.TICK, Kind.SENT}:
+                    give(core, one)
+            core.restore(msgspec.convert(kept, Snapshot), now_ns)
+        return core
+
+
+def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
+    """All that the core says when a run is given to it again; at last the batches that are not full.
+
+    Args:
+        settings: those of the run, or others.
+        journals: of one run, in their order and without a gap; they may come bit by bit. Where they do not begin
+            with the run's first input, it is run again from the first checkpoint or place of rest. A run made
+            under other rules is run from its first input alone, for those rules remembered other things.
+
+    Raises:
+        BrokenJournalError: an input cannot be given to a core, or some are missing.
+    """
+    run = run_of(journals)
+    if run is not None:
+        try:
+            core = run.core(settings)
+            for _, samples in run_again(core, run.inputs):
+                yield from samples
+        except (ArithmeticError, AttributeError) as error:
+            raise BrokenJournalError(f"{MADE_UP}: {error}") from error
+        # Where one ends depends on when the core was made.
+        yield from core.last_batches(0)
+
+
+def run_of(journals: Iterable[Journal], *, at_rest: bool = False) -> Run | None:
+    """The run that journals hold, from its first input, checkpoint or place of rest on; None if there is none.
+
+    Args:
+        journals: as for ``rerun``.
+        at_rest: no checkpoint will do: the settings may be others than those of the run.
+    """
+    rest = iter(journals)
+    first = next(rest, None)
+    if first is None:
+        return None
+    inputs = follow(chain([first], rest))
+    if first.first == 0:
+        begin = next(inputs, None)
+        return None if begin is None else Run(first.run, begin[1], chain([begin], inputs))
+    warm_up: deque[Input] = deque(maxlen=INPUTS_MAX)
+    is_warm = False
+    tried = 0
+    for one in inputs:
+        warm_up.append(one)
+        while one[1] - warm_up[0][1] > WARM_UP_NS:
+            warm_up.popleft()
+            is_warm = True
+        if (
+            one[0] == Kind.CHECKPOINT
+            and not at_rest
+            and first.rules == COMMAND_RULES
+            and tried < CHECKPOINTS_TRIED
+        ):
+            tried += 1
+            if _fits(one[3]):
+                return Run(first.run, one[1], inputs, state=one[3])
+        if is_warm and one[0] == Kind.REST and first.rules == COMMAND_RULES:
+            return Run(first.run, warm_up[0][1], inputs, tuple(warm_up))
+    return None
+
+
+def _fits(state: bytes) -> bool:
+    """This version's core can be resumed from the state."""
+    try:
+        Core(Settings(), "", 0).resume(state)
+    except CheckpointError:
+        return False
+    return True
+
+
+def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:
+    """For each input what the core returns: the frames to send, and the samples to publish.
+
+    Args:
+        core: a new one, with the configuration and the run number of the journal.
+        inputs: the journal's, from the first on; see ``gateway.journal.read``.
+
+    Raises:
+        BrokenJournalError: an input cannot be given to a core, or the core would hold ever more of them.
+    """
+    held = 0
+    for one in inputs:
+        returned = give(core, one)
+        held += 1
+        if isinstance(returned, TickEffects):
+            if any(sample.subject == JOURNAL for sample in returned.samples):
+                held = 0
+            yield returned.frames, returned.samples
+        elif returned:
+            yield [], returned
+        if held > INPUTS_MAX:
+            raise BrokenJournalError(f"more than {INPUTS_MAX} inputs come in no time")
+
+
+def give(core: Core, one: Input) -> TickEffects | list[Sample]:
+    """Gives the core one input of a journal. Returns what the core does.
+
+    Raises:
+        BrokenJournalError: it is of no known kind.
+    """
+    kind, *arguments = one
+    act = _GIVE.get(kind)
+    if act is None:
+        raise BrokenJournalError(f"kind {kind!r} of an input is not known")
+    return act(core, *arguments) or []
+
+
+def _frame(core: Core, now_ns: int, frame: list[Any]) -> list[Sample]:
+    sample = core.receive_frame(Frame(*frame), now_ns)
+    return [] if sample is None else [sample]
+
+
+_SAID: Final = 6
+"""So many values of a request are the sender's; what follows is what they prove."""
+
+
+def _as_request(values: Sequence[Any]) -> RawRequest:
+    raw = RawRequest(*values[:_SAID])
+    if len(values) <= _SAID:
+        return raw
+    attachment, credentials = values[_SAID:]
+    proven = msgspec.convert(credentials, Credentials)
+    return msgspec.structs.replace(raw, attachment=attachment, credentials=proven)
+
+
+_NOT_YET_TOLD: Final = {"realtime": True}
+"""The links' values that older journals lack."""
+
+
+def _as_links(told: Sequence[Any]) -> Links:
+    return Links(**(_NOT_YET_TOLD | dict(zip(LINKS, told, strict=False))))
+
+
+def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes = b"") -> TickEffects:
+    # Under rules 1 there was none; whatever nobody echoes will do.
+    return core.tick(now_ns, wall_ns, late_ns, challenge or now_ns.to_bytes(CHALLENGE_BYTES))
+
+
+_GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample] | None]]] = {
+    Kind.FRAME: _frame,
+    Kind.REQUEST: lambda core, now_ns, *request: core.receive_request(_as_request(request), now_ns),
+    Kind.LINKS: lambda core, now_ns, *told: core.update_links(_as_links(told), now_ns),
+    Kind.TICK: _tick,
+    Kind.SENT: lambda core, now_ns, count, wall_ns: core.sent(count, now_ns, wall_ns),
+    Kind.SHUT_DOWN: lambda core, now_ns: core.shut_down(now_ns),
+    Kind.REST: lambda *_: None,
+    Kind.CHECKPOINT: lambda *_: None,
+    Kind.GUARD_STOP: lambda core, now_ns, words: core.latch_guard_stop(words, now_ns),
+    Kind.CRASHED: lambda core, now_ns: core.note_crash(now_ns),
+    Kind.WARNING: lambda core, now_ns, words: core.warn(words, now_ns),
+    Kind.END_LEASE: lambda core, now_ns, reason, detail: core.end_lease(Reason(reason), detail, now_ns),
+    Kind.BARS: lambda core, now_ns, bars: core.bar({Reason(key): words for key, words in bars.items()}, now_ns),
+    Kind.CARRIED: lambda core, now_ns, former: core.take_over(msgspec.convert(former, Carried), now_ns),
+}
+
+
+_REST_NS: Final = 100_000_000
+"""Both stand by and stand still for so long before the recorded chassis is believed again."""
+
+SAFETY_STATE: Final = "safety/state"
+
+_CHALLENGES_KEPT: Final = 500
+"""Ten seconds of them. A command that echoes an older one is refused for its age in any case."""
+
+_COUNTED_BYTES: Final = 6
+"""Bytes of a command frame before alive counter and checksum (manual V2.0, section 5)."""
+
+
+Effects = TickEffects | list[Sample]
+"""All that comes of one input: of a tick its effects, else samples."""
+
+
+class GivenOutput(msgspec.Struct, frozen=True, gc=False):
+    """A sample of one of the two runs.
+
+    Attributes:
+        sample: the subject's name and the MessagePack payload.
+        is_other: it is the run with other settings.
+    """
+
+    sample: Sample
+    is_other: bool
+
+
+def what_if(settings: Settings, other: Settings, journals: Iterable[Journal]) -> Iterator[GivenOutput]:
+    """All that the core says, and would have said.
+
+    Args:
+        settings: those of the run.
+        other: those to try.
+        journals: of one run, as in ``gateway.rerun.rerun``.
+    """
+    run = run_of(journals, at_rest=True)
+    if run is not None:
+        pair = RunPair(run.core(settings), run.core(other))
+        for one in run.inputs:
+            for returned, is_other in zip(pair.give(one), (False, True), strict=True):
+                for sample in samples_of(returned):
+                    yield GivenOutput(sample, is_other)
+
+
+class RunPair:
+    """The run as it was, and beside it the other one.
+
+    Args:
+        core: of the run.
+        other: with the other settings, in a state of the same moment.
+
+    Attributes:
+        core, other: the same.
+    """
+
+    def __init__(self, core: Core, other: Core) -> None:
+        self.core = core
+        self.other = other
+        self._echo = _Echo(core, other)
+        self._stand_in: StandIn | None = None
+        self._offered: list[Frame] = []
+        self._offered_other: list[Frame] = []
+        self._resting_since_ns: int | None = None
+
+    def give(self, one: Input) -> tuple[Effects, Effects]:
+        """Give one input to both. Returns what each does."""
+        kind, now_ns = one[0], one[1]
+        returned = give(self.core, one)
+        if kind == Kind.FRAME:
+            one = self._shown(one)
+        elif kind == Kind.REQUEST:
+            one = self._echo.asked(one)
+        elif kind == Kind.SENT:
+            one = self._sent(one)
+        answer = give(self.other, one)
+        if isinstance(returned, TickEffects) and isinstance(answer, TickEffects):
+            self._compare(returned.frames, answer.frames, now_ns)
+        for effects, is_other in ((returned, False), (answer, True)):
+            for sample in samples_of(effects):
+                if sample.subject == SAFETY_STATE:
+                    self._echo.published(sample, is_other=is_other)
+        return returned, answer
+
+    def _shown(self, one: Input) -> Input:
+        stand_in = self._stand_in
+        if stand_in is None:
+            if self.core.variant is Variant.UNKNOWN:
+                return one
+            stand_in = self._stand_in = StandIn(self.core.variant)
+            for before in self.core.newest_frames:
+                stand_in.show(before, one[1])
+        frame = Frame(*one[2])
+        shown = stand_in.show(frame, one[1])
+        return one if shown is frame else (one[0], one[1], msgspec.structs.astuple(shown))
+
+    def _sent(self, one: Input) -> Input:
+        """The bus takes of the other frames what it took of the recorded ones: all, or as many."""
+        kind, now_ns, count, wall_ns = one
+        offered = self._offered_other
+        taken = len(offered) if count >= len(self._offered) else min(count, len(offered))
+        if self._stand_in is not None:
+            for frame in offered[:taken]:
+                self._stand_in.hear(frame, now_ns)
+        return kind, now_ns, taken, wall_ns
+
+    def _compare(self, frames: list[Frame], others: list[Frame], now_ns: int) -> None:
+        """Compare the commands of both runs, and begin or end the stand-in for the chassis accordingly."""
+        self._offered, self._offered_other = frames, others
+        stand_in = self._stand_in
+        if stand_in is None:
+            return
+        if _told(frames) != _told(others):
+            stand_in.begin(now_ns)
+        if frames or others or not stand_in.stands:
+            self._resting_since_ns = None
+        elif self._resting_since_ns is None:
+            self._resting_since_ns = now_ns
+        elif stand_in.is_acting and now_ns - self._resting_since_ns >= _REST_NS:
+            stand_in.end()
+
+
+class _Echo:
+    """Requests as their senders would have sent them in answer to the other arbiter.
+
+    A drive echoes the newest challenge that was published, and everything names the lease that was given. The two
+    arbiters publish in other ticks, and may have given another lease.
+    """
+
+    def __init__(self, core: Core, other: Core) -> None:
+        self._core = core
+        self._other = other
+        self._recorded: OrderedDict[bytes, int] = OrderedDict()
+        self._published: deque[_State] = deque(maxlen=_CHALLENGES_KEPT)
+
+    def published(self, sample: Sample, *, is_other: bool) -> None:
+        """A safety/state went out."""
+        state = _STATE.decode(sample.payload)
+        if is_other:
+            self._published.append(state)
+            return
+        self._recorded[state.challenge] = state.tick
+        if len(self._recorded) > _CHALLENGES_KEPT:
+            self._recorded.popitem(last=False)
+
+    def asked(self, one: Input) -> Input:
+        """The request, with the numbers that the other arbiter gave out."""
+        kind, now_ns, handle, verb, operator, payload, size, *fault = one
+        try:
+            request = msgspec.msgpack.decode(payload)
+        except PAYLOAD_ERRORS:
+            return one
+        if not isinstance(request, dict):
+            return one
+        changed = dict(request)
+        challenge = request.get("challenge")
+        tick = self._recorded.get(challenge) if isinstance(challenge, bytes) else None
+        if tick is not None:
+            seen = [state.challenge for state in self._published if state.tick <= tick]
+            changed["challenge"] = seen[-1] if seen else challenge
+        lease, other = _lease(self._core), _lease(self._other)
+        if (
+            lease is not None
+            and other is not None
+            and lease.operator == other.operator == operator
+            and request.get("lease") == lease.id
+        ):
+            changed["lease"] = other.id
+        if changed == request:
+            return one
+        encoded = msgspec.msgpack.encode(changed)
+        return (kind, now_ns, handle, verb, operator, encoded, size + len(encoded) - len(payload), *fault)
+
+
+def _lease(core: Core) -> HeldLease | None:
+    return None if core.command is None else core.command.arbiter.leases.held
+
+
+class _State(msgspec.Struct):
+    tick: int
+    challenge: bytes
+
+
+_STATE: Final = msgspec.msgpack.Decoder(_State)
+
+
+def _told(frames: list[Frame]) -> list[tuple[int, bytes]]:
+    return [(frame.can_id, frame.data[:_COUNTED_BYTES]) for frame in frames]
+
+
+def samples_of(returned: Effects) -> list[Sample]:
+    """The samples among what a core does."""
+    return returned.samples if isinstance(returned, TickEffects) else returned

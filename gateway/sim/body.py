@@ -1,0 +1,295 @@
+"""The virtual chassis in motion: its figures, and how it moves.
+
+The figures of the virtual chassis, each with its unit: the one file for them.
+
+What the manual states is cited. What it leaves open is marked *chosen*: plausible for 116 kg on four wheels, and
+nothing outside the simulation may rest on it. The wheelbase, which the gateway needs too, is in
+``schemas.cruiser``.
+
+Motion of the chassis: a bicycle model on a slope, with a lagging drive, brakes and a steering motor. Pure.
+
+Axes are those of ISO 8855. The pose is that of the middle of the rear axle.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from typing import Final
+
+import msgspec
+
+from schemas.cruiser import WHEELBASE_M
+from schemas.messages import GearPosition
+
+GRAVITY_MPS2: Final = 9.81
+
+EMPTY_MASS_KG: Final = 116.0
+"""Manual V2.0, 2.2."""
+
+TOP_SPEED_MPS: Final = 8 / 3.6
+"""8 km/h (manual V2.0, 2.2). It drives no faster, whatever the frame asks for; downhill it may roll faster."""
+
+STEERING_LIMIT_DEG: Final = 24.0
+"""The soft limit inside the chassis (manual V2.0, 5 (2))."""
+
+TRACK_M: Final = 0.606
+"""Distance between the rear wheels (manual V2.0, 2.2)."""
+
+TYRE_DIAMETER_M: Final = 0.420
+"""Manual V2.0, 2.2."""
+
+PULSES_PER_TURN: Final = 1024
+"""Encoder counts for one turn of a wheel. Chosen: the manual gives none."""
+
+SPEED_LAG_S: Final = 0.15
+"""Time constant of the drive's first-order lag. Chosen."""
+
+ACCELERATION_MPS2: Final = 1.5
+"""Most the drive can speed up. Chosen, above what the gateway will ever ask for."""
+
+DECELERATION_MPS2: Final = 2.0
+"""Most the drive alone can slow down. Chosen."""
+
+MAX_DRIVE_FORCE_N: Final = 630.0
+"""Most the motor can push or hold back. Chosen from what the chassis climbs (manual V2.0, 2.2).
+
+20 deg empty take 424 N, 15 deg with full payload 613 N, each with rolling resistance. Holding 20 deg with full
+payload would take 660 N.
+"""
+
+ROLLING_DECELERATION_MPS2: Final = 0.3
+"""Rolling resistance, at any speed, load and slope. Chosen; in neutral it holds the robot up to 1.75 deg."""
+
+BRAKING_DECELERATION_MPS2: Final = 3.0
+"""The service brake at full pedal and a pedal gain of 1. Chosen."""
+
+PARKING_DECELERATION_MPS2: Final = 7.0
+"""The grip of the applied electromagnetic parking brake, standing or moving. Chosen; 20 deg need 3.4."""
+
+FULL_PEDAL_PERCENT: Final = 99.0
+"""From here on the brake reads fully braked; eight bits of 0.390625 % end at 99.6 %."""
+
+STEERING_RATE_DEGPS: Final = 60.0
+"""Chosen."""
+
+SHIFT_SPEED_MPS: Final = 0.01
+"""The gear of the other direction engages only below this speed. Chosen; the manual asks for zero."""
+
+SPEED_RESOLUTION_MPS: Final = 0.0005
+"""Nearer than this to its target, the lagging speed is at it: half of the finest bit on the wire."""
+
+REBOOT_NS: Final = 2_000_000_000
+"""The default time that the chassis's control unit takes to reboot. Chosen."""
+
+BOUNCE_NS: Final = tuple(number * 1_000_000 for number in (30, 50, 10, 80, 20, 40))
+"""The times for which a bouncing contact is closed, open, closed and so on, before it rests. Chosen."""
+
+START_MILEAGE_M: Final = 12_345.0
+"""Mileage at power-up: not zero, so that clearing it shows. Chosen."""
+
+FOREIGN_PERIOD_NS: Final = 100_000_000
+"""The default period of a foreign frame."""
+
+MAX_RATE_MULTIPLIER: Final = 100.0
+"""The feedback's rate may be raised to this multiple; 11.9 saturates a 1 Mbit/s bus (7,500 frames/s)."""
+
+MIN_RATE_MULTIPLIER: Final = 0.1
+
+
+class StopMode(Enum):
+    """The chassis's behaviour in mode stop. The manual does not define it."""
+
+    BRAKES = "brakes"
+    COASTS = "coasts"
+    PARKS = "parks"
+
+
+class Conditions(msgspec.Struct, frozen=True):
+    """Conditions that the manual leaves open, or that differ from place to place.
+
+    Attributes:
+        slope_deg: positive with the nose up, whichever way the robot turns.
+        pedal_gain: share of the service brake that the brake pedal applies. The manual calls the pedal reserved.
+        motor_strength: share of its greatest force that the motor has.
+        parking_grip: share of its grip that the parking brake has; it reads applied all the same.
+        parking_delay_s: time that the parking brake takes to apply, and to release. Chosen.
+        stop_mode: the chassis's behaviour in mode stop.
+    """
+
+    slope_deg: float = 0.0
+    payload_kg: float = 0.0
+    pedal_gain: float = 0.0
+    motor_strength: float = 1.0
+    parking_delay_s: float = 0.05
+    parking_grip: float = 1.0
+    stop_mode: StopMode = StopMode.BRAKES
+
+    @property
+    def downhill_mps2(self) -> float:
+        """The acceleration of the free robot by gravity: forward positive."""
+        return -GRAVITY_MPS2 * math.sin(math.radians(self.slope_deg))
+
+    @property
+    def drive_mps2(self) -> float:
+        """The acceleration by the motor's greatest force."""
+        return self.motor_strength * MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + self.payload_kg)
+
+
+NOMINAL: Final = Conditions()
+"""On the flat, empty."""
+
+CONDITION_BOUNDS: Final = {
+    "slope_deg": (-30.0, 30.0),
+    "payload_kg": (0.0, 100.0),
+    "pedal_gain": (0.0, 1.0),
+    "motor_strength": (0.0, 1.0),
+    "parking_delay_s": (0.0, 1.0),
+    "parking_grip": (0.0, 1.0),
+}
+"""Each condition with a number: from, to. The payload's is the manual's (V2.0, 2.2)."""
+
+
+_PULSES_PER_M = PULSES_PER_TURN / (math.pi * TYRE_DIAMETER_M)
+_TIME_RESOLUTION_S = 1e-9
+_DIRECTION = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
+
+
+class Demand(msgspec.Struct, frozen=True):
+    """The demand on the chassis by its present commander.
+
+    Attributes:
+        gear: drive, reverse or neutral.
+        speed_mps: a magnitude; the gear gives the direction.
+        angle_deg: left positive; None holds the angle.
+        pedal_percent: brake pedal; where it has a gain, pressing it cuts the drive.
+        parked: the parking brake is to be applied.
+    """
+
+    gear: GearPosition
+    speed_mps: float
+    angle_deg: float | None
+    pedal_percent: float
+    parked: bool
+
+
+class Motion:
+    """The moving chassis.
+
+    Attributes:
+        conditions: may change from step to step.
+        parked: the parking brake is applied, and the drive is cut. It follows the demand with a delay.
+        gear: the gear in force: that of the other direction engages only at standstill.
+        speed_mps: signed, forward positive.
+        angle_deg: steering angle, left positive.
+        x_m: position; with ``y_m`` and ``yaw_rad`` (-pi to pi, left positive) the pose since the start.
+        mileage_m: distance driven in either direction.
+    """
+
+    def __init__(self, conditions: Conditions = NOMINAL) -> None:
+        self.conditions = conditions
+        self.parked = False
+        self._parking_s = 0.0
+        self.gear = GearPosition.NEUTRAL
+        self.speed_mps = 0.0
+        self.angle_deg = 0.0
+        self.x_m = 0.0
+        self.y_m = 0.0
+        self.yaw_rad = 0.0
+        self.mileage_m = START_MILEAGE_M
+        self._left_m = 0.0
+        self._right_m = 0.0
+
+    @property
+    def yaw_rate_radps(self) -> float:
+        """Turn rate by the bicycle model: left is positive, going forward."""
+        return self.speed_mps * math.tan(math.radians(self.angle_deg)) / WHEELBASE_M
+
+    @property
+    def wheel_speeds_mps(self) -> tuple[float, float]:
+        """Rear left and rear right, negative in reverse; the outer wheel of a bend is the faster one."""
+        difference = self.yaw_rate_radps * TRACK_M / 2
+        return self.speed_mps - difference, self.speed_mps + difference
+
+    @property
+    def wheel_pulses(self) -> tuple[int, int]:
+        """Encoder counts, rear left and rear right, as signed 16-bit numbers that wrap."""
+        return _wrap16(self._left_m), _wrap16(self._right_m)
+
+    def adopt(self, *, speed_mps: float, angle_deg: float, gear: GearPosition, parked: bool) -> None:
+        """From now on it moves so, as far as it can."""
+        self.speed_mps = speed_mps
+        self.angle_deg = _clamp(angle_deg, STEERING_LIMIT_DEG)
+        self.gear = gear
+        self.parked = parked
+        self._parking_s = 0.0
+
+    def step(self, demand: Demand, dt_s: float) -> None:
+        """Moves on by a short time."""
+        self._park(demand, dt_s)
+        self._shift(demand.gear)
+        self.speed_mps = self._next_speed_mps(demand, dt_s)
+        if demand.angle_deg is not None:
+            target_deg = _clamp(demand.angle_deg, STEERING_LIMIT_DEG)
+            self.angle_deg += _clamp(target_deg - self.angle_deg, STEERING_RATE_DEGPS * dt_s)
+        self._travel(dt_s)
+
+    def _park(self, demand: Demand, dt_s: float) -> None:
+        self._parking_s += dt_s
+        if demand.parked is self.parked:
+            self._parking_s = 0.0
+        elif self._parking_s >= self.conditions.parking_delay_s - _TIME_RESOLUTION_S:
+            self.parked, self._parking_s = demand.parked, 0.0
+
+    def _shift(self, wanted: GearPosition) -> None:
+        direction = _DIRECTION.get(wanted, 0.0)
+        # Rolling the other way, the chassis keeps its gear and slows down first.
+        if self.speed_mps * direction > -SHIFT_SPEED_MPS:
+            self.gear = wanted
+
+    def _next_speed_mps(self, demand: Demand, dt_s: float) -> float:
+        if self.parked:
+            grip_mps2 = PARKING_DECELERATION_MPS2 * self.conditions.parking_grip
+            return self._pushed(0.0, max(grip_mps2, ROLLING_DECELERATION_MPS2), dt_s)
+        pedal_mps2 = BRAKING_DECELERATION_MPS2 * self.conditions.pedal_gain * demand.pedal_percent / 100
+        if pedal_mps2 or demand.gear is GearPosition.NEUTRAL:
+            return self._pushed(0.0, ROLLING_DECELERATION_MPS2 + pedal_mps2, dt_s)
+        # The motor follows its target, whatever the slope, as far as its force goes.
+        most_mps2 = self.conditions.drive_mps2
+        lowest_mps = self._pushed(-most_mps2, ROLLING_DECELERATION_MPS2, dt_s)
+        highest_mps = self._pushed(most_mps2, ROLLING_DECELERATION_MPS2, dt_s)
+        return max(lowest_mps, min(highest_mps, self._lagging_mps(demand, dt_s)))
+
+    def _pushed(self, drive_mps2: float, resistance_mps2: float, dt_s: float) -> float:
+        """The speed after a time of drive and gravity, and of a resistance that stops but never sets in motion."""
+        free_mps = self.speed_mps + (drive_mps2 + self.conditions.downhill_mps2) * dt_s
+        return free_mps - _clamp(free_mps, resistance_mps2 * dt_s)
+
+    def _lagging_mps(self, demand: Demand, dt_s: float) -> float:
+        in_gear = demand.gear is self.gear
+        target_mps = min(demand.speed_mps, TOP_SPEED_MPS) * _DIRECTION[demand.gear] if in_gear else 0.0
+        missing_mps = target_mps - self.speed_mps
+        if abs(missing_mps) < SPEED_RESOLUTION_MPS:
+            return target_mps
+        slowing = missing_mps * self.speed_mps < 0
+        limit_mps2 = DECELERATION_MPS2 if slowing else ACCELERATION_MPS2
+        return self.speed_mps + _clamp(missing_mps * -math.expm1(-dt_s / SPEED_LAG_S), limit_mps2 * dt_s)
+
+    def _travel(self, dt_s: float) -> None:
+        left_mps, right_mps = self.wheel_speeds_mps
+        self._left_m += left_mps * dt_s
+        self._right_m += right_mps * dt_s
+        self.mileage_m += abs(self.speed_mps) * dt_s
+        turned_rad = self.yaw_rate_radps * dt_s
+        heading_rad = self.yaw_rad + turned_rad / 2
+        self.x_m += self.speed_mps * dt_s * math.cos(heading_rad)
+        self.y_m += self.speed_mps * dt_s * math.sin(heading_rad)
+        self.yaw_rad = math.remainder(self.yaw_rad + turned_rad, math.tau)
+
+
+def _clamp(value: float, magnitude: float) -> float:
+    return max(-magnitude, min(magnitude, value))
+
+
+def _wrap16(distance_m: float) -> int:
+    return (math.floor(distance_m * _PULSES_PER_M) + 0x8000) % 0x1_0000 - 0x8000

@@ -1,0 +1,150 @@
+"""What ``cruiser setup`` writes and runs."""
+
+import re
+import tomllib
+from configparser import ConfigParser
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from gateway.authority.enrolment import EnrolmentRole
+from gateway.cli.setup import (
+    NOBODY_DRIVES,
+    PENDING,
+    SERVICES,
+    Answers,
+    configuration,
+    escaped,
+    start_services,
+    system_files,
+)
+from gateway.doctor.checks import CHECKS
+from schemas.configuration import TomlSource, merge
+from schemas.settings import Settings
+
+DEPLOY = Path(__file__).parents[4] / "deploy"
+"""Files that the package brings; those below ``etc`` stand as they do on a robot."""
+
+ROBOT = Answers("depot-3", "", "socketcan", "can1", 250_000, free_bytes=100_000_000_000)
+SIGNED = msgspec.structs.replace(ROBOT, root="fleet", keys=frozenset({"gateway", "recorder", "router"}))
+VIRTUAL = msgspec.structs.replace(ROBOT, bitrate=0)
+ELSEWHERE = Answers("depot-3", "", "socketcand", "127.0.0.1:29536", 0)
+
+
+def settings(text: str) -> Settings:
+    """What the services read of it."""
+    return merge(TomlSource("cruiser.toml", text), {}, {})
+
+
+def test_the_settings_are_those_of_before_but_for_what_was_answered() -> None:
+    """What somebody has set by hand stays; a second time nothing changes."""
+    before = '[command]\nspeed_limit_mps = 0.5\n[can]\nchannel = "can0"\noptions = {fd = true}\n'
+    text = configuration(ROBOT, tomllib.loads(before))
+    found = settings(text)
+    assert (found.robot.name, found.can.channel, found.can.bitrate) == ("depot-3", "can1", 250_000)
+    assert (found.command.speed_limit_mps, found.can.options) == (0.5, {"fd": True})
+    assert (found.recorder.directory, found.recorder.budget_bytes) == ("/var/lib/cruiser/logs", 20_000_000_000)
+    assert found.gateway.state_dir == "/var/lib/cruiser/gateway"
+    assert configuration(ROBOT, tomllib.loads(text)) == text
+
+
+def test_logs_take_no_more_than_a_small_disk_has() -> None:
+    """A budget that somebody set stays."""
+    small = msgspec.structs.replace(ROBOT, free_bytes=10_000_000_000)
+    assert settings(configuration(small, {})).recorder.budget_bytes == 7_000_000_000
+    kept = settings(configuration(small, {"recorder": {"budget_bytes": 5}}))
+    assert kept.recorder.budget_bytes == 5
+
+
+def test_a_robot_with_keys_is_in_signed_mode_and_dials_the_routers_of_its_file() -> None:
+    """An endpoint of before would hold against the file, so it goes; the recorder reads its own."""
+    found = settings(configuration(SIGNED, {"zenoh": {"connect": ["tcp/10.0.0.5:7447"]}}))
+    assert (found.authority.mode, found.authority.directory) == ("signed", "/etc/cruiser/gateway")
+    assert (found.zenoh.config, found.zenoh.connect) == ("/etc/cruiser/gateway/robot.json5", [])
+    drop_in = system_files(SIGNED)["/etc/systemd/system/cruiser-recorder.service.d/zenoh.conf"]
+    assert "Environment=CRUISER_ZENOH_CONFIG=/etc/cruiser/recorder/recorder.json5" in drop_in
+    routed = settings(configuration(msgspec.structs.replace(ROBOT, routers=["tcp/10.0.0.5:7447"]), {}))
+    assert (routed.authority.mode, routed.zenoh.connect) == ("open", ["tcp/10.0.0.5:7447"])
+
+
+def test_the_bit_rate_is_the_kernels_through_networkd() -> None:
+    """A drop-in where there is a file already, else the whole; nothing for a bus that has no bit rate."""
+    files = system_files(ROBOT)
+    network = files["/etc/systemd/network/80-cruiser-can1.network"]
+    assert "Name=can1" in network
+    assert "BitRate=250000\nRestartSec=100ms" in network
+    assert "TransmitQueueLength=10" in files["/etc/systemd/network/80-cruiser-can1.link"]
+    beside = system_files(msgspec.structs.replace(ROBOT, has_network_file=True))
+    assert beside["/etc/systemd/network/80-cruiser-can1.network.d/bitrate.conf"] == "[CAN]\nBitRate=250000\n"
+    for answers in (VIRTUAL, ELSEWHERE):
+        assert not any("/network/" in name for name in system_files(answers))
+        assert not any("network" in word for program in start_services(answers) for word in program)
+
+
+def parts(text: str) -> dict[str, dict[str, str]]:
+    """A file of systemd's, without its comments; bit rates as numbers."""
+    file = ConfigParser(delimiters=["="], interpolation=None)
+    file.read_string(re.sub(r"(BitRate=\d+)K", r"\g<1>000", text))
+    return {name: dict(file[name]) for name in file.sections()}
+
+
+def test_what_is_written_for_can0_is_what_the_package_brings() -> None:
+    """So that a computer without the package gets the same; it runs the services that the package has."""
+    usual = Answers("cruiser-1", "", "socketcan", "can0", 500_000, keys=frozenset(SERVICES))
+    written = {name: text for name, text in system_files(usual).items() if "can0" in name or "bus.conf" in name}
+    assert len(written) == 3
+    for name, text in written.items():
+        assert parts(text) == parts((DEPLOY / name[1:]).read_text("utf-8")), name
+    for name, role in SERVICES.items():
+        assert (DEPLOY / f"cruiser-{name}.service").exists()
+        assert EnrolmentRole(role)
+
+
+def test_an_exporter_with_a_certificate_reads_its_zenoh_file() -> None:
+    """The endpoint of the package's own file would hold against it."""
+    answers = msgspec.structs.replace(SIGNED, keys=frozenset({"metrics"}))
+    found = settings(system_files(answers)["/etc/cruiser/metrics.toml"])
+    assert (found.zenoh.config, found.zenoh.connect) == ("/etc/cruiser/metrics/viewer.json5", [])
+    elsewhere = msgspec.structs.replace(answers, root="depot/north")
+    assert settings(system_files(elsewhere)["/etc/cruiser/metrics.toml"]).robot.root == "depot/north"
+
+
+def test_a_desk_with_a_certificate_keeps_its_address_for_browsers() -> None:
+    """Its settings file stays as it is; a drop-in of its unit names the fleet."""
+    answers = msgspec.structs.replace(SIGNED, keys=frozenset({"gateway", "desk"}), root="depot/north")
+    files = system_files(answers)
+    assert "/etc/cruiser/desk.toml" not in files
+    unit = parts(files["/etc/systemd/system/cruiser-desk.service.d/zenoh.conf"])["Service"]
+    variables = dict(one.split("=") for one in unit["environment"].split())
+    found = merge(None, variables, {})
+    assert (found.zenoh.config, found.robot.root) == ("/etc/cruiser/desk/desk.json5", "depot/north")
+    assert answers.services == ["gateway", "desk"]
+    assert ["systemctl", "restart", "cruiser-desk.service"] in start_services(answers)
+
+
+def test_the_gateway_comes_and_goes_with_its_interface() -> None:
+    """And with the boot where the bus is none of the kernel's."""
+    place = "/etc/systemd/system/cruiser-gateway.service.d/bus.conf"
+    assert "BindsTo=sys-subsystem-net-devices-can1.device" in system_files(ROBOT)[place]
+    assert "WantedBy=multi-user.target" in system_files(ELSEWHERE)[place]
+    assert escaped("can-rear 1") == r"can\x2drear\x201"
+
+
+@pytest.mark.parametrize(
+    ("answers", "services"),
+    [
+        (ROBOT, ["gateway", "recorder"]),
+        (SIGNED, ["router", "gateway", "recorder"]),
+        (msgspec.structs.replace(SIGNED, keys=frozenset({"gateway"})), ["gateway"]),
+    ],
+)
+def test_what_can_run_is_started_the_router_first(answers: Answers, services: list[str]) -> None:
+    """In signed mode a recorder without a certificate reaches nobody, and is not started."""
+    started = [program[-1] for program in start_services(answers) if program[1] == "restart"]
+    assert started == [f"cruiser-{name}.service" for name in services]
+
+
+def test_what_setup_refuses_and_waits_for_are_findings_of_doctor() -> None:
+    """A finding that is renamed would be refused no more."""
+    assert {*NOBODY_DRIVES, *PENDING} <= {check.name for check in CHECKS}

@@ -1,0 +1,230 @@
+"""Samples in, metrics out: what is fresh is shown, what is silent is said to be, what is wrong is counted."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from prometheus_client.parser import text_string_to_metric_families
+
+from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS
+from gateway.metrics import BOUNDS, GAP_MAX
+from gateway.telemetry.samples import Missed, Received
+from schemas.messages import SEQUENCE_MAX
+from tests.support.messages import HEALTH, STANDBY, STATE, health, recorder_health
+from tests.support.metrics import (
+    FULL,
+    START_NS,
+    WALL_S,
+    exposition,
+    fleet,
+    full_exposition,
+    received,
+    series,
+    token,
+)
+
+R = 'robot="cruiser-1"'
+UP = f"cruiser_up{{{R}}}"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        (UP, 1),
+        (f"cruiser_gateway_connected{{{R}}}", 1),
+        (f"cruiser_last_health_timestamp_seconds{{{R}}}", WALL_S),
+        (f'cruiser_gateway_info{{bus="can0",{R},version="0.1.0"}}', 1),
+        (f"cruiser_gateway_frames_total{{{R}}}", 630),
+        (f'cruiser_gateway_faults_total{{kind="checksum",{R}}}', 2),
+        (f"cruiser_gateway_tick_lateness_max_seconds{{{R}}}", 0.0003),
+        (f"cruiser_gateway_cpu_ratio{{{R}}}", 0.05),
+        (f"cruiser_gateway_certificate_ends_timestamp_seconds{{{R}}}", 1_800_000_000.5),
+        (f'cruiser_feedback_valid_total{{frame="Auto_GearFeedBack",{R}}}', 99),
+        (f'cruiser_safety_state{{{R},state="standby"}}', 1),
+        (f'cruiser_safety_latched{{reason="guard",{R}}}', 1),
+        (f"cruiser_safety_lease_held{{{R}}}", 1),
+        (f"cruiser_safety_speed_limit_meters_per_second{{{R}}}", 2),
+        (f"cruiser_safety_link_age_seconds{{{R}}}", 0.02),
+        (f"cruiser_chassis_speed_meters_per_second{{{R}}}", 1.25),
+        (f"cruiser_chassis_total_mileage_meters{{{R}}}", 12345),
+        ('cruiser_recorder_up{recorder="depot"}', 1),
+        ('cruiser_recorder_state{recorder="depot",state="recording"}', 1),
+        ('cruiser_recorder_dropped_total{reason="disk",recorder="depot"}', 4),
+        ("cruiser_exporter_connected", 1),
+        ("cruiser_exporter_certificate_ends_timestamp_seconds", 1_800_000_000),
+    ],
+)
+def test_what_was_said_is_shown_in_base_units(name: str, value: float) -> None:
+    """Under a name that says of whom, and in what."""
+    assert series(fleet(token(), *map(received, FULL)))[name] == pytest.approx(value)
+
+
+def test_nobodys_name_and_no_free_text_is_a_label() -> None:
+    """Labels are bounded, and who drives is nobody's business here."""
+    text = full_exposition()
+    assert STANDBY.lease_holder == "first"
+    assert '"first"' not in text
+
+
+def test_a_silent_robot_has_no_values_but_that_it_is_silent() -> None:
+    """What it said last is never shown as if it were so now; how much came of it still counts."""
+    metrics = fleet(token(), *map(received, FULL))
+    now_ns = START_NS + HEALTH_STALE_NS - 1
+    assert series(metrics, now_ns)[UP] == 1
+    left = {name: value for name, value in series(metrics, now_ns + 1).items() if R in name}
+    assert left.pop(UP) == 0
+    assert left.pop(f"cruiser_gateway_connected{{{R}}}") == 1
+    assert left.pop(f"cruiser_last_health_timestamp_seconds{{{R}}}") == WALL_S
+    assert all(name.startswith("cruiser_samples_") for name in left)
+
+
+def test_a_state_is_older_sooner_than_a_health() -> None:
+    """A robot whose health comes and whose arbiter says nothing is there, and neither engaged nor not."""
+    metrics = fleet(*map(received, FULL))
+    shown = series(metrics, START_NS + STATE_STALE_NS)
+    assert shown[UP] == 1
+    assert not [name for name in shown if name.startswith(("cruiser_safety_", "cruiser_chassis_"))]
+
+
+def test_without_a_link_nobody_is_connected() -> None:
+    """No token says anything then."""
+    metrics = fleet(token(), received(HEALTH))
+    metrics.linked = False
+    assert (
+        series(metrics)[f"cruiser_gateway_connected{{{R}}}"] == series(metrics)["cruiser_exporter_connected"] == 0
+    )
+
+
+def test_a_token_alone_is_a_robot_that_is_silent() -> None:
+    """A gateway that hangs has one."""
+    shown = series(fleet(token()))
+    assert (shown[UP], shown[f"cruiser_gateway_connected{{{R}}}"]) == (0, 1)
+    assert series(fleet(token(), token(present=False)))[f"cruiser_gateway_connected{{{R}}}"] == 0
+
+
+def unreadable(shown: dict[str, float], subject: str) -> dict[str, float]:
+    """Samples of the robot that could not be read, by the reason."""
+    return {
+        reason: shown[f'cruiser_samples_unreadable_total{{reason="{reason}",{R},subject="{subject}"}}']
+        for reason in ("newer", "older", "damaged")
+    }
+
+
+@pytest.mark.parametrize(
+    ("version", "reason"), [("9", "newer"), ("0", "older"), ("1", "damaged"), ("of_another", "damaged")]
+)
+def test_what_cannot_be_read_is_counted_with_the_reason_and_changes_nothing(version: str, reason: str) -> None:
+    """Which side is to be upgraded; the values are those of before, until they are too old."""
+    bad = received(STATE, encoding=f"application/msgpack;cruiser.RobotState/{version}")
+    if version == "1":
+        bad = msgspec.structs.replace(bad, payload=b"\x81\xa5speed\xc1")
+    shown = series(fleet(received(STATE), bad))
+    assert unreadable(shown, "state") == {one: float(one == reason) for one in ("newer", "older", "damaged")}
+    assert shown[f'cruiser_samples_received_total{{{R},subject="state"}}'] == 1
+    assert shown[f"cruiser_chassis_speed_meters_per_second{{{R}}}"] == STATE.speed_mps
+
+
+@pytest.mark.parametrize(
+    "key", ["fleet/*/state", "other/cruiser-1/state", "fleet/cruiser-1/chassis/gear", "x" * 2000]
+)
+def test_what_is_not_of_this_fleet_is_ignored(key: str) -> None:
+    """Nobody appears by a key that no robot has."""
+    shown = series(fleet(msgspec.structs.replace(received(STATE), key=key)))
+    assert not [name for name in shown if name.startswith("cruiser_up")]
+
+
+@pytest.mark.parametrize(
+    ("sequences", "lost"),
+    [
+        ([7, 8, 9], 0),
+        ([7, 10], 2),
+        ([SEQUENCE_MAX - 1, SEQUENCE_MAX, 0, 2], 1),
+        ([500, 0, 1], 0),
+        ([0, GAP_MAX + 1], GAP_MAX),
+        ([0, GAP_MAX + 2, GAP_MAX + 3], 0),
+        ([5, 5, 4, 5], 0),
+    ],
+)
+def test_gaps_in_the_sequence_are_losses(sequences: list[int], lost: int) -> None:
+    """It wraps; one that steps back, or far ahead, is a gateway that began anew."""
+    states = [received(msgspec.structs.replace(STATE, sequence=sequence)) for sequence in sequences]
+    assert series(fleet(*states))[f'cruiser_samples_lost_total{{{R},subject="state"}}'] == lost
+
+
+def test_samples_of_one_too_many_are_counted() -> None:
+    """The bounds are those of a fleet; names beyond them show up in a metric."""
+    names = [f"r{number}" for number in range(BOUNDS.robots)]
+    metrics = fleet(*(received(HEALTH, name) for name in names), received(HEALTH), token("e"))
+    shown = series(metrics)
+    assert UP not in shown
+    assert shown["cruiser_exporter_refused_total"] == 2
+
+
+def test_who_was_silent_for_a_week_is_forgotten() -> None:
+    """But not a robot whose gateway is connected: it hangs."""
+    metrics = fleet(received(HEALTH), token("hangs"), received(recorder_health()))
+    shown = series(metrics, START_NS + BOUNDS.forgotten_ns - 1)
+    assert (shown[UP], shown['cruiser_recorder_up{recorder="depot"}']) == (0, 0)
+    shown = series(metrics, START_NS + BOUNDS.forgotten_ns)
+    assert [name for name in shown if "_up" in name] == ['cruiser_up{robot="hangs"}']
+
+
+def test_samples_that_were_not_read_in_time_are_counted() -> None:
+    """They are the exporter's own loss."""
+    metrics = fleet()
+    metrics.receive(Missed(), START_NS, WALL_S)
+    assert series(metrics)["cruiser_exporter_overruns_total"] == 1
+
+
+def test_what_waited_while_the_exporter_was_held_up_is_as_old_as_that() -> None:
+    """It is taken over with the time of the last look, not with that of now."""
+    metrics = fleet(received(HEALTH))
+    held_up_ns = 60 * 10**9
+    metrics.receive(received(health(1, 0)), START_NS, WALL_S)
+    assert series(metrics, START_NS + held_up_ns)[UP] == 0
+
+
+def unique(text: str) -> bool:
+    """Is every line another series, as Prometheus wants it?"""
+    samples = [
+        (sample.name, tuple(sorted(sample.labels.items())))
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    ]
+    return len(samples) == len(set(samples))
+
+
+@given(
+    names=st.lists(st.text(max_size=100), max_size=100),
+    counts=st.dictionaries(st.text(max_size=100), st.integers(0, 2**63 - 1), max_size=100),
+    version=st.text(max_size=1000),
+)
+def test_a_robot_that_makes_things_up_cannot_break_a_scrape(
+    names: list[str], counts: dict[str, int], version: str
+) -> None:
+    """Frames of one name, labels of any letters, texts of any length: a series is there once, and can be read."""
+    feedback = [msgspec.structs.replace(HEALTH.feedback[0], name=name) for name in names]
+    made_up = msgspec.structs.replace(
+        HEALTH, feedback=feedback, faults=counts, unknown_identifiers=counts, gateway_version=version
+    )
+    text = exposition(fleet(received(made_up)))
+    assert unique(text)
+    assert UP in text
+    assert len(text) < 1_000_000
+
+
+@given(payload=st.binary(max_size=300))
+def test_any_payload_is_read_or_counted(payload: bytes) -> None:
+    """Nothing raises."""
+    sample = received(HEALTH)
+    shown = series(fleet(Received(sample.key, sample.encoding, payload)))
+    assert unreadable(shown, "gateway/health") == {"newer": 0, "older": 0, "damaged": 1}
+
+
+def test_all_that_is_served_has_a_help_and_is_there_once() -> None:
+    """As Prometheus reads it."""
+    text = full_exposition()
+    assert unique(text)
+    assert all(family.documentation for family in text_string_to_metric_families(text))
