@@ -12,7 +12,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet demo-desk test test-unit test-system nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image test-cluster lint types architecture generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
+.PHONY: help install demo demo-fleet demo-desk test test-unit test-system nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image test-cluster lint types architecture reach generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -149,6 +149,9 @@ types: $(STAMP)  ## mypy --strict
 
 architecture: $(STAMP)  ## the import contracts of .importlinter
 	$(BIN)/lint-imports
+
+reach: $(STAMP)  ## the modules that each process loads at its start
+	@$(BIN)/python -m tests.support.reach
 
 generate: $(STAMP)  ## what is generated: JSON Schemas, the layouts of the DBC files, the tables of docs/
 	$(BIN)/python -m schemas.json_schema

@@ -14,16 +14,13 @@ from typing import Final, Protocol
 
 import msgspec
 
-from recorder.disk.keeper import DiskKeeper, DiskUse
-from recorder.disk.leftovers import LeftoverThread
+from recorder.disk.keeper import DiskKeeper, DiskUse, LeftoverThread
 from recorder.disk.log_writer import LogWriter
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from recorder.record.accounting import KeyReport, total
 from recorder.record.actions import QUERIES_PER_TICK, Action, LogAction, Publish, Query
-from recorder.record.health import HealthReport, Vitals
-from recorder.record.inbox import SampleInbox
 from recorder.record.orders import OperatorRequest, Orders
-from recorder.record.recorder import Recorder
+from recorder.record.recorder import HealthReport, Recorder, SampleInbox, Vitals
 from schemas.command_line import plain
 from schemas.messages import Message
 from schemas.recording import GapReason, RecorderEvent, RecorderHealth

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.reach import imports, modules
+
 ROOT = Path(__file__).parent.parent
 
 WORLD = {
@@ -24,7 +26,7 @@ WORLD = {
 
 PACKAGES = ("gateway", "recorder", "schemas")
 
-FRAMING = {"recorder.mcap.framing", "recorder.mcap.proof"}
+FRAMING = {"recorder.mcap.framing", "recorder.mcap.pieces"}
 """Opcodes, record headers and checksums of MCAP files: for the room of the format alone."""
 
 
@@ -249,7 +251,7 @@ WITHOUT_EXTRAS = f"""
 import importlib, sys
 sys.modules.update(dict.fromkeys({EXTRAS!r}))
 from gateway.cli.main import COMMANDS
-from recorder.cli.review.command import QUESTIONS
+from recorder.cli.review import QUESTIONS
 for module, _ in [*COMMANDS.values(), *QUESTIONS.values()]:
     importlib.import_module(module.partition(":")[0])
 """
@@ -258,3 +260,53 @@ for module, _ in [*COMMANDS.values(), *QUESTIONS.values()]:
 def test_every_command_explains_itself_without_the_extras() -> None:
     """What an extra brings is imported when it is needed: 'make demo' and a robot have none of them."""
     subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], cwd=ROOT, check=True)
+
+
+def circles(found: dict[str, set[str]]) -> list[str]:
+    """Take out again and again what imports nobody that is left; what stays is in a circle, or needs one."""
+    left = {name: {one for one in imported if one != name} for name, imported in found.items()}
+    while bottom := [name for name, imported in left.items() if not imported & left.keys()]:
+        for name in bottom:
+            del left[name]
+    return sorted(left)
+
+
+def test_no_modules_import_each_other() -> None:
+    """Nor in a circle of several."""
+    assert circles(imports()) == []
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == ["a", "b", "c"]
+
+
+def test_no_two_folders_import_each_other() -> None:
+    """One is above the other, so that it can be read without it. ``gateway.__main__`` is the command line's."""
+    known, found = modules(), imports()
+    folder = {name: name if known[name].name == "__init__.py" else name.rpartition(".")[0] for name in known}
+    crossing = {
+        (folder[name], folder[one])
+        for name, imported in found.items()
+        for one in imported
+        if name != "gateway.__main__" and folder[name] != folder[one] and known[one].name != "__init__.py"
+    }
+    assert {pair for pair in crossing if pair[::-1] in crossing} == set()
+
+
+def test_a_name_of_a_module_means_one_in_its_package() -> None:
+    """But for ``loop``, and for the files of commands, which are named as what they show."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for name, path in modules().items():
+        if path.stem not in {"__init__", "__main__", "loop"} and ".cli." not in name:
+            places.setdefault((name.partition(".")[0], path.stem), []).append(name)
+    assert [found for found in places.values() if len(found) > 1] == []
+
+
+SHORT_LINES = 60
+
+
+def test_a_short_module_says_why_it_is_one() -> None:
+    """In its docstring, by a second sentence."""
+    short = {
+        name: ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+        for name, path in modules().items()
+        if path.name != "__init__.py" and len(path.read_text("utf-8").splitlines()) < SHORT_LINES
+    }
+    assert [name for name, text in short.items() if not re.search(r"\.\s", text)] == []

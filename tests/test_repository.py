@@ -11,7 +11,7 @@ from typing import Final
 import pytest
 
 from gateway.cli.main import COMMANDS
-from recorder.cli.review.command import QUESTIONS
+from recorder.cli.review import QUESTIONS
 from schemas.subjects import BY_VERB
 
 ROOT: Final = Path(__file__).parents[1]

@@ -63,7 +63,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "router": ("gateway.cli.router", "where robots and people meet: a Zenoh router with access by role"),
     "provision": ("gateway.cli.provision", "keys, certificates and grants: who is who, and who may do what"),
     "decode": ("gateway.cli.decode", "candump lines to JSON lines"),
-    "review": ("recorder.cli.review.command", "turn a log into answers"),
+    "review": ("recorder.cli.review", "turn a log into answers"),
 }
 """Name of the command, its module (and the object in it), and its line in the help."""
 

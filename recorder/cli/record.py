@@ -1,4 +1,8 @@
-"""``cruiser record``: write what is said on Zenoh into an MCAP log."""
+"""``cruiser record``: write MCAP logs.
+
+- The name by which a recorder goes, in its keys.
+- ``cruiser record``: write what is said on Zenoh into an MCAP log.
+"""
 
 from __future__ import annotations
 
@@ -20,30 +24,30 @@ from typing import Final
 import msgspec
 
 from recorder.cli import remote
-from recorder.cli.own_name import own_name
-from recorder.cli.role import check_recording
-from recorder.disk.keeper import DiskKeeper
-from recorder.disk.key_files import has_key, read_identity, read_trust
-from recorder.disk.leftovers import LeftoverThread
-from recorder.disk.log_directory import LogDirectory
+from recorder.cli.remote import check_recording
+from recorder.disk.files import LogDirectory
+from recorder.disk.keeper import DiskKeeper, LeftoverThread
+from recorder.disk.key_files import granted_name, has_key, read_identity, read_trust
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
 from recorder.loop import Recorded, RecorderLoop
-from recorder.record.health import HealthReport
-from recorder.record.inbox import SampleInbox
-from recorder.record.recorder import Recorder, RecorderPlan
-from recorder.record.retention import DiskLimits
+from recorder.record.recorder import HealthReport, Recorder, RecorderPlan, SampleInbox
+from recorder.record.retention import DiskLimits, LogSigner
 from recorder.record.robot_log import LogPlan
-from recorder.record.shards import shard_of
-from recorder.record.signature import LogSigner
-from recorder.zenoh.remote_control import RemoteControl
-from recorder.zenoh.sharded_source import ShardedSource
-from recorder.zenoh.source import RING_SAMPLE_BYTES, ZenohSource
+from recorder.zenoh.remote_control import RemoteControl, host_name
+from recorder.zenoh.source import RING_SAMPLE_BYTES, ShardedSource, ZenohSource, shard_of
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.authority.identity import made
 from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import EventKind
 from schemas.settings import ROBOT_LIMIT, AuthoritySettings, Settings
+
+
+def own_name(settings: Settings) -> str:
+    """Return the name that is set; else that of the recorder's grant, in signed mode; else the host's."""
+    is_signed = settings.authority.mode == "signed"
+    return settings.recorder.name or (is_signed and granted_name(settings.authority, "recorder")) or host_name()
+
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
 

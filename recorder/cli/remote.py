@@ -1,4 +1,8 @@
-"""``cruiser record status`` and ``mark``: a recorder that is running elsewhere."""
+"""Orders to a recorder from afar, and its part in Zenoh.
+
+- The role of this machine's certificate. What a role may not do a router denies, and says nothing of it.
+- ``cruiser record status`` and ``mark``: a recorder that is running elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +10,63 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Final
 
 import msgspec
 
-from recorder.cli.role import ORDERING, check_role
-from recorder.zenoh.recorder_client import RecorderClient
+from recorder.disk.key_files import certificate_role
+from recorder.zenoh.remote_control import RecorderClient
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.keys import login_operator
 from schemas.recording import Mark, RecorderHealth, RecorderReply, Status
-from schemas.settings import Settings
+from schemas.settings import Settings, ZenohSettings
+from schemas.zenoh_session import of_file
+
+CERTIFICATE: Final = "transport/link/tls/connect_certificate"
+
+RECORDING: Final = frozenset({"recorder", "router"})
+ORDERING: Final = frozenset({"operator", "desk", "router"})
+
+_PROVISIONED: Final = frozenset({"robot", "viewer"}) | RECORDING | ORDERING
+"""Roles of 'cruiser provision'; of another one it is not known what it may do."""
+
+
+def check_role(settings: ZenohSettings, roles: Collection[str], allowed: str) -> None:
+    """Check that this machine's certificate is of one of these roles.
+
+    Args:
+        settings: of the session.
+        roles: those that may do it.
+        allowed: what routers let them do, and what cures it, in words.
+
+    Raises:
+        CommandError: it is of another role of ``cruiser provision``.
+    """
+    file = str(of_file(settings, CERTIFICATE) or "")
+    role = certificate_role(Path(file)) if file else ""
+    if role in _PROVISIONED and role not in roles:
+        raise CommandError(f"{plain(file)} is a certificate of the role {role}: {allowed}", ExitCode.USAGE)
+
+
+def check_recording(settings: ZenohSettings, expressions: Sequence[str]) -> None:
+    """Check that routers let this machine receive these key expressions.
+
+    Raises:
+        CommandError: one of them is a recorder's alone.
+    """
+    if any("**" in expression for expression in expressions):
+        check_role(
+            settings,
+            RECORDING,
+            "routers let a recorder alone receive everything; 'cruiser provision recorder NAME' makes the keys of "
+            "one, or -k names single subjects",
+        )
+
 
 Replies = list[tuple[str, RecorderReply]]
 """Replies, each with the recorder's name; two on different hosts may have the same one."""

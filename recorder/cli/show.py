@@ -1,4 +1,7 @@
-"""Print what a command answers: JSON for programs, lines for people."""
+"""Print what a command answers: JSON for programs, lines for people.
+
+Apart from ``asking``, so that ``cruiser upload`` loads no question.
+"""
 
 from __future__ import annotations
 

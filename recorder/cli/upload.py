@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.cli.show import show
-from recorder.disk.upload_note import UploadNote
+from recorder.disk.files import UploadNote
 from recorder.objects.address import shown_url
-from recorder.upload.row import row_maker
+from recorder.upload.finished import row_maker
 from schemas.command_line import CommandError, ExitCode, missing_extra, plain
 from schemas.peers import RateLimit
 from schemas.settings import Settings, UploadSettings
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if not directory.is_dir():
         raise CommandError(f"{plain(str(directory))} is no directory", ExitCode.USAGE)
     try:
-        import recorder.upload.store  # noqa: F401, PLC0415 - needs the extra 'upload'
+        import recorder.upload.uploader  # noqa: F401, PLC0415 - needs the extra 'upload'
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "obstore":
             raise
@@ -94,8 +94,7 @@ async def _upload(
     upload: UploadSettings, directory: Path, note: UploadNote, stopped: Callable[[], bool], *, is_once: bool
 ) -> tuple[UploadTotals, bool]:
     """Return what became of the logs, and whether the store is there."""
-    from recorder.upload.store import ObstoreLogs  # noqa: PLC0415 - not before the package is known
-    from recorder.upload.uploader import Uploader, UploadPlan  # noqa: PLC0415 - the same
+    from recorder.upload.uploader import ObstoreLogs, Uploader, UploadPlan  # noqa: PLC0415 - not before the package is known
 
     store = ObstoreLogs(upload.store, upload.options)
     url, release = shown_url(upload.store), version("cruiser-gateway")

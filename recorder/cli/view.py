@@ -29,8 +29,7 @@ from schemas.subjects import SUBJECTS, Pattern
 from schemas.zenoh_session import place
 
 if TYPE_CHECKING:
-    from recorder.view.live_channels import LiveChannels
-    from recorder.view.run import ViewLoop
+    from recorder.view import LiveChannels, ViewLoop
 
 EXAMPLE: Final = """\
   cruiser view                                    all robots, at ws://127.0.0.1:8765
@@ -81,9 +80,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             or none of the robots appears.
     """
     try:
-        from recorder.view.live_channels import LiveChannels  # noqa: PLC0415 - not before the package is known
-        from recorder.view.run import ViewLoop  # noqa: PLC0415 - needs the extra 'live'
-        from recorder.view.server import ViewServer  # noqa: PLC0415 - the same
+        from recorder.view import LiveChannels, ViewLoop, ViewServer  # noqa: PLC0415 - not before the package is known
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "foxglove":
             raise

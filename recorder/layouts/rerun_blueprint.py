@@ -19,7 +19,7 @@ import rerun.blueprint as blueprints
 from msgspec import inspect
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from recorder.encoding.protobuf_schema import fields, schema_name
+from recorder.encoding.protobuf import fields, schema_name
 from recorder.layouts.attached import RobotKeys, layouts
 from schemas import keys
 

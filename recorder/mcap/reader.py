@@ -45,15 +45,7 @@ from recorder.mcap.framing import (
     parse,
     record_at,
 )
-from recorder.mcap.pieces import (
-    DeclaredRoom,
-    Fault,
-    Index,
-    LoggedMessage,
-    MessageBlock,
-    PackedChunk,
-)
-from recorder.mcap.proof import Scanner
+from recorder.mcap.pieces import DeclaredRoom, Fault, Index, LoggedMessage, MessageBlock, PackedChunk, Scanner
 
 __all__ = [
     "FIRST_RECORD",

@@ -23,11 +23,9 @@ from recorder.mcap.framing import (
     encode,
     encode_indexes,
 )
-from recorder.mcap.pieces import Index, index_content, split
-from recorder.mcap.proof import DataEnd, Parsed, ProvenChunk, ProvenRecord, Scanner
-from recorder.mcap.summary import Summary
+from recorder.mcap.pieces import DataEnd, Index, Parsed, ProvenChunk, ProvenRecord, Scanner, index_content, split
 from recorder.mcap.summary_reader import LogSummary, read_summary
-from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL
+from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL, Summary
 
 _NO_SCHEMA: Final = records.Schema(id=0, data=b"", encoding="", name="")
 

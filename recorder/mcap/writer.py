@@ -1,4 +1,14 @@
-"""The bytes of an MCAP file (https://mcap.dev/spec), on any binary stream.
+"""Write an MCAP file: channels, chunks, the summary at its end.
+
+- A channel of an MCAP file, with its schema. Pure.
+- Messages appended to one buffer and indexed: what becomes a chunk of an MCAP file. Pure.
+
+The end of an MCAP file: what repeats and indexes its data, so that a reader need not read it all. Pure.
+
+Kept as bytes while the file grows, for a long log has many chunks. The writer of a log and the recovery of one
+that was left unfinished end a file by the same hand.
+
+The bytes of an MCAP file (https://mcap.dev/spec), on any binary stream.
 
 Schemas and channels go into the data section itself, not into chunks: a damaged chunk then costs its own
 messages and no others. What has no checksum in MCAP has a check of ours behind it. Each record, and each chunk
@@ -11,16 +21,313 @@ from __future__ import annotations
 import errno
 import hashlib
 import zlib
-from collections.abc import Iterable
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, Protocol
 
+import msgspec
 import zstandard
 from mcap import records
+from mcap.opcode import Opcode
 
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import Chunk
-from recorder.mcap.framing import MAGIC, checked, encode, encode_indexes
-from recorder.mcap.summary import Summary
+from recorder.mcap.framing import (
+    FOOTER,
+    HEAD_FORMAT,
+    HEADER_IN_LENGTH,
+    INDEX_HEADER,
+    MAGIC,
+    MESSAGE_HEADER,
+    MESSAGE_OPCODE,
+    RECORD_HEADER,
+    checked,
+    encode,
+    encode_indexes,
+)
+
+
+class LogChannel(msgspec.Struct, frozen=True):
+    """A channel of a log; ``schema_data`` is the serialised descriptor set of ``schema_name``.
+
+    What others have recorded may be in any encoding that MCAP's registry names, have metadata of its own, and no
+    schema at all: then the schema's encoding is empty, and so are its name and data.
+    """
+
+    channel_id: int
+    topic: str
+    schema_name: str
+    schema_data: bytes
+    schema_encoding: str = "protobuf"
+    message_encoding: str = "protobuf"
+    metadata: dict[str, str] = {}
+
+    @property
+    def has_schema(self) -> bool:
+        """True if there is one, were it empty."""
+        return bool(self.schema_name or self.schema_data or self.schema_encoding)
+
+
+NO_LIMIT: Final = 2**63
+
+
+INT64_MAX: Final = 2**63 - 1
+"""The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
+
+
+def log_time(time_ns: int) -> int:
+    """The nearest time since 1970 that a log may hold."""
+    return min(max(time_ns, 0), INT64_MAX)
+
+
+def message_record(channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> bytes:
+    """A message's record. The times are unsigned 64-bit, the sequence 32-bit, the channel 16-bit."""
+    length = HEADER_IN_LENGTH + len(data)
+    return MESSAGE_HEADER.pack(MESSAGE_OPCODE, length, channel_id, sequence, log_ns, publish_ns) + data
+
+
+def head_source(length: str) -> tuple[str, str]:
+    """The head of a message's record for code that packs it with the data at once.
+
+    Args:
+        length: an expression, the bytes of the data.
+
+    Returns:
+        The format, as ``struct`` has it, and the first of the values, as source; those behind are expressions of
+        the channel's id, the sequence, the log time and the publish time.
+    """
+    return HEAD_FORMAT, f"{MESSAGE_OPCODE}, {HEADER_IN_LENGTH} + {length}"
+
+
+class Chunk(msgspec.Struct, frozen=True):
+    """Messages ready to be written.
+
+    Attributes:
+        records: message records, one after the other.
+        index: per channel, log time and offset in ``records`` of each message, in turns.
+        start_ns: the earliest log time; ``end_ns`` the latest.
+    """
+
+    records: bytearray
+    index: dict[int, array[int]]
+    start_ns: int
+    end_ns: int
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Messages of each channel."""
+        return {channel_id: len(entries) // 2 for channel_id, entries in self.index.items()}
+
+
+class _Index(dict[int, "array[int]"]):
+    """Per channel, log time and offset of each message; a channel's begins when it is asked for."""
+
+    def __missing__(self, channel_id: int) -> array[int]:
+        index = self[channel_id] = array("Q")
+        return index
+
+
+class ChunkBuilder:
+    """Takes messages one by one; ``seal`` hands over what has come together and begins anew.
+
+    Args:
+        limit_bytes: at this size it is to be sealed; see ``is_full``.
+
+    Attributes:
+        records: message records so far.
+        index: per channel, log time and offset of each message in turns.
+    """
+
+    def __init__(self, limit_bytes: int = NO_LIMIT) -> None:
+        self.limit_bytes = limit_bytes
+        self.records = bytearray()
+        self.index = _Index()
+
+    def __len__(self) -> int:
+        """Bytes so far, before compression."""
+        return len(self.records)
+
+    @property
+    def is_full(self) -> bool:
+        """It is time to seal it."""
+        return len(self.records) >= self.limit_bytes
+
+    def add(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
+        """Append a message. The times are unsigned 64-bit, the sequence 32-bit, the channel 16-bit."""
+        records = self.records
+        index = self.index[channel_id]
+        index.append(log_ns)
+        index.append(len(records))
+        records += MESSAGE_HEADER.pack(
+            MESSAGE_OPCODE, HEADER_IN_LENGTH + len(data), channel_id, sequence, log_ns, publish_ns
+        )
+        records += data
+
+    def seal(self) -> Chunk | None:
+        """The messages so far, or None if there are none."""
+        if not self.records:
+            return None
+        times = [index[::2] for index in self.index.values()]
+        chunk = Chunk(
+            records=self.records,
+            index=dict(self.index),
+            start_ns=min(map(min, times)),
+            end_ns=max(map(max, times)),
+        )
+        self.records = bytearray()
+        self.index = _Index()
+        return chunk
+
+
+_SUMMARY_ORDER: Final = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+
+
+class Summary:
+    """Gathers what the end of a file says of its data."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[int] = Counter()
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        # The records that the summary will hold, by kind, and how many of each there are.
+        self._encoded = {opcode: bytearray() for opcode in _SUMMARY_ORDER}
+        self._records: Counter[int] = Counter()
+        """Bytes of the last attachment's index."""
+
+    @property
+    def messages(self) -> int:
+        """Messages in the file."""
+        return self._counts.total()
+
+    @property
+    def end_ns(self) -> int:
+        """The latest log time; 0 if there is no message."""
+        return self._end_ns
+
+    @property
+    def chunks(self) -> int:
+        """Chunks in the file."""
+        return self._records[Opcode.CHUNK_INDEX]
+
+    def add_schema(self, schema: records.Schema) -> None:
+        """A schema, the first of its id."""
+        self._add(Opcode.SCHEMA, encode(schema))
+
+    def add_channels(self, encoded: Sequence[bytes]) -> None:
+        """Channels, each the first of its id, as they stand in the data."""
+        self._add(Opcode.CHANNEL, *encoded)
+
+    def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
+        """So many messages of each channel, of these log times."""
+        self._counts.update(counts)
+        self._start_ns = start_ns if self._start_ns is None else min(self._start_ns, start_ns)
+        self._end_ns = max(self._end_ns, end_ns)
+
+    def add_chunk(
+        self,
+        chunk: records.Chunk,
+        offset: int,
+        length: int,
+        index: Mapping[int, array[int]],
+        places: Mapping[int, int] | None = None,
+        indexes_length: int = 0,
+    ) -> None:
+        """A chunk at this offset of the file, its message indexes right behind it.
+
+        Args:
+            chunk: its head.
+            offset: of its record, and ``length`` of that.
+            length: in bytes.
+            index: the log time and place of each message, by channel.
+            places: how far behind the offset each message index stands, and ``indexes_length`` their bytes;
+                None: as ``framing.encode_indexes`` puts them.
+            indexes_length: in bytes.
+        """
+        if places is None:
+            places, end = {}, length
+            for channel_id, entries in index.items():
+                places[channel_id] = end
+                end += INDEX_HEADER.size + entries.itemsize * len(entries)
+            indexes_length = end - length
+        if index:
+            counts = {channel_id: len(entries) // 2 for channel_id, entries in index.items()}
+            self.add_messages(counts, chunk.message_start_time, chunk.message_end_time)
+        found = records.ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=offset,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time,
+            message_index_length=indexes_length,
+            message_index_offsets={channel_id: offset + place for channel_id, place in places.items()},
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size,
+        )
+        self._add(Opcode.CHUNK_INDEX, encode(found))
+
+    def add_attachment(self, attachment: records.Attachment, offset: int, length: int) -> None:
+        """An attachment at this offset of the file."""
+        index = records.AttachmentIndex(
+            offset=offset,
+            length=length,
+            log_time=attachment.log_time,
+            create_time=attachment.create_time,
+            data_size=len(attachment.data),
+            name=attachment.name,
+            media_type=attachment.media_type,
+        )
+        encoded = encode(index)
+        self._add(Opcode.ATTACHMENT_INDEX, encoded)
+
+    def add_metadata(self, metadata: records.Metadata, offset: int, length: int) -> None:
+        """A metadata record at this offset of the file."""
+        index = records.MetadataIndex(offset=offset, length=length, name=metadata.name)
+        self._add(Opcode.METADATA_INDEX, encode(index))
+
+    def ending(self, data_size: int, data_crc: int) -> bytes:
+        """Return the data end, summary and footer that complete a file whose data has this size and CRC."""
+        data_end = encode(records.DataEnd(data_crc))
+        start = data_size + len(data_end)
+        self._encoded[Opcode.STATISTICS] = bytearray(encode(self._statistics()))
+        summary, offsets = bytearray(), bytearray()
+        for opcode, group in self._encoded.items():
+            if group:
+                offset = records.SummaryOffset(
+                    group_opcode=opcode, group_start=start + len(summary), group_length=len(group)
+                )
+                offsets += encode(offset)
+                summary += group
+        offset_start = start + len(summary)
+        summary += offsets
+        # The summary's checksum covers the footer too, up to the checksum itself.
+        length = FOOTER.size - RECORD_HEADER.size
+        footer = FOOTER.pack(Opcode.FOOTER, length, start, offset_start, 0)[:-4]
+        crc = zlib.crc32(footer, zlib.crc32(summary))
+        return data_end + bytes(summary) + footer + crc.to_bytes(4, "little") + MAGIC
+
+    def _add(self, opcode: Opcode, *encoded: bytes) -> None:
+        self._encoded[opcode] += b"".join(encoded)
+        self._records[opcode] += len(encoded)
+
+    def _statistics(self) -> records.Statistics:
+        return records.Statistics(
+            attachment_count=self._records[Opcode.ATTACHMENT_INDEX],
+            channel_count=self._records[Opcode.CHANNEL],
+            channel_message_counts=dict(self._counts),
+            chunk_count=self.chunks,
+            message_count=self.messages,
+            message_end_time=self._end_ns,
+            message_start_time=self._start_ns or 0,
+            metadata_count=self._records[Opcode.METADATA_INDEX],
+            schema_count=self._records[Opcode.SCHEMA],
+        )
+
 
 COMPRESSION: Final = "zstd"
 COMPRESSION_LEVEL: Final = 3

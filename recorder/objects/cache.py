@@ -18,8 +18,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.objects.address import StoreAddress, shown_url
-from recorder.objects.interface import Objects, StoredObject, StoreError
+from recorder.objects.address import Objects, StoreAddress, StoredObject, StoreError, shown_url
 from schemas.command_line import CommandError, ExitCode
 
 PIECE_BYTES: Final = 4 * 1024 * 1024

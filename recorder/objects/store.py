@@ -24,8 +24,7 @@ from obstore.exceptions import (
 )
 from obstore.store import ObjectStore, from_url
 
-from recorder.objects.address import StoreAddress, shown_url
-from recorder.objects.interface import ListedObject, StoredObject, StoreError
+from recorder.objects.address import ListedObject, StoreAddress, StoredObject, StoreError, shown_url
 from schemas.command_line import CommandError, ExitCode, plain, short
 
 REQUEST_S: Final = 30.0

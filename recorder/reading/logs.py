@@ -1,28 +1,228 @@
-"""Selection of the logs for a question: files and directories, in the order of time."""
+"""Logs by their files: which there are, what they cover, and their faults.
+
+- Faults of logs: all are counted, the first ones are listed.
+- A log that a question is about.
+- Selection of logs without the incidents that other logs hold completely.
+- Selection of the logs for a question: files and directories, in the order of time.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import stat
+from array import array
 from collections import Counter
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, Final, Protocol
 
 import msgspec
 from mcap import records
 
-from recorder.disk.log_names import is_log
-from recorder.mcap.reader import LoggedMessage, MessageBlock, PackedChunk, is_mcap, read_pieces
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX, is_log
+from recorder.mcap.reader import (
+    DamagedError,
+    Fault,
+    Index,
+    LoggedMessage,
+    MessageBlock,
+    PackedChunk,
+    is_mcap,
+    read_pieces,
+)
 from recorder.mcap.summary_reader import read_summary
-from recorder.reading.covered import without_covered
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.topics import Declared
 from schemas import keys
 from schemas.command_line import CommandError, plain
+
+FAULTS_SHOWN: Final = 20
+"""Faults that are listed one by one; the rest are only counted."""
+
+
+KNOWN_MAX: Final = 10_000
+"""So many are known again: a question may read a log more than once."""
+
+
+class Faults:
+    """Gathers faults, each once.
+
+    Attributes:
+        told: the first ones, in lines for people.
+        count: all of them.
+    """
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self.count = 0
+        self._known: dict[str, None] = {}
+
+    def add(self, detail: str) -> None:
+        """One more, unless it is known."""
+        if detail in self._known:
+            return
+        if len(self._known) < KNOWN_MAX:
+            self._known[detail] = None
+        self.count += 1
+        if len(self.told) < FAULTS_SHOWN:
+            self.told.append(detail)
+
+    def add_all(self, others: Faults) -> None:
+        """Those that somebody else found, in the same logs."""
+        for detail in others._known:
+            self.add(detail)
+
+    def __bool__(self) -> bool:
+        """Report whether there are any."""
+        return self.count > 0
+
+
+class LogFile(msgspec.Struct, frozen=True):
+    """A log.
+
+    Attributes:
+        path: of the file.
+        bytes: its length when it was found.
+        start_ns, end_ns: the first and the last log time; both 0 if it holds no message.
+        robots: root and name of each robot, as far as they are known outside of chunks.
+        is_being_written: a recorder had it open when it was found; that it has no end yet is no fault.
+        namesakes: names that robots under several roots have, in this log or one that was found with it.
+        url: the address in an object store of which the file is a copy; empty if it is none.
+    """
+
+    path: Path
+    bytes: int
+    start_ns: int
+    end_ns: int
+    robots: frozenset[tuple[str, str]] = frozenset()
+    namesakes: frozenset[str] = frozenset()
+    is_being_written: bool = False
+    url: str = ""
+
+    @property
+    def name(self) -> str:
+        """The path or the address, as it was asked for."""
+        return self.url or str(self.path)
+
+    def open(self) -> BinaryIO:
+        """Return a stream of its bytes.
+
+        Raises:
+            OSError: it cannot be opened.
+        """
+        return self.path.open("rb")
+
+    @property
+    def is_incident(self) -> bool:
+        """It repeats what happened around an incident, and most of it is in a log too."""
+        return self.path.name.removesuffix(PART_SUFFIX).removesuffix(SUFFIX).endswith(INCIDENT_SUFFIX)
+
+
+def logs_of(robot: str, logs: Sequence[LogFile]) -> list[LogFile]:
+    """Those that hold a robot, which may be called by its root too; all that hold anything where none says so."""
+    filled = [log for log in logs if log.end_ns]
+    its = [log for log in filled if any(robot in {name, f"{root}/{name}"} for root, name in log.robots)]
+    # A file that is not whole may not tell whose it is.
+    return [log for log in filled if log in its or not log.robots] or filled
+
+
+Window = tuple[int, int]
+"""From the first to the last log time, in nanoseconds since 1970."""
+
+Times = dict[str, "array[int]"]
+"""Of each topic the log times of its messages."""
+
+ANY_TIME: Final[Window] = (0, 2**64 - 1)
+
+
+def without_covered(logs: Sequence[LogFile]) -> list[LogFile]:
+    """The logs of a directory but for the incidents whose every message others of them hold.
+
+    A message is known by its topic and the time at which the recorder received it. A file that is damaged, or
+    whose recorder lost something, holds less than the incident, which is then kept. What is in question is
+    unpacked, and held against its checksums; nothing is decoded.
+    """
+    incidents = [log for log in logs if log.is_incident and log.end_ns]
+    others = [log for log in logs if not log.is_incident]
+    held: dict[LogFile, Times] = {incident: {} for incident in incidents}
+    for log in others:
+        within = [one for one in incidents if log.start_ns <= one.end_ns and one.start_ns <= log.end_ns]
+        found = _times_in(log, [(one.start_ns, one.end_ns) for one in within]) if within else []
+        for incident, times in zip(within, found, strict=True):
+            _add(held[incident], times)
+    return [log for log in logs if log not in held or not _is_covered(log, held[log])]
+
+
+def _add(held: Times, times: Times) -> None:
+    """Add the messages of another log. Two copies of a message count as one."""
+    for topic, more in times.items():
+        known = held.get(topic)
+        if known is None:
+            held[topic] = more
+        elif known != more:
+            held[topic] = array("Q", sorted((Counter(known) | Counter(more)).elements()))
+
+
+def _is_covered(incident: LogFile, held: Times) -> bool:
+    [own] = _times_in(incident, [ANY_TIME])
+    return bool(own) and all(_holds(held.get(topic, array("Q")), times) for topic, times in own.items())
+
+
+def _holds(held: array[int], times: array[int]) -> bool:
+    return held == times or not Counter(times) - Counter(held)
+
+
+def _times_in(log: LogFile, windows: Sequence[Window]) -> list[Times]:
+    """For each window the log times of what a log holds in it and can be read, in their order."""
+    found: list[dict[int, array[int]]] = [{} for _ in windows]
+    declared = Declared()
+    with suppress(OSError), log.open() as stream:
+        declared.take_summary(read_summary(stream))
+        for piece in read_pieces(stream, log.bytes, is_verifying=False):
+            if isinstance(piece, records.Schema | records.Channel):
+                declared.take(piece)
+            elif isinstance(piece, PackedChunk | MessageBlock):
+                for channel_id, entries in _index(piece, windows, declared).items():
+                    _add_inside(found, windows, channel_id, entries[::2])
+    return [_by_topic(of_window, declared) for of_window in found]
+
+
+def _add_inside(
+    found: list[dict[int, array[int]]], windows: Sequence[Window], channel_id: int, times: array[int]
+) -> None:
+    start_ns, end_ns = min(times, default=0), max(times, default=0)
+    for (first_ns, last_ns), of_window in zip(windows, found, strict=True):
+        is_all = first_ns <= start_ns and end_ns <= last_ns
+        inside = times if is_all else [one for one in times if first_ns <= one <= last_ns]
+        of_window.setdefault(channel_id, array("Q")).extend(inside)
+
+
+def _by_topic(found: dict[int, array[int]], declared: Declared) -> Times:
+    times: Times = {}
+    for channel_id, of_channel in found.items():
+        topic = declared.topics.get(channel_id)
+        if topic is not None and of_channel:
+            times.setdefault(topic.name, array("Q")).extend(of_channel)
+    return {topic: array("Q", sorted(unsorted)) for topic, unsorted in times.items()}
+
+
+def _index(piece: PackedChunk | MessageBlock, windows: Sequence[Window], declared: Declared) -> Index:
+    """Return the places of a piece's messages; none for a chunk that lies in no window, or is damaged."""
+    if isinstance(piece, PackedChunk):
+        if not any(piece.start_ns <= last_ns and first_ns <= piece.end_ns for first_ns, last_ns in windows):
+            return {}
+        if piece.index is not None and piece.index.keys() <= declared.topics.keys():
+            with suppress(DamagedError):
+                piece.unpack()
+                return piece.index
+            return {}
+    index, others = piece.read_index()
+    for one in others:
+        if not isinstance(one, Fault):
+            declared.take(one)
+    return index
 
 
 class KnownLog(Protocol):

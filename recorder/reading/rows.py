@@ -1,32 +1,52 @@
-"""The messages of logs, as rows in the order of their log times, of wanted topics and a wanted time alone.
+"""Messages of logs as rows, by topic and time.
+
+- Names for topics where a key cannot be used: in SQL, and as a directory. Pure.
+- A log in a program: ``from recorder import read_log``.
+
+The messages of logs, as rows in the order of their log times, of wanted topics and a wanted time alone.
 
 A chunk that holds nothing wanted is not read from the disk, if the file has message indexes. Memory does not grow
 with a log: of each open file one chunk is held.
+
+Channels, counts, times, metadata and attachments of a file, without its messages.
+
+Either from the summary at its end, with a look at the first and the last message index of each channel; or, where
+that does not tell all, record by record, with a look into those chunks alone that have no message indexes.
 """
 
 from __future__ import annotations
 
+import logging
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from fnmatch import fnmatchcase
 from heapq import merge
 from operator import attrgetter
-from typing import Any, BinaryIO, Final
+from pathlib import Path
+from typing import Any, BinaryIO, Final, TypeVar
+from urllib.parse import quote
 
 import msgspec
 from mcap import records
 
 from recorder.mcap.reader import (
     DamagedError,
+    End,
     Fault,
     Index,
     LoggedMessage,
     MessageBlock,
     PackedChunk,
+    Piece,
     read_pieces,
+    record_at,
 )
-from recorder.mcap.summary_reader import read_summary
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
-from recorder.reading.topics import UNREADABLE, Declared, Topic
+from recorder.mcap.summary_reader import LogSummary, read_summary
+from recorder.reading.logs import Faults, LogFile, find_logs
+from recorder.reading.topics import UNREADABLE, Declared, Topic, key_of
+from schemas import keys
+from schemas.messages import RawSample
 
 END_OF_TIME_NS: Final = 2**64
 """Later than every log time."""
@@ -253,3 +273,288 @@ class LogReader(BlockReader):
                 self.fault(f"a message of channel {one.channel_id}, which the file does not hold")
             elif one.channel_id in self.wanted and from_ns <= one.log_ns < to_ns:
                 yield Row(self.wanted[one.channel_id], one.sequence, one.log_ns, one.publish_ns, one.data)
+
+
+Kind = TypeVar("Kind", records.MessageIndex, records.Metadata)
+
+
+class Contents(msgspec.Struct):
+    """The contents of a file.
+
+    Attributes:
+        schemas, channels: by id.
+        counts: messages of each channel.
+        spans: the first and the last log time of each channel.
+        start_ns, end_ns: the first and the last log time of all; None if there is no message.
+        metadata: name and entries of each record, in the order of the file.
+        attachments: name, media type and length of each.
+        faults: those of the file.
+        has_ended: it was closed properly.
+    """
+
+    schemas: dict[int, records.Schema] = msgspec.field(default_factory=dict)
+    channels: dict[int, records.Channel] = msgspec.field(default_factory=dict)
+    counts: Counter[int] = msgspec.field(default_factory=Counter)
+    spans: dict[int, tuple[int, int]] = msgspec.field(default_factory=dict)
+    start_ns: int | None = None
+    end_ns: int | None = None
+    metadata: list[tuple[str, dict[str, str]]] = msgspec.field(default_factory=list)
+    attachments: list[tuple[str, str, int]] = msgspec.field(default_factory=list)
+    faults: Faults = msgspec.field(default_factory=Faults)
+    has_ended: bool = False
+
+    def fault(self, offset: int, detail: str) -> None:
+        """Something is wrong there."""
+        self.faults.add(f"byte {offset}: {detail}")
+
+
+def read_contents(stream: BinaryIO) -> Contents | None:
+    """Return the contents by the summary; None if there is none, or it is not complete."""
+    summary = read_summary(stream)
+    if summary is None or summary.statistics is None or not tells_all(summary, summary.statistics):
+        return None
+    statistics = summary.statistics
+    counts = Counter(
+        {channel_id: count for channel_id, count in statistics.channel_message_counts.items() if count}
+    )
+    try:
+        places = _places(stream, summary)
+    except DamagedError:
+        return None
+    if places is None or not counts.keys() <= places[0].keys():
+        return None
+    contents = Contents(
+        schemas=summary.schemas,
+        channels=summary.channels,
+        counts=counts,
+        start_ns=statistics.message_start_time if statistics.message_count else None,
+        end_ns=statistics.message_end_time if statistics.message_count else None,
+        attachments=[(one.name, one.media_type, one.data_size) for one in summary.attachments],
+        has_ended=True,
+    )
+    for channel_id in counts:
+        first = _times(stream, channel_id, places[0][channel_id], contents)
+        last = _times(stream, channel_id, places[1][channel_id], contents)
+        if first and last:
+            contents.spans[channel_id] = min(first), max(last)
+    for one in summary.metadata:
+        record = _record(stream, one.offset, records.Metadata)
+        if record is not None and record.name == one.name:
+            contents.metadata.append((record.name, record.metadata))
+        else:
+            contents.fault(one.offset, f"the metadata {one.name} is not where the summary says")
+    return contents
+
+
+def walk_contents(
+    stream: BinaryIO, size: int, progress: Progress = lambda _: None, *, is_being_written: bool = False
+) -> Contents:
+    """Return the contents by a scan, record by record. Nothing in the file raises.
+
+    Args:
+        stream: the file.
+        size: its length in bytes.
+        progress: receives the number of bytes that were read.
+        is_being_written: that it has no end yet is no fault.
+    """
+    contents = Contents()
+    read_to = 0
+    for piece in read_pieces(stream, size, is_verifying=False):
+        if not (is_being_written and isinstance(piece, Fault) and piece.cuts):
+            _take(contents, piece)
+        if isinstance(piece, PackedChunk):
+            progress(piece.end - read_to)
+            read_to = piece.end
+    progress(size - read_to)
+    return contents
+
+
+def tells_all(summary: LogSummary, statistics: records.Statistics) -> bool:
+    """Report whether it repeats every schema and channel, and holds every index."""
+    return (
+        len(summary.schemas) >= statistics.schema_count
+        and len(summary.channels) >= statistics.channel_count
+        and len(summary.attachments) == statistics.attachment_count
+        and len(summary.metadata) == statistics.metadata_count
+        and statistics.message_count == sum(statistics.channel_message_counts.values())
+    )
+
+
+def _places(stream: BinaryIO, summary: LogSummary) -> tuple[dict[int, int], dict[int, int]] | None:
+    """Return the offsets of each channel's first and last message index; None if chunks are not in time order."""
+    first: dict[int, int] = {}
+    last: dict[int, int] = {}
+    start_ns = end_ns = 0
+    for chunk in summary.chunks(stream):
+        places = chunk.place_map()
+        if places:
+            if chunk.start_ns < start_ns or chunk.end_ns < end_ns:
+                return None
+            start_ns, end_ns = chunk.start_ns, chunk.end_ns
+        last.update(places)
+        if len(first) < len(last):
+            first = places | first
+    return first, last
+
+
+def _times(stream: BinaryIO, channel_id: int, offset: int, contents: Contents) -> list[int]:
+    """The log times of a message index; none if it is not there."""
+    record = _record(stream, offset, records.MessageIndex)
+    if record is not None and record.channel_id == channel_id and record.records:
+        return [time_ns for time_ns, _ in record.records]
+    contents.fault(offset, f"the message index of channel {channel_id} is not where the summary says")
+    return []
+
+
+def _record(stream: BinaryIO, offset: int, kind: type[Kind]) -> Kind | None:
+    """The record there; None if it is no such record."""
+    try:
+        return record_at(stream, offset, kind)
+    except DamagedError:
+        return None
+
+
+def _take(contents: Contents, piece: Piece) -> None:
+    match piece:
+        case PackedChunk() if piece.index is not None and piece.index.keys() <= contents.channels.keys():
+            _count(contents, piece.index, piece.offset)
+        case PackedChunk() | MessageBlock():
+            # Others declare channels within chunks.
+            index, others = piece.read_index()
+            for one in others:
+                _take(contents, one)
+            _count(contents, index, piece.offset)
+        case records.Schema():
+            contents.schemas.setdefault(piece.id, piece)
+        case records.Channel():
+            # The summary repeats them.
+            contents.channels.setdefault(piece.id, piece)
+        case records.Attachment():
+            contents.attachments.append((piece.name, piece.media_type, len(piece.data)))
+        case records.Metadata():
+            contents.metadata.append((piece.name, piece.metadata))
+        case End():
+            contents.has_ended = True
+        case Fault():
+            contents.fault(piece.offset, piece.detail)
+        case _:
+            pass
+
+
+def _count(contents: Contents, index: Index, offset: int) -> None:
+    """Takes messages by their index: log times and offsets in turns."""
+    for channel_id, entries in index.items():
+        if not entries:
+            continue
+        if channel_id not in contents.channels:
+            contents.fault(
+                offset, f"{len(entries) // 2} messages of channel {channel_id}, which the file does not hold"
+            )
+        times = entries[::2]
+        first_ns, last_ns = min(times), max(times)
+        before = contents.spans.get(channel_id, (first_ns, last_ns))
+        contents.spans[channel_id] = min(before[0], first_ns), max(before[1], last_ns)
+        contents.counts[channel_id] += len(times)
+        contents.start_ns = first_ns if contents.start_ns is None else min(contents.start_ns, first_ns)
+        contents.end_ns = last_ns if contents.end_ns is None else max(contents.end_ns, last_ns)
+
+
+def place_of(topic: Topic) -> tuple[str, str]:
+    """The topic without root and robot, and the robot."""
+    key, side = key_of(topic.name)
+    parts = keys.parse(key)
+    if parts is None:
+        return topic.name, ""
+    if parts.recorder:
+        return f"@recorder/{parts.recorder}/{parts.subject.name}{side}", ""
+    return f"{parts.subject.name.format(bus=parts.bus)}{side}", topic.owner
+
+
+def table_of(topic: Topic) -> str:
+    """``can/can0/rx`` is ``can_rx``, whatever the bus is called: a column says that."""
+    if topic.kind is RawSample:
+        return "raw_sample"
+    name = topic.name
+    key, side = key_of(topic.name)
+    parts = keys.parse(key)
+    if parts is not None:
+        name = parts.subject.name.replace("{bus}/", "") + side
+        if parts.recorder:
+            name = f"recorder/{name}"
+    words = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_").lower()
+    return words if words and not words[0].isdigit() else f"topic_{words}"
+
+
+def wants_of(patterns: Sequence[str]) -> Wants:
+    """Return a test of a topic by its name, its part behind the robot, or its table; without patterns all pass."""
+
+    def wants(topic: Topic) -> bool:
+        names = (topic.name, place_of(topic)[0], table_of(topic))
+        return not patterns or any(fnmatchcase(name, pattern) for pattern in patterns for name in names)
+
+    return wants
+
+
+def file_name(topic: str) -> str:
+    """``fleet/cruiser-1/state`` is ``fleet.cruiser-1.state``; what a name may not hold is escaped as in a URL."""
+    chunks = [quote(chunk, safe="@ ", errors="replace").replace(".", "%2E") for chunk in topic.split("/")]
+    name = ".".join(chunks)
+    # ROS's topics begin with a slash. A name with a dot in front is a hidden file's, one with a dash an option.
+    first = {".": "%2F", "-": "%2D"}.get(name[:1], name[:1])
+    return f"{first}{name[1:]}"[:200] or "%"
+
+
+logger = logging.getLogger(__name__)
+
+
+class LogMessage(msgspec.Struct, frozen=True, gc=False):
+    """A message of a log. Times are nanoseconds since 1970.
+
+    Attributes:
+        topic: the channel's topic; in a log of ours the Zenoh key.
+        log_time_ns: when the recorder received it.
+        publish_time_ns: when its source published it, by the source's clock.
+        sequence: a count of the source's, for each topic.
+        message: a class of ``schemas`` for what is ours; of others a protobuf message, or what JSON holds; the
+            bytes where no decoder is known, or where they are no such message.
+    """
+
+    topic: str
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    message: Any
+
+
+def read_log(
+    *paths: str | Path,
+    topics: Sequence[str] = (),
+    from_ns: int = 0,
+    to_ns: int = END_OF_TIME_NS,
+    faults: Faults | None = None,
+) -> Iterator[LogMessage]:
+    """Read logs message by message, in the order of log times; damaged and unfinished ones as far as they go.
+
+    Args:
+        paths: files, or directories of logs.
+        topics: patterns as of a shell, for the whole topic or what follows the robot in it: ``state``,
+            ``safety/*``; none reads all.
+        from_ns: the first log time.
+        to_ns: the first log time that is too late.
+        faults: takes what cannot be read. Without it that is logged as a warning, when all is read.
+
+    Raises:
+        CommandError: there is no log at these paths.
+    """
+    found = Faults() if faults is None else faults
+    logs = find_logs([Path(path) for path in paths], found)
+    for row in read_rows(logs, Selection(wants_of(topics), from_ns, to_ns), found):
+        message: Any = row.data
+        if row.topic.decode is not None:
+            try:
+                message = row.topic.decode(row.data)
+            except UNREADABLE as error:
+                found.add(f"{row.topic.name}: a message that is no {row.topic.schema}: {error}")
+        yield LogMessage(row.topic.name, row.log_ns, row.publish_ns, row.sequence, message)
+    for line in found.told if faults is None else ():
+        logger.warning("%s", line)

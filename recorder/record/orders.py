@@ -10,8 +10,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.record.actions import Action
-from recorder.record.notices import Notice, Opened
+from recorder.record.actions import Action, Notice, Opened
 from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
 from schemas.recording import Mark, RecorderHealth, RecorderReply, RecorderState

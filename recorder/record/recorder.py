@@ -1,4 +1,9 @@
-"""All that one recorder writes, without I/O: samples, ticks, marks and notices in, actions out.
+"""The recorder: samples in, actions out, and its health.
+
+- Samples that wait to be recorded: bounded by their bytes, the oldest go first, and are counted. Pure.
+- The health of a recorder, from what its parts count. Pure.
+
+All that one recorder writes, without I/O: samples, ticks, marks and notices in, actions out.
 
 One ``RobotLog`` for each robot, or one for all. ``receive`` finds the log by the key. The page to begin with; then
 ``robot_log``.
@@ -7,45 +12,86 @@ One ``RobotLog`` for each robot, or one for all. ``receive`` finds the log by th
 from __future__ import annotations
 
 import re
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Final
 
 import msgspec
 
-from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
-from recorder.encoding.received_sample import ReceivedSample
-from recorder.mcap.chunk import log_time
+from recorder.encoding.samples import SEQUENCE_SPAN, KeyCounters, ReceivedSample, copy
+from recorder.mcap.writer import log_time
 from recorder.record.accounting import KeyReport, total
-from recorder.record.actions import INCIDENT_MARK, QUERIES_PER_TICK, Action, Publish
-from recorder.record.incidents import trim_rings
-from recorder.record.lost_gateways import LostGateway, LostGateways
-from recorder.record.notices import (
+from recorder.record.actions import (
     FULL,
+    INCIDENT_MARK,
+    QUERIES_PER_TICK,
     ROOM,
+    Action,
     Announcement,
     DiskRoom,
     Ended,
     Lost,
     Notice,
     Opened,
+    Publish,
     announcement_of,
 )
+from recorder.record.incidents import LostGateway, LostGateways, trim_rings
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas import keys
 from schemas.codec import PAYLOAD_ERRORS
 from schemas.command_line import short
 from schemas.decisions import SafetyEvent, SafetyState, Severity
-from schemas.recording import (
-    GapReason,
-    RecorderEvent,
-    RecorderEventKind,
-    RecorderState,
-    RecordGap,
-)
+from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecorderHealth, RecorderState, RecordGap
 from schemas.settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.subjects import BY_TYPE, LIVELINESS_CHUNK
+
+SAMPLE_BYTES: Final = 500
+"""Memory that a sample takes besides its payload and key, about."""
+
+
+class SampleInbox:
+    """A queue of samples.
+
+    Args:
+        limit_bytes: memory of what may wait, payloads, keys and all.
+    """
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit_bytes = limit_bytes
+        self._waiting: deque[tuple[ReceivedSample, int]] = deque()
+        self.bytes = 0
+        """Bytes that wait."""
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put(self, sample: ReceivedSample) -> list[tuple[str, int]]:
+        """Have a sample wait. Returns key and receipt of those that are dropped for it, which may be itself."""
+        size = len(sample.payload) + len(sample.attachment) + len(sample.key) + SAMPLE_BYTES
+        self._waiting.append((copy(sample), size))
+        self.bytes += size
+        if self.bytes <= self._limit_bytes:
+            return []
+        dropped = []
+        while self.bytes > self._limit_bytes:
+            oldest, size = self._waiting.popleft()
+            self.bytes -= size
+            dropped.append((oldest.key, oldest.received_ns))
+        return dropped
+
+    def take(self, limit: int, limit_bytes: int) -> Iterator[ReceivedSample]:
+        """Return the oldest samples: at most so many, and about so many bytes."""
+        taken_bytes = 0
+        for _ in range(min(limit, len(self._waiting))):
+            sample, size = self._waiting.popleft()
+            self.bytes -= size
+            yield sample
+            taken_bytes += size
+            if taken_bytes > limit_bytes:
+                return
+
 
 REPORT_LOSSES_NS: Final = 1_000_000_000
 """Losses are reported once a second."""
@@ -421,3 +467,87 @@ class Recorder:
             return ()
         actions, self._context.actions = self._context.actions, []
         return actions
+
+
+SECOND_NS: Final = 1_000_000_000
+
+
+class Vitals(msgspec.Struct, frozen=True):
+    """Figures from the disk, the inbox and the door, which ``RecorderHealth`` has under the same names."""
+
+    files: int = 0
+    files_ended: int = 0
+    ended_bytes: int = 0
+    queue_bytes: int = 0
+    disk_queue_bytes: int = 0
+    disk_free_bytes: int = 0
+    disk_used_bytes: int = 0
+    incident_bytes: int = 0
+
+
+class HealthReport:
+    """Makes the health of each second.
+
+    Args:
+        recorder: its name.
+        version: of the recorder.
+        now_ns: when it was started.
+    """
+
+    def __init__(self, recorder: str, version: str, now_ns: int) -> None:
+        self._recorder = recorder
+        self._version = version
+        self._started_ns = self._state_since_ns = self._last_ns = now_ns
+        self._state: RecorderState | None = None
+        self._sequence = 0
+        self._received = self._cpu_ns = 0
+        self._received_per_s = self._cpu_percent = 0.0
+
+    def is_due(self, now_ns: int) -> bool:
+        """A second has passed."""
+        return now_ns - self._last_ns >= SECOND_NS
+
+    def next(self, recorder: Recorder, vitals: Vitals, cpu_ns: int, now_ns: int, wall_ns: int) -> RecorderHealth:
+        """The health of the second that has passed; ``cpu_ns`` is what the process has used by now."""
+        span_ns = max(1, now_ns - self._last_ns)
+        self._cpu_percent = max(0, cpu_ns - self._cpu_ns) * 100 / span_ns
+        self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
+        health = self.now(recorder, vitals, now_ns, wall_ns)
+        self._received_per_s = max(0, health.received - self._received) * SECOND_NS / span_ns
+        self._received, self._cpu_ns, self._last_ns = health.received, cpu_ns, now_ns
+        return msgspec.structs.replace(health, received_per_s=self._received_per_s)
+
+    def now(self, recorder: Recorder, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
+        """The health as it is, with the rates of the last whole second."""
+        if recorder.state is not self._state:
+            # What it does at first, it does since the start.
+            self._state_since_ns = self._started_ns if self._state is None else now_ns
+            self._state = recorder.state
+        lost: Counter[GapReason] = Counter()
+        received = messages = missed = keys = 0
+        for counters in recorder.counters:
+            keys += 1
+            received += counters.samples + counters.unread
+            messages += counters.messages - counters.unwritten
+            missed += counters.missed
+            lost.update(counters.lost)
+        return RecorderHealth(
+            time_ns=wall_ns,
+            sequence=self._sequence,
+            recorder=self._recorder,
+            recorder_version=self._version,
+            uptime_s=(now_ns - self._started_ns) / SECOND_NS,
+            state=recorder.state,
+            state_since_s=(now_ns - self._state_since_ns) / SECOND_NS,
+            robots=recorder.robots,
+            keys=keys,
+            received=received,
+            received_per_s=self._received_per_s,
+            written=max(0, messages),
+            missed=missed,
+            dropped={reason.value: count for reason, count in sorted(lost.items(), key=lambda one: one[0].value)},
+            ring_bytes=recorder.ring_bytes,
+            incidents=recorder.incidents,
+            cpu_percent=self._cpu_percent,
+            **msgspec.structs.asdict(vitals),
+        )

@@ -14,40 +14,31 @@ from typing import Final
 
 import msgspec
 
-from recorder.encoding.fast_path import FastPath
-from recorder.encoding.foxglove_log import log_record
-from recorder.encoding.key_counters import SEQUENCE_SPAN
-from recorder.encoding.received_sample import ReceivedSample
-from recorder.encoding.routes import Record, Route, keep_raw
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder, log_time
-from recorder.record.accounting import COMPLETENESS_NAME, FileAccount, LossReport
+from recorder.encoding.routes import FastPath, Record, Route, keep_raw
+from recorder.encoding.samples import SEQUENCE_SPAN, ReceivedSample, log_record
+from recorder.mcap.writer import ChunkBuilder, LogChannel, log_time
+from recorder.record.accounting import COMPLETENESS_NAME, ChannelQuota, Channels, FileAccount, LossReport
 from recorder.record.actions import (
     Action,
+    Announcement,
     CloseLog,
     DeclareChannel,
+    Ended,
     LogAction,
+    Lost,
+    Opened,
     OpenLog,
     Query,
     SyncLog,
     WriteChunk,
     WriteMetadata,
-)
-from recorder.record.backlog import Backlog
-from recorder.record.channels import ChannelQuota, Channels
-from recorder.record.incidents import INCIDENT_NAME, Incidents
-from recorder.record.notices import (
-    Announcement,
-    Ended,
-    Lost,
-    Opened,
     incident_begun,
     incident_cut,
     incident_refused,
     other_version,
 )
-from recorder.record.robots import Robots
-from recorder.record.statements import Statements
+from recorder.record.incidents import INCIDENT_NAME, Incidents
+from recorder.record.robots import Backlog, Robots, Statements
 from schemas import keys
 from schemas.authority.trust import Trust
 from schemas.codec import names_schema

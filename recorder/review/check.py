@@ -1,18 +1,28 @@
-"""The check of a log, whether it is what it says, and what it lacks: every byte, every checksum, every message.
+"""The proof that a log is what it says: its structure, and each channel.
+
+The check of what a file says of itself: heads of chunks, message indexes, statistics, and its summary.
+
+Of each chunk two numbers are kept until the summary is reached: 16 bytes, some 10 MB of a log of 10 GB.
+
+The check of a log, whether it is what it says, and what it lacks: every byte, every checksum, every message.
 
 In one pass, in memory that does not grow with the log but for 16 bytes a chunk and what each gap takes.
 """
 
 from __future__ import annotations
 
+from array import array
 from bisect import bisect_right
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, Final
 
 import msgspec
+import numpy as np
 from mcap import records
 
-from recorder.mcap.arrays import Blocks
+from recorder.mcap.arrays import Blocks, Read
 from recorder.mcap.reader import (
     FIRST_RECORD,
     DamagedError,
@@ -25,15 +35,221 @@ from recorder.mcap.reader import (
     Piece,
     SummaryStart,
     read_pieces,
+    record_at,
 )
+from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
-from recorder.review.checking.channel import Channel, ChannelCheck
-from recorder.review.checking.findings import About, Finding, Findings
-from recorder.review.checking.frames import ClockStep, FrameInfo
-from recorder.review.checking.messages import faults_of_schema
-from recorder.review.checking.structure import Structure
+from recorder.review.checking import Channel, ChannelCheck, ClockStep, FrameInfo, faults_of_schema
+from recorder.review.flaws import About, Finding, Findings
 from schemas import keys
+from schemas.subjects import RECORDER_CHUNK
+
+
+class Structure:
+    """Follows a file through its data, and then compares its summary.
+
+    Args:
+        findings: takes what is wrong.
+
+    Attributes:
+        messages: of each channel.
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self.messages: Counter[int] = Counter()
+        self._findings = findings
+        self._counts: Counter[type] = Counter()
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        self._newest_ns = 0
+        self._offsets = array("Q")
+        self._digests = array("q")
+        self._schemas: dict[int, records.Schema] = {}
+        self._channels: dict[int, records.Channel] = {}
+        self._own: set[int] = set()
+
+    def take_schema(self, schema: records.Schema, *, is_repeated: bool = False) -> bool:
+        """Take a schema of the data, or of the summary; report whether it is the first of its id."""
+        before = self._schemas.get(schema.id)
+        if is_repeated:
+            if before is None or vars(before) != vars(schema):
+                self._findings.file(f"the summary's schema {schema.name} is not in the data")
+            return False
+        if before is not None and vars(before) != vars(schema):
+            self._findings.file(f"the schema {schema.name} has the id of another one")
+        if schema.id == 0:
+            self._findings.file(f"the schema {schema.name} has the id 0, which means none")
+        self._schemas.setdefault(schema.id, schema)
+        return before is None
+
+    def take_channel(self, channel: records.Channel, *, is_repeated: bool = False) -> bool:
+        """Take a channel of the data, or of the summary; report whether it is the first of its id."""
+        before = self._channels.get(channel.id)
+        if is_repeated:
+            if before is None or vars(before) != vars(channel):
+                self._findings.file("the summary's channel is not in the data", topic=channel.topic)
+            return False
+        if before is not None and vars(before) != vars(channel):
+            self._findings.file("the channel has the id of another one", topic=channel.topic)
+        elif before is None and channel.schema_id not in self._schemas:
+            if channel.schema_id:
+                self._findings.file("its schema is missing", topic=channel.topic)
+            else:
+                self._findings.allowed("the channel has no schema", topic=channel.topic)
+        self._channels.setdefault(channel.id, channel)
+        if RECORDER_CHUNK in channel.topic.split("/"):
+            self._own.add(channel.id)
+        return before is None
+
+    def count(self, kind: type) -> None:
+        """One more record of this kind."""
+        self._counts[kind] += 1
+
+    def take_messages(
+        self, read: Read, bases: Sequence[int], offsets: Sequence[int]
+    ) -> list[tuple[int, int] | None]:
+        """Take the messages of blocks; returns the first and the last log time of each, None if it has none.
+
+        Args:
+            read: the messages.
+            bases: where each block begins in ``read.content``, and where all end.
+            offsets: of the blocks in the file.
+        """
+        for channel, places in read.places.items():
+            self.messages[channel] += len(places.offsets)
+        spans: list[tuple[int, int] | None] = [None] * len(offsets)
+        if not read.places:
+            return spans
+        starts = np.concatenate([places.starts for places in read.places.values()])
+        order = np.argsort(starts, kind="stable")
+        log_ns = np.concatenate([places.log_ns(read.content) for places in read.places.values()])[order]
+        self._start_ns = min(int(log_ns.min()), int(log_ns[0]) if self._start_ns is None else self._start_ns)
+        self._end_ns = max(self._end_ns, int(log_ns.max()))
+        # What a recorder says itself is left out: it may have waited for a file.
+        is_own = np.concatenate([np.full(len(one.offsets), key in self._own) for key, one in read.places.items()])
+        received = ~is_own[order]
+        times = np.concatenate([[np.uint64(self._newest_ns)], log_ns[received]])
+        self._newest_ns = int(times[-1])
+        block_of = np.searchsorted(bases, starts[order], "right") - 1
+        for block, count in Counter(block_of[received][times[1:] < times[:-1]].tolist()).items():
+            self._findings.allowed("the log time goes backwards", offsets[block], count=count)
+        filled, first = np.unique(block_of, return_index=True)
+        lowest, highest = np.minimum.reduceat(log_ns, first), np.maximum.reduceat(log_ns, first)
+        for block, start_ns, end_ns in zip(filled.tolist(), lowest.tolist(), highest.tolist(), strict=True):
+            spans[block] = start_ns, end_ns
+        return spans
+
+    def take_chunk(self, piece: PackedChunk, size: int, span: tuple[int, int] | None, *, is_indexed: bool) -> None:
+        """Take a chunk that could be read.
+
+        Args:
+            piece: the chunk.
+            size: of its records in bytes.
+            span: the first and the last log time in it; None if there is no message.
+            is_indexed: the message indexes behind it say what is there, or there are none.
+        """
+        chunk = piece.described()
+        if chunk.unpacked != size:
+            self._findings.file("a chunk's size is not the one that it says", piece.offset)
+        if (chunk.start_ns, chunk.end_ns) != (span or (0, 0)):
+            self._findings.file("a chunk's times are not those of its messages", piece.offset)
+        if span is not None and not piece.places:
+            self._findings.allowed("a chunk has no message indexes", piece.offset)
+        if not is_indexed:
+            self._findings.file("the message indexes behind a chunk are wrong", piece.offset)
+        self._offsets.append(piece.offset)
+        self._digests.append(chunk.digest())
+
+    def take_broken_chunk(self, piece: PackedChunk) -> None:
+        """A chunk that cannot be read: nothing of it can be compared but its place."""
+        self._offsets.append(piece.offset)
+        self._digests.append(0)
+
+    def compare_statistics(self, statistics: records.Statistics) -> None:
+        """Compare the counts of the summary."""
+        counted = {
+            "messages": (statistics.message_count, self.messages.total()),
+            "schemas": (statistics.schema_count, len(self._schemas)),
+            "channels": (statistics.channel_count, len(self._channels)),
+            "chunks": (statistics.chunk_count, len(self._offsets)),
+            "attachments": (statistics.attachment_count, self._counts[records.Attachment]),
+            "metadata records": (statistics.metadata_count, self._counts[records.Metadata]),
+        }
+        for name, (said, found) in counted.items():
+            if said != found:
+                self._findings.file(f"the file says that it holds {said} {name}; {found} were found")
+        times = (self._start_ns or 0, self._end_ns)
+        if (statistics.message_start_time, statistics.message_end_time) != times:
+            self._findings.file("the file's first and last time are not those of its messages")
+        said_of = statistics.channel_message_counts
+        if statistics.message_count and not said_of:
+            self._findings.allowed("the file does not say how many messages each channel has")
+            return
+        for channel_id in sorted(said_of.keys() | self.messages.keys()):
+            said, found = said_of.get(channel_id, 0), self.messages[channel_id]
+            if said != found:
+                topic = self._channels[channel_id].topic if channel_id in self._channels else str(channel_id)
+                self._findings.file(
+                    f"the file says that it holds {said} messages; {found} were found", topic=topic
+                )
+
+    def compare_summary(self, stream: BinaryIO) -> None:
+        """The indexes of the summary; one with a wrong checksum has been reported."""
+        summary = read_summary(stream)
+        if summary is None:
+            return
+        try:
+            for _ in summary.wrong_groups(stream):
+                self._findings.file("the summary's own offsets are wrong", summary.offset_start)
+            self._compare_chunks(stream, summary)
+            for attachment in summary.attachments:
+                self._compare_record(stream, attachment)
+            for metadata in summary.metadata:
+                self._compare_record(stream, metadata)
+        except DamagedError as error:
+            self._findings.file(f"the summary cannot be read: {error}", summary.start)
+
+    def _compare_chunks(self, stream: BinaryIO, summary: LogSummary) -> None:
+        at = {offset: place for place, offset in enumerate(self._offsets)} if summary.chunks_at else {}
+        indexed = 0
+        for chunk in summary.chunks(stream):
+            indexed += 1
+            place = at.get(chunk.offset)
+            if place is None:
+                self._findings.file("the summary's index names a chunk that is not there", summary.start)
+            elif self._digests[place] not in {0, chunk.digest()}:
+                self._findings.file("the summary's index of a chunk is wrong", chunk.offset)
+        if summary.chunks_at and indexed != len(self._offsets):
+            self._findings.file(
+                f"the summary's index holds {indexed} chunks; {len(self._offsets)} were found", summary.start
+            )
+
+    def _compare_record(self, stream: BinaryIO, index: records.AttachmentIndex | records.MetadataIndex) -> None:
+        is_attachment = isinstance(index, records.AttachmentIndex)
+        found = (
+            record_at(stream, index.offset, records.Attachment, index.length)
+            if is_attachment
+            else record_at(stream, index.offset, records.Metadata, index.length)
+        )
+        if found is None or _facts(found) != _facts(index):
+            what = "attachment" if is_attachment else "metadata"
+            self._findings.file(f"the summary's index of the {what} {index.name} is wrong", index.offset)
+
+
+def _facts(
+    record: records.Attachment | records.AttachmentIndex | records.Metadata | records.MetadataIndex,
+) -> tuple[object, ...]:
+    """The fields that a record and its index have in common."""
+    match record:
+        case records.Attachment():
+            size = len(record.data)
+        case records.AttachmentIndex():
+            size = record.data_size
+        case _:
+            return (record.name,)
+    return record.name, record.media_type, record.log_time, record.create_time, size
+
 
 WAITING_BYTES_MAX: Final = 4_000_000
 """Size at which the messages that wait are judged together."""

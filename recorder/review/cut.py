@@ -12,9 +12,7 @@ from typing import BinaryIO, Final
 import msgspec
 from mcap import records
 
-from recorder.disk.new_file import new_file
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder
+from recorder.disk.files import new_file
 from recorder.mcap.reader import (
     FIRST_RECORD,
     DamagedError,
@@ -26,9 +24,8 @@ from recorder.mcap.reader import (
     record_at,
 )
 from recorder.mcap.summary_reader import read_summary
-from recorder.mcap.writer import McapFile
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.mcap.writer import ChunkBuilder, LogChannel, McapFile
+from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Progress, Selection
 from recorder.reading.survey import FORMER_DIGEST
 from recorder.review.info import CUT_NAME

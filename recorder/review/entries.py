@@ -1,22 +1,173 @@
-"""Entries of ``cruiser review events``, and the entries that two successive messages make.
+"""Entries of what happened: their words, the clocks of their runs, stops, repeats.
+
+Samples and entries that are there several times, or not at all: by their sequences, and by what they say.
+
+The robot's clock in relation to the recorder's.
+
+Each message of a robot carries its own time. That is the better one, since it is that of the fact and not of the
+receipt, as long as the two clocks agree. Where they do not, or where the robot's was set meanwhile, the arbiter's
+tick gives the order of events.
+
+Entries of ``cruiser review events``, and the entries that two successive messages make.
 
 A change between two states of the arbiter, or between two messages of ``gateway/health``. Where the log holds the
 event itself it says more, and the change is left out.
+
+Which entries are stops. Events, reports, catalogs and searches count by this one definition.
+
+A stop is the end of being commanded that no client asked for: a cause of the arbiter, a takeover, a gateway that
+died. What the guard or the next gateway says of it later belongs to it, and so does each further cause that
+follows soon, before the robot is engaged again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Hashable, Iterable, Iterator
 from enum import Enum
+from itertools import islice, pairwise
 from typing import Final
 
 import msgspec
 
-from schemas.decisions import COMMANDING, GUARD_STOP_ENDED, ArbiterState, EventKind, SafetyState, Severity
+from schemas.decisions import (
+    COMMANDING,
+    GUARD_STOP_ENDED,
+    ArbiterState,
+    EventKind,
+    SafetyState,
+    Severity,
+    is_same_run,
+)
 from schemas.messages import ControllerState, Count, GatewayHealth, TimeNs
 from schemas.reasons import AS_ASKED, TEXTS, Reason
 from schemas.requests import Tick
-from schemas.settings import SAFETY_STATE_PERIOD_NS
+from schemas.settings import SAFETY_STATE_PERIOD_NS, TICK_NS
+
+NEAR_NS: Final = 1_000_000_000
+"""Clocks that differ by no more agree."""
+
+FAR_NS: Final = 60_000_000_000
+"""No sample is under way for so long: clocks that differ by more do so from the first sample on."""
+
+_SURE_AFTER: Final = 5
+"""Samples that must agree before a clock counts as behind by less than ``FAR_NS``."""
+
+SETTLE_NS: Final = 3_000_000_000
+"""Time over which they must be received: what waited for the link or the recorder comes in one burst."""
+
+_TICKS_NEAR: Final = 500
+"""Over so many ticks, 5 s, the tick is a measure of time: later ones may have been late."""
+
+
+class RobotClock:
+    """The clock of one robot.
+
+    Nothing is received before it is said, and much may be received late. So the smallest difference of receipt and
+    robot's time is the nearest to that of the clocks, and a later one that is smaller proves the offset wrong.
+
+    Attributes:
+        offset_ns: to be added to its times; 0 while it agrees with the recorder's.
+        corrected_ns: by how much the last received state proved the offset wrong: the times of those before
+            it are wrong by so much, too. 0 where the clock was set, and they are right.
+    """
+
+    def __init__(self) -> None:
+        self.offset_ns = 0
+        self.corrected_ns = 0
+        self._tick: int | None = None
+        self._publish_ns = self._log_ns = 0
+        self._told_ns = 0
+        """The offset that was reported last."""
+        self._begin(0)
+
+    def _begin(self, log_ns: int) -> None:
+        """Begin anew: the clock was set, or restarted, and earlier states say nothing about it."""
+        self._least_ns: int | None = None
+        self._since_ns = log_ns
+        self._states = 0
+        self._is_settled = False
+
+    def is_other_run(self, tick: int) -> bool:
+        """Return True if the tick is not of the last received run."""
+        return self._tick is not None and not is_same_run(tick, self._tick)
+
+    def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
+        """Add a state of the arbiter; states are never queried later.
+
+        Returns:
+            a sentence about a change of the clock; empty if there is none.
+        """
+        self.corrected_ns = 0
+        if self._tick is not None and tick <= self._tick and not self.is_other_run(tick):
+            return ""
+        said = ""
+        before_ns = self.offset_ns
+        is_near = self._is_near(tick)
+        set_ns = self._set_by(publish_ns, log_ns, tick)
+        if not is_near and not self._explains(log_ns - publish_ns):
+            self._begin(log_ns)
+        elif set_ns:
+            said = f"the robot's clock was set by {set_ns / 1e9:+.1f} s"
+            self._least_ns = self.offset_ns - set_ns
+            self._is_settled = True
+        self._weigh(log_ns - publish_ns, log_ns)
+        if said:
+            self._told_ns = self.offset_ns
+        elif is_near:
+            self.corrected_ns = self.offset_ns - before_ns
+        self._tick, self._publish_ns, self._log_ns = tick, publish_ns, log_ns
+        return said or self._news()
+
+    def _explains(self, off_ns: int) -> bool:
+        """Return True if the clock is as before the pause, as far as is known."""
+        return self._is_settled and self._least_ns is not None and 0 <= off_ns - self._least_ns <= NEAR_NS
+
+    def _weigh(self, off_ns: int, log_ns: int) -> None:
+        """A state was received so long after the robot's time. The smallest such time counts, once it is sure."""
+        self._states += 1
+        self._least_ns = off_ns if self._least_ns is None else min(self._least_ns, off_ns)
+        is_behind = NEAR_NS < self._least_ns <= FAR_NS
+        is_sure = self._states >= _SURE_AFTER and log_ns - self._since_ns >= SETTLE_NS
+        if is_behind and not is_sure and not self._is_settled:
+            return
+        self._is_settled = True
+        self.offset_ns = 0 if 0 <= self._least_ns <= NEAR_NS else self._least_ns
+
+    def _news(self) -> str:
+        """Return a sentence on the offset from the recorder's clock; empty if it is as reported last."""
+        if abs(self.offset_ns - self._told_ns) <= NEAR_NS:
+            return ""
+        self._told_ns = self.offset_ns
+        if abs(self.offset_ns) <= NEAR_NS:
+            return (
+                "the robot's clock agrees with the recorder's; where an entry said otherwise, it no longer holds"
+            )
+        way = "behind" if self.offset_ns > 0 else "ahead of"
+        seconds = abs(self.offset_ns) / 1e9
+        return f"the robot's clock is {seconds:.1f} s {way} the recorder's; the times here are the recorder's"
+
+    def place(self, publish_ns: int, log_ns: int, tick: int | None = None) -> int:
+        """Return the recorder's time of an event that the robot dates ``publish_ns``, received at ``log_ns``.
+
+        Never later than the receipt.
+        """
+        set_ns = 0 if tick is None else self._set_by(publish_ns, log_ns, tick)
+        return min(publish_ns + self.offset_ns - set_ns, log_ns)
+
+    def _is_near(self, tick: int) -> bool:
+        """Return True if the tick is so near to the last state's that it is a measure of time."""
+        return self._tick is not None and abs(tick - self._tick) <= _TICKS_NEAR
+
+    def _set_by(self, publish_ns: int, log_ns: int, tick: int) -> int:
+        """Return by how much the clock was set since the last state, nanoseconds, as far as the ticks show."""
+        if self._tick is None or not self._is_near(tick):
+            return 0
+        set_ns = publish_ns - self._publish_ns - (tick - self._tick) * TICK_NS
+        # Either the clock was set, or the gateway made a pause, and then the receipt is as late as the clock says.
+        received_ns = log_ns - self._log_ns
+        paused = abs((publish_ns - self._publish_ns) - received_ns) <= NEAR_NS
+        return 0 if paused or abs(set_ns) <= NEAR_NS else set_ns
 
 
 class EntryKind(Enum):
@@ -316,3 +467,202 @@ def _bus(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
     if now.controller is not was and now.controller is not ControllerState.UNKNOWN:
         text = f"the CAN controller: {was.value} before, {now.controller.value} now"
         yield Risen("controller", EntryKind.FAULT, Severity.WARNING, text)
+
+
+APART_NS: Final = 10_000_000_000
+"""A cause that comes so long after the last one stops a robot that was moved meanwhile: that is another stop."""
+
+
+class Stops:
+    """The stops of one robot, from its entries by their time."""
+
+    def __init__(self) -> None:
+        self._caused_ns: int | None = None
+        """When the newest cause of the stop was; None once the robot was engaged."""
+        self._has_guard_latch = False
+
+    def mark(self, entry: Entry) -> Entry:
+        """Return the entry, with ``is_stop`` if a stop begins with it."""
+        if entry.kind is EntryKind.ENGAGED:
+            self._caused_ns = None
+        elif entry.kind is EntryKind.RESET:
+            self._has_guard_latch = False
+        elif self._stops(entry):
+            before_ns, self._caused_ns = self._caused_ns, entry.time_ns
+            is_apart = entry.kind in STOPS and before_ns is not None and entry.time_ns - before_ns > APART_NS
+            if before_ns is None or is_apart:
+                return msgspec.structs.replace(entry, is_stop=True)
+        return entry
+
+    def _stops(self, entry: Entry) -> bool:
+        """Report whether the command has ended by this, at the latest."""
+        if entry.kind is EntryKind.LATCH and entry.reason is Reason.GUARD:
+            # Each gateway that finds the latch says so at its start.
+            is_new, self._has_guard_latch = not self._has_guard_latch, True
+            return is_new
+        if entry.kind is EntryKind.GATEWAY:
+            return entry.severity is Severity.ERROR
+        return entry.kind in STOPS and entry.reason is not Reason.NONE and not entry.tells_of_guard
+
+
+IDS_KEPT: Final = 50_000
+"""So many samples of a topic are remembered: a quarter of an hour of decisions, as many as are ever asked for."""
+
+PIECES_MAX: Final = 1000
+
+SPELL_NS: Final = 2_500_000_000
+"""Alike entries that follow each other within this time are one spell; so are entries that come each second."""
+
+LATE_NS: Final = 60_000_000_000
+"""A spell ends after this time without an addition: messages that were queried later may come out of order."""
+
+SPELLS_MAX: Final = 10_000
+"""Spells that are under way; beyond it the oldest is ended."""
+
+NAMES_MAX: Final = 30
+"""Names that a spell remembers; a chassis has ten feedback frames."""
+
+
+class SequenceHole(msgspec.Struct, frozen=True):
+    """Samples that are not in the log.
+
+    Attributes:
+        after_ns: when the last one before them was.
+        before_ns: when the first one behind them was.
+    """
+
+    count: int
+    after_ns: int
+    before_ns: int
+
+
+class _Piece(msgspec.Struct):
+    first: int
+    last: int
+    first_ns: int
+    last_ns: int
+
+
+class Sequences:
+    """The samples of one topic and one run of its sender, in whatever order they come."""
+
+    def __init__(self) -> None:
+        self._pieces: list[_Piece] = []
+        self._told: list[SequenceHole] = []
+
+    def add(self, sequence: int, time_ns: int) -> None:
+        """A sample is there."""
+        pieces = self._pieces
+        at = len(pieces)
+        while at and pieces[at - 1].first > sequence:
+            at -= 1
+        before = pieces[at - 1] if at else None
+        if before is not None and before.first <= sequence <= before.last + 1:
+            if sequence > before.last:
+                before.last, before.last_ns = sequence, time_ns
+                self._join(at)
+            return
+        pieces.insert(at, _Piece(sequence, sequence, time_ns, time_ns))
+        self._join(at + 1)
+        if len(pieces) > PIECES_MAX:
+            self._told.append(_hole(pieces[0], pieces[1]))
+            del pieces[0]
+
+    def holes(self) -> list[SequenceHole]:
+        """Return the ranges of missing samples between the first and the last one."""
+        return self._told + [_hole(*pair) for pair in pairwise(self._pieces)]
+
+    def _join(self, at: int) -> None:
+        if 0 < at < len(self._pieces) and self._pieces[at - 1].last + 1 == self._pieces[at].first:
+            behind = self._pieces.pop(at)
+            self._pieces[at - 1].last, self._pieces[at - 1].last_ns = behind.last, behind.last_ns
+
+
+def _hole(before: _Piece, behind: _Piece) -> SequenceHole:
+    return SequenceHole(behind.first - before.last - 1, before.last_ns, behind.first_ns)
+
+
+class Repeats:
+    """Finds samples that were there before: an incident beside its log, two recorders' logs.
+
+    Args:
+        kept: so many samples are remembered.
+    """
+
+    def __init__(self, kept: int = IDS_KEPT) -> None:
+        self._kept = kept
+        self._ids: set[tuple[int, int]] = set()
+        self._order: deque[tuple[int, int]] = deque()
+
+    def is_new(self, publish_ns: int, sequence: int) -> bool:
+        """The first with this publish time and sequence, as far as is remembered."""
+        one = (publish_ns, sequence)
+        if one in self._ids:
+            return False
+        self._ids.add(one)
+        self._order.append(one)
+        if len(self._order) > self._kept:
+            self._ids.discard(self._order.popleft())
+        return True
+
+
+class _Spell(msgspec.Struct):
+    entry: Entry
+    first_ns: int
+    last_ns: int
+    count: int
+    touched_ns: int
+    about: dict[str, None]
+
+
+class Spells:
+    """Gathers what is alike."""
+
+    def __init__(self) -> None:
+        self._open: dict[Hashable, _Spell] = {}
+        self._over: list[Entry] = []
+
+    def add(self, key: Hashable, entry: Entry, log_ns: int, about: Iterable[str] = ()) -> None:
+        """One more, or ``entry.count`` more; alike are those with the same key.
+
+        The spell's text is the last's. What they are ``about`` is named before it, of all of them together.
+        """
+        spell = self._open.get(key)
+        if spell is not None:
+            if spell.first_ns - SPELL_NS <= entry.time_ns <= spell.last_ns + SPELL_NS:
+                if entry.time_ns >= spell.last_ns:
+                    spell.entry, spell.last_ns = entry, entry.last_ns
+                spell.first_ns = min(spell.first_ns, entry.time_ns)
+                spell.count += entry.count
+                spell.touched_ns = log_ns
+                spell.about = _first_names((*spell.about, *about))
+                return
+            del self._open[key]
+            self._over.append(_told(spell))
+        elif len(self._open) >= SPELLS_MAX:
+            self._over.append(_told(self._open.pop(next(iter(self._open)))))
+        self._open[key] = _Spell(entry, entry.time_ns, entry.last_ns, entry.count, log_ns, _first_names(about))
+
+    def take(self, log_ns: int | None = None) -> list[Entry]:
+        """The spells that are over at this log time; all of them without one."""
+        over, self._over = self._over, []
+        ended = [
+            key
+            for key, spell in self._open.items()
+            if log_ns is None or not 0 <= log_ns - spell.touched_ns <= LATE_NS
+        ]
+        return over + [_told(self._open.pop(key)) for key in ended]
+
+
+def _first_names(names: Iterable[str]) -> dict[str, None]:
+    return dict.fromkeys(islice(dict.fromkeys(names), NAMES_MAX))
+
+
+def _told(spell: _Spell) -> Entry:
+    text, names = spell.entry.text, ", ".join(spell.about)
+    if names:
+        count = f"{'at least ' if len(spell.about) == NAMES_MAX else ''}{len(spell.about)} frames"
+        text = f"{names}: {text}" if len(spell.about) == 1 else f"{count} ({names}): {text}"
+    return msgspec.structs.replace(
+        spell.entry, time_ns=spell.first_ns, last_ns=spell.last_ns, count=spell.count, text=text
+    )

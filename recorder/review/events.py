@@ -14,24 +14,27 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile, logs_of
+from recorder.reading.logs import Faults, LogFile, logs_of
 from recorder.reading.rows import Progress, Row, Selection, Wants, read_rows
 from recorder.reading.topics import UNREADABLE
-from recorder.review.clock import NEAR_NS, RobotClock
 from recorder.review.entries import (
     DROPPED,
+    IDS_KEPT,
+    NEAR_NS,
     OF_EVENT,
     Change,
     Entry,
     EntryKind,
     EntrySource,
+    Repeats,
+    RobotClock,
+    Sequences,
+    Spells,
+    Stops,
     changes,
     kind_of,
     risen,
 )
-from recorder.review.repeats import IDS_KEPT, Repeats, Sequences, Spells
-from recorder.review.stops import Stops
 from schemas import keys
 from schemas.decisions import (
     ArbiterState,

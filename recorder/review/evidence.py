@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
-from recorder.review.chain import Link, count, deg, evidence, missing, mps, span
 from recorder.review.window import (
     BODY,
     BY_IDENTIFIER,
@@ -15,8 +14,15 @@ from recorder.review.window import (
     DecodedFrame,
     EvidenceWindow,
     Heard,
+    Link,
+    count,
+    deg,
+    evidence,
+    missing,
+    mps,
     signals,
     silence_ns,
+    span,
 )
 from schemas.can_word import COUNTER_SPAN
 from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG

@@ -1,4 +1,9 @@
-"""The contents of a log, from its end and its recorder's records: no chunk of a whole log is unpacked.
+"""Logs as they describe themselves: contents, losses, robots; or as their catalog does.
+
+- The robots of a log, as its topics name them, for the layouts that it is opened with.
+- A log that need not be opened, as a catalog says; known without the libraries that read catalogs.
+
+The contents of a log, from its end and its recorder's records: no chunk of a whole log is unpacked.
 
 A file without such an end (a part, a damaged one, or one of somebody who writes none) is gone through record by
 record, by the heads of its chunks. Whether all of it is true, and nothing missing, is another question: ``check``.
@@ -14,13 +19,16 @@ from typing import BinaryIO, Final
 
 import msgspec
 
-from recorder.reading.contents import Contents, read_contents, walk_contents
-from recorder.reading.logs import is_being_written, open_log
-from recorder.reading.rows import Progress
+from recorder.layouts.attached import RobotKeys
+from recorder.reading.logs import Faults, LogFile, is_being_written, open_log
+from recorder.reading.rows import Contents, Progress, read_contents, walk_contents
+from recorder.reading.survey import survey
+from recorder.reading.topics import Topic
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.record.robots import METADATA_NAME
 from schemas import keys
+from schemas.subjects import RECORDER_CHUNK
 
 CUT_NAME: Final = "cruiser.cut"
 """The metadata record of a part of a log: which time and topics it is, and of which files."""
@@ -271,3 +279,39 @@ def _completeness(entries: dict[str, str]) -> dict[str, KeyReport]:
         with suppress(msgspec.MsgspecError):
             reports[topic] = msgspec.json.decode(text, type=KeyReport)
     return reports
+
+
+def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[RobotKeys]:
+    """The robots of logs, by their keys.
+
+    Args:
+        logs: as ``find_logs`` gives them. No chunk is read of those that are whole.
+        faults: takes what cannot be read.
+    """
+    return robots_in(survey(logs, faults).topics.values())
+
+
+def robots_in(topics: Iterable[Topic]) -> list[RobotKeys]:
+    """The robots that these topics are of; of several CAN buses the first by name."""
+    buses: dict[str, set[str]] = {}
+    for topic in topics:
+        parts = keys.parse(topic.name)
+        if parts is not None and parts.robot and RECORDER_CHUNK not in topic.name.split("/"):
+            buses.setdefault(f"{parts.root}/{parts.robot}", set()).add(parts.bus)
+    return [RobotKeys(key, min(found - {""}, default="")) for key, found in sorted(buses.items())]
+
+
+CATALOG_NAME: Final = "catalog.parquet"
+"""The catalog in the directory of its logs."""
+
+
+class CatalogedLog(msgspec.Struct, frozen=True):
+    """A log that is as the catalog says.
+
+    Attributes:
+        is_covered: None where logs of the catalog have changed or gone since.
+    """
+
+    log: LogFile
+    is_covered: bool | None
+    brief: LogBrief

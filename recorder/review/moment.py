@@ -1,18 +1,214 @@
-"""One moment: what the robot did, what the arbiter did, and what kept the robot from moving, in sentences."""
+"""A moment judged: the stop, what holds the robot, and the story around it.
+
+- The course of a stop, by the arbiter's states and the chassis's feedback.
+- One moment: what the robot did, what the arbiter did, and what kept the robot from moving, in sentences.
+- The first pass over a robot's logs: its entries and the runs of its gateways, in their order.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from itertools import pairwise, takewhile
 from typing import Final
 
-from recorder.review.chain import Link, Step, before, deg, missing, mps, span
-from recorder.review.entries import Entry, EntryKind
+import msgspec
+
+from recorder.reading.logs import Faults, LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, read_rows
+from recorder.review.entries import ENDS, SETTLE_NS, STOPS, Entry, EntryKind, EntrySource
+from recorder.review.events import Timeline
 from recorder.review.evidence import last_command
-from recorder.review.window import EvidenceWindow, Heard, Said
-from schemas.decisions import COMMANDING, ArbiterState, Bound, Decision, SafetyState, StopPhase
-from schemas.messages import Body, Drive, Gear, GearPosition, Parking, ParkingStatus, RobotState, Steering
+from recorder.review.window import (
+    AFTER_NS,
+    BEFORE_NS,
+    EvidenceWindow,
+    Heard,
+    Link,
+    Said,
+    Step,
+    before,
+    deg,
+    missing,
+    mps,
+    span,
+)
+from schemas.decisions import (
+    COMMANDING,
+    ArbiterState,
+    Bound,
+    Decision,
+    EventKind,
+    SafetyEvent,
+    SafetyState,
+    Severity,
+    StopPhase,
+    is_same_run,
+)
+from schemas.messages import (
+    Body,
+    Drive,
+    GatewayHealth,
+    Gear,
+    GearPosition,
+    Parking,
+    ParkingStatus,
+    RobotState,
+    Steering,
+)
 from schemas.reasons import OF_A_ROBOT, RESET, TEXTS, Reason, cure_of, of_a_robot
-from schemas.settings import STANDSTILL_MPS
+from schemas.recording import RecorderEvent
+from schemas.settings import STANDSTILL_MPS, STANDSTILL_TICKS, TICK_NS
+
+_PHASES: Final = {
+    StopPhase.BRAKE: "zero speed",
+    StopPhase.PARK: "parking brake",
+    StopPhase.NEUTRAL: "neutral",
+    StopPhase.HOLD: "hold",
+    StopPhase.DISABLE: "enables off",
+}
+
+_DOUBTFUL: Final = frozenset({Reason.IMPLAUSIBLE_SPEED, Reason.VARIANT_UNKNOWN})
+"""Reasons for which the reported speeds of the chassis are not to be believed."""
+
+_UNSEEN_NS: Final = 150_000_000
+"""Without drive feedback for so long, how far the robot came is not known."""
+
+_STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
+
+
+def actions(window: EvidenceWindow, reason: Reason) -> Iterator[Link]:
+    """The course of a stop that began at the moment, for this reason."""
+    states = list(window.after(SafetyState, window.at_ns - 1))
+    stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
+    if stopping:
+        yield from _ramp(window, stopping)
+        yield from _phases(window, stopping)
+    elif reason is Reason.GUARD:
+        yield Link(Step.ACTION, "the gateway sends nothing: the guard has the chassis, and stops it", window.at_ns)
+    elif states and states[0].said.state is ArbiterState.STANDBY:
+        text = "the gateway sends nothing: the remote control, or the last command, moves the chassis"
+        yield Link(Step.ACTION, text, states[0].time_ns)
+    else:
+        yield missing("the arbiter's states after this")
+    over_ns = window.over_ns
+    yield from standstill(window, over_ns, is_doubtful=reason in _DOUBTFUL)
+    ended = next((one for one in window.after(SafetyEvent) if one.said.kind is EventKind.STOPPED), None)
+    if ended is not None and ended.time_ns < over_ns:
+        after_ns = ended.time_ns - window.at_ns
+        text = f"{ended.said.text}, after {span(after_ns)}"
+        yield Link(Step.ACTION, text, ended.time_ns, {"after_s": after_ns / 1e9})
+
+
+def _ramp(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
+    """The ramp of the commanded speed."""
+    was = next((one for one in window.until(SafetyState) if one.time_ns < window.at_ns), None)
+    zero = next((one for one in stopping if not one.said.output_speed_mps), None)
+    from_mps = 0.0 if was is None else was.said.output_speed_mps
+    if was is None:
+        yield missing("what was commanded before this")
+    elif not from_mps:
+        never = was.said.state is ArbiterState.STANDBY
+        text = "nothing had been commanded until then" if never else "the commanded speed was zero already"
+        yield Link(Step.ACTION, text, stopping[0].time_ns)
+    elif zero is None:
+        yield missing("the end of the ramp of the commanded speed")
+    else:
+        slope_mps2, took_ns = _slope_mps2(stopping), zero.time_ns - window.at_ns
+        text = f"the commanded speed went from {from_mps:.2f} m/s to zero"
+        if took_ns <= 2 * TICK_NS:
+            text += " at once"
+        else:
+            said = stopping[0].said
+            rules = (said.emergency_deceleration_mps2, "emergency"), (said.deceleration_limit_mps2, "normal")
+            near = [name for limit, name in rules if slope_mps2 is not None and abs(slope_mps2 - limit) < 0.15]
+            text += "" if slope_mps2 is None else f" at {slope_mps2:.1f} m/s2"
+            text += f", the {near[-1]} deceleration," if near else ""
+            text += f" in {span(took_ns)}"
+        data = {"from_mps": from_mps, "deceleration_mps2": slope_mps2, "took_s": took_ns / 1e9}
+        yield Link(Step.ACTION, text, window.at_ns, data)
+
+
+def _slope_mps2(stopping: Sequence[Heard[SafetyState]]) -> float | None:
+    """The deceleration of the commanded speed, from states in the ramp; None if there are not two."""
+    ramp = [one.said for one in stopping if one.said.output_speed_mps]
+    if len(ramp) < 2 or ramp[-1].tick <= ramp[0].tick:
+        return None
+    fallen_mps = abs(ramp[0].output_speed_mps) - abs(ramp[-1].output_speed_mps)
+    return fallen_mps / ((ramp[-1].tick - ramp[0].tick) * TICK_NS / 1e9)
+
+
+def _phases(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
+    """The beginning of each phase of the stop."""
+    begun: dict[StopPhase, int] = {}
+    for one in stopping:
+        begun.setdefault(one.said.stop_phase, one.time_ns - window.at_ns)
+    parts = [
+        f"{words} {f'after {span(begun[phase])}' if begun[phase] > TICK_NS else 'at once'}"
+        for phase, words in _PHASES.items()
+        if phase in begun
+    ]
+    if parts:
+        data = {f"{phase.value}_after_s": after_ns / 1e9 for phase, after_ns in begun.items()}
+        yield Link(Step.ACTION, ", ".join(parts), stopping[0].time_ns, data)
+
+
+def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Iterator[Link]:
+    """The standstill of the chassis, and its way until then, by its drive feedback until this was over."""
+    before = window.last(Drive)
+    way = [
+        *([before] if before is not None else []),
+        *takewhile(lambda one: one.time_ns < over_ns, window.after(Drive)),
+    ]
+    if len(way) < 2:
+        yield missing("the drive feedback of this time")
+        return
+    if way[0].said.speed_mps < STANDSTILL_MPS:
+        text = f"the robot stood already, by its drive feedback{_moved_again(way, way[0])}"
+        yield Link(Step.ACTION, text, way[0].time_ns)
+        return
+    metres, stood, unseen_ns = 0.0, None, 0
+    for was, now in pairwise(way):
+        if now.said.speed_mps >= STANDSTILL_MPS:
+            stood = None
+        elif stood is None:
+            stood = now
+        if stood is not None and now.time_ns - stood.time_ns >= _STANDS_NS:
+            break
+        begin_ns = max(was.time_ns, window.at_ns)
+        unseen_ns = max(unseen_ns, now.time_ns - was.time_ns)
+        metres += (was.said.speed_mps + now.said.speed_mps) / 2 * max(0, now.time_ns - begin_ns) / 1e9
+    if stood is None:
+        last = way[-1]
+        text = f"the last drive feedback, {window.ago(last.time_ns)}, still said {last.said.speed_mps:.2f} m/s"
+        yield Link(Step.ACTION, text, last.time_ns)
+        return
+    took_ns = stood.time_ns - window.at_ns
+    text = f"the robot, at {way[0].said.speed_mps:.2f} m/s, was slower than {STANDSTILL_MPS:g} m/s after "
+    text += f"{span(took_ns)}"
+    is_known = unseen_ns <= _UNSEEN_NS and not is_doubtful
+    if is_known:
+        text += f" and {metres:.2f} m"
+    else:
+        why = "the speeds are in doubt" if is_doubtful else f"no drive feedback for {span(unseen_ns)}"
+        text += f"; {why}: the distance is not known"
+    data = {
+        "from_mps": way[0].said.speed_mps,
+        "after_s": took_ns / 1e9,
+        "distance_m": metres if is_known else None,
+    }
+    yield Link(Step.ACTION, text + _moved_again(way, stood), stood.time_ns, data)
+
+
+def _moved_again(way: Sequence[Heard[Drive]], stood: Heard[Drive]) -> str:
+    """Words for a robot that did not stay where it stood; empty if it did."""
+    moving = [one for one in way if one.time_ns > stood.time_ns and one.said.speed_mps >= STANDSTILL_MPS]
+    if not moving:
+        return ""
+    fastest_mps = max(one.said.speed_mps for one in moving)
+    return f"; it moved again {span(moving[0].time_ns - stood.time_ns)} later, at up to {fastest_mps:.2f} m/s"
+
 
 FRESH_NS: Final = 500_000_000
 """Feedback that is older is no longer what the robot does; the slowest frame comes every 50 ms."""
@@ -251,3 +447,191 @@ def _in_words(reasons: Sequence[Reason]) -> str:
 def _fresh(now: EvidenceWindow, kind: type[Said]) -> Heard[Said] | None:
     heard = now.last(kind)
     return heard if heard is not None and now.at_ns - heard.time_ns <= FRESH_NS else None
+
+
+KEPT: Final = 50_000
+"""Entries of a story; the oldest go first."""
+
+_TELLS: Final = ENDS | {
+    EntryKind.LATCH,
+    EntryKind.RESET,
+    EntryKind.STOPPED,
+    EntryKind.ENGAGED,
+    EntryKind.LEASE,
+    EntryKind.GATEWAY,
+    EntryKind.CLOCK,
+}
+
+
+class GatewayRun(msgspec.Struct):
+    """A run of a gateway: its first state and its last."""
+
+    first: Heard[SafetyState]
+    last: Heard[SafetyState]
+
+    @property
+    def was_active(self) -> bool:
+        """It ended while it commanded the robot, or stopped it."""
+        return self.last.said.state is not ArbiterState.STANDBY
+
+
+class Story:
+    """The entries of a robot, in order.
+
+    Times that are asked for are those of a clock that may have been set back, so that two moments can have one
+    time: the later is meant.
+
+    Attributes:
+        runs: of its gateways; of two that speak at once the states are of one.
+        is_shared: two gateways speak under its name.
+    """
+
+    def __init__(
+        self, entries: Iterable[Entry], runs: Sequence[GatewayRun] = (), offsets: Sequence[tuple[int, int]] = ()
+    ) -> None:
+        self.runs = runs
+        self.is_shared = False
+        self._offsets = offsets
+        self._entries: list[Entry] = []
+        self._order_ns: list[int] = []
+        self._eras = [(0, END_OF_TIME_NS, 0)]
+        """The times between which the clock was not set back, and by how much it had been."""
+        ordered = []
+        for entry in deque(entries, maxlen=KEPT):
+            if entry.kind is EntryKind.CLOCK and entry.last_ns > entry.time_ns:
+                from_ns, _, set_ns = self._eras[-1]
+                self._eras[-1] = (from_ns, entry.last_ns, set_ns)
+                self._eras.append((entry.time_ns, END_OF_TIME_NS, set_ns + entry.last_ns - entry.time_ns))
+            ordered.append((entry.time_ns + self._eras[-1][2], entry))
+        ordered.sort(key=lambda one: one[0])
+        for order_ns, entry in ordered:
+            self._order_ns.append(order_ns)
+            self._entries.append(entry)
+
+    @classmethod
+    def read(cls, robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
+        """Read all that the arbiter says of itself, and what recorders say of the gateway."""
+        wanted = {SafetyEvent, SafetyState, GatewayHealth}
+        selection = Selection(
+            lambda topic: topic.kind is RecorderEvent or (topic.robot == robot and topic.kind in wanted)
+        )
+        timeline, runs, offsets = Timeline(faults), list[GatewayRun](), list[tuple[int, int]]()
+        track = timeline.robot(robot)
+        newest: SafetyState | None = None
+
+        def entries() -> Iterator[Entry]:
+            nonlocal newest
+            for row in read_rows(logs, selection, faults, progress):
+                timeline.take(row)
+                if track.state is not newest and track.state is not None:
+                    newest = track.state
+                    heard = Heard(track.state_ns, newest)
+                    if runs and (track.is_shared or is_same_run(newest.tick, runs[-1].last.said.tick)):
+                        runs[-1].last = heard
+                    else:
+                        runs.append(GatewayRun(heard, heard))
+                    if not offsets or offsets[-1][1] != track.clock.offset_ns:
+                        offsets.append((row.log_ns, track.clock.offset_ns))
+                yield from timeline.tell()
+            yield from timeline.end()
+
+        story = cls((one for one in entries() if one.robot == robot and one.kind in _TELLS), runs, offsets)
+        story.is_shared = track.is_shared
+        return story
+
+    def order_ns(self, at_ns: int) -> int:
+        """The time as it would be had the clock never been set back."""
+        within = [set_ns for from_ns, to_ns, set_ns in self._eras if from_ns <= at_ns <= to_ns]
+        return at_ns + (within[-1] if within else 0)
+
+    def offset_ns(self, at_ns: int) -> int:
+        """To be added to the robot's clock around a moment; a clock that is behind is believed after a while."""
+        offsets = [offset_ns for log_ns, offset_ns in self._offsets if log_ns <= at_ns + SETTLE_NS + 1_000_000_000]
+        return offsets[-1] if offsets else next((offset_ns for _, offset_ns in self._offsets), 0)
+
+    def is_steady(self, at_ns: int) -> bool:
+        """No clock was set in the seconds around a moment."""
+        clocks = (one.time_ns for one in self._entries if one.kind is EntryKind.CLOCK)
+        return not any(at_ns - BEFORE_NS <= time_ns <= at_ns + AFTER_NS for time_ns in clocks)
+
+    def last_stop(self) -> Entry | None:
+        """The last stop; where there was none, the last end that was asked for."""
+        either = (
+            next((one for one in reversed(self._entries) if stops(one, kinds)), None) for kinds in (STOPS, ENDS)
+        )
+        return next(filter(None, either), None)
+
+    def stop_before(self, at_ns: int) -> Entry | None:
+        """The last stop up to a time, if the robot has not been engaged since."""
+        for one in self.before(at_ns):
+            if one.kind is EntryKind.ENGAGED:
+                return None
+            if stops(one):
+                return one
+        return None
+
+    def next_stop(self, from_ns: int) -> Entry | None:
+        """The first stop from a time on."""
+        return next(filter(stops, self.after(from_ns - 1)), None)
+
+    def death(self, at_ns: int) -> Entry | None:
+        """The death of a gateway that a recorder saw, if it is the last thing that is known up to a time."""
+        last = next((one for one in self.before(at_ns) if one.kind is not EntryKind.CLOCK), None)
+        return last if last is not None and _is_death(last) else None
+
+    def latch_before(self, reason: Reason, at_ns: int) -> Entry | None:
+        """The last latch for this reason up to a time."""
+        latches = (one for one in self.before(at_ns) if one.kind is EntryKind.LATCH)
+        return next((one for one in latches if one.reason is reason), None)
+
+    def lease_before(self, at_ns: int) -> Entry | None:
+        """The last that became of the lease up to a time."""
+        return next((one for one in self.before(at_ns) if one.kind is EntryKind.LEASE), None)
+
+    def next_engaged(self, after_ns: int) -> Entry | None:
+        """The first engagement behind a time."""
+        return next((one for one in self.after(after_ns) if one.kind is EntryKind.ENGAGED), None)
+
+    def reset_of(self, latch: Entry) -> Entry | None:
+        """The first reset of what was latched, in the run in which it was."""
+        resets = (one for one in self.after(latch.time_ns) if one.kind is EntryKind.RESET)
+        named = (one for one in resets if latch.reason.value in one.text.partition(": ")[2].split(", "))
+        return next((one for one in named if None in (one.tick, latch.tick) or _of_run(one, latch.tick)), None)
+
+    def run_after(self, tick: int) -> GatewayRun | None:
+        """The run that followed that of a tick."""
+        at = next(
+            (n for n, run in enumerate(self.runs) if is_same_run(run.last.said.tick, tick)),
+            None,
+        )
+        return None if at is None or at + 1 == len(self.runs) else self.runs[at + 1]
+
+    def of_run(self, run: GatewayRun) -> Iterator[Entry]:
+        """The entries of a run up to its first engagement: what it found."""
+        for one in self._entries:
+            if _of_run(one, run.first.said.tick):
+                if one.kind is EntryKind.ENGAGED:
+                    return
+                yield one
+
+    def before(self, at_ns: int) -> Iterator[Entry]:
+        """The entries up to a time, the last one first."""
+        return reversed(self._entries[: bisect_right(self._order_ns, self.order_ns(at_ns))])
+
+    def after(self, at_ns: int) -> Iterator[Entry]:
+        """The entries behind a time."""
+        return iter(self._entries[bisect_right(self._order_ns, self.order_ns(at_ns)) :])
+
+
+def stops(entry: Entry, kinds: frozenset[EntryKind] = ENDS) -> bool:
+    """A stop begins, or goes on for a further cause: that a guard is there, or is gone, has no reason."""
+    return entry.kind in kinds and entry.reason is not Reason.NONE and not entry.tells_of_guard
+
+
+def _is_death(entry: Entry) -> bool:
+    is_seen = entry.kind is EntryKind.GATEWAY and entry.source is EntrySource.RECORDER
+    return is_seen and entry.severity is Severity.ERROR
+
+
+def _of_run(entry: Entry, tick: int | None) -> bool:
+    return entry.tick is not None and tick is not None and is_same_run(entry.tick, tick)

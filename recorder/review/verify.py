@@ -11,17 +11,25 @@ from typing import Final
 
 import msgspec
 
-from recorder.encoding.key_counters import SEQUENCE_SPAN
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile, logs_of
+from recorder.encoding.samples import SEQUENCE_SPAN
+from recorder.reading.logs import Faults, LogFile, logs_of
 from recorder.reading.rows import Progress, Row, Selection, read_rows
 from recorder.reading.survey import survey
 from recorder.reading.topics import UNREADABLE, Topic
-from recorder.review.verifying.authority import GrantInfo, LogAuthority, ShownStatement
-from recorder.review.verifying.commands import CommandRecord, Holder, RefusedProof, SignedVerb
-from recorder.review.verifying.file_statements import file_statements
-from recorder.review.verifying.files import SignedFile, prove_file
-from recorder.review.verifying.findings import ProofFault, ProofFinding
+from recorder.review.verifying import (
+    CommandRecord,
+    GrantInfo,
+    Holder,
+    LogAuthority,
+    ProofFault,
+    ProofFinding,
+    RefusedProof,
+    ShownStatement,
+    SignedFile,
+    SignedVerb,
+    file_statements,
+    prove_file,
+)
 from schemas import keys
 from schemas.authority.proof import GrantRole
 from schemas.authority.trust import HeldGrant, Objection, Trust

@@ -13,21 +13,29 @@ from typing import Final
 
 import msgspec
 
-from recorder.reading.configurations import attached
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile, logs_of
+from recorder.reading.logs import Faults, LogFile, logs_of
 from recorder.reading.rows import Progress
-from recorder.reading.survey import Survey
+from recorder.reading.survey import Survey, attached
 from recorder.reading.times import in_words
 from recorder.review import moment
-from recorder.review.chain import Link, Step, before, count, evidence, missing, span
 from recorder.review.entries import Entry, EntryKind
 from recorder.review.events import hung_ns
 from recorder.review.evidence import describe_command, evidence_of, refused_lately
-from recorder.review.moment import blocked_words, blocks, cause_of, cures
-from recorder.review.stopping import actions
-from recorder.review.story import Story, stops
-from recorder.review.window import BEFORE_NS, EvidenceWindow, Heard, limits_at, read_window
+from recorder.review.moment import Story, actions, blocked_words, blocks, cause_of, cures, stops
+from recorder.review.window import (
+    BEFORE_NS,
+    EvidenceWindow,
+    Heard,
+    Link,
+    Step,
+    before,
+    count,
+    evidence,
+    limits_at,
+    missing,
+    read_window,
+    span,
+)
 from schemas.decisions import COMMANDING, ArbiterState, EventKind, SafetyEvent, SafetyState, is_same_run
 from schemas.messages import Drive, TimeNs
 from schemas.reasons import ASKED_BY, TEXTS, Reason

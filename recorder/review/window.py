@@ -1,10 +1,15 @@
-"""Some seconds of one robot, out of its logs: what the arbiter saw, was asked, and did, around a moment."""
+"""The part of a log around a moment, and the chain of what is found in it.
+
+- A chain of reasoning: links, each a sentence with its numbers as data.
+- Some seconds of one robot, out of its logs: what the arbiter saw, was asked, and did, around a moment.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from enum import Enum
 from itertools import pairwise
 from typing import Any, Final, Generic, TypeVar
 
@@ -12,12 +17,10 @@ import msgspec
 
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.layout import MessageLayout
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE
-from recorder.review.chain import before
-from recorder.review.clock import NEAR_NS
+from recorder.review.entries import NEAR_NS
 from schemas import keys
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
 from schemas.command_line import CommandError
@@ -43,11 +46,85 @@ from schemas.messages import (
     Parking,
     RobotState,
     Steering,
+    TimeNs,
     Variant,
     WheelSpeed,
 )
 from schemas.recording import RecordGap
 from schemas.settings import SAFETY_STATE_PERIOD_NS, SILENCE_MIN_NS, SILENCE_PERIODS, TICK_NS, CommandSettings
+
+
+class Step(Enum):
+    """The kind of a link: a fact, its cause, the reaction to it, or a gap of the log."""
+
+    MOTION = "motion"
+    ARBITER = "arbiter"
+    COMMAND = "command"
+    CAUSE = "cause"
+    EVIDENCE = "evidence"
+    ACTION = "action"
+    LATCH = "latch"
+    CURE = "cure"
+    MISSING = "missing"
+
+
+class Link(msgspec.Struct, frozen=True):
+    """A link.
+
+    Attributes:
+        text: a sentence.
+        time_ns: when it was, in nanoseconds since 1970; None where it is of no one time.
+        data: its numbers, with the units in their names.
+    """
+
+    step: Step
+    text: str
+    time_ns: TimeNs | None = None
+    data: dict[str, Any] = {}
+
+
+def evidence(text: str, time_ns: int | None = None, **data: object) -> Link:
+    """Make a link of what the log shows."""
+    return Link(Step.EVIDENCE, text, time_ns, data)
+
+
+def missing(what: str) -> Link:
+    """Make a link of what the log does not hold."""
+    return Link(Step.MISSING, f"not in the log: {what}")
+
+
+def span(ns: float) -> str:
+    """A length of time for people: ``12.3 ms``, ``310 ms``, ``2.35 s``, ``12 min 5 s``, ``3 h 20 min``."""
+    ms = abs(ns) / 1e6
+    if ms < 999.5:
+        return f"{ms:.1f} ms" if ms < 99.95 else f"{ms:.0f} ms"
+    if ms < 119_995:
+        return f"{ms / 1e3:.2f} s"
+    minutes, seconds = divmod(round(ms / 1e3), 60)
+    return f"{minutes} min {seconds} s" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def before(time_ns: int, at_ns: int, what: str = "that moment") -> str:
+    """``12.3 ms before that moment``, or after it."""
+    if time_ns == at_ns:
+        return f"at {what}"
+    return f"{span(at_ns - time_ns)} {'before' if time_ns < at_ns else 'after'} {what}"
+
+
+def deg(angle_deg: float) -> str:
+    """A signed angle; what would be shown as minus nothing is nothing."""
+    return f"{round(angle_deg, 1) + 0.0:.1f} deg"
+
+
+def mps(speed_mps: float) -> str:
+    """A signed speed; what would be shown as minus nothing is nothing."""
+    return f"{round(speed_mps, 2) + 0.0:.2f} m/s"
+
+
+def count(number: int, one: str, many: str = "") -> str:
+    """``1 frame``, ``2 frames``."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
 
 BEFORE_NS: Final = 12_000_000_000
 """Length of the window before its moment: the longest lease, and a bit."""

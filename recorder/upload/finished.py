@@ -1,4 +1,13 @@
-"""A finished log on the disk: opened with care, and read slowly, so that the recorder has the disk."""
+"""Finished logs on the disk: read slowly, with the manifest and the row that go beside them.
+
+- The row of a log for the catalog, made by a process of its own that can be ended at any time.
+- A finished log on the disk: opened with care, and read slowly, so that the recorder has the disk.
+
+The manifest of a log, which lies beside it in the store: made before the log, and verified after it. Pure.
+
+The store makes a manifest only where none is. So nobody overwrites the log of somebody else, and nothing depends
+on lists, which a store may answer with those of a while ago.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +16,132 @@ import fcntl
 import hashlib
 import os
 import time
-from collections.abc import AsyncIterator, Generator
+from asyncio.subprocess import PIPE
+from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Iterator
 from contextlib import contextmanager, suppress
+from enum import Enum
 from pathlib import Path
 from typing import BinaryIO, Final
 
 import msgspec
 
 from recorder.mcap.reader import is_mcap
-from recorder.reading.contents import read_contents
+from recorder.reading.rows import read_contents
+from recorder.record.retention import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
 from recorder.record.robots import METADATA_NAME
-from recorder.record.signature import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
-from schemas.command_line import other_kind
+from schemas.command_line import module_command, other_kind, plain
 from schemas.peers import RateLimit
+
+ROW_S: Final = 600.0
+"""Making a row is given up after this time..."""
+
+ROW_S_PER_BYTE: Final = 20e-6
+"""...and this much for each byte of the log: 20 s a megabyte, on a robot that has other things to do."""
+
+Summarize = Callable[[Path], Awaitable[bytes]]
+"""Makes the row of a log; raises RowError, or OSError where the log is gone."""
+
+
+class RowError(Exception):
+    """The row of a log could not be made: in a line."""
+
+
+def row_maker(module: str) -> Summarize:
+    """Return what runs a module of this Python with a log's path, and takes the row from its standard output."""
+
+    async def summarize(path: Path) -> bytes:
+        size = path.stat().st_size  # noqa: ASYNC240 - nothing else runs here, and a log was just read there
+        budget_s = ROW_S + ROW_S_PER_BYTE * size
+        process = await asyncio.create_subprocess_exec(
+            *module_command(module, str(path)), stdout=PIPE, stderr=PIPE
+        )
+        try:
+            row, said = await asyncio.wait_for(process.communicate(), budget_s)
+        except TimeoutError:
+            raise RowError(f"given up after {budget_s:.0f} s") from None
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
+        if process.returncode or not row:
+            last = plain(said.decode(errors="replace").strip().rpartition("\n")[2])
+            raise RowError(last or f"its process ended with {process.returncode}")
+        return row
+
+    return summarize
+
+
+FORMAT: Final = "cruiser.upload/1"
+
+MANIFEST_SUFFIX: Final = ".json"
+"""Follows the log's own name."""
+
+ROW_SUFFIX: Final = ".row.json.zst"
+"""Follows the log's own name: its row of the catalog."""
+
+NAMESAKES_MAX: Final = 20
+"""Different logs of one name that a store takes, each with a number."""
+
+
+class UploadState(Enum):
+    """The progress of an upload."""
+
+    UPLOADING = "uploading"
+    """Begun. The log beside it may be missing, or be wrong."""
+    VERIFIED = "verified"
+    """The store held what the disk held."""
+
+
+class UploadManifest(msgspec.Struct, frozen=True, kw_only=True):
+    """The manifest of a log.
+
+    Attributes:
+        object: the log's name in the store.
+        file: its name on the disk from which it came.
+        sha256: of its bytes, hexadecimal.
+        robot: by the file's name; ``fleet`` where it is of several.
+        start_ns, end_ns: the first and the last log time; None if it holds no message, or is not whole.
+        metadata: what its recorder wrote of it: robots, versions, variants.
+        verified: how: ``read back``, or by the store's own ``checksum``; empty until it is.
+        recorder_version: of the software that uploaded it.
+        uploaded_ns: by that machine's clock.
+    """
+
+    format: str = FORMAT
+    state: UploadState
+    object: str
+    file: str
+    bytes: int
+    sha256: str
+    robot: str
+    is_incident: bool
+    messages: int | None
+    start_ns: int | None
+    end_ns: int | None
+    metadata: dict[str, str]
+    verified: str
+    recorder_version: str
+    uploaded_ns: int
+
+
+def object_names(robot: str, file: str) -> Iterator[str]:
+    """The names that a log may get in the store, the first one first."""
+    # Whoever makes up a file's name must not lead out of the store's directory.
+    folder = robot.lstrip(".") or "_"
+    yield f"{folder}/{file}"
+    stem, dot, suffix = file.rpartition(".")
+    for number in range(2, NAMESAKES_MAX + 1):
+        yield f"{folder}/{stem}-{number}{dot}{suffix}"
+
+
+def read_manifest(data: bytes) -> UploadManifest | None:
+    """A manifest; None if it is none of this format."""
+    try:
+        found = msgspec.json.decode(data, type=UploadManifest)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return None
+    return found if found.format == FORMAT else None
+
 
 READ_BYTES: Final = 65_536
 

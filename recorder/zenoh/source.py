@@ -1,10 +1,20 @@
-"""Samples from Zenoh. Zenoh's own threads fill its ring channels; no Python of ours runs on them."""
+"""Samples from Zenoh, and the robots of a shard.
+
+- Samples from Zenoh. Zenoh's own threads fill its ring channels; no Python of ours runs on them.
+- Samples of the robots that are this recorder's, where several recorders share a fleet.
+
+Which robots a recorder records where several share a fleet. Pure.
+
+It follows from a robot's name alone, so recorders need not know of each other.
+"""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Final
+from hashlib import sha256
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import zenoh
@@ -15,6 +25,32 @@ from schemas.keys import DeclaredKeys
 from schemas.settings import OWNED_KEY_LIMIT, ZenohSettings
 from schemas.subjects import KEPT_PIECE
 from schemas.zenoh_session import Json, close_session, is_connected, join, reason, said_of
+
+SHARD_PATTERN: Final = r"([1-9][0-9]{0,2})/([1-9][0-9]{0,2})"
+
+
+class Shard(NamedTuple):
+    """One of several recorders: ``number`` counts from 1 to ``total``."""
+
+    number: int
+    total: int
+
+    def has(self, robot: str) -> bool:
+        """True if the robot is this recorder's: the SHA-256 of its name, as a number, modulo the total."""
+        return int.from_bytes(sha256(robot.encode()).digest()) % self.total == self.number - 1
+
+
+def shard_of(text: str) -> Shard:
+    """Read ``NUMBER/COUNT``.
+
+    Raises:
+        CommandError: it is not of the form, or there is no such number.
+    """
+    match = re.fullmatch(SHARD_PATTERN, text)
+    if match is None or int(match[1]) > int(match[2]):
+        raise CommandError(f"the shard is {text!r}, and should be such as 2/4: the second of four", ExitCode.USAGE)
+    return Shard(int(match[1]), int(match[2]))
+
 
 SMALL_BATCHES: Final[dict[str, Json]] = {"transport/link/tx/batch_size": 16_384}
 """The links' batches, both ways. A sample that waits keeps all of the batch in memory that it came in: with
@@ -235,3 +271,77 @@ def distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
 def have_overlap(expressions: Sequence[zenoh.KeyExpr]) -> bool:
     """Return True if a key may match two of them."""
     return any(one.intersects(other) for index, one in enumerate(expressions) for other in expressions[:index])
+
+
+ROBOT_SAMPLES: Final = 1_000
+"""Samples of a robot that may wait for each key expression, 1.4 s of a robot at its full rate. A ring takes all of
+its memory at once."""
+
+ROBOTS_MAX: Final = 20_000
+"""Robots that are subscribed to at most: anybody may declare a token."""
+
+
+class ShardedSource(ZenohSource):
+    """A Zenoh session that subscribes to the keys of one robot after the other, as they turn up.
+
+    A robot is known by its gateway's liveliness token, and stays known when that is gone.
+
+    Args:
+        settings: of the session.
+        key_expressions: what of each robot is recorded; the robot's chunk of a key is a robot or a wildcard.
+        root: first chunks of the robots' keys.
+        own: which one of how many recorders this is.
+
+    Raises:
+        CommandError: as ``ZenohSource`` does, or a key expression is not of robots.
+    """
+
+    def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], root: str, own: Shard) -> None:
+        self._root, self._own = root, own
+        self._expressions = [str(one) for one in distinct(key_expressions)]
+        for expression in self._expressions:
+            if of_robot(expression, root, "") is None:
+                raise CommandError(
+                    f"shards are parts of the robots under {root}, and {expression!r} names none", ExitCode.USAGE
+                )
+        super().__init__(settings, [], ROBOT_SAMPLES)
+        self._overlap = have_overlap(distinct(key_expressions))
+        self._robots: set[str] = set()
+
+    def tokens_gone(self) -> Iterator[str]:
+        """The keys of the liveliness tokens that are gone since the last call, of the robots recorded here."""
+        while (token := self._tokens.try_recv()) is not None:
+            robot = keys.robot_of_liveliness(self._root, str(token.key_expr))
+            if robot is None or not self._own.has(robot):
+                continue
+            if token.kind != zenoh.SampleKind.PUT:
+                yield str(token.key_expr)
+            elif robot not in self._robots and len(self._robots) < ROBOTS_MAX:
+                self._robots.add(robot)
+                self._subscribe(self._of(robot))
+
+    def _of(self, robot: str) -> Iterator[zenoh.KeyExpr]:
+        yield from distinct([one for text in self._expressions if (one := of_robot(text, self._root, robot))])
+
+
+def of_robot(expression: str, root: str, robot: str) -> str | None:
+    """Return what of a key expression is one robot's.
+
+    Args:
+        expression: in Zenoh's canonical form.
+        root: first chunks of the robots' keys.
+        robot: its name; empty for what is any robot's.
+
+    Returns:
+        A key expression under the robot's keys; empty if the expression is of other robots; None if it is of none.
+    """
+    if expression in {"**", f"{root}/**"}:
+        return f"{root}/{robot}/**"
+    chunk, _, rest = expression.removeprefix(f"{root}/").partition("/")
+    if not expression.startswith(f"{root}/") or not rest or chunk.startswith("@"):
+        return None
+    if chunk == "**":
+        return f"{root}/{robot}/**/{rest}"
+    if robot and not zenoh.KeyExpr(chunk).includes(zenoh.KeyExpr(robot)):
+        return ""
+    return f"{root}/{robot}/{rest}"

@@ -19,7 +19,7 @@ from typing import Self
 import msgspec
 from mcap.reader import make_reader
 
-from recorder.disk.leftovers import RecoveryOutcome, recover
+from recorder.disk.keeper import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from schemas.messages import Gear
 from tests.bench.processes import quantile, start

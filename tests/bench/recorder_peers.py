@@ -32,8 +32,14 @@ from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from msgspec import inspect
 
-from recorder.encoding.protobuf_schema import descriptor_set, fields, message_class, schema_name
-from recorder.encoding.transcode import compile_encoder, compile_row_encoder
+from recorder.encoding.protobuf import (
+    compile_encoder,
+    compile_row_encoder,
+    descriptor_set,
+    fields,
+    message_class,
+    schema_name,
+)
 from schemas import codec, keys
 from schemas.can_word import EXTENDED, FD, IDENTIFIER_MASK
 from schemas.messages import CanFrame, CanFrames, Message

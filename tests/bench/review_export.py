@@ -27,15 +27,11 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.mcap.writer import McapFile
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.record.actions import LogAction
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
-from recorder.review.columns.tables import TIME_TYPE
-from recorder.review.export.dataset import export_dataset
-from recorder.review.export.manifest import read_manifest
-from recorder.review.export.one_log import ExportRange
-from recorder.review.export.parts import COMPRESSION, COMPRESSION_LEVEL
+from recorder.review.columns import TIME_TYPE
+from recorder.review.export import COMPRESSION, COMPRESSION_LEVEL, ExportRange, export_dataset, read_manifest
 from schemas import keys
 from schemas.settings import TICK_NS
 from schemas.subjects import BY_NAME

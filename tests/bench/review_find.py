@@ -20,11 +20,10 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.catalog.directory import Catalog
-from recorder.review.catalog.known import CATALOG_NAME
-from recorder.review.catalog.rows import LoggedRobot
-from recorder.review.catalog.table import to_table, write_table
-from recorder.review.find import SEARCHES, FindConditions, find
+from recorder.review.catalog.directory import Catalog, to_table, write_table
+from recorder.review.catalog.find import SEARCHES, FindConditions, find
+from recorder.review.catalog.log_row import LoggedRobot
+from recorder.review.info import CATALOG_NAME
 from schemas.reasons import Reason
 from tests.bench.loads import Row, print_table
 from tests.support.catalog import DRIVE, STOP, row

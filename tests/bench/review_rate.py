@@ -21,11 +21,8 @@ from typing import Final
 
 import msgspec
 
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import ChunkBuilder
-from recorder.mcap.writer import McapFile
-from recorder.reading.faults import Faults
-from recorder.reading.logs import look_at
+from recorder.mcap.writer import ChunkBuilder, LogChannel, McapFile
+from recorder.reading.logs import Faults, look_at
 from recorder.reading.rows import Row as LogRow
 from recorder.reading.rows import Selection, read_rows
 from schemas.messages import Variant

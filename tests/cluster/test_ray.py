@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from recorder.record.robot_log import LogPlan
-from recorder.review.export.manifest import read_manifest
+from recorder.review.export import read_manifest
 from schemas.command_line import ExitCode
 from schemas.messages import Variant
 from tests.support.logs import Log
@@ -189,10 +189,10 @@ def test_the_answer_is_the_one_that_one_process_gives(cluster: str, drive: Path,
 FAILING = """
 import os, sys, time
 from pathlib import Path
-from recorder.reading.faults import Faults
+from recorder.reading.logs import Faults
 from recorder.reading.logs import find_logs
 from recorder.review.export import dataset
-from recorder.review.export.one_log import ExportRange, export_log
+from recorder.review.export import ExportRange, export_log
 from recorder.review.tasks import TaskRunner
 from schemas.command_line import CommandError
 

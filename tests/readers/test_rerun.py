@@ -16,13 +16,11 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.disk.log_directory import LogDirectory
+from recorder.disk.files import LogDirectory
 from recorder.disk.log_writer import LogWriter
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from recorder.loop import RecorderLoop
-from recorder.record.health import HealthReport
-from recorder.record.inbox import SampleInbox
-from recorder.record.recorder import Recorder
+from recorder.record.recorder import HealthReport, Recorder, SampleInbox
 from schemas import codec, keys
 from schemas.decisions import EventKind
 from schemas.messages import CanFrames

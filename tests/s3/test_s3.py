@@ -16,11 +16,11 @@ import obstore
 import pytest
 from obstore.store import S3Store
 
+from recorder.cli import review
 from recorder.cli import upload as command
-from recorder.cli.review import command as review
-from recorder.disk.upload_note import NAME, SafeLogReader
-from recorder.review.catalog.single import read_row
-from recorder.upload.manifest import ROW_SUFFIX
+from recorder.disk.files import NAME, SafeLogReader
+from recorder.review.catalog.log_row import read_row
+from recorder.upload.finished import ROW_SUFFIX
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RecorderSettings, Settings, UploadSettings
 from tests.support.commands import run_command
@@ -171,7 +171,7 @@ def test_a_bucket_that_nobody_may_read_or_that_is_not_there_is_said(port: int) -
 
 def test_a_server_that_is_not_there_is_said(logs: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """4, and nothing is marked."""
-    monkeypatch.setattr("recorder.upload.store.REQUEST_S", timedelta(seconds=1))
+    monkeypatch.setattr("recorder.upload.uploader.REQUEST_S", timedelta(seconds=1))
     assert port
     nobody = int(free_endpoint().rpartition(":")[2])
     assert upload(logs, nobody) == ExitCode.UNREACHABLE

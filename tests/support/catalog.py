@@ -4,7 +4,7 @@ from typing import Any
 
 import msgspec
 
-from recorder.review.catalog.rows import CatalogRow, LoggedDrive, LoggedMoment, LoggedRobot
+from recorder.review.catalog.log_row import CatalogRow, LoggedDrive, LoggedMoment, LoggedRobot
 from tests.support.messages import SECOND, WALL_NS
 
 ROW = CatalogRow(

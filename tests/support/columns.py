@@ -7,12 +7,11 @@ from typing import Any
 
 import msgspec
 
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Selection
 from recorder.reading.topics import typed_decoder
-from recorder.review.columns.reader import Batch, ColumnReader
-from recorder.review.export.cells import values
+from recorder.review.columns import Batch, ColumnReader
+from recorder.review.export import values
 
 
 def batches_of(data: bytes, faults: Faults | None = None, selection: Selection | None = None) -> list[Batch]:

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Protocol
 
-from recorder.cli.review import command as review_command
+from recorder.cli import review as review_command
 from schemas.settings import Settings
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from recorder.record.robot_log import LogPlan
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import CanFrames, Message

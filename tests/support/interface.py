@@ -16,9 +16,9 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from prometheus_client.parser import text_string_to_metric_families
 
 from gateway.cli.main import COMMANDS, main
-from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, schema_name
-from recorder.review.catalog.table import SCHEMA
-from recorder.review.columns.tables import columns_of
+from recorder.encoding.protobuf import LOGGED, descriptor_set, schema_name
+from recorder.review.catalog.directory import SCHEMA
+from recorder.review.columns import columns_of
 from schemas.command_line import ExitCode
 from tests.support.metrics import full_exposition
 from tests.support.reading import topic

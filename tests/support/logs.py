@@ -14,17 +14,13 @@ from mcap.records import Message as McapMessage
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.foxglove_log import SCHEMA_NAME as FOXGLOVE_LOG
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.encoding.received_sample import ReceivedSample
-from recorder.encoding.transcode import compile_encoder
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.chunk import Chunk as PackedMessages
-from recorder.mcap.chunk import ChunkBuilder
+from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_name
+from recorder.encoding.samples import SCHEMA_NAME as FOXGLOVE_LOG
+from recorder.encoding.samples import ReceivedSample
 from recorder.mcap.framing import encode
-from recorder.mcap.writer import McapFile
-from recorder.record.actions import QUERIES_PER_TICK, Action, LogAction, OpenLog, Query
-from recorder.record.notices import Opened
+from recorder.mcap.writer import Chunk as PackedMessages
+from recorder.mcap.writer import ChunkBuilder, LogChannel, McapFile
+from recorder.record.actions import QUERIES_PER_TICK, Action, LogAction, Opened, OpenLog, Query
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas.messages import Gear
 from schemas.recording import RecorderEvent, RecordGap

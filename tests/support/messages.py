@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from schemas import codec, keys
 from schemas.can_word import EXTENDED
 from schemas.decisions import (

@@ -6,15 +6,12 @@ import msgspec
 from mcap import records
 from mcap.reader import make_reader
 
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.encoding.transcode import compile_encoder
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
-from recorder.reading.logs import find_logs
+from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_name
+from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import Row, Selection, read_rows
 from recorder.reading.topics import Topic, topic_of
 from recorder.review.report.findings import Report
-from recorder.review.report.survey import read_report
+from recorder.review.report.gather import read_report
 from schemas.messages import CanFrame, RawSample
 from tests.support.messages import WALL_NS
 

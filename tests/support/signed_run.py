@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from gateway.command.rulings import Credentials
-from recorder.record.signature import SIGNATURE_SUFFIX, LogSigner
+from recorder.record.retention import SIGNATURE_SUFFIX, LogSigner
 from schemas import keys
 from schemas.authority.identity import Identity
 from schemas.authority.proof import Grant, GrantRole, chain_text

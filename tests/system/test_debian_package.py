@@ -138,7 +138,7 @@ import sys
 names, *words = sys.argv[1:]
 sys.modules.update(dict.fromkeys(names.split()))
 from gateway.cli.main import COMMANDS, main
-from recorder.cli.review.command import QUESTIONS
+from recorder.cli.review import QUESTIONS
 for words in [[command] for command in COMMANDS] + [["review", question] for question in QUESTIONS]:
     try:
         code = main([*words, "--help"])

@@ -7,18 +7,16 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorS
 from mcap import records
 
 from gateway.cli.main import main
-from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, message_class, schema_name
-from recorder.mcap.channel import LogChannel
-from recorder.reading.other_versions import means_the_same
-from recorder.reading.topics import topic_of
-from recorder.review.checking.messages import faults_of_schema
+
+from recorder.encoding.protobuf import LOGGED, compile_encoder, descriptor_set, message_class, schema_name  # isort: skip
+from recorder.mcap.writer import LogChannel
+from recorder.reading.topics import means_the_same, topic_of
+from recorder.review.checking import faults_of_schema
 from schemas.codec import is_foreign
 from schemas.decisions import EventKind, SafetyEvent
 from schemas.reasons import Reason
 from tests.support.logs import own_log
 from tests.support.messages import WALL_NS, event, key_of
-
-from recorder.encoding.transcode import compile_encoder  # isort: skip
 
 
 def newer_schema(kind: type = SafetyEvent) -> FileDescriptorSet:

@@ -1,6 +1,8 @@
 """The row of a log on the standard output, for who makes it in a process of its own.
 
 Usage: python -m recorder.review.catalog LOG
+
+Its place and name are Python's rule.
 """
 
 from __future__ import annotations
@@ -8,7 +10,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from recorder.review.catalog.single import write_row
+from recorder.review.catalog.log_row import write_row
 from schemas.command_line import CommandError
 
 

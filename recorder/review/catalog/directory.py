@@ -1,34 +1,208 @@
-"""The catalog of a directory: which of its rows still hold, which logs have to be opened, and the file itself."""
+"""The catalog of a directory, or of a place in a store.
+
+- The rows of a catalog as an Arrow table, and as a Parquet file that says of which form it is.
+- The catalog of a directory: which of its rows still hold, which logs have to be opened, and the file itself.
+
+The catalog of a place in an object store: the rows that lie beside its logs.
+
+No log is read but one whose row is missing, damaged or of another log: then a copy of it, from beginning to end.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+import resource
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from msgspec import inspect
 
-from recorder.disk.log_names import PART_SUFFIX, is_log
-from recorder.reading.covered import without_covered
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
-from recorder.reading.logs import is_being_written
+from recorder.disk.log_names import PART_SUFFIX, SUFFIX, is_log
+from recorder.objects.address import Objects, StoreAddress, StoreError, shown_url
+from recorder.objects.cache import LogCache
+from recorder.reading.logs import Faults, LogFile, is_being_written, without_covered
 from recorder.reading.rows import Progress
-from recorder.review.catalog.known import CATALOG_NAME, CatalogedLog
-from recorder.review.catalog.rows import NEVER_NS, CatalogRow, CatalogUnreadableError
-from recorder.review.catalog.single import row_of, summary_crc_of
-from recorder.review.catalog.table import (
-    SCHEMA,
-    bounded_memory,
-    read_table,
-    to_table,
-    write_table,
+from recorder.review.catalog.log_row import (
+    FORMAT,
+    NEVER_NS,
+    VERSION,
+    CatalogRow,
+    CatalogUnreadableError,
+    read_row,
+    row_of,
+    summary_crc_of,
 )
-from recorder.review.info import LogBrief
-from schemas.command_line import CommandError, ExitCode, plain
+from recorder.review.info import CATALOG_NAME, CatalogedLog, LogBrief
+from recorder.upload.finished import ROW_SUFFIX
+from schemas.command_line import CommandError, ExitCode, other_kind, plain
+
+ROWS_IN_GROUP: Final = 8192
+
+READ_MAX_BYTES: Final = 2 << 30
+"""The memory that reading a catalog may take: one of a few megabytes can be made that unpacks to any size."""
+
+
+def _field(name: str, kind: inspect.Type) -> pa.Field:
+    """The column or part of one; null is no value but where the row's class has None."""
+    if isinstance(kind, inspect.UnionType):
+        [known] = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
+        return pa.field(name, _arrow_type(known))
+    return pa.field(name, _arrow_type(kind), nullable=False)
+
+
+def _arrow_type(kind: inspect.Type) -> pa.DataType:
+    if isinstance(kind, inspect.ListType):
+        return pa.list_(_field("element", kind.item_type))
+    if isinstance(kind, inspect.DictType):
+        return pa.map_(_arrow_type(kind.key_type), _field("value", kind.value_type))
+    if isinstance(kind, inspect.StructType):
+        return pa.struct([_field(field.encode_name, field.type) for field in kind.fields])
+    return _PLAIN[type(kind)]
+
+
+_PLAIN: Final = {
+    inspect.BoolType: pa.bool_(),
+    inspect.FloatType: pa.float64(),
+    inspect.IntType: pa.int64(),
+    inspect.StrType: pa.string(),
+}
+
+SCHEMA: Final = pa.schema(
+    list(_arrow_type(inspect.type_info(CatalogRow))),
+    metadata={"format": FORMAT, "version": str(VERSION)},
+)
+"""The columns, made of the fields of ``CatalogRow``."""
+
+
+def to_table(rows: Iterable[CatalogRow]) -> pa.Table:
+    """Rows as a table."""
+    return pa.Table.from_pylist([_bounded(msgspec.to_builtins(row)) for row in rows], SCHEMA)
+
+
+def _bounded(value: Any) -> Any:  # noqa: ANN401 - any of a row's parts
+    """The same with all counts in the range of a column: those of a log may be of anybody's making."""
+    match value:
+        case dict():
+            return {key: _bounded(one) for key, one in value.items()}
+        case list():
+            return [_bounded(one) for one in value]
+        case bool():
+            return value
+        case int():
+            return max(-NEVER_NS, min(value, NEVER_NS))
+        case _:
+            return value
+
+
+def to_rows(table: pa.Table) -> list[CatalogRow]:
+    """The rows of a table with all columns."""
+    return msgspec.convert(table.to_pylist(maps_as_pydicts="strict"), list[CatalogRow])
+
+
+def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
+    """Read a catalog.
+
+    Args:
+        path: the file.
+        columns: these alone, ``file`` among them; all unless told otherwise.
+
+    Raises:
+        FileNotFoundError: there is none.
+        CatalogUnreadableError: it cannot be read.
+    """
+    try:
+        if kind := other_kind(path.stat().st_mode):
+            raise CatalogUnreadableError(f"is {kind}")
+        with path.open("rb") as stream:
+            return read_stream(stream, columns)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise CatalogUnreadableError("is damaged") from error
+
+
+def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.Table:
+    """Read a catalog from an open file.
+
+    Args:
+        stream: the file.
+        columns: these alone, ``file`` among them; all unless told otherwise.
+
+    Raises:
+        CatalogUnreadableError: it cannot be read.
+    """
+    try:
+        with bounded_memory(), pq.ParquetFile(stream, page_checksum_verification=True) as file:
+            schema = file.schema_arrow
+            told: dict[bytes, bytes] = schema.metadata or {}
+            version = told.get(b"version", b"").decode(errors="replace")
+            if told.get(b"format") != FORMAT.encode():
+                raise CatalogUnreadableError("is no catalog")
+            if version != str(VERSION) or not schema.equals(SCHEMA):
+                raise CatalogUnreadableError("is of another version")
+            table = file.read(columns=None if columns is None else list(columns)).combine_chunks()
+            if pc.count_distinct(table.column("file")).as_py() < table.num_rows:
+                raise CatalogUnreadableError("names a log twice")
+            return table
+    except MemoryError as error:
+        raise CatalogUnreadableError("unpacks to too much") from error
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise CatalogUnreadableError("is damaged") from error
+
+
+@contextmanager
+def bounded_memory() -> Generator[None, None, None]:
+    """Let this process take ``READ_MAX_BYTES`` more than it has. Whoever asks for more gets a MemoryError."""
+    before, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    taken = int(Path("/proc/self/statm").read_text("ascii").split()[5]) * resource.getpagesize()
+    bounds = [one for one in (taken + READ_MAX_BYTES, before, hard) if one != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, hard))
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Replace a catalog in one step: whoever reads meanwhile sees the old one or the new one.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    # A link of that name may lead to anywhere.
+    beside.unlink(missing_ok=True)
+    try:
+        with beside.open("xb") as stream:
+            write_stream(stream, table)
+            stream.flush()
+            os.fsync(stream.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def write_stream(stream: BinaryIO, table: pa.Table) -> None:
+    """Write a catalog into an open file.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    pq.write_table(
+        table.replace_schema_metadata(SCHEMA.metadata),
+        stream,
+        row_group_size=ROWS_IN_GROUP,
+        compression="zstd",
+        write_page_checksum=True,
+    )
+
 
 _CHECKED: Final = ["file", "bytes", "modified_ns", "summary_crc", "is_incident", "start_ns", "end_ns"]
 _BRIEF: Final = [
@@ -321,3 +495,161 @@ def _log_files(directory: Path, table: pa.Table) -> list[tuple[dict[str, Any], L
         )
         for row in rows
     ]
+
+
+AT_ONCE: Final = 16
+"""Rows that are asked for at the same time."""
+
+ROW_MAX: Final = 16 * 1024 * 1024
+"""A longer object is no row."""
+
+PIECE_BYTES: Final = 4 * 1024 * 1024
+
+
+class _GoneError(StoreError):
+    """An object of a list is not there."""
+
+
+class PlaceCatalog:
+    """The catalog of a place, as far as its rows hold; ``refresh`` adds the rest.
+
+    A row holds for a log of the same name and length: nobody overwrites a log of an upload.
+
+    Args:
+        objects: of the place.
+        place: its address.
+        columns: those of ``CatalogRow`` that are wanted.
+        cache: fetches the logs that have no row.
+        is_anew: believe no row that is there.
+
+    Attributes:
+        stale: the logs that have to be read, and ``stale_bytes`` their length.
+        being_written: always empty: a store shows a log when it is whole.
+        notes: lines for people.
+
+    Raises:
+        CommandError: the store does not answer, or lists nothing.
+    """
+
+    def __init__(
+        self,
+        objects: Objects,
+        place: StoreAddress,
+        columns: Sequence[str],
+        cache: LogCache,
+        *,
+        is_anew: bool = False,
+    ) -> None:
+        self.notes: list[str] = []
+        self.being_written: list[Path] = []
+        self._objects = objects
+        self._place = place
+        self._cache = cache
+        self._columns = list(columns)
+        with self._reachable(place.url):
+            if not place.has_list:
+                text = f"find cannot ask {shown_url(place.url)}: such a server does not list what it holds"
+                raise CommandError(text, ExitCode.USAGE)
+            listed = {one.name: one.bytes for one in objects.names()}
+        self._logs = {name: size for name, size in listed.items() if name.endswith(SUFFIX)}
+        single = [] if is_anew else [name for name in sorted(self._logs) if name + ROW_SUFFIX in listed]
+        with self._reachable(place.url):
+            found = self._singles([(name, listed[name + ROW_SUFFIX]) for name in single])
+        self._rows = [row for row in found if row is not None]
+        known = {row.file for row in self._rows}
+        self.stale = [name for name in sorted(self._logs) if name not in known]
+
+    @property
+    def stale_bytes(self) -> int:
+        """The length of all logs that have to be read."""
+        return sum(self._logs[name] for name in self.stale)
+
+    @property
+    def table(self) -> pa.Table:
+        """The wanted columns of the rows, by the logs' beginning. After ``refresh``."""
+        table = to_table(self._rows).sort_by([("start_ns", "ascending"), ("file", "ascending")])
+        return table.select(self._columns).combine_chunks()
+
+    def refresh(
+        self,
+        faults: Faults,
+        progress: Progress = lambda _: None,
+        in_time: Callable[[int, Progress], Progress] = lambda _, progress: progress,
+    ) -> None:
+        """Read copies of the logs that have no row.
+
+        Args:
+            faults: takes the logs that cannot be read, or not in time.
+            progress: receives the number of bytes that were fetched.
+            in_time: makes the progress of one log of so many bytes, which may give it up.
+        """
+        if self.stale:
+            url = shown_url(self._place.url)
+            self.notes.append(f"{len(self.stale)} logs of {url} had no row that holds: they were read")
+        while self.stale:
+            name = self.stale[0]
+            try:
+                self._rows.append(self._made(name, in_time(self._logs[name], progress)))
+            except CommandError as error:
+                if error.code is ExitCode.UNREACHABLE:
+                    raise
+                faults.add(f"{name}: {error}" if error.code is ExitCode.PARTIAL else str(error))
+            self.stale.pop(0)
+
+    def _singles(self, logs: Sequence[tuple[str, int]]) -> list[CatalogRow | None]:
+        """The rows of logs, by name and the row's length; some at a time, for each is a request or two."""
+        pool = ThreadPoolExecutor(AT_ONCE)
+        try:
+            fetched = pool.map(lambda one: self._fetched(one[0] + ROW_SUFFIX, one[1]), logs)
+            # Read one after the other: the bound on what one unpacks to is the process's.
+            return [self._single(name, data) for (name, _), data in zip(logs, fetched, strict=True)]
+        finally:
+            # A store that is gone is not asked for each.
+            pool.shutdown(cancel_futures=True)
+
+    def _fetched(self, row: str, size: int) -> bytes | None:
+        """The object of a row; None if it is gone, or longer than any row."""
+        if size > ROW_MAX:
+            return None
+        try:
+            return self._bytes(row)
+        except _GoneError:
+            return None
+
+    def _single(self, name: str, data: bytes | None) -> CatalogRow | None:
+        """The row beside a log, under the log's name; None if it does not hold."""
+        if data is None:
+            return None
+        try:
+            return msgspec.structs.replace(read_row(data, self._logs[name]), file=name)
+        except CatalogUnreadableError:
+            return None
+
+    def _bytes(self, name: str) -> bytes:
+        """All of a small object. A list may tell its length as it was."""
+        found = self._objects.look(name)
+        if found is None:
+            raise _GoneError("it is gone")
+        pieces = [
+            self._objects.read(name, start, min(start + PIECE_BYTES, found.bytes), found.e_tag)
+            for start in range(0, found.bytes, PIECE_BYTES)
+        ]
+        return b"".join(pieces)
+
+    def _made(self, name: str, progress: Progress) -> CatalogRow:
+        """Make the row of a log, of which a copy is read."""
+        path = self._cache.fetch(self._objects, self._place, name, progress)
+        try:
+            return row_of(path, name, 0)
+        except CommandError as error:
+            url = shown_url(self._place.join(name).url)
+            raise CommandError(str(error).replace(plain(str(path)), url)) from error
+
+    @contextmanager
+    def _reachable(self, url: str) -> Iterator[None]:
+        try:
+            yield
+        except StoreError as error:
+            raise CommandError(f"cannot read {shown_url(url)}: {error}", ExitCode.UNREACHABLE) from error
+        except OSError as error:
+            raise CommandError(f"cannot copy {shown_url(url)}: {error.strerror or error}") from error

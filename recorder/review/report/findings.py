@@ -1,12 +1,311 @@
-"""The content of a report, as data. Times are nanoseconds since 1970, by the robot's own clock."""
+"""The findings of a report, as data and in words, with the numbers behind them.
+
+- Drawings of a drive: lines over time, bands of values and the path, reduced while samples stream in.
+- The content of a report, as data. Times are nanoseconds since 1970, by the robot's own clock.
+
+A robot's figures in words: the verdict, and the lines below it.
+
+Names and texts come from the log, and may hold anything: who shows them has to make them safe.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+from math import atan2, cos, degrees, hypot, isfinite, pi, radians, sin, tan
+from typing import Final
+
 import msgspec
 
-from recorder.record.accounting import KeyReport
-from recorder.review.drives import Outage, RecordedDrive, Silence
-from recorder.review.report.charts import Place, Point, Span
+from recorder.reading.times import in_words
+from recorder.record.accounting import KeyReport, total
+from recorder.review.drives import DIED, GAP_NS, Outage, RecordedDrive, Silence, operators_stops
+from recorder.review.entries import EntryKind
+from schemas.cruiser import WHEELBASE_M
+from schemas.decisions import ArbiterState, SafetyState
+from schemas.messages import Mode, RobotState
+from schemas.reasons import TEXTS
+
+BUCKETS_MAX: Final = 1500
+"""More than a chart is wide in pixels."""
+
+BREAKS_MAX: Final = 1000
+SPANS_MAX: Final = 600
+PLACES_MAX: Final = 4000
+
+MIXED: Final = "(changing)"
+"""The value of a span that stands for several that are too short to be drawn."""
+
+LINES: Final = (
+    "speed_mps",
+    "target_speed_mps",
+    "output_speed_mps",
+    "speed_limit_mps",
+    "angle_deg",
+    "target_angle_deg",
+    "output_angle_deg",
+    "steering_limit_deg",
+)
+"""Values that are drawn over time: measured ones of ``state``, commanded ones of ``safety/state``."""
+
+BANDS: Final = ("mode", "arbiter", "lease")
+"""The chassis's mode, the arbiter's state, and the holder of the lease."""
+
+TARGETS: Final = frozenset({"target_speed_mps", "target_angle_deg"})
+"""Commanded values. The state repeats them until others come; they hold while the arbiter is engaged."""
+
+_OUTPUTS: Final = ("target_speed_mps", "output_speed_mps", "target_angle_deg", "output_angle_deg")
+_FIRST_WIDTH_NS: Final = 1_000_000
+_FIRST_STEP_M: Final = 0.01
+_FIRST_TURN_RAD: Final = radians(2)
+
+Point = tuple[int, float]
+"""Time in nanoseconds, and value."""
+
+
+class Span(msgspec.Struct, frozen=True):
+    """A value, and when it held; times in nanoseconds since 1970."""
+
+    start_ns: int
+    end_ns: int
+    value: str
+
+
+class Place(msgspec.Struct, frozen=True):
+    """A position of the robot.
+
+    Attributes:
+        x_m: forward, as it stood at first; ``y_m`` left.
+        heading_deg: from x to y.
+        begins: the path before it is broken off.
+    """
+
+    time_ns: int
+    x_m: float
+    y_m: float
+    heading_deg: float
+    begins: bool
+
+
+class Charts:
+    """The charts of one drive."""
+
+    def __init__(self) -> None:
+        self.lines = {name: Series() for name in LINES}
+        self.bands = {name: Spans() for name in BANDS}
+        self.path = Path()
+
+    def bound(self, share: float) -> None:
+        """Keep this part of the points that a chart usually has."""
+        for line in self.lines.values():
+            line.limit = round(BUCKETS_MAX * share)
+        self.path.limit = round(PLACES_MAX * share)
+
+    def add_state(self, time_ns: int, state: RobotState, step_m: float | None, *, begins: bool) -> None:
+        """Add what was measured, and the way since the sample before; None if that is not known."""
+        if step_m is not None:
+            self.path.move(time_ns, step_m, state.angle_deg or 0.0, begins=begins)
+        self._draw("speed_mps", time_ns, state.speed_mps)
+        self._draw("angle_deg", time_ns, state.angle_deg)
+        self.bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
+
+    def add_arbiter(self, time_ns: int, state: SafetyState) -> None:
+        """Add what was commanded."""
+        self.bands["arbiter"].add(time_ns, state.state.value)
+        self.bands["lease"].add(time_ns, state.lease_holder)
+        self._draw("speed_limit_mps", time_ns, state.speed_limit_mps)
+        self._draw("steering_limit_deg", time_ns, state.steering_limit_deg)
+        is_sending = state.state is not ArbiterState.STANDBY
+        for name in _OUTPUTS:
+            is_drawn = state.state is ArbiterState.ENGAGED if name in TARGETS else is_sending
+            self._draw(name, time_ns, getattr(state, name) if is_drawn else None)
+
+    def _draw(self, line: str, time_ns: int, value: float | None) -> None:
+        if value is None or not isfinite(value):
+            self.lines[line].cut()
+        else:
+            self.lines[line].add(time_ns, value)
+
+
+class Series:
+    """One line of a chart. Samples may come out of order.
+
+    Time is cut into buckets, and of each the first, lowest, highest and last sample are kept: no spike is lost.
+    When there are too many buckets they are made twice as wide.
+    """
+
+    def __init__(self, limit: int = BUCKETS_MAX) -> None:
+        self.limit = limit
+        self._width_ns = _FIRST_WIDTH_NS
+        self._buckets: dict[int, list[Point]] = {}
+        self._breaks: list[tuple[int, int]] = []
+        self._last_ns: int | None = None
+
+    def add(self, time_ns: int, value: float) -> None:
+        """One more sample."""
+        point = (time_ns, value)
+        bucket = self._buckets.get(time_ns // self._width_ns)
+        if bucket is None:
+            self._buckets[time_ns // self._width_ns] = [point] * 4
+            self._widen()
+        else:
+            _merge(bucket, point)
+        if self._last_ns is not None and time_ns - self._last_ns > GAP_NS:
+            self._add_break(self._last_ns, time_ns)
+        self._last_ns = time_ns
+
+    def cut(self) -> None:
+        """The value is not known from here on: the next sample begins a new piece."""
+        if self._last_ns is not None:
+            self._add_break(self._last_ns, self._last_ns + 1)
+            self._last_ns = None
+
+    def points(self, from_ns: int = 0, to_ns: int = 2**64) -> Iterator[Point | None]:
+        """Yield the line in the order of time, None where it is broken."""
+        self._widen()
+        breaks = sorted(self._breaks, reverse=True)
+        before_ns = None
+        for number in sorted(self._buckets):
+            for point in sorted(dict.fromkeys(self._buckets[number])):
+                if not from_ns <= point[0] <= to_ns:
+                    continue
+                is_broken = False
+                while breaks and breaks[-1][0] < point[0]:
+                    broken_ns = breaks.pop()[0]
+                    is_broken |= before_ns is not None and broken_ns >= before_ns
+                if is_broken:
+                    yield None
+                yield point
+                before_ns = point[0]
+
+    def _add_break(self, from_ns: int, to_ns: int) -> None:
+        self._breaks.append((from_ns, to_ns))
+        if len(self._breaks) > BREAKS_MAX:
+            # Those that are too short to be seen go first.
+            self._breaks = sorted(self._breaks, key=lambda one: one[0] - one[1])[: BREAKS_MAX // 2]
+
+    def _widen(self) -> None:
+        while len(self._buckets) > self.limit:
+            self._width_ns *= 2
+            wider: dict[int, list[Point]] = {}
+            for number, points in self._buckets.items():
+                bucket = wider.setdefault(number // 2, points)
+                if bucket is not points:
+                    for point in points:
+                        _merge(bucket, point)
+            self._buckets = wider
+
+
+def _merge(bucket: list[Point], point: Point) -> None:
+    first, lowest, highest, last = bucket
+    if point[0] < first[0]:
+        bucket[0] = point
+    if point[1] < lowest[1]:
+        bucket[1] = point
+    if point[1] > highest[1]:
+        bucket[2] = point
+    if point[0] >= last[0]:
+        bucket[3] = point
+
+
+class Spans:
+    """One band of a chart: values, and from when to when each held. What comes late is passed over.
+
+    Args:
+        limit: spans at most; beyond it short ones become one that is ``MIXED``.
+    """
+
+    def __init__(self, limit: int = SPANS_MAX) -> None:
+        self._limit = limit
+        self._shortest_ns = 1_000_000
+        self._spans: list[Span] = []
+        self._start_ns = self._last_ns = 0
+        self._value: str | None = None
+
+    def add(self, time_ns: int, value: str) -> None:
+        """It was so at this time."""
+        if self._value is not None and time_ns < self._last_ns:
+            return
+        is_silent = self._value is not None and time_ns - self._last_ns > GAP_NS
+        if value != self._value or is_silent:
+            self._end(self._last_ns if is_silent else time_ns)
+            self._value, self._start_ns = value, time_ns
+        self._last_ns = time_ns
+
+    def spans(self) -> list[Span]:
+        """All of them so far; those whose value is empty are left out."""
+        now = [] if self._value is None else [Span(self._start_ns, self._last_ns, self._value)]
+        return [span for span in [*self._spans, *now] if span.value]
+
+    def _end(self, time_ns: int) -> None:
+        if self._value is not None and time_ns > self._start_ns:
+            self._spans.append(Span(self._start_ns, time_ns, self._value))
+        while len(self._spans) > self._limit:
+            self._shortest_ns *= 2
+            self._spans = _coarser(self._spans, self._shortest_ns)
+
+
+def _coarser(spans: list[Span], shortest_ns: int) -> list[Span]:
+    """Neighbours of which one is short become one, as long as that is not yet long itself."""
+    coarse: list[Span] = []
+    for span in spans:
+        before = coarse[-1] if coarse else None
+        if before is not None and span.end_ns - before.start_ns <= shortest_ns:
+            value = before.value if before.value == span.value else MIXED
+            coarse[-1] = Span(before.start_ns, span.end_ns, value)
+        else:
+            coarse.append(span)
+    return coarse
+
+
+class Path:
+    """The path from ways and steering angles, by the bicycle model: as many places as are worth drawing.
+
+    Axes are those of ISO 8855, x forward and y left as the robot stood at first. Where samples are missing the
+    path breaks off, and goes on from the same place.
+    """
+
+    def __init__(self) -> None:
+        self.limit = PLACES_MAX
+        self._step_m, self._turn_rad = _FIRST_STEP_M, _FIRST_TURN_RAD
+        self._places: list[Place] = []
+        self._x_m = self._y_m = self._heading_rad = self._last_rad = 0.0
+        self._last_ns = 0
+
+    def move(self, time_ns: int, step_m: float, angle_deg: float, *, begins: bool) -> None:
+        """Move on, with half the turn before the step and half behind it."""
+        before_rad, self._last_rad = self._last_rad, radians(angle_deg)
+        self._last_ns = time_ns
+        if begins or not self._places:
+            self._keep(time_ns, begins=True)
+            return
+        turn_rad = step_m * tan((before_rad + self._last_rad) / 2) / WHEELBASE_M
+        self._x_m += step_m * cos(self._heading_rad + turn_rad / 2)
+        self._y_m += step_m * sin(self._heading_rad + turn_rad / 2)
+        self._heading_rad = (self._heading_rad + turn_rad + pi) % (2 * pi) - pi
+        last = self._places[-1]
+        off_rad = self._heading_rad - radians(last.heading_deg)
+        is_turned = abs(atan2(sin(off_rad), cos(off_rad))) >= self._turn_rad
+        if is_turned or hypot(self._x_m - last.x_m, self._y_m - last.y_m) >= self._step_m:
+            self._keep(time_ns, begins=False)
+
+    def places(self) -> list[Place]:
+        """Return the places, the last one included."""
+        if not self._places or self._places[-1].time_ns == self._last_ns:
+            return self._places
+        return [*self._places, self._here(self._last_ns, begins=False)]
+
+    def _here(self, time_ns: int, *, begins: bool) -> Place:
+        return Place(time_ns, self._x_m, self._y_m, degrees(self._heading_rad), begins)
+
+    def _keep(self, time_ns: int, *, begins: bool) -> None:
+        self._places.append(self._here(time_ns, begins=begins))
+        if len(self._places) > self.limit:
+            self._step_m *= 2
+            self._turn_rad = min(2 * self._turn_rad, pi / 8)
+            begun = [number for number, place in enumerate(self._places) if place.begins]
+            # Where each piece begins stays, unless the log is nothing but gaps.
+            kept = set(range(0, len(self._places), 2)) | set(begun[: self.limit // 4]) | {len(self._places) - 1}
+            self._places = [self._places[number] for number in sorted(kept)]
 
 
 class Moment(msgspec.Struct, frozen=True):
@@ -236,3 +535,228 @@ class Report(msgspec.Struct, frozen=True):
     def drawn(self) -> list[tuple[RobotSummary, Drawn]]:
         """All that is drawn, in the order of the page."""
         return [(robot.summary, one) for robot in self.robots for one in robot.drawn]
+
+
+STANDING_M: Final = 0.05
+"""A path that is shorter is the noise of a standing robot."""
+
+SHOWN: Final = 8
+"""Kinds that are shown in one line; tables show all."""
+
+ABSENT: Final = "not in the log"
+
+Line = tuple[str, str]
+"""A subject, and what is to be said of it."""
+
+_WORDS: Final = {reason.value: text.means for reason, text in TEXTS.items()} | {DIED: "the gateway died"}
+
+_LOSSES: Final = {
+    "lost_bus": "frames between chassis and gateway",
+    "lost_source": "frames that the gateway dropped",
+    "lost_link": "samples on the way to the recorder",
+    "lost_queue": "samples that the recorder dropped unread",
+    "lost_size": "samples too large to be recorded",
+    "lost_full": "messages while the disk was full",
+    "lost_disk": "messages that the disk did not store",
+}
+
+
+def verdict(robot: RobotReport) -> str:
+    """The robot in a sentence: distance, drives, stops by cause, normal ends."""
+    summary = robot.summary
+    drives = len(robot.drives) + robot.more_drives
+    said = [f"{counted(drives, 'drive') if drives else 'no drive'}, {distance(summary)}", stops_by(summary.stops)]
+    ends = sum(summary.ends.values())
+    if ends:
+        said.append(counted(ends, "normal end"))
+    if summary.ends_commanding:
+        said.append("recording ends while the robot is commanded")
+    return "; ".join(said) + "."
+
+
+def distance(robot: RobotSummary, *, is_short: bool = False) -> str:
+    """The distance; where states are missing it is at least that."""
+    if not robot.known_s:
+        return ABSENT if is_short else f"distance {ABSENT}"
+    said = "0 m" if robot.distance_m < STANDING_M else metres(robot.distance_m)
+    if not robot.gaps:
+        return said
+    return f"at least {said}" if is_short else f"at least {said} ({duration(robot.gap_s)} not recorded)"
+
+
+def drive_distance(robot: RobotSummary, drive: RecordedDrive) -> str:
+    """The distance of one drive."""
+    if not robot.known_s:
+        return "-"
+    return f"{'at least ' if drive.missing_s else ''}{metres(drive.distance_m)}"
+
+
+def stops_by(stops: Mapping[str, int]) -> str:
+    """Stops: how many are faults and how many operators', with the causes."""
+    count, by_operators = sum(stops.values()), operators_stops(stops)
+    if not count:
+        return "no stops"
+    if count == 1:
+        return f"1 stop{' by an operator' if by_operators else ''}: {''.join(map(reason_words, stops))}"
+    kinds = [
+        *([counted(count - by_operators, "fault")] if count > by_operators else []),
+        *([f"{by_operators} by operators"] if by_operators else []),
+    ]
+    causes = joined((f"{number} x {reason_words(cause)}" for cause, number in stops.items()), ", ")
+    return f"{count} stops ({', '.join(kinds)}): {causes}"
+
+
+def summary_lines(robot: RobotReport, report: Report) -> list[Line]:
+    """The robot, line by line."""
+    summary = robot.summary
+    return [
+        ("Robot", f"{summary.name}, keys {summary.key}/"),
+        ("When", f"{_from_to(summary.start_ns, summary.end_ns)}"),
+        ("Distance", _distance(summary)),
+        ("Stops", stops_by(summary.stops)),
+        ("Normal ends", _counts(summary.ends) or "none"),
+        ("Worst moment", _worst(summary.worst)),
+        ("Gateway", joined(map(_outage, summary.outages)) or "no outage"),
+        (
+            "Driven by",
+            joined(f"{one.name} {duration(one.seconds)}, {metres(one.distance_m)}" for one in summary.drivers)
+            or ABSENT,
+        ),
+        ("Refused", _refused(summary)),
+        ("Lost", joined(_missing(summary, report)) or "nothing"),
+        ("Bus and gateway", _counts(summary.health) or "no losses, no faults"),
+        ("Versions", _versions(summary)),
+    ]
+
+
+def _from_to(start_ns: int, end_ns: int) -> str:
+    return f"{in_words(start_ns)} to {in_words(end_ns)}: {duration((end_ns - start_ns) / 1e9)}"
+
+
+def _distance(robot: RobotSummary) -> str:
+    if not robot.known_s:
+        return ABSENT
+    top = f"{abs(robot.top_mps):.2f} m/s{' in reverse' if robot.top_mps < 0 else ''} at {in_words(robot.top_ns)}"
+    return f"{distance(robot)}, moving {duration(robot.moving_s)} of {duration(robot.known_s)}; top speed {top}"
+
+
+def _worst(moment: Moment | None) -> str:
+    return "none" if moment is None else f"{in_words(moment.time_ns)}: {moment_words(moment)}"
+
+
+def _outage(outage: Outage) -> str:
+    commanding = " while commanding" if outage.is_commanding else ""
+    if outage.began_ns is None:
+        return f"silent from {in_words(outage.heard_ns)} to the end{commanding}"
+    if outage.began_ns <= outage.heard_ns:
+        return f"restarted at {in_words(outage.heard_ns)}{commanding}"
+    silent_s = (outage.began_ns - outage.heard_ns) / 1e9
+    return f"silent for {duration(silent_s)} from {in_words(outage.heard_ns)}{commanding}, then restarted"
+
+
+def _refused(robot: RobotSummary) -> str:
+    if not robot.refused:
+        return f"none of {counted(robot.accepted, 'request')}"
+    told = joined(
+        f"{one.count} x {one.request} of {one.operator or 'no operator'}: {reason_words(one.reason)}"
+        for one in robot.refusals
+    )
+    return f"{robot.refused} of {robot.accepted + robot.refused} requests: {told}"
+
+
+def _missing(robot: RobotSummary, report: Report) -> list[str]:
+    said = []
+    if robot.gaps:
+        said.append(f"{duration(robot.gap_s)} of motion in {counted(robot.gaps, 'gap')}")
+    said += [f"{one.text}, from {in_words(one.from_ns)}" for one in robot.silences[:1]]
+    if len(robot.silences) > 1:
+        said.append(f"{len(robot.silences) - 1} more such gaps")
+    sums = total(robot.completeness.values())
+    said += [f"{getattr(sums, name)} {what}" for name, what in _LOSSES.items() if getattr(sums, name)]
+    if robot.unwritten:
+        said.append(f"{sum(one.count for one in robot.unwritten)} messages received and not stored")
+    bare = [file.name for file in report.files if not file.is_accounted]
+    if bare:
+        said.append(f"the recorder's account of {joined(bare, ', ')}")
+    elif not robot.completeness:
+        said.append("the recorder's account")
+    return said
+
+
+def _versions(robot: RobotSummary) -> str:
+    """Versions of the first gateway, and how many others there were."""
+    recorder = robot.facts.get("recorder_version")
+    said = [f"recorder {recorder}"] if recorder else []
+    for first in robot.in_force[:1]:
+        packages = (f"{package} {value}" for package, value in sorted(first.versions.items()))
+        configuration = f"configuration {first.configuration_sha256[:12] or ABSENT}"
+        said = [f"variant {first.variant}", *said, *packages, configuration]
+    if len(robot.in_force) > 1:
+        said.append(f"{counted(len(robot.in_force) - 1, 'later gateway')}, see below")
+    return ", ".join(said) or ABSENT
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason_words(name)}" for name, count in counts.items())
+
+
+def moment_words(moment: Moment) -> str:
+    """The text of an event, and how often it occurred; a gap says itself how much is missing."""
+    if moment.count <= 1 or moment.kind == EntryKind.GAP.value:
+        return moment.text
+    lasted_s = (moment.last_ns - moment.time_ns) / 1e9
+    return f"{moment.text} [{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}]"
+
+
+def who(moment: Moment) -> str:
+    """The operator who did it, or in parentheses the holder of the lease."""
+    return moment.operator or (f"({moment.holder})" if moment.holder else "")
+
+
+def reason_words(reason: str) -> str:
+    """A reason, as a person would say it."""
+    return _WORDS.get(reason, reason)
+
+
+def counted(count: int, noun: str) -> str:
+    """``1 file``, ``2 files``."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def duration(seconds: float) -> str:
+    """A time span for people."""
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def metres(length_m: float) -> str:
+    """A length for people."""
+    return f"{length_m / 1000:.2f} km" if length_m >= 10_000 else f"{length_m:.1f} m"
+
+
+def size(count: int) -> str:
+    """A file's length for people."""
+    for factor, unit in ((10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
+        if count >= factor:
+            return f"{count / factor:.1f} {unit}"
+    return f"{count} bytes"
+
+
+def is_lossy(report: KeyReport) -> bool:
+    """Report whether anything of a topic was lost, before or behind the recorder."""
+    return bool(report.lost or report.lost_bus or report.lost_source)
+
+
+def iso(time_ns: int) -> str:
+    """A time in ISO 8601, with the precision that browsers know."""
+    return in_words(time_ns).removesuffix(" UTC").replace(" ", "T") + "Z"
+
+
+def joined(parts: Iterable[str], between: str = "; ") -> str:
+    """The first ones, and how many more."""
+    found = list(parts)
+    more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
+    return between.join([*found[:SHOWN], *more])

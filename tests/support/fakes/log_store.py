@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 
-from recorder.objects.interface import StoredObject, StoreError
+from recorder.objects.address import StoredObject, StoreError
 
 
 class FakeLogStore:

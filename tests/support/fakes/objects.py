@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from functools import lru_cache
 
-from recorder.objects.interface import ListedObject, StoredObject, StoreError
+from recorder.objects.address import ListedObject, StoredObject, StoreError
 
 
 class FakeObjects:

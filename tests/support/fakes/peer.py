@@ -10,7 +10,7 @@ from typing import Final, Self
 
 import zenoh
 
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import session_settings
 

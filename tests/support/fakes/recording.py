@@ -11,20 +11,23 @@ from itertools import islice
 
 import pytest
 
-from recorder.disk.part_file import Prologue
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.disk.files import Prologue
+from recorder.encoding.samples import ReceivedSample
 from recorder.mcap.writer import McapFile
 from recorder.record.actions import (
     Action,
     CloseLog,
     DeclareChannel,
+    Ended,
     LogAction,
+    Lost,
+    Notice,
+    Opened,
     OpenLog,
     Publish,
     Query,
     WriteChunk,
 )
-from recorder.record.notices import Ended, Lost, Notice, Opened
 from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import RecorderPlan
 from schemas.codec import PayloadFault

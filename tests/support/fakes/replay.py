@@ -1,7 +1,6 @@
 """A replay's surroundings: a clock and an outlet that do what a test says."""
 
-from recorder.replay.run import Halt, ReplayClock
-from recorder.replay.samples import ReplaySample
+from recorder.replay import Halt, ReplayClock, ReplaySample
 from schemas.command_line import ExitCode
 from tests.support.messages import SECOND, WALL_NS
 

@@ -8,11 +8,10 @@ from pathlib import Path
 import msgspec
 
 from gateway.chassis.frame import Frame
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import survey
-from recorder.review.chain import Step
 from recorder.review.why import Explanation, explain
+from recorder.review.window import Step
 from schemas import codec, keys
 from schemas.configuration import to_toml
 from schemas.decisions import ArbiterState, Journal

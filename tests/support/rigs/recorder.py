@@ -6,9 +6,8 @@ from typing import Final
 import msgspec
 from mcap.reader import make_reader
 
-from recorder.encoding.received_sample import ReceivedSample
-from recorder.record.actions import INCIDENT_MARK
-from recorder.record.notices import DiskRoom
+from recorder.encoding.samples import ReceivedSample
+from recorder.record.actions import INCIDENT_MARK, DiskRoom
 from recorder.record.recorder import Recorder, RecorderPlan
 from recorder.record.robot_log import LogPlan
 from schemas import keys

@@ -11,7 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.client.robot import Robot
 from gateway.journal import reach
-from recorder.encoding.transcode import compile_encoder
+from recorder.encoding.protobuf import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
 from schemas.codec import Sample

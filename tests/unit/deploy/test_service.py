@@ -11,7 +11,7 @@ import pytest
 from gateway.chassis.cruiser import early_stop
 from gateway.cli.configuration_file import load_settings
 from gateway.cli.main import COMMANDS
-from recorder.disk.upload_note import NAME
+from recorder.disk.files import NAME
 from schemas.configuration import TomlSource, merge
 from schemas.settings import GUARD_LATE_NS, HALT_LISTEN_NS, HALT_YIELD_NS, REST_TIMEOUT_NS, DeskSettings, Settings
 

@@ -15,7 +15,7 @@ from gateway.chassis.frame import Frame
 from gateway.core import Core
 from gateway.journal import BrokenJournalError, JournalGapError, read
 from gateway.rerun import give, rerun, run_again, run_of
-from recorder.encoding.transcode import compile_encoder
+from recorder.encoding.protobuf import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
 from schemas.codec import Sample

@@ -14,23 +14,20 @@ import pytest
 from mcap.reader import make_reader
 
 from recorder import loop as loop_module
-from recorder.disk import log_directory, log_writer
-from recorder.disk.keeper import DiskUse
-from recorder.disk.leftovers import recover_leftovers
-from recorder.disk.log_directory import LogDirectory
+from recorder.disk import files as log_directory
+from recorder.disk import log_writer
+from recorder.disk.files import LogDirectory
+from recorder.disk.keeper import DiskUse, recover_leftovers
 from recorder.disk.log_writer import LogWriter
-from recorder.encoding.received_sample import ReceivedSample
 from recorder.encoding.routes import keep_raw
+from recorder.encoding.samples import ReceivedSample
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.loop import Recorded, RecorderLoop
 from recorder.record import orders, robot_log
 from recorder.record.accounting import KeyReport
-from recorder.record.actions import Action
-from recorder.record.health import HealthReport
-from recorder.record.inbox import SampleInbox
-from recorder.record.notices import Deleted, DiskRoom, Notice
+from recorder.record.actions import Action, Deleted, DiskRoom, Notice
 from recorder.record.orders import OperatorRequest
-from recorder.record.recorder import Recorder
+from recorder.record.recorder import HealthReport, Recorder, SampleInbox
 from recorder.record.robot_log import CONTINUED_NAME, LogPlan
 from recorder.review.check import check_log
 from recorder.review.info import read_info

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gateway.cli.main import COMMANDS, main
-from recorder.cli.review.command import QUESTIONS
+from recorder.cli.review import QUESTIONS
 from schemas import command_line
 from schemas.command_line import ExitCode
 

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.cli import desk_logs as jobs
 from gateway.cli.desk_logs import ask_review
-from recorder.cli.review.command import QUESTIONS
+from recorder.cli.review import QUESTIONS
 from tests.support.rigs.scenarios import front_bumper, recorded
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.disk.leftovers import RecoveryOutcome, recover
+from recorder.disk.keeper import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.command_line import ExitCode

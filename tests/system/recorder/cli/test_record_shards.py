@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from recorder.record.shards import Shard
 from recorder.review.info import read_info
+from recorder.zenoh.source import Shard
 from schemas import keys
 from schemas.command_line import ExitCode
 from tests.support.fakes.peer import Peer, free_endpoint

@@ -9,10 +9,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from recorder.objects import store as stores
-from recorder.objects.address import StoreAddress
-from recorder.objects.interface import StoreError
+from recorder.objects.address import StoreAddress, StoreError
 from recorder.objects.store import ObstoreObjects
-from recorder.upload.store import ObstoreLogs
+from recorder.upload.uploader import ObstoreLogs
 
 DATA = bytes(range(250)) * 1000
 

@@ -6,8 +6,7 @@ from contextlib import closing, contextmanager
 import pytest
 import zenoh
 
-from recorder.replay.samples import ReplaySample
-from recorder.replay.zenoh import ZenohOutlet
+from recorder.replay import ReplaySample, ZenohOutlet
 from schemas import codec, keys, zenoh_session
 from schemas.command_line import ExitCode
 from schemas.decisions import SafetyEvent, SafetyState

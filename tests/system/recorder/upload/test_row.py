@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from recorder.review.catalog.single import read_row
-from recorder.upload import row as rows
-from recorder.upload.row import RowError, row_maker
+from recorder.review.catalog.log_row import read_row
+from recorder.upload import finished as rows
+from recorder.upload.finished import RowError, row_maker
 from tests.support.logs import gears, own_log, saved
 
 ROOT = Path(__file__).parents[4]

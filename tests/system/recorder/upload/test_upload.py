@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.disk.upload_note import SafeLogReader
+from recorder.disk.files import SafeLogReader
 from schemas.command_line import ExitCode, module_command
 from tests.support.logs import gears, own_log, saved
 from tests.support.waiting import wait_until

@@ -15,8 +15,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import NameOID
 from websockets.exceptions import WebSocketException
 
-from recorder.mcap.channel import LogChannel
-from recorder.view.server import RECORDS_WAITING, ViewServer
+from recorder.mcap.writer import LogChannel
+from recorder.view import RECORDS_WAITING, ViewServer
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Gear
 from tests.support.foxglove_client import FoxgloveClient

@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.authority.enrolment import TransportRole
 from recorder.cli import view
-from recorder.encoding.protobuf_schema import message_class
+from recorder.encoding.protobuf import message_class
 from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import Decision, SafetyEvent
 from schemas.messages import GatewayInfo, RobotState

@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from recorder.zenoh.recorder_client import RecorderClient
+from recorder.zenoh.remote_control import RecorderClient
 from schemas import keys
 from schemas.recording import Mark, RecorderReply, Status
 from schemas.settings import ZenohSettings

@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 import zenoh
 
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from recorder.zenoh import source as zenoh_source
 from recorder.zenoh.source import ZenohSource
 from schemas import keys

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import FaultKind
 from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period, silence_ns
-from recorder.review.checking.frames import AliveCount
+from recorder.review.checking import AliveCount
 from schemas.messages import Variant
 from tests.support.messages import feedback
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from recorder.cli.own_name import own_name
-from recorder.cli.record import signer_of
-from recorder.record.signature import LogSignature
+from recorder.cli.record import own_name, signer_of
+from recorder.record.retention import LogSignature
 from recorder.zenoh.remote_control import host_name
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.settings import AuthoritySettings, RecorderSettings, Settings

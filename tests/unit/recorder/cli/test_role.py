@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gateway.authority.enrolment import TransportRole
-from recorder.cli.role import ORDERING, RECORDING, check_recording, check_role
+from recorder.cli.remote import ORDERING, RECORDING, check_recording, check_role
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 from tests.support.secured import Network

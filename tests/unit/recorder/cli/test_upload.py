@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from recorder.cli import upload as command
-from recorder.disk.upload_note import SafeLogReader
-from recorder.review.catalog.single import read_row, write_row
-from recorder.upload.manifest import ROW_SUFFIX
-from recorder.upload.row import Summarize
+from recorder.disk.files import SafeLogReader
+from recorder.review.catalog.log_row import read_row, write_row
+from recorder.upload.finished import ROW_SUFFIX, Summarize
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RecorderSettings, Settings, UploadSettings
 from tests.support.commands import run_command

@@ -13,9 +13,9 @@ import msgspec
 import pytest
 
 from recorder.disk import keeper as disk_keeper
+from recorder.disk.files import SafeLogs, UploadedLog, UploadNote
 from recorder.disk.keeper import DiskKeeper, read_entries
-from recorder.disk.upload_note import SafeLogs, UploadedLog, UploadNote
-from recorder.record.notices import Deleted, DiskRoom, Moved, Notice
+from recorder.record.actions import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry
 from tests.support.logs import logs_in
 from tests.support.waiting import wait_until

@@ -14,12 +14,18 @@ from typing import BinaryIO
 import pytest
 from mcap.reader import make_reader
 
-from recorder.disk import leftovers
-from recorder.disk.keeper import read_entries
-from recorder.disk.leftovers import LeftoverThread, Recovery, RecoveryOutcome, recover, recover_leftovers
-from recorder.disk.log_directory import LogDirectory, lock
-from recorder.record.notices import DiskBack, DiskRoom, Recovered
-from recorder.record.signature import LogSigner
+from recorder.disk import keeper
+from recorder.disk.files import LogDirectory, lock
+from recorder.disk.keeper import (
+    LeftoverThread,
+    Recovery,
+    RecoveryOutcome,
+    read_entries,
+    recover,
+    recover_leftovers,
+)
+from recorder.record.actions import DiskBack, DiskRoom, Recovered
+from recorder.record.retention import LogSigner
 from recorder.review.check import check_log
 from tests.support.logs import logs_in, small_log
 from tests.support.messages import WALL_NS
@@ -101,7 +107,7 @@ def test_a_part_that_was_renamed_before_it_was_locked_is_not_touched(
         part(tmp_path, b"new")
         return lock(descriptor)
 
-    monkeypatch.setattr(leftovers, "lock", late)
+    monkeypatch.setattr(keeper, "lock", late)
     assert recover(path, "test").outcome is RecoveryOutcome.BUSY
     assert path.read_bytes() == b"new"
     assert (tmp_path / "x.mcap").read_bytes() == LOG[:SUMMARY]
@@ -113,11 +119,11 @@ def test_where_there_are_no_locks_nothing_is_touched(tmp_path: Path, monkeypatch
     def none(_descriptor: int) -> bool:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(leftovers, "lock", none)
+    monkeypatch.setattr(keeper, "lock", none)
     path = part(tmp_path, LOG[:SUMMARY])
     recovery = recover(path, "test")
     assert recovery.outcome is RecoveryOutcome.FAILED
-    assert recovery.detail == f"No locks available: {leftovers.NO_LOCKS}"
+    assert recovery.detail == f"No locks available: {keeper.NO_LOCKS}"
     assert path.read_bytes() == LOG[:SUMMARY]
 
 
@@ -171,7 +177,7 @@ def fail_to(name: str, monkeypatch: pytest.MonkeyPatch, number: int = errno.ENOS
     def full(*_arguments: object) -> None:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(leftovers, name, full)
+    monkeypatch.setattr(keeper, name, full)
 
 
 def test_a_copy_that_does_not_fit_leaves_the_log_as_it_was(
@@ -371,7 +377,7 @@ def test_room_that_comes_during_a_look_is_not_missed(tmp_path: Path, monkeypatch
         assert goes_on.wait(30)
         return recover(path, library, set_aside=set_aside, signer=signer)
 
-    monkeypatch.setattr(leftovers, "recover", late)
+    monkeypatch.setattr(keeper, "recover", late)
     for stem in "ab":
         part(tmp_path, LOG[:SUMMARY], stem)
     thread = LeftoverThread(tmp_path, "test")
@@ -408,13 +414,13 @@ def test_a_part_that_begins_after_the_start_is_no_leftover(
     """Where there are no locks too: what this recorder itself writes is not recovered under its hands."""
     part(tmp_path, LOG[:SUMMARY], "old")
     goes_on = threading.Event()
-    recover_all = leftovers.recover_leftovers
+    recover_all = keeper.recover_leftovers
 
     def late(parts: Iterable[Path], library: str, signer: LogSigner | None) -> Iterator[Recovery]:
         assert goes_on.wait(30)
         return recover_all(parts, library, signer)
 
-    monkeypatch.setattr(leftovers, "recover_leftovers", late)
+    monkeypatch.setattr(keeper, "recover_leftovers", late)
     thread = LeftoverThread(tmp_path, "test")
     part(tmp_path, LOG[:SUMMARY], "new")
     goes_on.set()

@@ -17,14 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from recorder.disk import log_directory, part_file
-from recorder.disk.keeper import read_entries
-from recorder.disk.leftovers import RecoveryOutcome, recover
-from recorder.disk.log_directory import LogDirectory, lock, safe_name
-from recorder.disk.part_file import PartFile, Prologue
-from recorder.encoding.protobuf_schema import descriptor_set
-from recorder.mcap.channel import LogChannel
-from recorder.reading.topic_names import file_name
+from recorder.disk import files
+from recorder.disk.files import LogDirectory, PartFile, Prologue, lock, safe_name
+from recorder.disk.keeper import RecoveryOutcome, read_entries, recover
+from recorder.encoding.protobuf import descriptor_set
+from recorder.mcap.writer import LogChannel
+from recorder.reading.rows import file_name
 from recorder.record.actions import CloseLog, DeclareChannel, SyncLog, WriteChunk
 from recorder.review.check import check_log
 from recorder.review.info import read_info
@@ -298,7 +296,7 @@ def test_what_is_written_during_a_sync_is_kept_by_the_next_one(tmp_path: Path, d
 
 def test_no_file_takes_the_disk_for_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is written all the time has its next sync behind those of the others."""
-    monkeypatch.setattr(log_directory, "SYNC_THREADS", 1)
+    monkeypatch.setattr(files, "SYNC_THREADS", 1)
     order: list[int] = []
     goes_on = threading.Semaphore(0)
 
@@ -330,7 +328,7 @@ def test_a_file_begins_with_all_channels_in_one_write(tmp_path: Path, monkeypatc
             writes.append(len(data))
             return super().write(data)
 
-    monkeypatch.setattr(log_directory, "FileIO", Counted)
+    monkeypatch.setattr(files, "FileIO", Counted)
     log = LogDirectory(tmp_path).open("cruiser-1", WALL_NS, "test")
     writes.clear()
     prologue = Prologue()
@@ -378,7 +376,7 @@ def test_a_log_that_was_called_something_else_is_left_as_it_is(tmp_path: Path) -
 
 def test_for_want_of_a_name_no_log_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However many there are of one name and second."""
-    monkeypatch.setattr(log_directory, "NAMESAKES_MAX", 3)
+    monkeypatch.setattr(files, "NAMESAKES_MAX", 3)
     logs = [opened(tmp_path) for _ in range(6)]
     for log in logs:
         log.write(CloseLog("x"))
@@ -412,7 +410,7 @@ def test_a_new_part_that_another_process_has_locked_is_left_to_it(
 ) -> None:
     """Between its creation and its lock another start may have taken it for a leftover."""
     answers = iter([False, True])
-    monkeypatch.setattr(log_directory, "lock", lambda _: next(answers))
+    monkeypatch.setattr(files, "lock", lambda _: next(answers))
     log = opened(tmp_path)
     assert log.path.name == f"{STEM}-2.mcap.part"
     log.salvage()
@@ -426,7 +424,7 @@ def test_where_there_are_no_locks_a_log_is_written_all_the_same(
     def none(_descriptor: int) -> bool:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(log_directory, "lock", none)
+    monkeypatch.setattr(files, "lock", none)
     log = opened(tmp_path)
     log.write(chunk(1))
     log.write(CloseLog("x"))
@@ -455,7 +453,7 @@ def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
 
     directory = LogDirectory(tmp_path)
     with monkeypatch.context() as knobs:
-        knobs.setattr(log_directory if step == "sync_directory" else part_file, step, fail)
+        knobs.setattr(files, step, fail)
         knobs.setattr(Path, "unlink", refuse)
         with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
             directory.open("x", WALL_NS, "test")
@@ -471,7 +469,7 @@ def test_a_directory_whose_names_the_disk_does_not_take_is_left_empty(
     def fail(_path: Path) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr(log_directory, "sync_directory", fail)
+    monkeypatch.setattr(files, "sync_directory", fail)
     directory = LogDirectory(tmp_path)
     for _ in range(3):
         with pytest.raises(CommandError, match=os.strerror(errno.EIO)):

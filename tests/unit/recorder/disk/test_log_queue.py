@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.disk.log_queue import LogQueue
+from recorder.disk.log_writer import LogQueue
 from recorder.record.actions import (
     ACTION_BYTES,
     CloseLog,

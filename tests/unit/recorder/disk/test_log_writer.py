@@ -13,23 +13,27 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from recorder.disk import log_directory, log_writer, part_file
-from recorder.disk.leftovers import RecoveryOutcome, recover
-from recorder.disk.log_directory import LogDirectory
+from recorder.disk import files, log_writer
+from recorder.disk.files import LogDirectory
+from recorder.disk.keeper import RecoveryOutcome, recover
 from recorder.disk.log_writer import LogWriter
-from recorder.encoding.protobuf_schema import descriptor_set
-from recorder.mcap.channel import LogChannel
+from recorder.encoding.protobuf import descriptor_set
+from recorder.mcap.writer import LogChannel
 from recorder.record.actions import (
     CloseLog,
     DeclareChannel,
+    DiskBack,
+    DiskFault,
+    Ended,
     LogAction,
+    Lost,
+    Opened,
     OpenLog,
     SyncLog,
     WriteAttachment,
     WriteChunk,
     WriteMetadata,
 )
-from recorder.record.notices import DiskBack, DiskFault, Ended, Lost, Opened
 from schemas.messages import Gear
 from tests.support.fakes.recording import SlowDisk
 from tests.support.logs import logs_in, sealed
@@ -66,7 +70,7 @@ class FaultyFile(FileIO):
 @pytest.fixture(autouse=True)
 def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk of every log here; without long pauses."""
-    monkeypatch.setattr(log_directory, "FileIO", FaultyFile)
+    monkeypatch.setattr(files, "FileIO", FaultyFile)
     monkeypatch.setattr(log_writer, "RETRY_MIN_S", 0.01)
     monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.02)
     monkeypatch.setattr(FaultyFile, "error", 0)
@@ -478,7 +482,7 @@ def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
     """Its first message, and not the beginning of the file before; so many faults use up no names."""
-    monkeypatch.setattr(log_directory, "NAMESAKES_MAX", 2)
+    monkeypatch.setattr(files, "NAMESAKES_MAX", 2)
     writer.submit(on_log(BEGIN))
     for number in range(5):
         writer.submit(on_log([chunk(1000 * number, at_ns=WALL_NS + (2 * number + 1) * SECOND)]))
@@ -550,13 +554,13 @@ def test_at_the_end_what_the_disk_fails_to_keep_is_written_again(
 ) -> None:
     """Of each log, and of the file before the last one too."""
     fails = iter([True] * 3)
-    write_end = part_file.PartFile._sync_all
+    write_end = files.PartFile._sync_all
 
-    def sync_all(file: part_file.PartFile) -> None:
+    def sync_all(file: files.PartFile) -> None:
         disk.fails = next(fails, False)
         write_end(file)
 
-    monkeypatch.setattr(part_file.PartFile, "_sync_all", sync_all)
+    monkeypatch.setattr(files.PartFile, "_sync_all", sync_all)
     with writer._changed:
         writer._is_closing = True
         for log in range(3):

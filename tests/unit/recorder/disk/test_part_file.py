@@ -5,10 +5,9 @@ from io import BytesIO
 import pytest
 from mcap.reader import make_reader
 
-from recorder.disk import part_file
-from recorder.disk.part_file import Prologue
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.writer import McapFile
+from recorder.disk import files
+from recorder.disk.files import Prologue
+from recorder.mcap.writer import LogChannel, McapFile
 from recorder.record.actions import CloseLog, DeclareChannel, LogAction, SyncLog, WriteAttachment, WriteMetadata
 
 
@@ -51,7 +50,7 @@ def test_channels_and_the_newest_of_what_lasts_are_repeated() -> None:
 
 def test_names_without_end_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """A robot may name its DBC anew for ever: the oldest attachments go."""
-    monkeypatch.setattr(part_file, "ATTACHMENTS_MAX", 3)
+    monkeypatch.setattr(files, "ATTACHMENTS_MAX", 3)
     prologue = Prologue()
     for number in (1, 2, 3, 1, 4):
         prologue.add(WriteAttachment("x", f"a/{number}", "text/plain", b"", number))

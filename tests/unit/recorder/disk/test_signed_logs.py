@@ -9,16 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from recorder.disk import part_file
-from recorder.disk.keeper import DiskKeeper
-from recorder.disk.leftovers import recover_leftovers
-from recorder.disk.log_directory import LogDirectory
+from recorder.disk import files
+from recorder.disk.files import LogDirectory
+from recorder.disk.keeper import DiskKeeper, recover_leftovers
 from recorder.disk.log_writer import LogWriter
-from recorder.encoding.protobuf_schema import descriptor_set
-from recorder.mcap.channel import LogChannel
+from recorder.encoding.protobuf import descriptor_set
+from recorder.mcap.writer import LogChannel
 from recorder.record.actions import CloseLog, DeclareChannel, OpenLog, WriteChunk
-from recorder.record.retention import DiskLimits
-from recorder.record.signature import LogSignature, LogSigner
+from recorder.record.retention import DiskLimits, LogSignature, LogSigner
 from schemas.authority.identity import Identity
 from schemas.authority.proof import GrantRole
 from schemas.messages import Gear
@@ -86,7 +84,7 @@ def test_a_log_without_room_for_its_signature_has_no_name_until_there_is_some(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(part_file, "write_signature", full)
+        patch.setattr(files, "write_signature", full)
         assert not written(tmp_path).exists()
     (part,) = tmp_path.glob("*.part")
     assert len(list(recover_leftovers([part], "test", SIGNER))) == 1

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from recorder.disk import upload_note
+from recorder.disk import files
+from recorder.disk.files import NAME, SafeLogReader, UploadedLog, UploadNote
 from recorder.disk.keeper import read_entries
-from recorder.disk.upload_note import NAME, SafeLogReader, UploadedLog, UploadNote
 from schemas.command_line import CommandError
 
 LOG = "cruiser-1-20270115T080000Z.mcap"
@@ -56,7 +56,7 @@ def test_logs_that_are_gone_are_forgotten_once_they_are_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The note does not grow for as long as the robot lives."""
-    monkeypatch.setattr(upload_note, "GONE_LINES", 3)
+    monkeypatch.setattr(files, "GONE_LINES", 3)
     with UploadNote(tmp_path) as note:
         for name in "abcd":
             note.add(line(name))

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.can_columns import can_adder, is_common
-from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
-from recorder.encoding.routes import unfold
-from recorder.mcap.chunk import Chunk, ChunkBuilder
+from recorder.encoding.routes import can_adder, is_common, unfold
+from recorder.encoding.samples import SEQUENCE_SPAN, KeyCounters
+from recorder.mcap.writer import Chunk, ChunkBuilder
 from schemas import codec
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
 from schemas.messages import BUS_MAX_LENGTH, CanFrames

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.fast_path import Latest, compile_adder
-from recorder.encoding.key_counters import SEQUENCE_SPAN, KeyCounters
-from recorder.encoding.transcode import compile_encoder
-from recorder.mcap.chunk import Chunk, ChunkBuilder
+from recorder.encoding.protobuf import compile_encoder
+from recorder.encoding.routes import Latest, compile_adder
+from recorder.encoding.samples import SEQUENCE_SPAN, KeyCounters
+from recorder.mcap.writer import Chunk, ChunkBuilder
 from schemas import codec
 from schemas.messages import Gear, Message, RobotState
 from schemas.subjects import SUBJECTS

@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.key_counters import SEQUENCE_SPAN, SOURCES_MAX, KeyCounters
+from recorder.encoding.samples import SEQUENCE_SPAN, SOURCES_MAX, KeyCounters
 from schemas.recording import GapReason
 
 

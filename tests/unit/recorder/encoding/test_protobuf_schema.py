@@ -4,8 +4,8 @@ import msgspec
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
-from recorder.encoding import protobuf_schema
-from recorder.encoding.protobuf_schema import LOGGED, descriptor_set, message_class, schema_name
+from recorder.encoding import protobuf
+from recorder.encoding.protobuf import LOGGED, descriptor_set, message_class, schema_name
 from schemas.messages import GatewayHealth, Gear, GearPosition, RawSample, RobotState, WheelPulse
 
 KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
@@ -84,6 +84,6 @@ def test_types_follow_bounds() -> None:
 def test_a_type_without_a_counterpart_is_our_own_mistake() -> None:
     """A new message that protobuf cannot hold is found when the module is loaded, not in the field."""
     with pytest.raises(TypeError, match="no counterpart"):
-        protobuf_schema._Files().add_struct(msgspec.defstruct("Odd", [("either", int | str)]))
+        protobuf._Files().add_struct(msgspec.defstruct("Odd", [("either", int | str)]))
     with pytest.raises(TypeError, match="no counterpart"):
-        protobuf_schema._Files().add_struct(msgspec.defstruct("Odd", [("pair", tuple[int, int])]))
+        protobuf._Files().add_struct(msgspec.defstruct("Odd", [("pair", tuple[int, int])]))

@@ -9,8 +9,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.protobuf_schema import LOGGED, message_class
-from recorder.encoding.transcode import compile_encoder, compile_row_encoder, varint
+from recorder.encoding.protobuf import LOGGED, compile_encoder, compile_row_encoder, message_class, varint
 from schemas.messages import CanFrame, Gear, GearPosition, Message, RawSample, RobotState
 from tests.support.strategies import message_of
 

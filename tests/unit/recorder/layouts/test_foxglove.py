@@ -7,7 +7,7 @@ from typing import Any
 import foxglove.layouts
 import pytest
 
-from recorder.encoding.protobuf_schema import message_class
+from recorder.encoding.protobuf import message_class
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.record.actions import DeclareChannel
 from schemas.decisions import EventKind

@@ -5,7 +5,7 @@ from xml.etree.ElementTree import Element, fromstring
 import pytest
 from msgspec import inspect
 
-from recorder.encoding.protobuf_schema import fields, optional_part
+from recorder.encoding.protobuf import fields, optional_part
 from recorder.layouts.attached import RobotKeys, layouts
 from tests.support.messages import logged_topics
 

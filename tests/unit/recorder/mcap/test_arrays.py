@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.mcap.arrays import Blocks, Read
-from recorder.mcap.chunk import ChunkBuilder
 from recorder.mcap.pieces import Index, MessageBlock
+from recorder.mcap.writer import ChunkBuilder
 
 MESSAGES = st.lists(
     st.tuples(

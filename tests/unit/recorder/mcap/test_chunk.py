@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mcap.data_stream import ReadDataStream
 from mcap.records import Message
 
-from recorder.mcap.chunk import ChunkBuilder
+from recorder.mcap.writer import ChunkBuilder
 
 U64 = st.integers(0, 2**64 - 1)
 MESSAGES = st.lists(

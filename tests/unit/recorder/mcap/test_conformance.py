@@ -19,8 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from recorder.mcap.reader import Fault, LoggedMessage
 from recorder.mcap.recovery import copy_good, survey
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import LogReader, Selection
 from schemas.command_line import ExitCode
 from tests.support.commands import review
@@ -207,7 +206,7 @@ def test_a_chunk_is_found_across_the_blocks_of_the_search(
     search_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The head of one without compression is longer than the marks of others."""
-    monkeypatch.setattr("recorder.mcap.proof.SEARCH_BYTES", search_bytes)
+    monkeypatch.setattr("recorder.mcap.pieces.SEARCH_BYTES", search_bytes)
     first = FOREIGN[0].index(b"\x06", 30)
     # The length of the first chunk's record is wrong, so nothing tells where the next one begins.
     damaged = FOREIGN[0][: first + 1] + b"\xff" * 3 + FOREIGN[0][first + 4 :]

@@ -9,7 +9,7 @@ import zstandard
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
-from recorder.mcap.channel import LogChannel
+from recorder.mcap.writer import LogChannel
 from tests.support.logs import Log, mcap_log
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback, gear, sample_of
 

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 
-from recorder.encoding.protobuf_schema import descriptor_set
+from recorder.encoding.protobuf import descriptor_set
 from recorder.mcap import framing
-from recorder.mcap.channel import LogChannel
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
-from recorder.mcap.writer import McapFile
+from recorder.mcap.writer import LogChannel, McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
 from tests.support.logs import foreign_log, gear_message, own_log, sealed, small_log

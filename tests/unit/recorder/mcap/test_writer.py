@@ -15,10 +15,9 @@ from mcap.records import Chunk, ChunkIndex, DataEnd, McapRecord, MessageIndex
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.protobuf_schema import descriptor_set
-from recorder.mcap.channel import LogChannel
+from recorder.encoding.protobuf import descriptor_set
 from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
-from recorder.mcap.writer import McapFile
+from recorder.mcap.writer import LogChannel, McapFile
 from schemas.messages import CanFrame, Gear, GearPosition, RawSample
 from tests.support.logs import Disk, sealed, small_log
 from tests.support.messages import MS, WALL_NS

@@ -8,8 +8,7 @@ import pytest
 from obstore.exceptions import GenericError, PermissionDeniedError, UnauthenticatedError
 
 from recorder.objects import store as stores
-from recorder.objects.address import StoreAddress, is_address, shown_url
-from recorder.objects.interface import ListedObject, StoredObject, StoreError
+from recorder.objects.address import ListedObject, StoreAddress, StoredObject, StoreError, is_address, shown_url
 from recorder.objects.store import ObstoreObjects
 from schemas.command_line import CommandError
 

@@ -5,11 +5,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from recorder.reading import configurations as module
-from recorder.reading.configurations import configurations_of
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
-from recorder.reading.survey import survey
+from recorder.reading import survey as module
+from recorder.reading.logs import Faults, find_logs
+from recorder.reading.survey import configurations_of, survey
 from schemas.messages import GatewayInfo
 from tests.support.logs import channel_of, encoded, mcap_log
 from tests.support.messages import WALL_NS, info, key_of

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.reading.faults import FAULTS_SHOWN, Faults
+from recorder.reading.logs import FAULTS_SHOWN, Faults
 
 
 @given(st.lists(st.text()))

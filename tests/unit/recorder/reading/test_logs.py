@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs, look_at
+from recorder.reading.logs import Faults, find_logs, look_at
 from schemas.command_line import CommandError
 from tests.support.logs import foreign_log, gears, own_log, saved
 

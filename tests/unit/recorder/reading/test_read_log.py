@@ -6,7 +6,7 @@ import pytest
 
 import recorder
 from recorder import read_log
-from recorder.reading.faults import Faults
+from recorder.reading.logs import Faults
 from schemas.command_line import CommandError
 from schemas.messages import Gear
 from tests.support.logs import small_log

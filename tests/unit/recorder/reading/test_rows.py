@@ -8,13 +8,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.mcap.channel import LogChannel
+from recorder.encoding.protobuf import descriptor_set, schema_name
 from recorder.mcap.framing import MAGIC, encode_index
 from recorder.mcap.reader import PackedChunk, read_pieces
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
-from recorder.reading.logs import find_logs
+from recorder.mcap.writer import LogChannel
+from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, LogReader, Row, Selection, decoded_rows, read_rows
 from schemas.messages import Drive, Gear
 from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import Survey, survey
 from recorder.record.robots import METADATA_NAME
 from tests.support.logs import small_log

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from mcap import records
 from msgspec import inspect
 
-from recorder.encoding.protobuf_schema import (
+from recorder.encoding.protobuf import (
     LOGGED,
+    compile_encoder,
     descriptor_set,
     fields,
     message_class,
     optional_part,
     schema_name,
 )
-from recorder.encoding.transcode import compile_encoder
 from recorder.reading.topics import UNREADABLE, Topic, foreign_decoder, topic_of, typed_decoder
 from schemas.decisions import Decision
 from schemas.messages import Gear

@@ -6,8 +6,8 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.key_counters import KeyCounters
-from recorder.mcap.chunk import log_time
+from recorder.encoding.samples import KeyCounters
+from recorder.mcap.writer import log_time
 from recorder.record.accounting import OTHER_KEYS, FileAccount, KeyReport, LossReport, report, since, total
 from schemas import codec
 from schemas.recording import GapReason, RecordGap

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from recorder.record.actions import Query
-from recorder.record.backlog import ANSWER_NS, HELD, KEPT_SUBJECTS, TRIES, Backlog
+from recorder.record.robots import ANSWER_NS, HELD, KEPT_SUBJECTS, TRIES, Backlog
 from schemas.subjects import KEPT_PIECE
 from tests.support.messages import MS, SECOND
 

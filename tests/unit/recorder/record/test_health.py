@@ -2,11 +2,9 @@
 
 import msgspec
 
-from recorder.encoding.key_counters import SEQUENCE_SPAN
-from recorder.record.actions import Action
-from recorder.record.health import HealthReport, Vitals
-from recorder.record.notices import DiskRoom, Lost
-from recorder.record.recorder import Recorder
+from recorder.encoding.samples import SEQUENCE_SPAN
+from recorder.record.actions import Action, DiskRoom, Lost
+from recorder.record.recorder import HealthReport, Recorder, Vitals
 from schemas import codec
 from schemas.messages import Gear
 from schemas.recording import GapReason, RecorderHealth, RecorderState

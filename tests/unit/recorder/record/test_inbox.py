@@ -5,8 +5,8 @@ import weakref
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.received_sample import ReceivedSample
-from recorder.record.inbox import SAMPLE_BYTES, SampleInbox
+from recorder.encoding.samples import ReceivedSample
+from recorder.record.recorder import SAMPLE_BYTES, SampleInbox
 from tests.support.messages import FakeSample
 
 LIMIT_BYTES = 5000

@@ -3,7 +3,7 @@
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from recorder.mcap.chunk import Chunk
+from recorder.mcap.writer import Chunk
 from recorder.record.actions import CloseLog, LogAction, OpenLog, SyncLog, WriteChunk, WriteMetadata
 from recorder.record.incidents import INCIDENT_NAME, Incidents, trim_rings
 from schemas.settings import INCIDENT_MAX_NS

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from schemas import keys
 from schemas.decisions import ArbiterState, EventKind, SafetyState, Severity
 from schemas.recording import RecorderEventKind

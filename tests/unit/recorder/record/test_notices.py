@@ -2,7 +2,7 @@
 
 import pytest
 
-from recorder.record.notices import (
+from recorder.record.actions import (
     FULL,
     ROOM,
     Deleted,

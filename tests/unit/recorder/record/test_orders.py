@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.record.notices import Deleted, DiskRoom, Ended, Opened
+from recorder.record.actions import Deleted, DiskRoom, Ended, Opened
 from recorder.record.orders import MARK_EVERY_NS, MARKS_AT_ONCE, REPLY_NS, Orders
 from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault

@@ -4,7 +4,7 @@ import msgspec
 import pytest
 from hypothesis import given
 
-from recorder.record.notices import Announcement
+from recorder.record.actions import Announcement
 from schemas import codec
 from schemas.decisions import EventKind
 from schemas.messages import Message

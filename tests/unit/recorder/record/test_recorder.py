@@ -9,14 +9,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.foxglove_log import LOG_CHUNK
-from recorder.record import channels
+from recorder.encoding.samples import LOG_CHUNK
+from recorder.record import accounting
 from recorder.record.accounting import KeyReport
-from recorder.record.actions import INCIDENT_MARK, LogAction, Query
-from recorder.record.backlog import ANSWER_NS, KEPT_SUBJECTS
-from recorder.record.notices import Deleted, DiskRoom
+from recorder.record.actions import INCIDENT_MARK, Deleted, DiskRoom, LogAction, Query
 from recorder.record.recorder import QUICK_BYTES, TICK_LOGS, Recorder
 from recorder.record.robot_log import CONTINUED_NAME
+from recorder.record.robots import ANSWER_NS, KEPT_SUBJECTS
 from schemas import codec
 from schemas.decisions import EventKind
 from schemas.messages import GatewayInfo, Gear
@@ -292,7 +291,7 @@ def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
     bench: RecorderRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However many came before it, a safety event makes its incident."""
-    monkeypatch.setitem(channels.LIMITS, channels.ChannelQuota.OTHER, 10)
+    monkeypatch.setitem(accounting.LIMITS, accounting.ChannelQuota.OTHER, 10)
     bench.receive(*(FakeSample(f"fleet/cruiser-1/k/{number}", "x", b"") for number in range(60)))
     bench.receive(sample_of(safety_event(EventKind.STOP)))
     assert bench.recorder.incidents == 1

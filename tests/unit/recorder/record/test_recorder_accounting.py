@@ -12,15 +12,12 @@ from hypothesis.stateful import RuleBasedStateMachine, rule
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.foxglove_log import LOG_CHUNK
-from recorder.encoding.received_sample import ReceivedSample
+from recorder.encoding.samples import LOG_CHUNK, ReceivedSample
 from recorder.record import robot_log
 from recorder.record.accounting import COMPLETENESS_NAME, OTHER_KEYS, KeyReport
-from recorder.record.actions import INCIDENT_MARK
-from recorder.record.health import HealthReport, Vitals
+from recorder.record.actions import INCIDENT_MARK, Lost
 from recorder.record.incidents import INCIDENT_NAME
-from recorder.record.notices import Lost
-from recorder.record.recorder import REPORT_LOSSES_NS
+from recorder.record.recorder import REPORT_LOSSES_NS, HealthReport, Vitals
 from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, Gear

@@ -13,17 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from recorder.encoding.can_columns import FRAMES_MAX
-from recorder.encoding.received_sample import ReceivedSample
-from recorder.encoding.routes import FRAMES_MAX_BYTES
-from recorder.record import backlog as backlog_module
-from recorder.record import channels
+from recorder.encoding.routes import FRAMES_MAX, FRAMES_MAX_BYTES
+from recorder.encoding.samples import ReceivedSample
+from recorder.record import accounting
+from recorder.record import robots as backlog_module
 from recorder.record import robots as robots_module
-from recorder.record.accounting import KeyReport
+from recorder.record.accounting import ChannelQuota, KeyReport
 from recorder.record.actions import (
     Action,
     CloseLog,
     DeclareChannel,
+    Opened,
     OpenLog,
     Query,
     SyncLog,
@@ -31,8 +31,6 @@ from recorder.record.actions import (
     WriteChunk,
     WriteMetadata,
 )
-from recorder.record.channels import ChannelQuota
-from recorder.record.notices import Opened
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from schemas import codec, keys
 from schemas.can_word import snake_case
@@ -359,8 +357,8 @@ def test_missed_samples_are_counted_for_each_key() -> None:
 
 def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """MCAP has 65,535 channels; samples beyond are kept with their key. The table's keys have room apart."""
-    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 2)
-    monkeypatch.setitem(channels.LIMITS, ChannelQuota.TABLE, 1)
+    monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 2)
+    monkeypatch.setitem(accounting.LIMITS, ChannelQuota.TABLE, 1)
     log = Log()
     log.receive(*(FakeSample(f"k/{number}", "x", b"") for number in range(4)))
     log.receive(sample_of(gear(0)), sample_of(gear(0), "b"))
@@ -373,7 +371,7 @@ def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_robot_has_room_for_a_few_buses(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their names are not in the table: those of further ones are keys like any other."""
     monkeypatch.setattr(robots_module, "BUS_LIMIT", 2)
-    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 1)
+    monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 1)
     log = Log()
     sample = sample_of(batch(0, [(WALL_NS, feedback(0))]))
     for bus in ("can0", "can1", "can2", "can3", "can0"):
@@ -396,7 +394,7 @@ GAP = RecordGap(WALL_NS, 3, GEAR_KEY, GapReason.QUEUE, WALL_NS - 5, WALL_NS - 1,
 
 def test_there_is_always_room_for_what_the_recorder_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many keys others have made up."""
-    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 3)
+    monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 3)
     log = Log()
     log.receive(*(FakeSample(f"x/{number}", "", b"") for number in range(9)))
     log.add_own("own", GAP, SECOND)
@@ -442,8 +440,8 @@ def test_a_batch_of_absurdly_many_frames_is_kept_as_it_is(count: int, reason: st
 
 def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond the limits a sample is written, and nothing of it is kept: neither its key, its robot nor a route."""
-    monkeypatch.setitem(channels.LIMITS, ChannelQuota.OTHER, 20)
-    monkeypatch.setitem(channels.LIMITS, ChannelQuota.TABLE, 10)
+    monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 20)
+    monkeypatch.setitem(accounting.LIMITS, ChannelQuota.TABLE, 10)
     for module in (robots_module, backlog_module):
         monkeypatch.setattr(module, "ROBOT_LIMIT", 10)
     # That cache has a bound of its own.

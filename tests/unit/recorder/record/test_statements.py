@@ -6,14 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.record.actions import LogAction, WriteMetadata
-from recorder.record.statements import STATEMENTS_MAX_BYTES, STATEMENTS_NAME, VERIFIED_PER_TICK, Statements
+from recorder.record.robots import STATEMENTS_MAX_BYTES, STATEMENTS_NAME, VERIFIED_PER_TICK, Statements
 from recorder.review.verify import RobotProofReport, verify_logs
-from recorder.review.verifying.authority import ShownStatement
-from recorder.review.verifying.file_statements import file_statements
-from recorder.review.verifying.files import UNSIGNED
+from recorder.review.verifying import UNSIGNED, ShownStatement, file_statements
 from schemas.authority.proof import TEXT_MAX_BYTES, chain_text
 from schemas.decisions import SignedStatement
 from schemas.messages import Message

@@ -6,15 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import Selection, read_rows
 from recorder.reading.survey import survey
-from recorder.review.columns.reader import read_batches
+from recorder.review.columns import read_batches
 from recorder.review.events import read_events
-from recorder.review.querying.log_source import topics_of
-from recorder.review.report.survey import read_report
+from recorder.review.query import topics_of
+from recorder.review.report.gather import read_report
 from recorder.review.why import explain
 from tests.support.messages import ROBOT
 from tests.support.rigs.recorded import RecordedRig

@@ -2,7 +2,7 @@
 
 import pytest
 
-from recorder.review.chain import before, count, deg, mps, span
+from recorder.review.window import before, count, deg, mps, span
 from tests.support.messages import MS, SECOND
 
 

@@ -15,11 +15,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.mcap.channel import LogChannel
+from recorder.encoding.protobuf import descriptor_set, schema_name
 from recorder.mcap.framing import CHECK_OPCODE, MAGIC, RECORD_HEADER, encode
+from recorder.mcap.writer import LogChannel
 from recorder.review.check import LogCheck, check_log, check_stream
-from recorder.review.checking.findings import FINDINGS_MAX, About, Findings
+from recorder.review.flaws import FINDINGS_MAX, About, Findings
 from schemas.command_line import CommandError
 from schemas.decisions import Journal
 from schemas.messages import CanFrame, Gear

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.clock import FAR_NS, NEAR_NS, RobotClock
+from recorder.review.entries import FAR_NS, NEAR_NS, RobotClock
 from schemas.decisions import RUN_TICKS
 from schemas.settings import TICK_NS
 from tests.support.messages import MS, SECOND, WALL_NS

@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType
 
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.mcap.channel import LogChannel
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.encoding.protobuf import descriptor_set, schema_name
+from recorder.mcap.writer import LogChannel
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Selection
 from recorder.review.check import check_log
 from recorder.review.cut import CutLog, cut

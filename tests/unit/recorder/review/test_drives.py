@@ -21,8 +21,7 @@ from recorder.review.drives import (
     SpeedMeter,
     operators_stops,
 )
-from recorder.review.entries import Entry, EntryKind, EntrySource, kind_of
-from recorder.review.stops import Stops
+from recorder.review.entries import Entry, EntryKind, EntrySource, Stops, kind_of
 from schemas.decisions import Severity
 from schemas.reasons import AS_ASKED, Reason
 from tests.support.messages import MS, SECOND, WALL_NS

@@ -8,8 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection, read_rows
 from recorder.review import events
 from recorder.review.entries import Change, Entry, EntryKind, EntrySource

@@ -2,9 +2,8 @@
 
 import pytest
 
-from recorder.review.chain import Step
 from recorder.review.evidence import evidence_of
-from recorder.review.window import EvidenceWindow, Limits
+from recorder.review.window import EvidenceWindow, Limits, Step
 from schemas.reasons import Reason
 from tests.support.messages import WALL_NS
 

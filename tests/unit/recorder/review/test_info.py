@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from mcap.writer import CompressionType
 
-from recorder.cli.review.info import describe
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.mcap.channel import LogChannel
+from recorder.cli.info import describe
+from recorder.encoding.protobuf import descriptor_set, schema_name
+from recorder.mcap.writer import LogChannel
 from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total

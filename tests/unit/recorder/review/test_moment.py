@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from recorder.review.chain import Step
 from recorder.review.why import Explanation
+from recorder.review.window import Step
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
 from tests.support.messages import MS

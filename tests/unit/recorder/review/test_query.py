@@ -5,23 +5,17 @@ from typing import Any
 
 import pytest
 
-from recorder.mcap.channel import LogChannel
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.mcap.writer import LogChannel
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
-from recorder.review.columns.reader import ColumnReader
-from recorder.review.export.cells import objects
-from recorder.review.export.dataset import export_dataset
-from recorder.review.export.manifest import read_manifest
-from recorder.review.export.one_log import ExportRange
-from recorder.review.query import Source, answer, told
-from recorder.review.querying.dataset_source import DatasetSource
-from recorder.review.querying.log_source import LogSource
+from recorder.review.columns import ColumnReader
+from recorder.review.export import ExportRange, export_dataset, objects, read_manifest
+from recorder.review.query import DatasetSource, LogSource, Source, answer, told
 from schemas.command_line import CommandError, ExitCode
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import numbered_log, saved
 from tests.support.messages import WALL_NS
-from tests.unit.recorder.review.columns.test_tables import ALL, ALL_SCHEMA, channel
+from tests.unit.recorder.review.test_tables import ALL, ALL_SCHEMA, channel
 
 
 def logs_in(tmp_path: Path) -> list[Path]:

@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review import repeats
-from recorder.review.repeats import Repeats, SequenceHole, Sequences
+from recorder.review import entries
+from recorder.review.entries import Repeats, SequenceHole, Sequences
 
 
 @given(there=st.sets(st.integers(0, 60), min_size=1), chance=st.randoms())
@@ -27,10 +27,10 @@ def test_holes_are_what_is_missing_between_the_first_and_the_last(there: set[int
 def test_holes_without_end_take_no_memory_without_end() -> None:
     """The oldest are settled, and still told."""
     sequences = Sequences()
-    for sequence in range(0, 2 * repeats.PIECES_MAX + 20, 2):
+    for sequence in range(0, 2 * entries.PIECES_MAX + 20, 2):
         sequences.add(sequence, sequence)
     holes = sequences.holes()
-    assert len(holes) == repeats.PIECES_MAX + 9
+    assert len(holes) == entries.PIECES_MAX + 9
     assert holes[0] == SequenceHole(1, 0, 2)
 
 
@@ -43,7 +43,7 @@ def test_a_sample_is_new_once() -> None:
 def test_what_is_remembered_is_bounded() -> None:
     """The oldest are forgotten."""
     seen = Repeats()
-    for number in range(repeats.IDS_KEPT + 1):
+    for number in range(entries.IDS_KEPT + 1):
         seen.is_new(number, 0)
     assert not seen.is_new(1, 0)
     assert seen.is_new(0, 0)

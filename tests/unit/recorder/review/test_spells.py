@@ -4,8 +4,7 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.entries import Entry, EntryKind, EntrySource
-from recorder.review.repeats import LATE_NS, NAMES_MAX, SPELL_NS, SPELLS_MAX, Spells
+from recorder.review.entries import LATE_NS, NAMES_MAX, SPELL_NS, SPELLS_MAX, Entry, EntryKind, EntrySource, Spells
 from schemas.decisions import Severity
 
 

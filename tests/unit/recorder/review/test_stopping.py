@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from recorder.review.chain import Step
+from recorder.review.window import Step
 from schemas.codec import Sample
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason

@@ -2,8 +2,7 @@
 
 import pytest
 
-from recorder.review.entries import Entry, EntryKind, EntrySource
-from recorder.review.stops import Stops
+from recorder.review.entries import Entry, EntryKind, EntrySource, Stops
 from schemas.decisions import GUARD_STOP_ENDED, Severity
 from schemas.reasons import Reason
 from tests.support.messages import SECOND, WALL_NS

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import msgspec
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.review.entries import Entry, EntryKind, EntrySource
-from recorder.review.story import Story
+from recorder.review.moment import Story
 from schemas.decisions import RUN_TICKS, Severity
 from schemas.reasons import Reason
 from tests.support.messages import MS, ROBOT, SECOND

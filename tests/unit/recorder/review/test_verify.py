@@ -13,22 +13,16 @@ import pytest
 from mcap.opcode import Opcode
 
 from gateway.command.rulings import Credentials
-from recorder.disk.log_directory import lock
-from recorder.encoding.protobuf_schema import descriptor_set, schema_name
-from recorder.encoding.transcode import compile_encoder
-from recorder.mcap.channel import LogChannel
-from recorder.mcap.writer import McapFile
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.disk.files import lock
+from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_name
+from recorder.mcap.writer import LogChannel, McapFile
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import survey
-from recorder.record.signature import LogSigner
-from recorder.review.catalog.directory import Catalog, known_logs
-from recorder.review.catalog.known import CATALOG_NAME
-from recorder.review.catalog.table import SCHEMA, write_table
+from recorder.record.retention import LogSigner
+from recorder.review.catalog.directory import SCHEMA, Catalog, known_logs, write_table
+from recorder.review.info import CATALOG_NAME
 from recorder.review.verify import RobotProofReport, verify_logs
-from recorder.review.verifying.commands import STOPS_WAITING
-from recorder.review.verifying.files import OPEN, UNSIGNED
-from recorder.review.verifying.findings import ProofFault
+from recorder.review.verifying import OPEN, STOPS_WAITING, UNSIGNED, ProofFault
 from schemas import keys
 from schemas.authority.identity import Identity
 from schemas.authority.proof import GrantRole, chain_text

@@ -12,11 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.review.verify import RobotProofReport, verify_logs
-from recorder.review.verifying.files import UNSIGNED
-from recorder.review.verifying.findings import ProofFault
+from recorder.review.verifying import UNSIGNED, ProofFault
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import BY_SITE, Trust, fingerprint
 from schemas.decisions import SignedStatement

@@ -8,13 +8,12 @@ import msgspec
 import pytest
 
 from gateway.chassis.frame import Frame
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
-from recorder.review.chain import Step
 from recorder.review.entries import ENDS, Entry, EntryKind
 from recorder.review.events import read_events
 from recorder.review.why import Explanation
+from recorder.review.window import Step
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Variant
 from schemas.reasons import TEXTS, Reason, cure_of

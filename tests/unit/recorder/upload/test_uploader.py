@@ -12,16 +12,23 @@ import obstore
 import pytest
 from obstore.exceptions import GenericError
 
-from recorder.disk.upload_note import NAME, SafeLogReader, UploadNote
-from recorder.objects.interface import StoreError
-from recorder.record.signature import LogSigner
+from recorder.disk.files import NAME, SafeLogReader, UploadNote
+from recorder.objects.address import StoreError
+from recorder.record.retention import LogSigner
 from recorder.upload import finished
-from recorder.upload import store as stores
+from recorder.upload import uploader as stores
 from recorder.upload import uploader as uploading
-from recorder.upload.manifest import NAMESAKES_MAX, ROW_SUFFIX, UploadManifest, UploadState
-from recorder.upload.row import RowError
-from recorder.upload.store import LogStore, ObstoreLogs
-from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, Uploader, UploadPlan, UploadTotals
+from recorder.upload.finished import NAMESAKES_MAX, ROW_SUFFIX, RowError, UploadManifest, UploadState
+from recorder.upload.uploader import (
+    AWAY_AFTER,
+    CHECKSUM,
+    READ_BACK,
+    LogStore,
+    ObstoreLogs,
+    Uploader,
+    UploadPlan,
+    UploadTotals,
+)
 from schemas.authority.identity import Identity
 from schemas.authority.proof import GrantRole
 from schemas.command_line import CommandError, ExitCode

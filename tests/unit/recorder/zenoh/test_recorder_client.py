@@ -1,6 +1,6 @@
 import pytest
 
-from recorder.zenoh.recorder_client import RecorderClient
+from recorder.zenoh.remote_control import RecorderClient
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ZenohSettings
 

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from recorder.mcap.framing import MESSAGE_HEADER, MESSAGE_OPCODE, RECORD_HEADER, UNPACKED_MAX, encode
 from tests.support.logs import small_log
 from tests.support.nights import by_night
-from tests.unit.recorder.cli.review.test_faulty_logs import READERS, WRITE
+from tests.unit.recorder.cli.test_faulty_logs import READERS, WRITE
 
 BYTES_MAX: Final = 1_000_000_000
 """As docs/threats.md promises."""

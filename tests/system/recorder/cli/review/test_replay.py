@@ -13,9 +13,8 @@ import msgspec
 import pytest
 import zenoh
 
-from recorder.cli.review import command as review
-from recorder.cli.review import replay
-from recorder.replay.samples import ReplaySample
+from recorder.cli import replay, review
+from recorder.replay import ReplaySample
 from schemas import codec, keys
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import CanFrames, Gear, Message

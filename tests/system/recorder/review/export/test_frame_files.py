@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.review.export.frame_files import FrameFile, FrameFormat
-from recorder.review.export.raw_frames import LoggedFrame
+from recorder.review.raw_frames import FrameFile, FrameFormat, LoggedFrame
 from tests.support.messages import can_frame
 
 FRAMES = (

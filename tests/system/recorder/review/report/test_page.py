@@ -10,9 +10,8 @@ import msgspec
 import pytest
 from PIL import Image
 
-from recorder.review.report.figures import BLUE
 from recorder.review.report.findings import Report
-from recorder.review.report.page import page
+from recorder.review.report.page import BLUE, page
 from tests.support.drives import HOSTILE, write_messages
 from tests.support.processes.browser import Opened, open_page, take_picture
 from tests.support.reading import report_of

@@ -5,11 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
-from recorder.review.rerun.parallel import rerun_tasks, run_task
-from recorder.review.rerun.tried_settings import TriedSettings
+from recorder.reading.logs import Faults, find_logs
 from recorder.review.tasks import look, outcome_of, processes
+from recorder.review.what_if import TriedSettings, rerun_tasks, run_task
 from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.messages import MS

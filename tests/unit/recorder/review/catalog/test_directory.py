@@ -16,16 +16,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
-from recorder.reading.logs import find_logs, look_at
-from recorder.review.catalog import single
-from recorder.review.catalog import table as catalog_table
-from recorder.review.catalog.directory import Catalog, known_logs
-from recorder.review.catalog.known import CATALOG_NAME
-from recorder.review.catalog.rows import FORMAT, CatalogRow, CatalogUnreadableError
-from recorder.review.catalog.table import SCHEMA, read_table, to_rows
-from recorder.review.info import brief, read_info
+from recorder.reading.logs import Faults, LogFile, find_logs, look_at
+from recorder.review.catalog import directory as catalog_table
+from recorder.review.catalog import log_row
+from recorder.review.catalog.directory import SCHEMA, Catalog, known_logs, read_table, to_rows
+from recorder.review.catalog.log_row import FORMAT, CatalogRow, CatalogUnreadableError
+from recorder.review.info import CATALOG_NAME, brief, read_info
 from schemas.command_line import CommandError, ExitCode
 from tests.support.drives import drive_log, drive_messages, restart, write_messages
 from tests.support.logs import foreign_log, saved, small_log
@@ -105,7 +101,7 @@ def test_only_what_is_new_or_has_changed_is_opened(tmp_path: Path, monkeypatch: 
         opened.append(path.name)
         return look_at(path)
 
-    monkeypatch.setattr(single, "look_at", noted)
+    monkeypatch.setattr(log_row, "look_at", noted)
     put(tmp_path / "a.mcap", contents()[0])
     put(tmp_path / "b.mcap", contents()[1])
     refreshed(tmp_path)

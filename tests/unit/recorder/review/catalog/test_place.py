@@ -4,15 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from recorder.objects.address import StoreAddress
+from recorder.objects.address import ListedObject, StoreAddress
 from recorder.objects.cache import LogCache
-from recorder.objects.interface import ListedObject
-from recorder.reading.faults import Faults
-from recorder.review.catalog import place as places
-from recorder.review.catalog.place import PlaceCatalog
-from recorder.review.catalog.single import write_row
-from recorder.review.find import SEARCHES
-from recorder.upload.manifest import ROW_SUFFIX
+from recorder.reading.logs import Faults
+from recorder.review.catalog import directory as places
+from recorder.review.catalog.directory import PlaceCatalog
+from recorder.review.catalog.find import SEARCHES
+from recorder.review.catalog.log_row import write_row
+from recorder.upload.finished import ROW_SUFFIX
 from schemas.command_line import CommandError, ExitCode
 from tests.support.drives import drive_messages, write_messages
 from tests.support.fakes.objects import FakeObjects

@@ -6,8 +6,8 @@ import pytest
 
 from recorder.reading.logs import look_at
 from recorder.record.incidents import INCIDENT_NAME
-from recorder.review.catalog.rows import INCIDENT, NEVER_NS, CatalogRow, LoggedGrant, LoggedMoment, summarize
-from recorder.review.catalog.table import to_rows, to_table
+from recorder.review.catalog.directory import to_rows, to_table
+from recorder.review.catalog.log_row import INCIDENT, NEVER_NS, CatalogRow, LoggedGrant, LoggedMoment, summarize
 from tests.support.authority import Fleet
 from tests.support.logs import gears, own_log, saved
 from tests.support.messages import ROBOT

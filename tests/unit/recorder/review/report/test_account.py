@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.log_file import LogFile
+from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row
 from recorder.reading.topics import Topic
 from recorder.review.drives import ENTRIES_MAX

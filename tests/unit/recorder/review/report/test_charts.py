@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.report.charts import BREAKS_MAX, MIXED, PLACES_MAX, Path, Point, Series, Span, Spans
+from recorder.review.report.findings import BREAKS_MAX, MIXED, PLACES_MAX, Path, Point, Series, Span, Spans
 from tests.support.messages import MS, SECOND
 
 STEP_NS = 50 * MS

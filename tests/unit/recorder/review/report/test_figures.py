@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from recorder.review.entries import EntryKind
-from recorder.review.report.charts import BANDS, Place
-from recorder.review.report.figures import (
+from recorder.review.report.findings import BANDS, Drawn, Place, RobotReport
+from recorder.review.report.page import (
     COLOURS,
     LINES,
     MARKS,
@@ -19,7 +19,6 @@ from recorder.review.report.figures import (
     figures,
     hover_text,
 )
-from recorder.review.report.findings import Drawn, RobotReport
 from schemas.decisions import ArbiterState, EventKind
 from schemas.messages import Mode
 from tests.support.drives import HOSTILE, drive_messages, restart, write_messages

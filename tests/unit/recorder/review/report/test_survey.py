@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.faults import Faults
-from recorder.reading.logs import find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
 from recorder.record.robot_log import LogPlan
 from recorder.review.drives import MARGIN_NS, Outage
-from recorder.review.report import account, survey
-from recorder.review.report.survey import read_margins, read_report
+from recorder.review.report import account, gather
+from recorder.review.report.gather import read_margins, read_report
 from schemas.command_line import CommandError
 from schemas.decisions import ArbiterState, Severity
 from schemas.reasons import Reason
@@ -56,7 +55,7 @@ def test_several_robots_have_a_report_each(tmp_path: Path) -> None:
 
 def test_robots_beyond_the_limit_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Names can be made up without end."""
-    monkeypatch.setattr(survey, "ROBOTS_MAX", 2)
+    monkeypatch.setattr(gather, "ROBOTS_MAX", 2)
     report = report_of(write_messages(tmp_path / "a.mcap", drive_messages(3), robots=["r-1", "r-2", "r-3", "r-4"]))
     assert ([robot.summary.name for robot in report.robots], report.more_robots) == (["r-1", "r-2"], 2)
 
@@ -254,7 +253,7 @@ def test_a_file_that_is_gone_says_nothing_and_names_are_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Who reads the rows tells of it; names can be made up."""
-    monkeypatch.setattr(survey, "NAMES_MAX", 2)
+    monkeypatch.setattr(gather, "NAMES_MAX", 2)
     path = write_messages(tmp_path / "a.mcap", drive_messages(1), robots=["r-1", "r-2", "r-3"])
     (log,) = find_logs([path], Faults())
     assert len(read_margins(log).facts) == 2

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
+from recorder.review.report.account import CHANGES_MAX, MOST, Versions, changed_settings
 from recorder.review.report.findings import InForce
-from recorder.review.report.versions import CHANGES_MAX, MOST, Versions, changed_settings
 from schemas.messages import GatewayInfo, Variant
 from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, gateway_info
 

@@ -8,8 +8,10 @@ import pytest
 
 from recorder.record.accounting import KeyReport
 from recorder.review.drives import DIED, Outage, Silence
-from recorder.review.report.findings import Driver, Refusal, Report
-from recorder.review.report.words import (
+from recorder.review.report.findings import (
+    Driver,
+    Refusal,
+    Report,
     duration,
     metres,
     moment_words,

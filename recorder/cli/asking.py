@@ -1,0 +1,359 @@
+"""The common part of all questions: which logs and which time they are about, and the progress of an answer."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Collection, Generator, Sequence
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.objects.address import StoreAddress, is_address
+from recorder.reading.logs import Faults, LogFile, find_logs
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.reading.times import FORMS, in_words, time_of
+from recorder.review.info import CATALOG_NAME, CatalogedLog
+from recorder.review.tasks import TaskRunner
+from schemas.command_line import CommandError, ExitCode, missing_extra, plain
+from schemas.keys import in_order
+from schemas.settings import Settings
+
+JSON_HELP: Final = "print JSON"
+
+_EXTRA: Final = {"duckdb", "numpy", "ptars", "pyarrow", "ray"}
+"""Libraries that the extra 'review' brings."""
+
+NAMES_SHOWN: Final = 12
+"""So many robots are named where there are more."""
+
+BUDGET_S: Final = 30.0
+"""Time after which any reading is given up."""
+
+BUDGET_S_PER_BYTE: Final = 1e-6
+"""Time added to ``BUDGET_S`` for each byte of the logs: a second a megabyte."""
+
+
+LAST_NS: Final = 2**63 - 1
+"""The last time that 64 bits with a sign hold, in nanoseconds since 1970; MCAP's times have no sign."""
+
+LITTLE_BYTES: Final = 4_000_000
+"""Logs that have less in all are done before another process has begun."""
+
+
+class Asked(msgspec.Struct):
+    """The subject of a question.
+
+    Attributes:
+        logs: the files, by their beginning.
+        faults: those of the parts that could not be read.
+        start_ns, end_ns: the first and the last log time of all.
+        from_ns: the first log time that is asked about...
+        to_ns: ...and the first one that is not any more.
+        known: those of the logs that a catalog tells of.
+    """
+
+    logs: list[LogFile]
+    faults: Faults
+    start_ns: int
+    end_ns: int
+    from_ns: int
+    to_ns: int
+    known: dict[Path, CatalogedLog] = {}
+
+    @property
+    def selection(self) -> Selection:
+        """All topics of the time that is asked about."""
+        return Selection(from_ns=self.from_ns, to_ns=self.to_ns)
+
+    @property
+    def bytes(self) -> int:
+        """The length of all files."""
+        return sum(log.bytes for log in self.logs)
+
+
+def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> None:
+    """Files, directories and addresses in object stores, and --json."""
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        type=log_place,
+        metavar="LOG",
+        help="a file, or a directory of logs, here or in an object store (s3://BUCKET/PLACE, ...)",
+    )
+    parser.add_argument("--json", action="store_true", help=json_help)
+
+
+def log_place(text: str) -> Path | StoreAddress:
+    """A path of this machine, or an address in an object store."""
+    return StoreAddress(text) if is_address(text) else Path(text)
+
+
+def add_robots(parser: argparse.ArgumentParser) -> None:
+    """--robot."""
+    parser.add_argument(
+        "--robot",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="of this robot; * stands for any letters; several times",
+    )
+
+
+def chosen_robots(patterns: Sequence[str], robots: Collection[str]) -> frozenset[str]:
+    """The robots that fit one of the patterns. An empty answer would look as if nothing had happened.
+
+    Raises:
+        CommandError: no robot fits one of them.
+    """
+    for pattern in patterns:
+        if not any(fnmatchcase(robot, pattern) for robot in robots):
+            others = f", but of {in_short(sorted(robots, key=in_order))}" if robots else ""
+            raise CommandError(f"the logs hold nothing of {plain(pattern)}{others}", ExitCode.USAGE)
+    return frozenset(robot for robot in robots if any(fnmatchcase(robot, pattern) for pattern in patterns))
+
+
+def in_short(names: Sequence[str]) -> str:
+    """Names for people: of many the first ones, and how many more there are."""
+    more = len(names) - NAMES_SHOWN
+    return ", ".join(map(plain, names[:NAMES_SHOWN])) + (f" and {more} more" if more > 0 else "")
+
+
+def add_period(parser: argparse.ArgumentParser) -> None:
+    """--from and --to."""
+    parser.add_argument("--from", dest="from_time", metavar="TIME", help=f"begin there: {FORMS}")
+    parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
+
+
+def add_task_runner(parser: argparse.ArgumentParser) -> None:
+    """--processes and --ray: one task a log."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--processes",
+        type=_whole_number,
+        metavar="N",
+        help="logs at a time, each in a process of its own (default: one a processor, or one for little)",
+    )
+    group.add_argument("--ray", metavar="ADDRESS", help="have a Ray cluster do it: ray://HOST:PORT")
+
+
+def task_runner(arguments: argparse.Namespace, asked: Asked) -> TaskRunner:
+    """Return the place where --processes and --ray want the tasks done."""
+    most = len(os.sched_getaffinity(0)) if asked.bytes > LITTLE_BYTES else 1
+    return TaskRunner(arguments.processes or most, arguments.ray or "")
+
+
+def _whole_number(text: str) -> int:
+    with suppress(ValueError):
+        if (number := int(text)) > 0:
+            return number
+    raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
+
+
+def find(
+    arguments: argparse.Namespace,
+    settings: Settings,
+    stopped: Callable[[], bool],
+    *,
+    with_covered: bool = False,
+    with_catalog: bool = True,
+) -> Asked:
+    """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
+
+    Args:
+        arguments: the paths, and the time.
+        settings: options of object stores.
+        stopped: turns true at SIGINT.
+        with_covered: leave no incident out.
+        with_catalog: believe what the catalogs of directories say of logs; else each log is opened.
+
+    Raises:
+        CommandError: there is nothing to read, a time is of no known form, or the logs hold nothing of the time.
+    """
+    faults = Faults()
+    paths = [one for one in arguments.logs if isinstance(one, Path)]
+    if getattr(arguments, "ray", None):
+        # Other machines do not begin where this process does.
+        paths = [path.absolute() for path in paths]
+    addresses = [one for one in arguments.logs if isinstance(one, StoreAddress)]
+    known = cataloged(paths) if with_catalog else {}
+    if addresses and getattr(arguments, "ray", None):
+        raise CommandError("machines of --ray have no copies of a store's logs: copy them to where all see them")
+    stored = stored_logs(addresses, settings, faults, stopped) if addresses else []
+    logs = find_logs(paths, faults, with_covered=with_covered, known=known, stored=stored)
+    start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
+    end_ns = max(log.end_ns for log in logs)
+    late = [log.name for log in logs if log.end_ns > LAST_NS]
+    if late:
+        more = f" and {len(late) - 1} more" if len(late) > 1 else ""
+        text = "holds log times after 2262-04-11, which no table can hold: they become the last time that it can"
+        sys.stderr.write(f"cruiser review: {plain(late[0])}{more} {text}\n")
+    begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)
+    from_ns = 0 if begin is None else time_of(begin, start_ns, end_ns)
+    to_ns = END_OF_TIME_NS if end is None else time_of(end, start_ns, end_ns)
+    if from_ns >= to_ns:
+        raise CommandError("there is no time between --from and --to", ExitCode.USAGE)
+    if end_ns and (from_ns > end_ns or to_ns <= start_ns):
+        period = f"{in_words(start_ns)} to {in_words(end_ns)}"
+        raise CommandError(f"the logs hold nothing of that time: they go from {period}", ExitCode.USAGE)
+    return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns, known)
+
+
+def stored_logs(
+    addresses: Sequence[StoreAddress], settings: Settings, faults: Faults, stopped: Callable[[], bool]
+) -> list[LogFile]:
+    """Copies of the logs at addresses in object stores.
+
+    Raises:
+        CommandError: there are none, or the library that reads stores is missing.
+    """
+    with needing_store():
+        from recorder.cli.stored import find_stored  # noqa: PLC0415 - it needs an extra
+    return find_stored(addresses, settings.upload, faults, stopped)
+
+
+def cataloged(paths: Sequence[Path]) -> dict[Path, CatalogedLog]:
+    """The logs that need not be opened, as the catalogs of these directories say."""
+    directories = [path for path in paths if (path / CATALOG_NAME).exists()]
+    if not directories:
+        return {}
+    try:
+        from recorder.review.catalog.directory import known_logs  # noqa: PLC0415 - it needs an extra
+    except ModuleNotFoundError:
+        return {}
+    return {path: log for directory in directories for path, log in known_logs(directory).items()}
+
+
+@contextmanager
+def progress_bar(
+    about: str,
+    total_bytes: int,
+    stopped: Callable[[], bool] = lambda: False,
+    *,
+    prints: bool = False,
+    is_bounded: bool = True,
+) -> Generator[Progress, None, None]:
+    """Show a bar on stderr, if that is a terminal. Yields the function that receives the number of bytes read.
+
+    Args:
+        about: the activity, in a word.
+        total_bytes: number of bytes to read.
+        stopped: turns true at SIGINT; the reading then ends as KeyboardInterrupt does.
+        prints: the answer is printed while it is read. On a terminal it would be printed over the bar.
+        is_bounded: give up when it takes far longer than so many bytes should: a log may be made to. Not where the
+            time is the question's own: a statement of SQL, or a drive that is run again.
+
+    Raises:
+        KeyboardInterrupt: it was stopped.
+        CommandError: it took too long.
+    """
+
+    def stop(_count: int) -> None:
+        if stopped():
+            raise KeyboardInterrupt
+
+    if not sys.stderr.isatty() or (prints and sys.stdout.isatty()):
+        yield in_time(total_bytes, stop) if is_bounded else stop
+        return
+    from rich.console import Console  # noqa: PLC0415 - only where there is a terminal
+    from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+    from rich.progress import Progress as Bar  # noqa: PLC0415
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    # Nothing of stdout may be taken: it may well be a file while stderr is a terminal.
+    with Bar(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
+        task = bar.add_task(about, total=total_bytes)
+
+        def advance(count: int) -> None:
+            stop(count)
+            bar.advance(task, count)
+
+        yield in_time(total_bytes, advance) if is_bounded else advance
+
+
+def in_time(total_bytes: int, progress: Progress) -> Progress:
+    """Give up where reading so many bytes takes far longer than it should: a log may be made to.
+
+    Raises:
+        CommandError: later, when it has taken too long.
+    """
+    budget_s = BUDGET_S + BUDGET_S_PER_BYTE * total_bytes
+    end_s = time.monotonic() + budget_s
+
+    def go_on(count: int) -> None:
+        if time.monotonic() >= end_s:
+            raise CommandError(
+                f"given up after {budget_s:.0f} s, which is long for {total_bytes} bytes: the answer lacks what "
+                "was not read by then",
+                ExitCode.PARTIAL,
+            )
+        progress(count)
+
+    return go_on
+
+
+@contextmanager
+def needing_extra() -> Generator[None, None, None]:
+    """Surround an import of what the extra 'review' brings.
+
+    Raises:
+        CommandError: it is missing; one line says what to install.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if name not in _EXTRA:
+            raise
+        raise missing_extra(name, "review") from None
+
+
+@contextmanager
+def needing_store() -> Generator[None, None, None]:
+    """Surround an import of what the extra 'upload' brings.
+
+    Raises:
+        CommandError: it is missing; one line says what to install.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "obstore":
+            raise
+        raise missing_extra("obstore", "upload") from None
+
+
+def no_robot(faults: Faults) -> CommandError:
+    """Return the error that logs hold nothing of a robot. What cannot be read of them is told before."""
+    code = end_with(faults)
+    return CommandError("the log holds nothing of a robot", ExitCode(code or ExitCode.FAILURE))
+
+
+def end_with(faults: Faults) -> int:
+    """Print on stderr what could not be read. Returns the exit code."""
+    for fault in faults.told:
+        sys.stderr.write(f"cruiser review: {plain(fault)}\n")
+    if faults.count > len(faults.told):
+        sys.stderr.write(f"cruiser review: and {faults.count - len(faults.told)} more faults\n")
+    return int(ExitCode.PARTIAL if faults else ExitCode.OK)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> list[str]:
+    """Columns as lines; the first so many are words and begin left, the others are numbers."""
+    if not rows:
+        return []
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    return [
+        "  "
+        + "  ".join(
+            cell.ljust(width) if index < words else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in (head, *rows)
+    ]

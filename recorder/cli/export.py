@@ -1,0 +1,142 @@
+"""``cruiser review export``: logs in other forms."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.asking import (
+    Asked,
+    add_logs,
+    add_period,
+    add_task_runner,
+    end_with,
+    find,
+    needing_extra,
+    progress_bar,
+    task_runner,
+)
+from recorder.cli.show import show
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = """  cruiser review export -o dataset logs
+  cruiser review export --format csv --topic 'chassis/*' -o tables logs
+  cruiser review export --format blf -o frames logs"""
+DESCRIPTION: Final = (
+    "Writes logs as a dataset of Parquet files (by topic, robot and date, with a manifest), as CSV, one file a "
+    "topic, or their raw frames as candump log, ASC or BLF, one file a robot. Nothing that is there is "
+    "overwritten. Exit code 3 if not all of a log could be read."
+)
+
+PARQUET, CSV = "parquet", "csv"
+_FRAME_FORMATS: Final = ("candump", "asc", "blf")
+FORMATS: Final = (PARQUET, CSV, *_FRAME_FORMATS)
+_SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")
+"""Of a place on a network, as a path has it: ``s3:/bucket``. For a directory of that name there is ``./s3:``."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print what was written as JSON, an object a line")
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="where it goes")
+    parser.add_argument("--format", choices=FORMATS, default=PARQUET, help=f"default {PARQUET}")
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        metavar="PATTERN",
+        help="only these topics, by their names or by what follows the robot in them; may be given again",
+    )
+    add_task_runner(parser)
+    add_period(parser)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Export."""
+    if arguments.format != PARQUET and (arguments.ray or arguments.processes):
+        raise CommandError("--processes and --ray are of --format parquet", ExitCode.USAGE)
+    if _SCHEME.match(str(arguments.out)):
+        raise CommandError(
+            f"{plain(str(arguments.out))} is no directory: export to one, and copy it with the store's own tool "
+            "(aws s3 sync, gsutil rsync, rclone)",
+            ExitCode.USAGE,
+        )
+    asked = find(arguments, settings, stopped)
+    # A cluster may first have to start.
+    is_bounded = not arguments.ray
+    with needing_extra(), progress_bar("exporting", asked.bytes, stopped, is_bounded=is_bounded) as progress:
+        written = _EXPORTS[arguments.format](arguments, asked, progress)
+    if not written:
+        sys.stderr.write("cruiser review: there was nothing to write\n")
+    for one in written:
+        show(one, [describe(one)], as_json=arguments.json)
+    return end_with(asked.faults)
+
+
+def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported late
+    """Return a line for people about a file or a dataset that was written."""
+    about = msgspec.to_builtins(one)
+    if "frames" in about:
+        late = f", {about['late']} of them out of order" if about["late"] else ""
+        return f"{about['path']}: {about['frames']} frames{late}"
+    if "topic" in about:
+        return f"{about['path']}: {about['rows']} rows"
+    rows = sum(one["rows"] for one in about["inputs"])
+    size = sum(part["bytes"] for part in about["files"])
+    return f"{about['directory']}: {rows} rows in {len(about['files'])} files, {size / 1e6:.1f} MB"
+
+
+def _dataset(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
+    from recorder.review import export  # noqa: PLC0415 - its libraries are an extra
+
+    return [
+        export.export_dataset(
+            asked.logs,
+            arguments.out,
+            _wanted(arguments, asked),
+            asked.faults,
+            run=task_runner(arguments, asked),
+            progress=progress,
+        )
+    ]
+
+
+def _csv(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
+    from recorder.review.export import export_csv  # noqa: PLC0415 - its libraries are an extra
+
+    return export_csv(asked.logs, arguments.out, _wanted(arguments, asked), asked.faults, progress)
+
+
+def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401 - of a module that is imported late
+    from recorder.review.export import ExportRange  # noqa: PLC0415 - its libraries are an extra
+
+    return ExportRange(arguments.topic, asked.from_ns, -1 if asked.to_ns >= END_OF_TIME_NS else asked.to_ns)
+
+
+def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
+    from recorder.reading.rows import wants_of  # noqa: PLC0415
+    from recorder.review.raw_frames import FrameFormat, read_frames, write_frames  # noqa: PLC0415 - python-can takes a while
+
+    out: Path = arguments.out
+    selection = Selection(wants_of(arguments.topic), asked.from_ns, asked.to_ns)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        frames = read_frames(asked.logs, selection, asked.faults, progress)
+        return write_frames(frames, out, FrameFormat[arguments.format.upper()])
+    except OSError as error:
+        raise CommandError(f"cannot write {plain(str(out))}: {error.strerror or error}") from error
+
+
+_EXPORTS: Final[dict[str, Callable[[argparse.Namespace, Asked, Progress], Sequence[Any]]]] = {
+    PARQUET: _dataset,
+    CSV: _csv,
+    **dict.fromkeys(_FRAME_FORMATS, _frames),
+}

@@ -1,0 +1,301 @@
+"""``cruiser review replay``: publish a log's messages again."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import lru_cache
+from typing import Final
+
+import msgspec
+
+from recorder.cli.asking import Asked, add_logs, add_period, end_with, find
+from recorder.cli.show import show
+from recorder.reading.logs import Faults
+from recorder.reading.rows import Selection, read_rows
+from recorder.replay import (
+    AS_FAST_AS_POSSIBLE,
+    DEFAULT_ROOT,
+    FOR_EVER,
+    By,
+    Halt,
+    KeyMap,
+    Pace,
+    ReplayClock,
+    ReplaySample,
+    ReplayScheduler,
+    Samples,
+    Wants,
+    ZenohOutlet,
+    in_order,
+    key_checked,
+    key_matches,
+    may_hold,
+    once,
+    overlap,
+    play,
+    roots_of,
+    runs,
+    topics_of,
+)
+from schemas import keys
+from schemas.arguments import add_link_arguments, seconds
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.settings import DEFAULT_ENDPOINT, Settings
+
+EXAMPLE: Final = """\
+  cruiser review replay logs                                   then: cruiser watch --root replay
+  cruiser review replay LOG --from 12.5 --speed 4 --loop forever --listen tcp/127.0.0.1:7447
+  cruiser review replay LOG --keys 'fleet/cruiser-1/chassis/**' --speed max"""
+DESCRIPTION: Final = (
+    "Publishes a log's messages again on Zenoh as what they were, under a root of their own, 'replay': "
+    "fleet/cruiser-1/state becomes replay/cruiser-1/state. Commands are never published, nor anything under a "
+    "root where a gateway is connected. Exit codes: 3 if a part was not read or not sent, 4 if nobody is there, "
+    "5 if it is refused."
+)
+
+TIMEOUT_S: Final = 3.0
+EVERY_KEY: Final = "**"
+MATCHES_KEPT: Final = 10_000
+MAX: Final = "max"
+FOREVER: Final = "forever"
+WITHHELD: Final = "commands, and keys or encodings that are unfit"
+NOTHING: Final = "the logs hold nothing that could be replayed"
+SPEED_MIN: Final = 0.001
+SPEED_MAX: Final = 1e6
+LONGEST_PAUSE_S: Final = 60.0
+
+
+class Replayed(msgspec.Struct, frozen=True):
+    """The outcome of a replay.
+
+    Attributes:
+        to: the destination.
+        sent: samples; ``failed`` were not taken.
+        withheld: those that are not to be sent, by why: commands, keys that name several things, and encodings
+            that are too long.
+        loops: number of times that it was begun.
+        took_s: its duration.
+        lateness_p50_ms, lateness_p99_ms, lateness_max_ms: how late they were sent; 0 at the speed 'max'.
+        slipped_s: by how much it fell behind altogether, as it could not keep up.
+        pauses_cut: pauses of the log that were shortened.
+        was_alone: for a while nobody was connected; what was sent then is lost.
+        ended: ``end``; ``stopped``, by a person; or why it could not go on.
+    """
+
+    to: str
+    sent: int
+    failed: int
+    withheld: dict[str, int]
+    loops: int
+    took_s: float
+    lateness_p50_ms: float
+    lateness_p99_ms: float
+    lateness_max_ms: float
+    slipped_s: float
+    pauses_cut: int
+    was_alone: bool
+    ended: str
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print the outcome as JSON")
+    add_period(parser)
+    parser.add_argument(
+        "--speed", type=_speed, default=1.0, metavar="X", help="so many times as fast; 'max' waits for nothing (1)"
+    )
+    parser.add_argument("--loop", type=_loops, default=1, metavar="N", help="how often, or 'forever' (1)")
+    parser.add_argument(
+        "--longest-pause",
+        type=seconds,
+        default=LONGEST_PAUSE_S,
+        metavar="S",
+        help=f"a longer pause of the log is shortened to this ({LONGEST_PAUSE_S:g})",
+    )
+    parser.add_argument(
+        "--keys",
+        action="append",
+        metavar="KEY",
+        help="key expression, of keys as they are in the log; may be repeated (all but those with @)",
+    )
+    parser.add_argument(
+        "--root", default=DEFAULT_ROOT, metavar="ROOT", help=f"first chunks of every key ({DEFAULT_ROOT})"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="allow the log's own root; never where a gateway is connected"
+    )
+    parser.add_argument(
+        "--time",
+        choices=[by.value for by in By],
+        default=By.LOG.value,
+        help="whose time counts: receipt, or source (log)",
+    )
+    parser.add_argument("--now", action="store_true", help="move the messages' time stamps into the present")
+    add_link_arguments(parser)
+    parser.add_argument(
+        "--listen",
+        dest="zenoh.listen",
+        action="append",
+        metavar="ENDPOINT",
+        help="Zenoh endpoint to listen on; the replay begins when somebody subscribes there, and joins no other "
+        "node without --connect",
+    )
+    parser.add_argument(
+        "--timeout",
+        type=seconds,
+        default=TIMEOUT_S,
+        metavar="S",
+        help=f"how long to wait for a Zenoh node, and for subscribers ({TIMEOUT_S:g})",
+    )
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Replay, and print what became of it."""
+    expressions = [key_checked(text) for text in arguments.keys or [EVERY_KEY]]
+
+    @lru_cache(MATCHES_KEPT)
+    def wants(key: str) -> bool:
+        return any(key_matches(expression, key) for expression in expressions)
+
+    asked = find(arguments, settings, stopped)
+    replayed, halt = _replay(arguments, settings, asked, wants, stopped)
+    show(replayed, describe(replayed), as_json=arguments.json)
+    sys.stdout.flush()
+    code = end_with(asked.faults)
+    if halt is not None:
+        raise CommandError(halt.detail, halt.code)
+    if not replayed.sent and not replayed.failed and replayed.ended == "end":
+        raise CommandError(NOTHING)
+    return int(ExitCode.PARTIAL) if replayed.failed or replayed.was_alone else code
+
+
+def _replay(
+    arguments: argparse.Namespace, settings: Settings, asked: Asked, wants: Wants, stopped: Callable[[], bool]
+) -> tuple[Replayed, Halt | None]:
+    root, by = arguments.root, By(arguments.time)
+    if re.fullmatch(keys.ROOT_PATTERN, root) is None:
+        raise CommandError(f"{root!a} cannot be a root: it is {keys.ROOT_PATTERN}", ExitCode.USAGE)
+    roots = roots_of(topics_of(asked.logs))
+    _check_root(root, {*roots, settings.robot.root}, is_forced=arguments.force)
+    samples = Samples(KeyMap(root, roots), wants, asked.faults)
+    selection = Selection(lambda topic: may_hold(topic, wants), asked.from_ns, asked.to_ns)
+    faults = [asked.faults]
+
+    def read() -> Iterator[ReplaySample]:
+        # What cannot be read is told once, however often it is read.
+        rows = read_rows(asked.logs, selection, faults.pop() if faults else Faults())
+        found = runs(once(rows) if len(asked.logs) > 1 else rows, by)
+        return samples.of(in_order(found) if by is By.PUBLISH else found)
+
+    # Or it would wait for somebody, and have nothing to say.
+    if not any(may_hold(topic, wants) for topic in topics_of(asked.logs)):
+        raise CommandError(NOTHING)
+    player = ReplayScheduler(read, Pace(arguments.speed, round(arguments.longest_pause * 1e9)), arguments.loop)
+    with closing(ZenohOutlet(settings.zenoh, root, waits=not player.pace.is_paced)) as outlet:
+        _meet(outlet, root, arguments.timeout, stopped)
+        if not outlet.wait_for_subscriber(arguments.timeout, stopped) and not stopped():
+            _tell(f"nobody subscribes to {root}/** yet")
+        _tell(f"{len(asked.logs)} logs to {root}/**")
+        begun_s = time.monotonic()
+        halt = play(player, outlet, ReplayClock(), stopped, is_now=arguments.now)
+    late = player.lateness
+    ended = "end" if player.is_ended else "stopped"
+    replayed = Replayed(
+        to=f"{root}/**",
+        sent=outlet.sent,
+        failed=outlet.failed,
+        withheld={WITHHELD: samples.withheld} if samples.withheld else {},
+        loops=player.loop,
+        took_s=round(time.monotonic() - begun_s, 3),
+        lateness_p50_ms=late.quantile_ns(0.5) / 1e6,
+        lateness_p99_ms=late.quantile_ns(0.99) / 1e6,
+        lateness_max_ms=late.max_ns / 1e6,
+        slipped_s=player.slipped_ns / 1e9,
+        pauses_cut=player.pace.cut,
+        # Who listens has guests that come and go.
+        was_alone=outlet.was_alone and not outlet.listen,
+        ended=ended if halt is None else halt.detail,
+    )
+    return replayed, halt
+
+
+def _check_root(root: str, others: set[str], *, is_forced: bool) -> None:
+    """Nothing goes under a root that may be a robot's, unless that is meant."""
+    for other in sorted(others):
+        # What was recorded of a replay is no robot's.
+        is_replay = f"{other}/".startswith(f"{DEFAULT_ROOT}/")
+        if overlap(root, other) and not is_replay and not is_forced:
+            raise CommandError(
+                f"what goes under {root} would be taken for a robot's: robots are under {other}, in the log or by "
+                f"the settings; leave out --root (it is {DEFAULT_ROOT}), or say --force",
+                ExitCode.REFUSED,
+            )
+
+
+def _meet(outlet: ZenohOutlet, root: str, timeout_s: float, stopped: Callable[[], bool]) -> None:
+    """Wait for somebody to be there, and see that it is no gateway under this root."""
+    if outlet.listen:
+        _tell(f"waits for somebody who connects to {', '.join(outlet.listen)} and subscribes to {root}/**")
+        outlet.wait_for_subscriber(None, stopped)
+    elif not outlet.wait_for_link(timeout_s, stopped) and not stopped():
+        raise CommandError(
+            f"no Zenoh node answered within {timeout_s:g} s; with --listen {DEFAULT_ENDPOINT} others connect here",
+            ExitCode.UNREACHABLE,
+        )
+    halt = outlet.find_gateway()
+    if halt is not None:
+        raise CommandError(halt.detail, halt.code)
+
+
+def describe(replayed: Replayed) -> Iterator[str]:
+    """Yield lines for people about what became of a replay."""
+    rate = replayed.sent / replayed.took_s if replayed.took_s else 0
+    yield f"{replayed.to}: {replayed.sent} sent in {replayed.took_s:.1f} s, {rate:.0f}/s"
+    if replayed.failed:
+        yield f"  {replayed.failed} were not taken"
+    yield from (f"  {count} withheld: {why}" for why, count in replayed.withheld.items())
+    if replayed.lateness_max_ms:
+        yield (
+            f"  lateness: median {replayed.lateness_p50_ms:.1f} ms, p99 {replayed.lateness_p99_ms:.1f} ms, "
+            f"at most {replayed.lateness_max_ms:.1f} ms"
+        )
+    if replayed.slipped_s:
+        yield f"  it fell {replayed.slipped_s:.1f} s behind"
+    if replayed.pauses_cut:
+        yield f"  {replayed.pauses_cut} pauses of the log were shortened"
+    if replayed.was_alone:
+        yield "  for a while no Zenoh node was connected, and what was sent then is lost"
+    if replayed.loops > 1:
+        yield f"  {replayed.loops} times"
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(f"replay: {plain(text)}\n")
+
+
+def _speed(text: str) -> float:
+    if text == MAX:
+        return AS_FAST_AS_POSSIBLE
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not SPEED_MIN <= value <= SPEED_MAX:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no speed: a number from {SPEED_MIN} to {SPEED_MAX:g}, or 'max'"
+        )
+    return value
+
+
+def _loops(text: str) -> int:
+    if text == FOREVER:
+        return FOR_EVER
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of times, nor 'forever'")
+    return int(text)

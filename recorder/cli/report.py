@@ -1,0 +1,153 @@
+"""``cruiser review report``: a drive on one page, for people."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.asking import Asked, add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.show import show
+from recorder.cli.why import chain_in_words
+from recorder.reading.logs import Faults, LogFile
+from recorder.reading.rows import Progress, Selection
+from recorder.reading.survey import survey
+from recorder.review.report.findings import Report, Why, summary_lines, verdict
+from recorder.review.report.gather import read_report
+from recorder.review.report.page import page
+from recorder.review.why import Explainer
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser review report logs -o report.html"
+DESCRIPTION: Final = (
+    "A report of a drive: summary, map of the path, speed, angle, mode and states on one time axis, stops, "
+    "refusals, whether the gateway died, what is missing, versions and configurations. As one HTML file that "
+    "needs no network. With --json and without -o nothing is written but the "
+    "summary. Exit code 3 if not all could be read."
+)
+
+DEFAULT_FILE: Final = "report.html"
+
+WHYS_MAX: Final = 100
+"""Stops whose reasons are looked for; each takes a tenth of a second."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print the summary as JSON")
+    add_period(parser)
+    parser.add_argument("--robot", metavar="NAME", help="this one alone, where the logs are of several")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help=f"write there, an HTML file; {DEFAULT_FILE} unless told otherwise",
+    )
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Read, and write what is asked for."""
+    out = arguments.out or (None if arguments.json else Path(DEFAULT_FILE))
+    if out is not None and out.suffix != ".html":
+        raise CommandError(f"{plain(str(out))} does not end with .html", ExitCode.USAGE)
+    asked = find(arguments, settings, stopped)
+    with progress_bar("report", asked.bytes, stopped) as progress:
+        report = read_report(
+            asked.logs,
+            _selection(asked, arguments.robot),
+            asked.faults,
+            progress,
+            version=version("cruiser-gateway"),
+        )
+    if not report.robots and arguments.robot is not None:
+        end_with(asked.faults)
+        raise CommandError(f"there is nothing of {plain(arguments.robot)} in these logs", ExitCode.USAGE)
+    if not report.robots:
+        end_with(asked.faults)
+        raise CommandError(
+            "no state, decision or event of a robot is in these logs for this time: nothing to report"
+        )
+    if out is not None:
+        with progress_bar("why", asked.bytes, stopped) as progress:
+            whys = reasons(report, asked.logs, progress)
+        _write(out, page(report, whys, shlex.join(map(str, arguments.logs))).encode())
+    show(summary(report), describe(report, out), as_json=arguments.json)
+    return end_with(asked.faults)
+
+
+def _selection(asked: Asked, robot: str | None) -> Selection:
+    """Select what is asked about; of one robot its own messages and those of recorders."""
+    if robot is None:
+        return asked.selection
+    return msgspec.structs.replace(asked.selection, wants=lambda topic: topic.robot in {robot, ""})
+
+
+def summary(report: Report) -> dict[str, Any]:
+    """Return all of a report but what is drawn."""
+    fields: dict[str, Any] = msgspec.structs.asdict(report)
+    fields["robots"] = [
+        {
+            **msgspec.structs.asdict(robot.summary),
+            "moments": robot.moments,
+            "drives": robot.drives,
+            "more_drives": robot.more_drives,
+        }
+        for robot in report.robots
+    ]
+    return fields
+
+
+def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict[tuple[str, int], Why]:
+    """Explain the stops of a report, the first WHYS_MAX of them, by the robot's key and the time of the stop.
+
+    What cannot be read of the logs has been reported by the reading before.
+    """
+    found: dict[tuple[str, int], Why] = {}
+    contents = survey(logs, Faults())
+    explainers: dict[str, Explainer] = {}
+    for robot in report.robots:
+        stops = dict.fromkeys(one.time_ns for drawn in robot.drawn for one in drawn.moments if one.is_stop)
+        if not stops or len(found) >= WHYS_MAX:
+            continue
+        name = robot.summary.name
+        if name not in explainers:
+            explainers[name] = Explainer(name, logs, contents, Faults(), progress)
+        for time_ns in list(stops)[: WHYS_MAX - len(found)]:
+            progress(0)
+            explanation = explainers[name].at(time_ns)
+            found[robot.summary.key, time_ns] = Why(explanation.headline, list(chain_in_words(explanation)))
+    return found
+
+
+def describe(report: Report, out: Path | None) -> Iterator[str]:
+    """Yield the summaries as lines for people, and where the page was written."""
+    for robot in report.robots:
+        yield f"{robot.summary.name}: {verdict(robot)}"
+        yield from (f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot, report))
+    if out is not None:
+        yield f"written: {out}"
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all.
+
+    Raises:
+        CommandError: it cannot be written.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        try:
+            beside.write_bytes(content)
+            beside.replace(path)
+        finally:
+            beside.unlink(missing_ok=True)
+    except OSError as error:
+        raise CommandError(f"cannot write {plain(str(path))}: {error.strerror or error}") from error

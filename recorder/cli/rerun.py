@@ -1,0 +1,197 @@
+"""``cruiser review rerun``: the recorded frames and requests through today's arbiter."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+from recorder.cli.asking import add_logs, add_task_runner, end_with, find, progress_bar, table, task_runner
+from recorder.cli.show import show
+from recorder.reading.times import in_words
+from recorder.review.rerun import RerunResult
+from recorder.review.what_if import (
+    Journey,
+    RerunTask,
+    StopMade,
+    StopMoved,
+    TriedSettings,
+    WhatIfResult,
+    rerun_tasks,
+    run_task,
+)
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.journal import COMMAND_RULES, rules_notice
+from schemas.settings import Settings
+
+EXAMPLE: Final = """\
+  cruiser review rerun logs
+  cruiser review rerun logs --set command.speed_limit_mps=1.2"""
+DESCRIPTION: Final = (
+    "Gives the arbiter of this version the recorded frames and requests again, at the recorded times. Decisions, "
+    "events, states and sent frames must come out byte for byte; whatever differs is listed, with exit code 1. "
+    "So it ends too for a run that was made under other command rules, and says so first. "
+    "A run whose beginning is not in the log is run again from where the gateway was at rest; exit code 3 if a "
+    "run is not all there. With --set or --with the run is shown as it would have been with other settings: "
+    "decisions, distance and time, stops avoided, added or moved. A model of the chassis then answers what the "
+    "recorded one was not asked; what people would have done otherwise nobody knows. Of several logs the last "
+    "line says how many decide otherwise."
+)
+
+TOLD: Final = 20
+"""Differences that are listed one by one, without --json."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print a JSON object a line, one for each run of a gateway")
+    parser.add_argument(
+        "--set", action="append", default=[], dest="changes", metavar="SETTING=VALUE", help="try another value"
+    )
+    parser.add_argument(
+        "--with", type=Path, dest="file", metavar="FILE", help="try this whole configuration, a TOML file"
+    )
+    add_task_runner(parser)
+
+
+def _tried_settings(arguments: argparse.Namespace) -> TriedSettings:
+    changes = dict(map(_change, arguments.changes))
+    text = None if arguments.file is None else _read(arguments.file)
+    tried = TriedSettings(text, str(arguments.file), changes)
+    if text is not None:
+        # A wrong file or a wrong value is told before a long log is read.
+        tried("")
+    return tried
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Run again."""
+    tried = _tried_settings(arguments)
+    asked = find(arguments, settings, stopped)
+    worst = ExitCode.OK
+    logs, otherwise = 0, list[str]()
+    with progress_bar("running again", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
+        tasks = rerun_tasks(asked.logs, tried, asked.faults)
+        outcomes = task_runner(arguments, asked)(run_task, tasks, progress)
+        for task, outcome in zip(tasks, outcomes, strict=True):
+            asked.faults.add_all(outcome.faults)
+            for result in outcome.results:
+                worst = max(worst, _outcome(result), key=_GRAVITY.index)
+                show(result, _describe(result), as_json=arguments.json)
+            logs += bool(outcome.results)
+            found = [result.differs_ns for result in outcome.results if result.differs_ns is not None]
+            otherwise += [_place(task, min(found))] if found else []
+    if logs > 1 and not arguments.json:
+        first = f", the first: {otherwise[0]}" if otherwise else ""
+        sys.stdout.write(f"{len(otherwise)} of {logs} logs decide otherwise{first}\n")
+    ending = ExitCode(end_with(asked.faults))
+    if not logs:
+        raise CommandError("there is no journal in it, so nothing can be run again", ExitCode.PARTIAL)
+    return int(max(worst, ending, key=_GRAVITY.index))
+
+
+def _place(task: RerunTask, time_ns: int) -> str:
+    """The file of a log that holds a moment, and the moment."""
+    files = [log for log in task.logs if log.start_ns <= time_ns <= log.end_ns]
+    return f"{plain((files or task.logs)[0].name)}, {in_words(time_ns)}"
+
+
+_GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
+
+
+def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
+    if result.rules != COMMAND_RULES or (isinstance(result, RerunResult) and result.difference_count):
+        return ExitCode.FAILURE
+    return ExitCode.PARTIAL if result.detail else ExitCode.OK
+
+
+def _change(text: str) -> tuple[str, object]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise CommandError(f"--set {text!r}: give SETTING=VALUE, as command.speed_limit_mps=1.2", ExitCode.USAGE)
+    return key.strip(), value.strip()
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        why = error.strerror or error
+    except UnicodeDecodeError:
+        why = "it is no UTF-8 text"
+    raise CommandError(f"cannot read {plain(str(path))}: {why}", ExitCode.USAGE)
+
+
+def _describe(result: RerunResult | WhatIfResult) -> Iterator[str]:
+    """Yield lines for people about a run; above them what to expect, if it was made under other rules."""
+    if notice := rules_notice(result.rules):
+        yield f"{result.robot}, run {result.run}: {notice}"
+    yield _head(result)
+    yield from _of_rerun(result) if isinstance(result, RerunResult) else _of_what_if(result)
+
+
+def _of_rerun(result: RerunResult) -> Iterator[str]:
+    if result.start_ns:
+        same = ", ".join(f"{count} {subject}" for subject, count in result.same.items())
+        yield f"  the same, byte for byte: {same or 'nothing'}"
+        if result.unrecorded:
+            lost = ", ".join(f"{count} {subject}" for subject, count in result.unrecorded.items())
+            yield f"  not in the log, so not compared: {lost}"
+        if result.given_up:
+            yield f"  {result.given_up} messages found no counterpart in time, and were not compared"
+        yield f"  different: {result.difference_count}"
+    for difference in result.differences[:TOLD]:
+        yield f"    {in_words(difference.time_ns)} {difference.subject}: {difference.what}"
+        yield from (f"      {name}: {was!r}, now {now!r}" for name, (was, now) in difference.fields.items())
+        if difference.message is not None:
+            yield f"      {difference.message!r}"
+    if result.difference_count > TOLD:
+        yield f"    and {result.difference_count - TOLD} more"
+
+
+def _of_what_if(result: WhatIfResult) -> Iterator[str]:
+    yield from (f"  {name}: {was}, tried {tried}" for name, (was, tried) in result.settings.items())
+    if not result.settings:
+        yield "  the settings tried are those of the run"
+    yield from table(
+        ("", "distance/m", "moving/s", "top speed/mps", "stops"),
+        [_journey("as recorded", result.recorded), _journey("as it would have been", result.other)],
+        words=1,
+    )
+    yield from (f"  stop avoided: {_stop(stop)}" for stop in result.stops_avoided)
+    yield from (f"  stop added: {_stop(stop)}" for stop in result.stops_added)
+    yield from (f"  stop {_moved(one)}: {_stop(one.stop)}" for one in result.stops_moved)
+    changed = sum(change.count for change in result.changes)
+    yield f"  {changed} of {result.decisions} decisions would have been others"
+    yield from (
+        f"    {change.count} x {change.request} of {change.operator}: {change.recorded}, then "
+        f"{change.other}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
+        for change in sorted(result.changes, key=lambda one: one.first_ns)
+    )
+
+
+def _head(result: RerunResult | WhatIfResult) -> str:
+    head = f"{result.robot}, run {result.run}: {result.inputs} inputs"
+    if result.first:
+        head += f" from {result.first} on"
+    if result.start_ns:
+        seconds = (result.end_ns - result.start_ns) / 1e9
+        head += f", {in_words(result.start_ns)} and {seconds:.1f} s on"
+    return f"{head}; {result.detail}" if result.detail else head
+
+
+def _journey(name: str, journey: Journey) -> tuple[str, ...]:
+    numbers = (journey.distance_m, journey.moving_s, journey.top_speed_mps)
+    return name, *(f"{number:.2f}" for number in numbers), str(len(journey.stops))
+
+
+def _stop(stop: StopMade) -> str:
+    operator = f", {stop.operator}" if stop.operator else ""
+    return f"{in_words(stop.time_ns)} {stop.reason}{operator}: {stop.text}"
+
+
+def _moved(moved: StopMoved) -> str:
+    seconds = (moved.other_ns - moved.stop.time_ns) / 1e9
+    return f"{abs(seconds):.2f} s {'later' if seconds > 0 else 'sooner'}"

@@ -1,0 +1,79 @@
+"""``cruiser review``: finds the question, and asks it.
+
+Each question is a module with ``EXAMPLE``, ``DESCRIPTION``, ``add_arguments`` and ``run``, as commands have them.
+Some stand on large libraries, so it is imported only when it is asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any, Final
+
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser review info logs\n  cruiser review QUESTION --help"
+
+QUESTIONS: Final[dict[str, tuple[str, str]]] = {
+    "find": (
+        "recorder.cli.find",
+        "stops, incidents, events, drives and logs of directories, from a catalog",
+    ),
+    "info": ("recorder.cli.info", "what logs hold, as their ends and their recorder tell"),
+    "check": ("recorder.cli.check", "whether logs are what they say, and what they lack"),
+    "events": ("recorder.cli.events", "what happened, in order: stops, faults, refusals, and why"),
+    "why": ("recorder.cli.why", "why the robot stopped, or did not move, at a time"),
+    "verify": ("recorder.cli.verify", "who commanded, with which grant; is anything missing or changed"),
+    "rerun": ("recorder.cli.rerun", "recorded runs through today's arbiter, or with other settings"),
+    "report": ("recorder.cli.report", "a drive as one HTML page, for people"),
+    "layouts": ("recorder.cli.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
+    "replay": ("recorder.cli.replay", "publish a log again on Zenoh"),
+    "export": ("recorder.cli.export", "logs as Parquet or CSV, raw frames for the tools of CAN"),
+    "query": ("recorder.cli.query", "SQL over logs, or over an exported dataset"),
+    "cut": ("recorder.cli.cut", "a part of a log, as a log"),
+    "recover": ("recorder.cli.recover", "make logs whole that their recorder could not finish"),
+}
+"""Name of the question, its module, and its line in the help."""
+
+
+class _QuestionParser(argparse.ArgumentParser):
+    """A question's parser, which learns its flags when it is used."""
+
+    def __init__(self, *, module: str, **given: Any) -> None:  # noqa: ANN401 - argparse's own arguments
+        super().__init__(**given, formatter_class=argparse.RawDescriptionHelpFormatter)
+        self._module = module
+        self._is_ready = self._is_parsing = False
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        if not self._is_ready:
+            module = import_module(self._module)
+            self.description = module.DESCRIPTION
+            self.epilog = f"example:\n{module.EXAMPLE}"
+            module.add_arguments(self)
+            self._is_ready = True
+        if self._is_parsing:
+            return super().parse_known_args(args, namespace)
+        self._is_parsing = True
+        try:
+            # Options may stand between a statement and the logs. It calls this method for its steps.
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._is_parsing = False
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the questions; each declares its flags when it is asked."""
+    questions = parser.add_subparsers(
+        dest="question", required=True, metavar="QUESTION", parser_class=_QuestionParser
+    )
+    for name, (module, about) in QUESTIONS.items():
+        questions.add_parser(name, help=about, module=module)
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Answer."""
+    module = import_module(QUESTIONS[arguments.question][0])
+    return int(module.run(arguments, settings, stopped))

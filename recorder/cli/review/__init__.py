@@ -1,1 +1,0 @@
-"""``cruiser review``: questions to logs. ``command`` finds the question; each question is a module of its own."""

@@ -1,0 +1,128 @@
+"""Logs at addresses in object stores: copies of them, which are fetched once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from recorder.cli.asking import progress_bar
+from recorder.disk.log_names import PART_SUFFIX, SUFFIX
+from recorder.objects.address import SCHEMES, Objects, StoreAddress, StoreError, shown_url
+from recorder.objects.cache import LogCache, cache_directory
+from recorder.objects.store import ObstoreObjects
+from recorder.reading.logs import Faults, LogFile, look_at
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.settings import UploadSettings
+
+
+def find_stored(
+    addresses: Sequence[StoreAddress], upload: UploadSettings, faults: Faults, stopped: Callable[[], bool]
+) -> list[LogFile]:
+    """Return copies of the logs at these addresses: single ones, and all of a place.
+
+    Args:
+        addresses: in object stores.
+        upload: whose options are those of the store, if it is one of the same kind.
+        faults: takes logs of a place that cannot be read.
+        stopped: turns true at SIGINT.
+
+    Raises:
+        CommandError: there is none, or a store does not answer.
+    """
+    wanted = {
+        place.join(name): (objects, place, name, size)
+        for address in addresses
+        for objects, place, name, size in _objects_at(address, upload)
+    }
+    cache = open_cache(upload)
+    found = []
+    total = sum(size for *_, size in wanted.values())
+    with progress_bar("fetching", total, stopped, is_bounded=False) as progress:
+        for address, (objects, place, name, _) in wanted.items():
+            try:
+                path = cache.fetch(objects, place, name, progress)
+                found.append(_look_at(path, address))
+            except CommandError as error:
+                if error.code is ExitCode.UNREACHABLE or len(wanted) == 1:
+                    raise
+                faults.add(str(error))
+    return found
+
+
+def _objects_at(address: StoreAddress, upload: UploadSettings) -> Iterator[tuple[Objects, StoreAddress, str, int]]:
+    """Yield the logs at an address: the objects of their place, its address, the name in it, and the length."""
+    if is_log(address.name):
+        objects = open_objects(address.parent, upload)
+        yield objects, address.parent, address.name, _length_of(objects, address)
+        return
+    objects = open_objects(address, upload)
+    listed = log_names(objects, address)
+    if not listed:
+        raise CommandError(f"there is no log in {shown_url(address.url)}")
+    yield from ((objects, address, name, size) for name, size in listed)
+
+
+def _length_of(objects: Objects, address: StoreAddress) -> int:
+    try:
+        found = objects.look(address.name)
+    except StoreError as error:
+        raise CommandError(f"cannot read {shown_url(address.url)}: {error}", ExitCode.UNREACHABLE) from error
+    if found is None:
+        raise CommandError(f"cannot read {shown_url(address.url)}: there is no such object")
+    return found.bytes
+
+
+def _look_at(path: Path, address: StoreAddress) -> LogFile:
+    """The log that a copy is, under its address."""
+    try:
+        return msgspec.structs.replace(look_at(path), url=address.url)
+    except CommandError as error:
+        raise CommandError(str(error).replace(plain(str(path)), shown_url(address.url)), error.code) from error
+
+
+def open_cache(upload: UploadSettings) -> LogCache:
+    """The copies of this user."""
+    return LogCache(cache_directory(os.environ, Path.home()), upload.cache_bytes)
+
+
+def is_log(name: str) -> bool:
+    """True of the name of a log."""
+    return name.endswith((SUFFIX, PART_SUFFIX))
+
+
+def log_names(objects: Objects, place: StoreAddress) -> list[tuple[str, int]]:
+    """Return the names and lengths of the logs of a place, in their order.
+
+    Raises:
+        CommandError: its store does not tell.
+    """
+    if not place.has_list:
+        raise CommandError(
+            f"{shown_url(place.url)} names no log, and such a server lists none: name one", ExitCode.USAGE
+        )
+    try:
+        return sorted((one.name, one.bytes) for one in objects.names() if is_log(one.name))
+    except StoreError as error:
+        raise CommandError(f"cannot list {shown_url(place.url)}: {error}", ExitCode.UNREACHABLE) from error
+
+
+def open_objects(place: StoreAddress, upload: UploadSettings) -> Objects:
+    """Open a place of a store, with the options of the settings if they are of a store of this kind.
+
+    Raises:
+        CommandError: there is no such store.
+    """
+    return ObstoreObjects(place, options_of(place, upload))
+
+
+def options_of(place: StoreAddress, upload: UploadSettings) -> Mapping[str, Any]:
+    """Return the options for a place: those of the settings, as far as they are of its kind."""
+    kind = next((one for one in SCHEMES if upload.store.startswith(one)), "")
+    if kind in {"", place.scheme}:
+        return upload.options
+    # A server of plain HTTP is read only where that is said, whatever else the options are for.
+    return {key: value for key, value in upload.options.items() if key == "allow_http"}

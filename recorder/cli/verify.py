@@ -1,0 +1,189 @@
+"""``cruiser review verify``: who commanded when, with which grant, and is each file as its recorder signed it?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from recorder.cli.asking import add_logs, end_with, find, progress_bar, table
+from recorder.reading.times import in_words
+from recorder.review.verify import RobotProofReport, verify_logs
+from recorder.review.verifying import GrantInfo, ProofFault, ProofFinding, RefusedProof, SignedFile, SignedVerb
+from schemas.authority.trust import AuthorityKeys, key_fingerprint, keys_fingerprint
+from schemas.command_line import CommandError, ExitCode, check_regular, plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = "  cruiser review verify logs --authority authority.json"
+DESCRIPTION: Final = (
+    "Says who commanded robots in signed mode, when and with which grant; whether each signed verb and each grant "
+    "holds up to the fleet's authority; and whether each file is as its recorder signed it (NAME.mcap.sig beside "
+    "it), since it received it. What a router or the recorder left out is not noticed. Exit code 0 if all holds, "
+    "1 if anything was changed, wrongly signed or not granted, 3 if something cannot be read, or nothing proves "
+    "it: in open mode, without a signature, or under another authority than was given, as of before a rotation."
+)
+JSON_HELP: Final = "print a JSON object a line, one for each robot"
+
+VERBS_SHOWN: Final = 200
+"""Signed verbs that are listed one by one; ``--json`` has all."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help=JSON_HELP)
+    parser.add_argument(
+        "--authority",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="the fleet's authority.json; without it nobody vouches for the authority that a log names. For logs "
+        "across a rotation give that of before, or both",
+    )
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Verify."""
+    given = {path: read_authority(path) for path in arguments.authority}
+    # Nobody has signed a catalog.
+    asked = find(arguments, settings, stopped, with_covered=True, with_catalog=False)
+    codes = []
+    with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
+        for report in verify_logs(asked.logs, asked.faults, [keys.trust for keys in given.values()], progress):
+            codes.append(code_of(report))
+            text = msgspec.json.encode(report).decode() if arguments.json else describe(report)
+            sys.stdout.write(f"{text}\n")
+    codes.append(ExitCode(end_with(asked.faults)))
+    if len(codes) == 1:
+        sys.stderr.write("cruiser review: no robot is in it, so there is nothing to verify\n")
+        codes.append(ExitCode.PARTIAL)
+    if not arguments.json:
+        sys.stdout.writelines(
+            f"{plain(str(path))}: keys {keys_fingerprint(keys)}\n" for path, keys in given.items()
+        )
+    return int(max(codes, key=_GRAVITY.index))
+
+
+_GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
+
+
+def code_of(report: RobotProofReport) -> ExitCode:
+    """The exit code that a robot's report asks for."""
+    if report.is_broken:
+        return ExitCode.FAILURE
+    return ExitCode.OK if report.is_proven else ExitCode.PARTIAL
+
+
+def read_authority(path: Path) -> AuthorityKeys:
+    """The fleet's authority, as a file has it.
+
+    Raises:
+        CommandError: it cannot be read, or is none.
+    """
+    shown = plain(str(path))
+    try:
+        check_regular(path, path.stat().st_mode)
+        return msgspec.json.decode(path.read_bytes(), type=AuthorityKeys)
+    except OSError as error:
+        raise CommandError(f"cannot read {shown}: {error.strerror or error}", ExitCode.USAGE) from error
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise CommandError(
+            f"{shown} is no authority.json: {plain(str(error))}; 'cruiser provision install' writes one",
+            ExitCode.USAGE,
+        ) from error
+
+
+def describe(report: RobotProofReport) -> str:
+    """Describe for people what is proven of a robot."""
+    # A log's names come from anywhere, and may try to rule the terminal.
+    return "\n".join(map(plain, _lines(report)))
+
+
+def _lines(report: RobotProofReport) -> Iterator[str]:
+    yield f"{report.robot}: {_whole(report)}"
+    vouched = "as given" if report.is_vouched else "by the log alone: nobody vouches for it (--authority)"
+    if report.is_of_other_authority:
+        vouched = "NOT AS GIVEN: what follows is by the log alone, and nobody vouches for it"
+    yield from (f"  authority's key {key_fingerprint(key)}, {vouched}" for key in report.authorities)
+    if report.robot_key:
+        yield f"  robot's key {report.robot_key}"
+    names = {one.id: f"{one.name}, {one.role}, serial {one.serial}" for one in report.grants}
+    yield from (f"  {_file(one, names)}" for one in report.files)
+    yield from (f"  grant {_grant(one)}" for one in report.grants)
+    for holder in report.holders:
+        under = names.get(holder.grant, holder.grant) or "the log does not show its grant"
+        yield (
+            f"  {holder.operator} held lease {holder.lease} from {in_words(holder.from_ns)} to "
+            f"{in_words(holder.to_ns)}, {holder.drives} drive commands; grant: {under}"
+        )
+    yield from table(
+        ("signed verb", "operator", "time", "grant", ""),
+        [
+            (one.verb, one.operator, in_words(one.time_ns), one.grant, _verdict(one))
+            for one in report.verbs[:VERBS_SHOWN]
+        ],
+        words=5,
+    )
+    more = len(report.verbs) - VERBS_SHOWN + report.verbs_untold
+    if more > 0:
+        yield f"  and {more} more signed verbs"
+    yield from (f"  refused: {_refused(one)}" for one in report.refused)
+    yield from (f"  unproven stop: {_refused(one)}" for one in report.unproven_stops)
+    for finding in report.findings:
+        word = "cannot be told" if finding.fault is ProofFault.UNPROVEN else finding.fault.value.replace("_", " ")
+        often = "" if finding.time_ns is None and finding.count == 1 else f" ({finding.count}{_when(finding)})"
+        yield f"  {word}: {finding.what}{often}"
+
+
+def _whole(report: RobotProofReport) -> str:
+    """The verdict on all of a robot's logs: the worst that is below it."""
+    if report.is_broken:
+        return "NOT AS IT WAS SIGNED"
+    if report.is_of_other_authority:
+        return "UNDER ANOTHER AUTHORITY than was given: nobody vouches for it"
+    if report.holds:
+        return "what could be read holds, but NOT ALL COULD BE READ" if report.unread else "all holds"
+    return "not all of it can be proven"
+
+
+def _verdict(verb: SignedVerb) -> str:
+    if not verb.holds:
+        return verb.detail
+    before = verb.unsigned_before
+    text = f"holds, and proves {before} right before it" if before else "holds"
+    text += f"; {verb.unsigned_after} more in this name right after it, unsigned" if verb.unsigned_after else ""
+    return text
+
+
+def _when(finding: ProofFinding) -> str:
+    if finding.time_ns is None:
+        return ""
+    if finding.until_ns is None:
+        return f", at {in_words(finding.time_ns)}"
+    return f", from {in_words(finding.time_ns)} to {in_words(finding.until_ns)}"
+
+
+def _file(one: SignedFile, names: dict[str, str]) -> str:
+    if not one.key:
+        return f"{one.file}: NOT SIGNED"
+    by = f"{names.get(one.grant, 'nobody that is known')}, key {key_fingerprint(one.key)}"
+    if one.finding is not None:
+        return f"{one.file}: NOT AS IT WAS SIGNED by {by}"
+    return f"{one.file}: signed by {by}, since it received it"
+
+
+def _grant(one: GrantInfo) -> str:
+    by = " < ".join([*one.signers, "authority"])
+    until = f"{in_words(one.not_before * 1_000_000_000)} to {in_words(one.not_after * 1_000_000_000)}"
+    fault = f"; DOES NOT HOLD: {one.objection}" if one.objection else ""
+    fault += f"; held then, and ended later: {one.revoked_later}" if one.revoked_later else ""
+    return f"{one.id}: {one.name}, {one.role}, serial {one.serial}, by {by}, {until}{fault}"
+
+
+def _refused(one: RefusedProof) -> str:
+    until = "" if one.first_ns == one.last_ns else f" to {in_words(one.last_ns)}"
+    return f"{one.count} x {one.verb} of {one.operator}: {one.reason}, {in_words(one.first_ns)}{until}"

@@ -1,0 +1,124 @@
+"""``cruiser review why``: why the robot stopped, or did not move."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from textwrap import wrap
+from typing import Any, Final
+
+import msgspec
+
+from recorder.cli.asking import Asked, add_logs, end_with, find, in_short, no_robot, progress_bar
+from recorder.cli.show import show
+from recorder.reading.logs import Faults, logs_of
+from recorder.reading.survey import survey
+from recorder.reading.times import FORMS, in_words, time_of
+from recorder.review.why import Explanation, explain
+from schemas.command_line import CommandError, ExitCode, plain
+from schemas.settings import Settings
+
+EXAMPLE: Final = """\
+  cruiser review why logs                  # the last stop, or the death of a gateway at work
+  cruiser review why logs --at 23.3
+  cruiser review why logs --at 03:04:05.678 --robot cruiser-1 --json | jq -r '.chain[].text'"""
+DESCRIPTION: Final = (
+    "Why the robot stopped, or did not move, at a time: what it did, what it was asked for, the frames, silences "
+    "and requests that led to the decision, what was done, what is latched, and what would cure it. What the log "
+    "does not show is said. Exit code 1 if the log does not tell what the arbiter did, or does not hold that "
+    "time; 3 if a file is not whole."
+)
+
+_LAST: Final = "the last stop, or the death of a gateway at work if that was later,"
+
+_WIDTH: Final = 110
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the flags."""
+    add_logs(parser, json_help="print one JSON object, with the chain as data")
+    parser.add_argument("--at", metavar="TIME", help=f"the moment; {_LAST} if left out: {FORMS}")
+    parser.add_argument("--robot", metavar="NAME", help="whose, where the logs are of several")
+
+
+def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
+    """Explain."""
+    asked = find(arguments, settings, stopped)
+    at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
+    # Of hundreds of robots the others' logs need not be opened.
+    logs = asked.logs if arguments.robot is None else logs_of(arguments.robot, asked.logs)
+    found = survey(logs, asked.faults)
+    robot = _robot(arguments.robot, found.robots, asked.faults)
+    with progress_bar("why", asked.bytes, stopped) as progress:
+        explanation = explain(robot, logs, found, at_ns, asked.faults, progress)
+    show(record_of(explanation, asked.start_ns), describe(explanation, asked), as_json=arguments.json)
+    code = end_with(asked.faults)
+    return code if code or explanation.is_answered else int(ExitCode.FAILURE)
+
+
+def _robot(name: str | None, robots: list[str], faults: Faults) -> str:
+    """The robot that is asked about.
+
+    Raises:
+        CommandError: there is none, or it is not clear which. What cannot be read of the logs is told before.
+    """
+    shown = in_short(robots)
+    if not robots:
+        raise no_robot(faults)
+    if name is None and len(robots) > 1:
+        end_with(faults)
+        raise CommandError(f"the logs are of several robots: give --robot, one of {shown}", ExitCode.USAGE)
+    if name is not None and name not in robots:
+        end_with(faults)
+        raise CommandError(f"the log holds nothing of {plain(name)}, but of {shown}", ExitCode.USAGE)
+    return name or robots[0]
+
+
+def record_of(explanation: Explanation, start_ns: int) -> dict[str, Any]:
+    """The explanation as a JSON object: its own fields, and each time also in words and relative.
+
+    ``since_s`` is since the beginning of the logs, ``from_at_s`` since the moment, negative before it.
+    """
+    at_ns = explanation.at_ns
+    chain = [
+        {
+            **msgspec.structs.asdict(link),
+            "time": None if link.time_ns is None else in_words(link.time_ns),
+            "since_s": None if link.time_ns is None else round((link.time_ns - start_ns) / 1e9, 6),
+            "from_at_s": None if link.time_ns is None else round((link.time_ns - at_ns) / 1e9, 6),
+        }
+        for link in explanation.chain
+    ]
+    return {
+        "time": in_words(at_ns),
+        "since_s": round((at_ns - start_ns) / 1e9, 6),
+        **msgspec.structs.asdict(explanation),
+        "chain": chain,
+    }
+
+
+def describe(explanation: Explanation, asked: Asked) -> Iterator[str]:
+    """The explanation for people."""
+    at_ns = explanation.at_ns
+    since_s = (at_ns - asked.start_ns) / 1e9
+    yield f"{explanation.robot} at {since_s:.3f} s, {in_words(at_ns)}: {explanation.headline}"
+    yield ""
+    for when, clock, step, sentence in chain_in_words(explanation):
+        head = f"  {when:>12}  {clock:12}  {step:8}  "
+        lines = wrap(plain(sentence), _WIDTH - 12) or [""]
+        yield f"{head}{lines[0]}"
+        yield from (f"{'':{len(head)}}{line}" for line in lines[1:])
+
+
+def chain_in_words(explanation: Explanation) -> Iterator[tuple[str, str, str, str]]:
+    """Yield each link: time since the moment and time of day, empty where it has none; step, and sentence."""
+    for link in explanation.chain:
+        when, clock = "", ""
+        if link.time_ns is not None:
+            when = f"{(link.time_ns - explanation.at_ns) / 1e9:+.3f} s"
+            clock = in_words(link.time_ns).split(" ")[-2]
+        yield when, clock, link.step.value, _sentence(link.text)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"

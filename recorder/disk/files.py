@@ -1,0 +1,717 @@
+"""The files of a recorder: parts, finished logs, their directory, notes of uploads.
+
+A new file: written beside as a part, and named when it is whole. Nothing is overwritten.
+
+One file of a log: written as a part, synced beside the writing, and renamed when it is whole.
+
+Only the end of the file waits for a sync. An OSError becomes one clear CommandError here.
+
+The directory of logs: how files are called, locked and begun; see ``part_file`` for the rest of their life.
+
+A file is ``NAME-START.mcap.part`` while it is written and ``NAME-START.mcap`` when it is whole. Nothing is ever
+overwritten. A part is locked as long as its writer lives. An OSError becomes one clear CommandError here.
+
+The note beside the logs that says which of them are safe elsewhere: a line for each, as JSON.
+
+The uploader writes it, and retention reads it. A line holds for a file of the same length and the same time of its
+last change; what cannot be read of it holds for none. Who can write it could name any log: before the recorder
+deletes one because of its line, it makes the hash of the file itself.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from io import BufferedWriter, FileIO
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Final, Self
+
+import msgspec
+
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
+from recorder.layouts.attached import COUNT as LAYOUTS
+from recorder.mcap.writer import NO_LIMIT, McapFile
+from recorder.record.actions import (
+    CloseLog,
+    DeclareChannel,
+    LogAction,
+    SyncLog,
+    WriteAttachment,
+    WriteChunk,
+    WriteMetadata,
+)
+from recorder.record.retention import SIGNATURE_SUFFIX, START_FORMAT, LogSigner
+from schemas.command_line import CommandError, ExitCode, check_regular, plain
+from schemas.settings import ROBOT_LIMIT
+
+ATTACHMENTS_MAX: Final = (2 + LAYOUTS) * ROBOT_LIMIT
+"""A configuration, a DBC and layouts for each robot; beyond it the oldest go, for a robot may make up names."""
+
+
+@contextmanager
+def clear_errors(path: Path) -> Iterator[None]:
+    """Raise one CommandError for whatever the system reports."""
+    try:
+        yield
+    except OSError as error:
+        raise CommandError(f"cannot write {plain(str(path))}: {error.strerror or error}") from error
+
+
+def sync_directory(path: Path) -> None:
+    """Have the names in a directory reach the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_signature(log: Path, sha256: str, signer: LogSigner) -> None:
+    """Write the signature of a log beside it, before the log has its name: what has it is signed.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    with log.with_name(log.name + SIGNATURE_SUFFIX).open("wb") as file:
+        file.write(signer.sign(sha256, log.name))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+class Prologue:
+    """The actions that every file of a log begins with, so that each can be read alone."""
+
+    def __init__(self) -> None:
+        self._channels: dict[int, DeclareChannel] = {}
+        self._metadata: dict[str, WriteMetadata] = {}
+        self._attachments: dict[str, WriteAttachment] = {}
+
+    def add(self, action: LogAction) -> None:
+        """Remember an action that is repeated: of metadata and attachments the newest of each name."""
+        if isinstance(action, DeclareChannel):
+            self._channels[action.channel.channel_id] = action
+        elif isinstance(action, WriteMetadata) and action.lasts:
+            self._metadata[action.name] = action
+        elif isinstance(action, WriteAttachment):
+            self._attachments.pop(action.name, None)
+            self._attachments[action.name] = action
+            if len(self._attachments) > ATTACHMENTS_MAX:
+                del self._attachments[next(iter(self._attachments))]
+
+    def copy(self) -> Prologue:
+        """Copy it for a log that begins with the same."""
+        other = Prologue()
+        other._channels |= self._channels
+        other._metadata |= self._metadata
+        other._attachments |= self._attachments
+        return other
+
+    def write_to(self, file: McapFile) -> None:
+        """Write all of it; the channels, of which there may be thousands, in one write."""
+        for action in [*self._metadata.values(), *self._attachments.values()]:
+            action.write_to(file)
+        file.add_channels([action.channel for action in self._channels.values()])
+
+
+def _nothing() -> None:
+    """Do nothing: nobody waits for the disk."""
+
+
+class PartFile:
+    """A file that is being written.
+
+    Args:
+        part: the path while it is written.
+        path: the path when it is whole.
+        stream: the open file, unbuffered.
+        library: the writer's name.
+        disk: runs the syncs.
+        signer: signs it when it is whole; None leaves it unsigned.
+    """
+
+    def __init__(
+        self,
+        part: Path,
+        path: Path,
+        stream: FileIO,
+        library: str,
+        disk: Executor,
+        signer: LogSigner | None = None,
+    ) -> None:
+        self._signer = signer
+        self._stream = stream
+        self._part = part
+        self._whole_path = path
+        self.path = part
+        self._disk = disk
+        self._changed = threading.Lock()
+        self._sync: Future[None] | None = None
+        """The sync that runs, or waits for a thread; each file has at most one."""
+        self._wants_sync = False
+        """Something was written that the present sync may not cover: another is to follow it."""
+        self._fault: OSError | None = None
+        """The failure of a sync, until the next write raises it."""
+        self.when_synced: Callable[[], None] = _nothing
+        """Called on another thread after each sync, whatever became of it."""
+        self.has_synced = False
+        """True if the disk has taken anything of this file."""
+        self.kept_size = 0
+        """Bytes that the disk has said it keeps."""
+        self.is_doubtful = False
+        """The disk has failed to keep what it had taken: what is beyond ``kept_size`` may be anything."""
+        self.is_left = False
+        """It could not be made whole, and holds messages."""
+        self.unkept_bytes = 0
+        """Memory of the chunks that were written, and that the disk may not keep yet."""
+        self._unkept: deque[tuple[int, WriteChunk]] = deque()
+        """Those chunks, each with its end in the file: they may have to be written again."""
+        self.kept_counts: Counter[int] = Counter()
+        """Messages of each channel that the disk keeps."""
+        self.kept_from_ns, self.kept_to_ns = NO_LIMIT, 0
+        """Their first and last log time."""
+        self.is_removed = False
+        """Somebody has removed it before it was ended."""
+        with clear_errors(part):
+            self._mcap = McapFile(stream, library)
+
+    @property
+    def size(self) -> int:
+        """Bytes of whole records so far."""
+        return self._mcap.size
+
+    @property
+    def name(self) -> str:
+        """Its name when it is whole, without the directory."""
+        return self._whole_path.name
+
+    @property
+    def is_kept(self) -> bool:
+        """True if there is a file, which ``salvage`` may have found not worth keeping."""
+        with suppress(OSError):  # A disk that is gone may not even say that it has no such file.
+            return self.path.exists()
+        return False
+
+    @property
+    def has_failed(self) -> bool:
+        """True if a sync has failed, which the next write reports."""
+        return self._fault is not None
+
+    def begin(self, prologue: Prologue) -> None:
+        """Write what the file begins with.
+
+        Raises:
+            CommandError: the disk does not take it.
+        """
+        with clear_errors(self.path):
+            prologue.write_to(self._mcap)
+
+    def write(self, action: LogAction) -> None:
+        """Apply an action. A sync runs beside the next write, which reports the sync's failure.
+
+        Raises:
+            CommandError: the disk does not take it.
+        """
+        with clear_errors(self.path):
+            self._raise_fault()
+            if isinstance(action, SyncLog):
+                self.sync()
+            elif isinstance(action, CloseLog):
+                self._finish()
+            else:
+                action.write_to(self._mcap)
+        if isinstance(action, WriteChunk):
+            self._unkept.append((self.size, action))
+            self.unkept_bytes += action.bytes
+        self.release()
+
+    def release(self) -> None:
+        """Forget the chunks that the disk keeps by now."""
+        while self._unkept and self._unkept[0][0] <= self.kept_size:
+            _, action = self._unkept.popleft()
+            self.unkept_bytes -= action.bytes
+            chunk = action.chunk
+            self.kept_counts.update(chunk.counts)
+            self.kept_from_ns = min(self.kept_from_ns, chunk.start_ns)
+            self.kept_to_ns = max(self.kept_to_ns, chunk.end_ns)
+
+    def sync(self) -> None:
+        """Have the disk keep all that is written so far. Does not wait for it."""
+        with self._changed:
+            if self._sync is None:
+                self._sync = self._disk.submit(self._keep)
+            else:
+                self._wants_sync = True
+
+    def salvage(self) -> list[WriteChunk]:
+        """End the file as well as can be: leave all that was written, whole if there is room for the end.
+
+        A file without a message only repeats what another one holds, and is deleted. Where the disk has failed to
+        keep what it had taken, the file is cut back to what the disk keeps: a part, which the next start makes
+        whole.
+
+        Returns:
+            The chunks that the disk has failed to keep.
+        """
+        if not self._stream.closed:
+            self._end()
+        self.release()
+        unkept = [action for _, action in self._unkept] if self.is_doubtful else []
+        self._unkept.clear()
+        self.unkept_bytes = 0
+        return unkept
+
+    def _end(self) -> None:
+        with suppress(OSError):
+            self._wait_for_sync()
+        with suppress(OSError):
+            if not self.is_doubtful:
+                self._mcap.cut_back()
+                if not self._mcap.messages:
+                    self._find().unlink()
+                else:
+                    self._salvage()
+        with suppress(OSError):
+            if self.is_doubtful and not self._stream.closed:
+                self._cut_to_kept()
+        with suppress(OSError):
+            if not self._stream.closed:
+                self.is_removed = os.fstat(self._stream.fileno()).st_nlink == 0
+                self.is_left = self._mcap.messages > 0 and not self.is_removed
+                self.path = self._find()
+        with suppress(OSError):
+            self._stream.close()
+
+    def _salvage(self) -> None:
+        try:
+            self._finish()
+        except OSError:
+            if not self._stream.closed and not self.is_doubtful:
+                self._mcap.cut_back()
+                self._sync_all()
+
+    def _cut_to_kept(self) -> None:
+        if self.kept_size:
+            os.ftruncate(self._stream.fileno(), self.kept_size)
+        else:
+            self._find().unlink()
+
+    def _find(self) -> Path:
+        """Return the part's path now: its directory may have been moved, and another file be in its place.
+
+        Raises:
+            OSError: it is nowhere to be found.
+        """
+        descriptor = self._stream.fileno()
+        state = os.fstat(descriptor)
+        link = Path("/proc/self/fd", str(descriptor))
+        with suppress(OSError):
+            if os.path.samestat(self._part.stat(), state):
+                return self._part
+        with suppress(OSError):
+            path = link.readlink()
+            if path.name == self._part.name and os.path.samestat(path.stat(), state):
+                return path
+        raise FileNotFoundError(0, "somebody has moved the log while it was written")
+
+    def _sync_all(self) -> None:
+        try:
+            os.fsync(self._stream.fileno())
+            self._look_for_name()
+        except OSError:
+            self.is_doubtful = True
+            raise
+
+    def _look_for_name(self) -> None:
+        if os.fstat(self._stream.fileno()).st_nlink == 0:
+            raise FileNotFoundError(0, "somebody has removed the log while it was written")
+
+    def _keep(self) -> None:
+        """On another thread: have the disk keep what is written so far."""
+        with self._changed:
+            # What was asked for until here this one covers.
+            self._wants_sync = False
+        size = self._mcap.size
+        try:
+            os.fdatasync(self._stream.fileno())
+            self._look_for_name()
+        except OSError as error:
+            # The system tells of it once, and forgets what it could not write.
+            self.is_doubtful = True
+            self._fault = error
+        else:
+            self.kept_size = size
+            self.has_synced = True
+        with self._changed:
+            # Behind those of other files that wait: it must not take a thread for itself.
+            wants_more = self._wants_sync and not self.is_doubtful
+            self._sync = self._disk.submit(self._keep) if wants_more else None
+        self.when_synced()
+
+    def _raise_fault(self) -> None:
+        fault, self._fault = self._fault, None
+        if fault is not None:
+            raise fault
+
+    def _wait_for_sync(self) -> None:
+        """Wait for the running sync, and cancel one that has not begun: the caller syncs the file itself."""
+        with self._changed:
+            self._wants_sync = False
+            sync = self._sync
+            if sync is not None and sync.cancel():
+                self._sync = sync = None
+        if sync is not None:
+            wait([sync])
+        self._raise_fault()
+
+    def _finish(self) -> None:
+        self._wait_for_sync()
+        self._mcap.finish()
+        self._sync_all()
+        # Renamed while it is locked: an unlocked part is one that somebody may recover.
+        part = self._find()
+        whole = part.with_name(self._whole_path.name)
+        if self._signer is not None:
+            write_signature(whole, self._mcap.sha256, self._signer)
+        self.path = part.rename(whole)
+        self.has_synced = True
+        self._stream.close()
+        sync_directory(self.path.parent)
+
+
+SYNC_THREADS: Final = 4
+"""Files that are synced at once: a file system syncs several in about the time of one."""
+
+STEM_MAX: Final = 150
+"""Characters of a log's name before the time: who makes up a robot may call it longer than a disk takes."""
+
+NAMESAKES_MAX: Final = 1000
+"""Files of one name and second that are numbered; any more have the time of the try in their place."""
+
+
+class LogDirectory:
+    """The directory of the logs. It is made if it does not exist.
+
+    Args:
+        path: its place.
+        signer: signs each log when it is whole; None leaves them unsigned.
+
+    Raises:
+        CommandError: it cannot be made or written to.
+    """
+
+    def __init__(self, path: Path, signer: LogSigner | None = None) -> None:
+        self._path = path
+        self._signer = signer
+        self._disk = ThreadPoolExecutor(SYNC_THREADS, "log sync")
+        with clear_errors(path):
+            path.mkdir(parents=True, exist_ok=True)
+            self._device = path.stat().st_dev
+            if not os.access(path, os.W_OK | os.X_OK):
+                raise PermissionError(0, "no permission to write there")
+
+    def open(self, name: str, wall_ns: int, library: str, *, is_incident: bool = False) -> PartFile:
+        """Begin a file whose name holds ``name`` and the time.
+
+        A directory that somebody has removed is made again, but not where its disk was unmounted.
+
+        Raises:
+            CommandError: the file cannot be made.
+        """
+        stem = f"{safe_name(name)}-{start_in_name(wall_ns)}{INCIDENT_SUFFIX if is_incident else ''}"
+        with clear_errors(self._path):
+            self._make_again()
+            part, path, stream = self._create(stem)
+            try:
+                sync_directory(self._path)
+                return PartFile(part, path, stream, library, self._disk, self._signer)
+            except (CommandError, OSError):
+                # Not even the header fits: there is nothing to keep.
+                with suppress(OSError):
+                    stream.close()
+                with suppress(OSError):
+                    part.unlink()
+                raise
+
+    def close(self) -> None:
+        """Wait for the disk."""
+        self._disk.shutdown()
+
+    def _make_again(self) -> None:
+        if self._path.exists() and self._path.stat().st_dev != self._device:
+            raise FileNotFoundError(0, "its disk is not there any more")
+        parent = self._path.absolute().parent
+        if not self._path.exists() and parent.exists() and parent.stat().st_dev == self._device:
+            self._path.mkdir()
+
+    def _create(self, stem: str) -> tuple[Path, Path, FileIO]:
+        for unique in _namesakes(stem):
+            part, path = self._path / f"{unique}{PART_SUFFIX}", self._path / f"{unique}{SUFFIX}"
+            try:
+                stream = FileIO(part, "xb")
+            except FileExistsError:
+                continue
+            # Another start may take a part without a lock for a leftover; then it is that one's.
+            if not lock_own(stream.fileno()):
+                stream.close()
+                continue
+            if not path.exists():
+                return part, path, stream
+            # Its writer has renamed it; the name of the part was free again, that of the whole is not.
+            part.unlink()
+            stream.close()
+        raise FileExistsError(0, f"too many files of the name {stem}")
+
+
+def safe_name(text: str) -> str:
+    """The text as the beginning of a file's name on any system; no command takes such a name for an option."""
+    return re.sub(r"^-|[^A-Za-z0-9._-]+", "_", text.lstrip("."))[:STEM_MAX] or "log"
+
+
+def start_in_name(wall_ns: int) -> str:
+    """A time since 1970 as a file's name has it, in UTC."""
+    return datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC).strftime(START_FORMAT)
+
+
+def _namesakes(stem: str) -> Iterator[str]:
+    """Names for files that would have the same one."""
+    yield stem
+    for number in range(2, NAMESAKES_MAX + 1):
+        yield f"{stem}-{number}"
+    # However many there are, and whatever the clock says: for want of a name nothing is lost.
+    yield f"{stem}-{time.time_ns()}"
+
+
+def free_path(directory: Path, stem: str, suffix: str, but_for: Path | None = None) -> Path:
+    """A path of which no file exists, nor a part that may become one; ``but_for`` is one's own part."""
+    for unique in _namesakes(stem):
+        path, part = directory / f"{unique}{suffix}", directory / f"{unique}{PART_SUFFIX}"
+        if not path.exists() and (part == but_for or not part.exists()):
+            return path
+    raise FileExistsError(0, f"too many files of the name {stem}")
+
+
+def lock(descriptor: int) -> bool:
+    """Lock a file for this process, until it is closed. False if another one holds it.
+
+    Raises:
+        OSError: this file system has no locks.
+    """
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def lock_own(descriptor: int) -> bool:
+    """As ``lock``; True also where this file system has no locks."""
+    try:
+        return lock(descriptor)
+    except OSError:
+        return True  # Without locks here nothing is recovered here either.
+
+
+@contextmanager
+def new_file(path: Path) -> Generator[BufferedWriter, None, None]:
+    """Opens it for writing. Where that ends in an exception nothing is left.
+
+    Raises:
+        CommandError: there is such a file, or the disk does not take it.
+    """
+    part = path.with_name(f"{path.name}.part")
+    shown = plain(str(path))
+    if path.exists() or part.exists():
+        raise CommandError(f"{plain(str(path if path.exists() else part))} exists, and is not overwritten")
+    try:
+        with part.open("xb") as stream:
+            try:
+                # Or somebody takes it for what a recorder has left.
+                with suppress(OSError):
+                    lock(stream.fileno())
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+                give_name(part, path)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+    except FileExistsError:
+        raise CommandError(f"{shown} exists, and is not overwritten") from None
+    except OSError as error:
+        raise CommandError(f"cannot write {shown}: {error.strerror or error}") from error
+
+
+def give_name(part: Path, path: Path) -> None:
+    """A whole part becomes the file.
+
+    Raises:
+        FileExistsError: somebody else has put one there meanwhile.
+        OSError: the disk does not take it.
+    """
+    try:
+        # Unlike a rename, a link does not replace what somebody else has put there meanwhile.
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:
+        if path.exists():
+            raise FileExistsError(0, "it exists") from None
+        part.rename(path)
+    else:
+        part.unlink()
+
+
+NAME: Final = ".uploaded.jsonl"
+
+NOTE_BYTES_MAX: Final = 64_000_000
+"""No more of it is read."""
+
+GONE_LINES: Final = 1000
+"""So many lines of logs that are gone, and the note is written anew without them."""
+
+
+class UploadedLog(msgspec.Struct, frozen=True):
+    """A line: a log that is safe elsewhere.
+
+    Attributes:
+        modified_ns: the time of its last change.
+        sha256: of its bytes, hexadecimal.
+        url: the store's, and ``object`` its name there.
+    """
+
+    file: str
+    bytes: int
+    modified_ns: int
+    sha256: str
+    url: str
+    object: str
+
+
+SafeLogs = Mapping[str, tuple[int, int, str]]
+"""Length, time of the last change and SHA-256 of each log that is safe elsewhere, by its name."""
+
+NONE_SAFE: Final[SafeLogs] = MappingProxyType({})
+
+
+class SafeLogReader:
+    """Reads the note, where it has changed since the last time.
+
+    Args:
+        directory: of the logs.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / NAME
+        self._state: tuple[int, int, int] | None = None
+        self._safe: SafeLogs = NONE_SAFE
+
+    def read(self) -> SafeLogs:
+        """Return what is safe; nothing, where there is no note or it cannot be read."""
+        try:
+            status = self._path.stat()
+            state = status.st_ino, status.st_size, status.st_mtime_ns
+            if state != self._state:
+                check_regular(self._path, status.st_mode)
+                with self._path.open("rb") as stream:
+                    data = stream.read(NOTE_BYTES_MAX)
+                self._safe = {one.file: (one.bytes, one.modified_ns, one.sha256) for one in _lines(data)}
+                self._state = state
+        except (OSError, CommandError):
+            self._state, self._safe = None, NONE_SAFE
+        return self._safe
+
+
+def _lines(data: bytes) -> list[UploadedLog]:
+    found = []
+    for line in data.splitlines():
+        # The last one may be torn, and whatever else is there is none of ours.
+        try:
+            found.append(msgspec.json.decode(line, type=UploadedLog))
+        except (msgspec.MsgspecError, UnicodeDecodeError):
+            continue
+    return found
+
+
+class UploadNote:
+    """The note, held by the one that uploads from this directory.
+
+    Args:
+        directory: of the logs.
+
+    Raises:
+        CommandError: it cannot be written, or another upload holds it.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        path = directory / NAME
+        with clear_errors(path):
+            if path.exists():
+                check_regular(path, path.stat().st_mode)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC, 0o640)
+        self._stream = os.fdopen(descriptor, "r+b", buffering=0)
+        self._path = path
+        try:
+            with clear_errors(path):
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except CommandError as error:
+            self._stream.close()
+            if isinstance(error.__cause__, BlockingIOError):
+                text = f"another upload from {plain(str(directory))} is running"
+                raise CommandError(text, ExitCode.REFUSED) from None
+            raise
+        self._reader = SafeLogReader(directory)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.close()
+
+    def safe(self) -> SafeLogs:
+        """The logs that are safe elsewhere."""
+        return self._reader.read()
+
+    def add(self, log: UploadedLog) -> None:
+        """Have the disk keep that a log is safe.
+
+        Raises:
+            CommandError: it does not.
+        """
+        with clear_errors(self._path):
+            # After a line that was torn this one begins anew.
+            self._stream.write(b"\n" * self._is_torn() + msgspec.json.encode(log) + b"\n")
+            os.fsync(self._stream.fileno())
+
+    def forget(self, there: Collection[str]) -> None:
+        """Forget the logs that are gone, if they are many. What is torn then is uploaded once more.
+
+        Raises:
+            CommandError: the disk does not take it.
+        """
+        with clear_errors(self._path):
+            lines = _lines(self._read())
+            kept = {one.file: one for one in lines if one.file in there}
+            if len(lines) - len(kept) < GONE_LINES:
+                return
+            # In place: who uploads may be let write this one file, and make none beside it.
+            os.ftruncate(self._stream.fileno(), 0)
+            self._stream.write(b"".join(msgspec.json.encode(one) + b"\n" for one in kept.values()))
+            os.fsync(self._stream.fileno())
+
+    def _read(self) -> bytes:
+        return os.pread(self._stream.fileno(), NOTE_BYTES_MAX, 0)
+
+    def _is_torn(self) -> bool:
+        size = os.fstat(self._stream.fileno()).st_size
+        return bool(size) and os.pread(self._stream.fileno(), 1, size - 1) != b"\n"

@@ -1,0 +1,257 @@
+"""Samples as they are received, counters of their keys, and log lines for viewers.
+
+- A Zenoh sample as it was received: untrusted.
+- Counters of one key: samples received, missed and lost. Pure.
+
+Events as ``foxglove.Log``, which viewers list as a log: beside their typed form, on ``{key}/log``. Pure.
+
+The schema is Foxglove's in protobuf (https://docs.foxglove.dev/docs/visualization/message-schemas/log): fields and
+numbers as published there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Protocol
+
+import msgspec
+from google.protobuf import timestamp_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+
+from schemas.command_line import short
+from schemas.decisions import SafetyEvent, Severity
+from schemas.recording import GapReason, RecorderEvent
+
+
+class ReceivedSample(Protocol):
+    """One sample, or one reply to a query. Key, encoding and payload are at hand, the rest may cost something."""
+
+    @property
+    def key(self) -> str:
+        """The key."""
+        ...
+
+    @property
+    def encoding(self) -> str:
+        """Zenoh's encoding string, schema included."""
+        ...
+
+    @property
+    def payload(self) -> bytes:
+        """The payload."""
+        ...
+
+    @property
+    def received_ns(self) -> int:
+        """The time of receipt, nanoseconds since 1970."""
+        ...
+
+    @property
+    def is_reply(self) -> bool:
+        """It is a reply to a query of ours, and did not come by itself."""
+        ...
+
+    @property
+    def attachment(self) -> bytes:
+        """The attachment; empty if there is none."""
+        ...
+
+    @property
+    def zenoh_time_ns(self) -> int:
+        """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
+        ...
+
+    @property
+    def source(self) -> tuple[str, int] | None:
+        """The publisher's identifier and its sequence number on the key; None if the sample has none."""
+        ...
+
+    @property
+    def deleted(self) -> bool:
+        """The sample says that the key was deleted, and carries nothing else."""
+        ...
+
+
+class WaitingSample(msgspec.Struct, frozen=True, gc=False):
+    """A copy of a sample, to wait for long: one that Zenoh gave holds its whole receive buffer of 64 KiB."""
+
+    key: str
+    encoding: str
+    payload: bytes
+    attachment: bytes
+    zenoh_time_ns: int
+    source: tuple[str, int] | None
+    deleted: bool
+    received_ns: int
+    is_reply: bool
+
+
+def copy(sample: ReceivedSample) -> WaitingSample:
+    """All of a sample, by value."""
+    return WaitingSample(
+        sample.key,
+        sample.encoding,
+        sample.payload,
+        sample.attachment,
+        sample.zenoh_time_ns,
+        sample.source,
+        sample.deleted,
+        sample.received_ns,
+        sample.is_reply,
+    )
+
+
+SEQUENCE_SPAN: Final = 2**32
+"""Sequences wrap here."""
+
+UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
+"""Reasons for the loss of samples that were never decoded: their sequence is not known."""
+
+SOURCES_MAX: Final = 16
+"""Sources of one key that are followed; of more, those that were silent longest begin anew."""
+
+RESTART_STEP: Final = 2**24
+"""A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
+
+
+class KeyCounters:
+    """Counts the samples of one key.
+
+    Attributes:
+        samples: samples decoded, or kept as they are.
+        messages: messages made of them.
+        unwritten: messages of those that are in no log, for whatever reason.
+        missed: samples that never came, by the gaps in ``sequence``, without those that were dropped unread.
+        dropped: raw frames that the source itself had to drop, by its own count.
+        lost: messages that reached the recorder and are not in the log, by reason.
+        lost_bus: frames of the chassis that never reached its gateway, by its own count; None if it reports none.
+    """
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self.messages = 0
+        self.unwritten = 0
+        self.missed = 0
+        self.dropped = 0
+        self.lost: dict[GapReason, int] = {}
+        self.lost_bus: int | None = None
+        self._bus_count: int | None = None
+        # By source, the one that was heard last at the end.
+        self._sources: dict[str, int | None] = {}
+        self.next: int | None = None
+        """The sequence that the next sample should have; None before the first."""
+        self._unread = 0
+        """Samples dropped unread while ``next`` was ``_unread_at``."""
+        self._unread_at: int | None = None
+
+    @property
+    def unread(self) -> int:
+        """Samples that were dropped before they were decoded."""
+        return sum(count for reason, count in self.lost.items() if reason in UNREAD)
+
+    def lose(self, reason: GapReason, count: int) -> None:
+        """So many samples or messages reached the recorder and are not in the log."""
+        self.lost[reason] = self.lost.get(reason, 0) + count
+        if reason in UNREAD:
+            self._unread = count + (self._unread if self._unread_at == self.next else 0)
+            self._unread_at = self.next
+
+    def find(self) -> None:
+        """One that was missed has come after all."""
+        self.missed = max(0, self.missed - 1)
+
+    def count_bus(self, lost: int) -> None:
+        """The gateway's count of frames lost on the bus since it started; the first one is where we begin."""
+        before, self._bus_count = self._bus_count, lost
+        # A count that falls is a gateway's that began anew.
+        new = 0 if before is None else lost - before if lost >= before else lost
+        self.lost_bus = (self.lost_bus or 0) + new
+
+    def count_source(self, source: str, sequence: int) -> None:
+        """Take note of a sample by the sequence that Zenoh gives it: each source of a key has its own."""
+        self.next = self._sources.pop(source, None)
+        self.count_sequence(sequence % SEQUENCE_SPAN)
+        self._sources[source] = self.next
+        if len(self._sources) > SOURCES_MAX:
+            del self._sources[next(iter(self._sources))]
+
+    def count_sequence(self, sequence: int) -> bool:
+        """Take note of a sample's sequence. False if it steps back: the source has begun anew."""
+        expected, self.next = self.next, (sequence + 1) % SEQUENCE_SPAN
+        if expected is None or sequence == expected:
+            return True
+        step = (sequence - expected) % SEQUENCE_SPAN
+        if step >= RESTART_STEP:
+            return False
+        # What was dropped unread since the sample before this one left a gap, too.
+        self.missed += max(0, step - self._unread) if self._unread_at == expected else step
+        return True
+
+
+SCHEMA_NAME: Final = "foxglove.Log"
+
+LOG_CHUNK: Final = "log"
+"""The last chunk of the topic."""
+
+LEVELS: Final = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+
+_LEVEL_OF: Final = {
+    Severity.INFO: LEVELS.index("INFO"),
+    Severity.WARNING: LEVELS.index("WARNING"),
+    Severity.ERROR: LEVELS.index("ERROR"),
+}
+
+_TIMESTAMP: Final = FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb)
+
+
+def _file() -> FileDescriptorProto:
+    file = FileDescriptorProto(
+        name="foxglove/Log.proto", package="foxglove", syntax="proto3", dependency=[_TIMESTAMP.name]
+    )
+    message = file.message_type.add(name="Log")
+    level = message.enum_type.add(name="Level")
+    for number, name in enumerate(LEVELS):
+        level.value.add(name=name, number=number)
+    kind = FieldDescriptorProto
+    for number, (name, field_type, type_name) in enumerate(
+        (
+            ("timestamp", kind.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
+            ("level", kind.TYPE_ENUM, ".foxglove.Log.Level"),
+            ("message", kind.TYPE_STRING, ""),
+            ("name", kind.TYPE_STRING, ""),
+            ("file", kind.TYPE_STRING, ""),
+            ("line", kind.TYPE_FIXED32, ""),
+        ),
+        start=1,
+    ):
+        field = message.field.add(name=name, number=number, label=kind.LABEL_OPTIONAL, type=field_type)
+        if type_name:
+            field.type_name = type_name
+    return file
+
+
+_FILES: Final = (_TIMESTAMP, _file())
+
+SCHEMA_DATA: Final = FileDescriptorSet(file=_FILES).SerializeToString(deterministic=True)
+"""The serialised descriptor set."""
+
+
+def _message_class() -> Any:  # noqa: ANN401 - protobuf makes the class at run time
+    pool = DescriptorPool()
+    for file in _FILES:
+        pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(SCHEMA_NAME))
+
+
+_Log: Final = _message_class()
+
+
+def log_record(event: SafetyEvent | RecorderEvent, name: str) -> bytes:
+    """An event as a line of a log, cut to what a line holds; ``name`` is who says it."""
+    operator = f" ({short(event.operator)})" if event.operator else ""
+    text = f"{event.kind.value}: {short(event.text)}{operator}"
+    line = _Log(level=_LEVEL_OF.get(event.severity, LEVELS.index("UNKNOWN")), message=text, name=name)
+    line.timestamp.seconds, line.timestamp.nanos = divmod(event.time_ns, 1_000_000_000)
+    data: bytes = line.SerializeToString()
+    return data

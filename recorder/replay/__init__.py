@@ -1,1 +1,0 @@
-"""A log published again over Zenoh."""

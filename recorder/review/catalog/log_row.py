@@ -1,0 +1,417 @@
+"""The row of a log in the catalog: what the other questions find in it.
+
+A row of the catalog: what the other questions find in one log.
+
+The row of one log as a file of its own, which lies beside the log in an object store: JSON, packed with zstd.
+
+A robot makes it with no more than it records with: the libraries for tables are needed where rows are searched.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import zstandard
+
+from recorder.mcap.summary_reader import read_summary
+from recorder.reading.logs import Faults, LogFile, look_at
+from recorder.reading.rows import Progress, Selection
+from recorder.review.entries import EntryKind
+from recorder.review.info import LogInfo, lost, read_info
+from recorder.review.report.findings import Report, RobotReport, moment_words
+from recorder.review.report.gather import read_report
+from recorder.review.verify import shown_statements
+from recorder.review.verifying import COMMANDING_ROLES
+from schemas.authority.proof import Grant, StatementFault, read_chain
+from schemas.decisions import Severity
+from schemas.reasons import Reason
+
+FORMAT: Final = "cruiser-catalog"
+VERSION: Final = 4
+"""Rises with each change of what a row says; a catalog of another version is made anew."""
+
+INCIDENT: Final = "incident"
+"""The kind of a moment for which an incident was kept."""
+
+NEVER_NS: Final = 2**63 - 1
+"""The latest time that a column holds: MCAP's own reach further."""
+
+DAMAGE_MAX: Final = 3
+"""Faults of a file that are kept in words."""
+
+
+class CatalogUnreadableError(Exception):
+    """The catalog is damaged, or of another version; the text is for people."""
+
+
+class LoggedMoment(msgspec.Struct, frozen=True):
+    """Something that happened: an entry of ``cruiser review events``, refusals of one kind, or an incident.
+
+    Attributes:
+        time_ns: by the robot's clock, nanoseconds since 1970...
+        last_ns: ...and when the last of ``count`` alike ones was.
+        kind: those of ``events``, or ``incident``.
+        operator: who did it; empty if it was nobody's doing.
+        holder: the lease's holder then.
+        is_stop: a stop begins with it.
+    """
+
+    time_ns: int
+    last_ns: int
+    robot: str
+    kind: str
+    severity: str
+    reason: str
+    operator: str
+    holder: str
+    count: int
+    is_stop: bool
+    text: str
+
+
+class LoggedDrive(msgspec.Struct, frozen=True):
+    """A time of being commanded, or of moving, between long rests.
+
+    Attributes:
+        missing_s: time in it of which nothing is known: the distance is at least ``distance_m``.
+        stops: their number; ``ends`` that of the ends that were asked for.
+        severity: that of the worst moment, and ``text`` what that is.
+    """
+
+    start_ns: int
+    end_ns: int
+    robot: str
+    distance_m: float
+    missing_s: float
+    stops: int
+    ends: int
+    severity: str
+    text: str
+
+
+class LoggedRobot(msgspec.Struct, frozen=True):
+    """A robot that has keys in the log."""
+
+    root: str
+    name: str
+
+
+class LoggedDriver(msgspec.Struct, frozen=True):
+    """An operator who drove a robot."""
+
+    robot: str
+    name: str
+    seconds: float
+    distance_m: float
+
+
+class LoggedGrant(msgspec.Struct, frozen=True):
+    """A grant to command that a robot showed. Nothing of it is verified here.
+
+    Attributes:
+        id: hexadecimal.
+    """
+
+    robot: str
+    id: str
+    name: str
+    role: str
+    serial: int
+
+
+class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A log.
+
+    Attributes:
+        file: its name in the directory.
+        modified_ns: the time of its last change, as the file system has it.
+        summary_crc: the checksum of the summary at its end; None if it has none.
+        start_ns, end_ns: the first and the last log time, both 0 if it holds no message; at most NEVER_NS.
+        is_whole: it was closed properly.
+        faults: parts that could not be read; ``damage`` has the first ones in words.
+        robots: those with keys in it; ``names`` also those that its recorder names alone.
+        is_incident: it repeats what happened around an incident...
+        is_covered: ...and the other logs of the directory hold all of it.
+        distance_m, moving_s, top_mps: of all robots together; the highest speed in either direction.
+        accepted, refused: requests.
+        events, stops, ends: their numbers by kind, by cause, and of ends that were asked for by reason.
+        outages: times that a gateway fell silent or began anew.
+        lost, lost_bus, lost_source: by the recorder's own account; None if it gives none.
+        gap_s: time for which nothing is known of a robot's motion.
+        versions: of the recorder, and of each robot's gateway and packages.
+        settings: hashes of the configurations that were in force.
+        more_moments, more_drives: those for which there was no room.
+    """
+
+    file: str
+    bytes: int
+    modified_ns: int
+    summary_crc: int | None
+    messages: int
+    start_ns: int
+    end_ns: int
+    is_whole: bool
+    faults: int
+    damage: list[str]
+    is_incident: bool
+    is_covered: bool
+    robots: list[LoggedRobot]
+    names: list[str]
+    distance_m: float
+    moving_s: float
+    top_mps: float
+    operators: list[LoggedDriver]
+    grants: list[LoggedGrant]
+    accepted: int
+    refused: int
+    events: dict[str, int]
+    stops: dict[str, int]
+    ends: dict[str, int]
+    outages: int
+    lost: int | None
+    lost_bus: int | None
+    lost_source: int | None
+    gap_s: float
+    variants: list[str]
+    versions: dict[str, str]
+    settings: list[str]
+    drives: list[LoggedDrive]
+    more_drives: int
+    more_moments: int
+    moments: list[LoggedMoment] = []
+
+
+def summarize(
+    log: LogFile, file: str, modified_ns: int, summary_crc: int | None, progress: Progress = lambda _: None
+) -> CatalogRow:
+    """Make the row of a log, which is read from its beginning to its end.
+
+    Args:
+        log: the file, as ``look_at`` gives it.
+        file: its name, as the row has it.
+        modified_ns: the time of its last change.
+        summary_crc: the checksum of its summary.
+        progress: receives the number of bytes that were read.
+
+    Raises:
+        CommandError: it can no longer be opened.
+    """
+    faults = Faults()
+    info = read_info(log.path)
+    report = read_report([log], Selection(), faults, progress)
+    moments = sorted(_moments(info, report), key=lambda one: (one.time_ns, one.robot, one.kind, one.text))
+    accounts = info.completeness.values()
+    found = faults.told or info.faults
+    summaries = [robot.summary for robot in report.robots]
+    return CatalogRow(
+        file=file,
+        bytes=log.bytes,
+        modified_ns=modified_ns,
+        summary_crc=summary_crc,
+        messages=info.messages,
+        start_ns=_bounded(log.start_ns),
+        end_ns=_bounded(log.end_ns),
+        is_whole=info.whole,
+        faults=max(faults.count, info.fault_count),
+        damage=[one.removeprefix(f"{log.path}: ") for one in found[:DAMAGE_MAX]],
+        is_incident=log.is_incident,
+        is_covered=False,
+        robots=[LoggedRobot(*one) for one in sorted(log.robots)],
+        names=info.robots,
+        distance_m=sum(one.distance_m for one in summaries),
+        moving_s=sum(one.moving_s for one in summaries),
+        top_mps=max((abs(one.top_mps) for one in summaries), default=0.0),
+        operators=[
+            LoggedDriver(one.name, driver.name, driver.seconds, driver.distance_m)
+            for one in summaries
+            for driver in one.drivers
+        ],
+        grants=_grants(log),
+        accepted=sum(one.accepted for one in summaries),
+        refused=sum(one.refused for one in summaries),
+        events=_added(one.events for one in summaries),
+        stops=_added(one.stops for one in summaries),
+        ends=_added(one.ends for one in summaries),
+        outages=sum(len(one.outages) + one.more_outages for one in summaries),
+        lost=lost(info),
+        lost_bus=sum(one.lost_bus or 0 for one in accounts) if accounts else None,
+        lost_source=sum(one.lost_source for one in accounts) if accounts else None,
+        gap_s=sum(one.gap_s for one in summaries),
+        variants=sorted({one.variant for summary in summaries for one in summary.in_force}),
+        versions=dict(sorted(info.versions.items())),
+        settings=sorted({one.configuration_sha256 for summary in summaries for one in summary.in_force}),
+        drives=[drive for robot in report.robots for drive in _drives(robot)],
+        more_drives=sum(robot.more_drives for robot in report.robots),
+        moments=moments,
+        more_moments=sum(robot.more_moments + robot.summary.other_refusals for robot in report.robots),
+    )
+
+
+def _bounded(time_ns: int) -> int:
+    return max(0, min(time_ns, NEVER_NS))
+
+
+def _added(counts: Iterable[dict[str, int]]) -> dict[str, int]:
+    return dict(sorted(sum(map(Counter, counts), Counter[str]()).items()))
+
+
+def _drives(robot: RobotReport) -> Iterator[LoggedDrive]:
+    for one in robot.drives:
+        yield LoggedDrive(
+            start_ns=_bounded(one.start_ns),
+            end_ns=_bounded(one.end_ns),
+            robot=robot.summary.name,
+            distance_m=one.distance_m,
+            missing_s=one.missing_s,
+            stops=one.stops,
+            ends=one.ends,
+            severity=one.severity.value,
+            text=one.worst,
+        )
+
+
+def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
+    for robot in report.robots:
+        name = robot.summary.name
+        for one in robot.moments:
+            yield LoggedMoment(
+                time_ns=_bounded(one.time_ns),
+                last_ns=_bounded(one.last_ns),
+                robot=name,
+                kind=one.kind,
+                severity=one.severity,
+                reason=one.reason,
+                operator=one.operator,
+                holder=one.holder,
+                count=one.count,
+                is_stop=one.is_stop,
+                text=moment_words(one),
+            )
+        for refusal in robot.summary.refusals:
+            yield LoggedMoment(
+                time_ns=_bounded(refusal.first_ns),
+                last_ns=_bounded(refusal.last_ns),
+                robot=name,
+                kind=EntryKind.REFUSAL.value,
+                severity=Severity.WARNING.value,
+                reason=refusal.reason,
+                operator=refusal.operator,
+                holder="",
+                count=refusal.count,
+                is_stop=False,
+                text=f"{refusal.request} refused{'' if refusal.count == 1 else f' {refusal.count} times'}",
+            )
+    robots = [robot.summary.name for robot in report.robots] or info.robots
+    for entries in info.incidents:
+        at_ns = _time(entries.get("at_ns", ""))
+        if at_ns is not None:
+            yield LoggedMoment(
+                time_ns=at_ns,
+                last_ns=at_ns,
+                # A log of several robots does not say whose incident it is.
+                robot=robots[0] if len(robots) == 1 else "",
+                kind=INCIDENT,
+                severity=Severity.WARNING.value,
+                reason=Reason.NONE.value,
+                operator="",
+                holder="",
+                count=1,
+                is_stop=False,
+                text=entries.get("because", ""),
+            )
+
+
+def _time(text: str) -> int | None:
+    """A time of a log's metadata, which may be anybody's."""
+    is_number = text.isascii() and text.isdecimal() and len(text) <= len(str(NEVER_NS))
+    return _bounded(int(text)) if is_number else None
+
+
+def _grants(log: LogFile) -> list[LoggedGrant]:
+    """The grants of those who may command. What cannot be read has been reported by the reading before."""
+    found = set()
+    for shown in shown_statements([log], Faults()):
+        chain = read_chain(shown.text.encode())
+        if isinstance(chain, StatementFault):
+            continue
+        first = chain[0]
+        grant = first.statement
+        if isinstance(grant, Grant) and grant.role in COMMANDING_ROLES:
+            found.add((shown.robot, first.id.hex(), grant.name, grant.role.value, grant.serial))
+    return [LoggedGrant(*one) for one in sorted(found)]
+
+
+UNPACKED_MAX: Final = 64 * 1024 * 1024
+"""A row that unpacks to more is none."""
+
+
+class RowFile(msgspec.Struct, frozen=True):
+    """The content of such a file."""
+
+    format: str
+    version: int
+    row: msgspec.Raw
+
+
+def write_row(path: Path, file: str, modified_ns: int) -> bytes:
+    """Make the row of a log, which is read from its beginning to its end.
+
+    Args:
+        path: the file.
+        file: the log's name, as the row has it.
+        modified_ns: the time of its last change.
+
+    Raises:
+        CommandError: it cannot be opened.
+    """
+    row = msgspec.json.encode(row_of(path, file, modified_ns))
+    return zstandard.compress(msgspec.json.encode(RowFile(FORMAT, VERSION, msgspec.Raw(row))))
+
+
+def read_row(data: bytes, log_bytes: int) -> CatalogRow:
+    """Read the row of a log of this length.
+
+    Raises:
+        CatalogUnreadableError: it is damaged, of another version, or of another log.
+    """
+    try:
+        if not 0 <= zstandard.frame_content_size(data) <= UNPACKED_MAX:
+            raise CatalogUnreadableError("unpacks to too much")
+        found = msgspec.json.decode(zstandard.decompress(data), type=RowFile)
+        if (found.format, found.version) != (FORMAT, VERSION):
+            raise CatalogUnreadableError("is of another version")
+        row = msgspec.json.decode(found.row, type=CatalogRow)
+    except (zstandard.ZstdError, msgspec.MsgspecError, ValueError, MemoryError) as error:
+        raise CatalogUnreadableError("is damaged") from error
+    if row.bytes != log_bytes:
+        raise CatalogUnreadableError("is of another log")
+    return row
+
+
+def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda _: None) -> CatalogRow:
+    """Make the row of a log, which is read from its beginning to its end.
+
+    Args:
+        path: the file.
+        file: the log's name, as the row has it.
+        modified_ns: the time of its last change.
+        progress: receives the number of bytes that were read.
+
+    Raises:
+        CommandError: it cannot be opened.
+    """
+    return summarize(look_at(path), file, modified_ns, summary_crc_of(path), progress)
+
+
+def summary_crc_of(path: Path) -> int | None:
+    """The checksum of a file's summary, by its footer; None if it has none, or it is wrong."""
+    try:
+        with path.open("rb") as stream:
+            summary = read_summary(stream)
+    except OSError:
+        return None
+    return None if summary is None or not summary.crc else summary.crc

@@ -1,0 +1,717 @@
+"""Logs as datasets of Parquet, and as CSV.
+
+- One log into a dataset: a function of its own, so that it may run anywhere.
+- One CSV file a topic. Nested values are JSON; see ``cells``.
+
+The contents and sources of a dataset: ``manifest.json`` in its directory, written last.
+
+A directory without it is no dataset, or one whose export was interrupted.
+
+The Parquet files of one log, written while it is read, in bounded memory.
+
+Rows are below ``topic=.../robot=.../date=YYYY-MM-DD``, as Hive names directories. Of a key of ours the topic is
+what follows the robot, so that all robots' rows of one kind are below one directory.
+
+Arrow columns as text and as JSON, for CSV and for programs.
+
+Times are ISO 8601 in UTC, to the nanosecond. Bytes are hexadecimal in a cell of their own, and base64 within JSON.
+
+Many logs into one dataset: Parquet files by topic, robot and date, and a manifest.
+
+What is there is never overwritten. Files are written in a hidden directory beside, moved to their places when all
+are whole, and named by the manifest last: an export that is interrupted leaves no directory that counts as one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from base64 import b64encode
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+from urllib.parse import quote
+
+import msgspec
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pyarrow import csv
+
+from recorder.disk.files import give_name, lock_own
+from recorder.reading.logs import Faults, LogFile
+from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, file_name, wants_of
+from recorder.review.columns import LOG_TIME, UNIT_KEY, Columns, read_batches
+from recorder.review.tasks import HERE, Act
+from schemas.command_line import CommandError, plain
+
+MANIFEST_NAME: Final = "manifest.json"
+FORMAT: Final = "cruiser-dataset"
+VERSION: Final = 1
+
+_BLOCK_BYTES: Final = 1 << 20
+
+
+class Column(msgspec.Struct, frozen=True):
+    """A column.
+
+    Attributes:
+        type: by Arrow's name.
+        unit: empty if it has none, or none is known.
+    """
+
+    name: str
+    type: str
+    unit: str = ""
+
+
+class Input(msgspec.Struct, frozen=True):
+    """A log that was read.
+
+    Attributes:
+        path: as it was given; with escapes where it cannot be printed.
+        sha256: of the whole file, in hexadecimal.
+        rows: of it that are in the dataset.
+        faults: parts that could not be read; ``fault_count`` of them, the first ones listed.
+    """
+
+    path: str
+    bytes: int
+    sha256: str
+    rows: int
+    faults: list[str]
+    fault_count: int
+
+
+class Part(msgspec.Struct, frozen=True):
+    """A Parquet file.
+
+    Attributes:
+        path: within the dataset.
+        table: its table's name in SQL.
+        topic: the log's topic.
+        robot: empty if it is no robot's.
+        date: of the log times, UTC.
+        start_ns, end_ns: the earliest and the latest log time.
+        columns: key into the manifest's ``schemas``.
+        sha256: of the log that its rows are from.
+    """
+
+    path: str
+    table: str
+    topic: str
+    robot: str
+    date: str
+    rows: int
+    bytes: int
+    start_ns: int
+    end_ns: int
+    columns: str
+    sha256: str
+
+
+class Manifest(msgspec.Struct, frozen=True):
+    """The manifest.
+
+    Attributes:
+        product: the last writer.
+        schemas: columns by a hash of them.
+    """
+
+    format: str
+    version: int
+    product: str
+    inputs: list[Input]
+    files: list[Part]
+    schemas: dict[str, list[Column]]
+
+
+def read_manifest(directory: Path) -> Manifest | None:
+    """The manifest of a dataset; None if the directory has none.
+
+    Raises:
+        CommandError: it has one that cannot be read.
+    """
+    path = directory / MANIFEST_NAME
+    try:
+        text = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise CommandError(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
+    try:
+        manifest = msgspec.json.decode(text, type=Manifest)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise CommandError(f"{plain(str(path))} is no manifest of a dataset: {plain(str(error))}") from error
+    if manifest.format != FORMAT or manifest.version != VERSION:
+        raise CommandError(f"{plain(str(path))} is of another format, or of another version of it")
+    return manifest
+
+
+def write_manifest(directory: Path, manifest: Manifest) -> None:
+    """Write it in one step: whoever reads meanwhile sees the old one or the new one.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    path = directory / MANIFEST_NAME
+    beside = directory / f".{MANIFEST_NAME}.new"
+    with beside.open("wb") as stream:
+        stream.write(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
+        stream.flush()
+        os.fsync(stream.fileno())
+    beside.replace(path)
+
+
+def described(schema: pa.Schema) -> tuple[str, list[Column]]:
+    """The columns of a table, and their key."""
+    columns = [
+        Column(field.name, str(field.type), (field.metadata or {}).get(UNIT_KEY, b"").decode()) for field in schema
+    ]
+    return hashlib.sha256(msgspec.json.encode(columns)).hexdigest()[:12], columns
+
+
+def sha256_of(path: Path, size: int) -> str:
+    """The hash of a file's first bytes: it may be growing.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(min(_BLOCK_BYTES, size)):
+            digest.update(block)
+            size -= len(block)
+    return digest.hexdigest()
+
+
+FILE_BYTES: Final = 16_000_000
+"""Bytes of columns at which a topic's rows become a file."""
+
+HELD_BYTES: Final = 40_000_000
+"""Bytes of all columns held at which those of the largest topic become a file."""
+
+WAITING_MAX: Final = 1
+"""Files that wait to be written."""
+
+NAME_MAX: Final = 200
+"""A directory's name may have 255 bytes on most file systems. One that is longer is cut, and ends in a hash."""
+
+NOBODY: Final = "__HIVE_DEFAULT_PARTITION__"
+"""Hive's name for no value."""
+
+COMPRESSION: Final = "zstd"
+COMPRESSION_LEVEL: Final = 1
+
+
+class Parts:
+    """Takes batches and writes them below a directory.
+
+    Args:
+        root: the directory.
+        sha256: of the log.
+
+    Attributes:
+        closed: the files that are whole.
+        schemas: their columns.
+    """
+
+    def __init__(self, root: Path, sha256: str) -> None:
+        self._root = root
+        self._sha256 = sha256
+        self._held: dict[Columns, list[pa.RecordBatch]] = {}
+        self._bytes: dict[Columns, int] = {}
+        self._count = 0
+        # Writing is half of the work, and none of it Python's: it goes on while the next batch is read.
+        self._worker = ThreadPoolExecutor(1, "parquet")
+        self._jobs: deque[Future[None]] = deque()
+        self.closed: list[Part] = []
+        self.schemas: dict[str, list[Column]] = {}
+
+    def add(self, columns: Columns, rows: pa.RecordBatch) -> None:
+        """Rows of a topic.
+
+        Raises:
+            OSError: the disk does not take them.
+        """
+        self._held.setdefault(columns, []).append(rows)
+        self._bytes[columns] = self._bytes.get(columns, 0) + rows.nbytes
+        if self._bytes[columns] >= FILE_BYTES:
+            self._flush(columns)
+        while sum(self._bytes.values()) >= HELD_BYTES:
+            self._flush(max(self._bytes, key=lambda one: self._bytes[one]))
+
+    def close(self) -> None:
+        """Write what is held.
+
+        Raises:
+            OSError: the disk does not take it.
+        """
+        for columns in list(self._held):
+            self._flush(columns)
+        self._wait(0)
+        self.closed.sort(key=lambda part: part.path)
+
+    def abandon(self) -> None:
+        """Let go of what is not written."""
+        self._worker.shutdown(cancel_futures=True)
+
+    def _flush(self, columns: Columns) -> None:
+        batches = self._held.pop(columns)
+        del self._bytes[columns]
+        self._count += 1
+        self._wait(WAITING_MAX)
+        self._jobs.append(self._worker.submit(self._write, columns, batches, self._count))
+
+    def _wait(self, left: int) -> None:
+        while len(self._jobs) > left:
+            self._jobs.popleft().result()
+
+    def _write(self, columns: Columns, batches: list[pa.RecordBatch], number: int) -> None:
+        table = pa.Table.from_batches(batches).unify_dictionaries()
+        key, self.schemas[key] = described(columns.schema)
+        kinds = {field.name: field.type for field in table.schema}
+        for date, rows in _by_date(table):
+            directory = f"topic={_escaped(columns.place)}/robot={_escaped(columns.robot)}/date={date}"
+            path = self._root / directory / f"part-{self._sha256[:16]}-{number}.parquet"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pq.write_table(
+                rows,
+                path,
+                row_group_size=rows.num_rows,
+                compression=COMPRESSION,
+                compression_level=COMPRESSION_LEVEL,
+                use_dictionary=[name for name, kind in kinds.items() if _is_text(kind)],
+                column_encoding={
+                    name: "DELTA_BINARY_PACKED" for name, kind in kinds.items() if _is_whole_number(kind)
+                },
+            )
+            span = pc.min_max(rows[LOG_TIME].cast(pa.int64()))
+            self.closed.append(
+                Part(
+                    path=f"{directory}/{path.name}",
+                    table=columns.table,
+                    topic=columns.topic.name,
+                    robot=columns.robot,
+                    date=date,
+                    rows=rows.num_rows,
+                    bytes=path.stat().st_size,
+                    start_ns=span["min"].as_py(),
+                    end_ns=span["max"].as_py(),
+                    columns=key,
+                    sha256=self._sha256,
+                )
+            )
+
+
+def _by_date(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+    """The rows of each day, by their log times."""
+    days = table[LOG_TIME].cast(pa.date32(), safe=False)
+    for day in sorted(pc.unique(days).to_pylist()):
+        of_day = pc.equal(days, pa.scalar(day, pa.date32()))
+        yield str(day), table if pc.all(of_day).as_py() else table.filter(of_day)
+
+
+def _escaped(text: str) -> str:
+    """A text as a part of a directory's name: as in a URL, so that it comes back when it is read."""
+    name = quote(text, safe="@ ", errors="replace")
+    if len(name) > NAME_MAX:
+        digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
+        name = f"{name[:NAME_MAX].rpartition('%')[0] or name[:NAME_MAX]}~{digest}"
+    return name or NOBODY
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_dictionary(kind) or pa.types.is_string(kind))
+
+
+def _is_whole_number(kind: pa.DataType) -> bool:
+    """Times and counts: mostly a little more than the one before."""
+    return bool(pa.types.is_integer(kind) or pa.types.is_timestamp(kind))
+
+
+class ExportRange(msgspec.Struct, frozen=True):
+    """The part of the logs to export.
+
+    Attributes:
+        topics: patterns of topics; none is all. See ``topic_names.wants_of``.
+        from_ns: the first log time...
+        to_ns: ...and the first one that is too late, or -1.
+    """
+
+    topics: list[str] = []
+    from_ns: int = 0
+    to_ns: int = -1
+
+    @property
+    def selection(self) -> Selection:
+        """The same for a reader."""
+        return Selection(wants_of(self.topics), self.from_ns, END_OF_TIME_NS if self.to_ns < 0 else self.to_ns)
+
+
+class ExportTask(msgspec.Struct, frozen=True):
+    """A log to be exported.
+
+    Attributes:
+        log: the log.
+        sha256: of it.
+        directory: the place of the parts.
+        wanted: the part of it.
+    """
+
+    log: LogFile
+    sha256: str
+    directory: Path
+    wanted: ExportRange
+
+    @property
+    def bytes(self) -> int:
+        """The length of the log."""
+        return self.log.bytes
+
+
+class ExportOutcome(msgspec.Struct, frozen=True):
+    """The result of the export of one log."""
+
+    input: Input
+    parts: list[Part]
+    schemas: dict[str, list[Column]]
+
+
+def export_log(task: ExportTask, progress: Progress) -> ExportOutcome:
+    """Write the parts of a log.
+
+    Raises:
+        OSError: the disk does not take them.
+    """
+    faults = Faults()
+    parts = Parts(task.directory, task.sha256)
+    try:
+        for batch in read_batches(task.log, task.wanted.selection, faults, progress):
+            parts.add(batch.columns, batch.rows)
+        parts.close()
+    finally:
+        parts.abandon()
+    return ExportOutcome(
+        input=Input(
+            path=plain(task.log.name),
+            bytes=task.log.bytes,
+            sha256=task.sha256,
+            rows=sum(part.rows for part in parts.closed),
+            faults=list(map(plain, faults.told)),
+            fault_count=faults.count,
+        ),
+        parts=parts.closed,
+        schemas=parts.schemas,
+    )
+
+
+_types: Final = pa.types
+
+
+def cells(rows: pa.RecordBatch) -> pa.RecordBatch:
+    """The same rows in columns that CSV can say: numbers, flags, texts and times."""
+    arrays = [_cells(column) for column in rows.columns]
+    return pa.RecordBatch.from_arrays(arrays, names=rows.schema.names)
+
+
+def objects(rows: pa.RecordBatch) -> Iterator[dict[str, Any]]:
+    """The rows as JSON objects, by column."""
+    names = rows.schema.names
+    for row in zip(*map(values, rows.columns), strict=True):
+        yield dict(zip(names, row, strict=True))
+
+
+def values(array: pa.Array) -> list[Any]:
+    """The values as JSON has them."""
+    kind = array.type
+    if _types.is_dictionary(kind):
+        return values(array.dictionary_decode())
+    if _is_bytes(kind):
+        return [None if one is None else b64encode(one).decode() for one in array.to_pylist()]
+    if _types.is_map(kind):
+        pairs = zip(values(array.keys), values(array.items), strict=True)
+        return [None if one is None else dict(map(_entry, one)) for one in _cut(array, list(pairs))]
+    if _types.is_list(kind) or _types.is_large_list(kind):
+        return _cut(array, values(array.values))
+    if _types.is_struct(kind):
+        names = [kind.field(place).name for place in range(kind.num_fields)]
+        columns = [values(column) for column in array.flatten()]
+        rows = zip(*columns, strict=True) if columns else (() for _ in range(len(array)))
+        found = [dict(zip(names, row, strict=True)) for row in rows]
+        return [one if valid else None for one, valid in zip(found, array.is_valid().to_pylist(), strict=True)]
+    if _types.is_boolean(kind) or _types.is_integer(kind) or _types.is_floating(kind) or _types.is_string(kind):
+        return list(array.to_pylist())
+    return _texts(array)
+
+
+def _cells(array: pa.Array) -> pa.Array:
+    kind = array.type
+    if _types.is_dictionary(kind):
+        return _cells(array.dictionary_decode())
+    if _is_bytes(kind):
+        return pa.array([None if one is None else one.hex() for one in array.to_pylist()], pa.string())
+    if _types.is_nested(kind):
+        texts = [None if one is None else msgspec.json.encode(one).decode() for one in values(array)]
+        return pa.array(texts, pa.string())
+    if _types.is_boolean(kind) or _types.is_integer(kind) or _types.is_floating(kind) or _types.is_string(kind):
+        return array
+    return pa.array(_texts(array), pa.string())
+
+
+def _texts(array: pa.Array) -> list[str | None]:
+    """Times, and whatever else an answer of SQL may hold."""
+    try:
+        texts = array.cast(pa.string()).to_pylist()
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+        texts = [None if not one.is_valid else str(one) for one in array]
+    if _types.is_timestamp(array.type):
+        return [None if text is None else text.replace(" ", "T") for text in texts]
+    return list(texts)
+
+
+def _is_bytes(kind: pa.DataType) -> bool:
+    return bool(_types.is_binary(kind) or _types.is_large_binary(kind) or _types.is_fixed_size_binary(kind))
+
+
+def _cut(array: pa.Array, items: list[Any]) -> list[Any]:
+    """The items of each list."""
+    offsets = array.offsets.to_pylist()
+    valid = array.is_valid().to_pylist()
+    return [
+        items[start:end] if is_there else None
+        for start, end, is_there in zip(offsets[:-1], offsets[1:], valid, strict=True)
+    ]
+
+
+def _entry(pair: tuple[Any, Any]) -> tuple[str, Any]:
+    key, value = pair
+    return key if isinstance(key, str) else str(key), value
+
+
+def csv_text(rows: pa.RecordBatch, *, with_header: bool) -> str:
+    """Rows as lines of CSV."""
+    sink = pa.BufferOutputStream()
+    csv.write_csv(cells(rows), sink, csv.WriteOptions(include_header=with_header))
+    return bytes(sink.getvalue()).decode()
+
+
+_STAGING_PREFIX: Final = ".export-"
+
+Runner = Callable[[Act[ExportTask, ExportOutcome], Sequence[ExportTask], Progress], Iterable[ExportOutcome]]
+"""As ``tasks.TaskRunner``."""
+
+
+class Exported(msgspec.Struct, frozen=True):
+    """The result of an export.
+
+    Attributes:
+        inputs: the logs that were read.
+        files: that were written.
+    """
+
+    directory: str
+    inputs: list[Input]
+    files: list[Part]
+
+    @property
+    def rows(self) -> int:
+        """Rows that were written."""
+        return sum(part.rows for part in self.files)
+
+
+def export_dataset(
+    logs: Sequence[LogFile],
+    directory: Path,
+    wanted: ExportRange,
+    faults: Faults,
+    *,
+    run: Runner = HERE,
+    progress: Progress = lambda _: None,
+) -> Exported:
+    """Write logs into a dataset.
+
+    Args:
+        logs: in the order of their beginnings.
+        directory: of the dataset; it is made if it is not there.
+        wanted: topics and time.
+        faults: takes what cannot be read of the logs; the rest is exported all the same.
+        run: does the work.
+        progress: receives the number of bytes that were read.
+
+    Raises:
+        CommandError: the directory holds something already, or cannot be written.
+    """
+    shown = plain(str(directory))
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with _locked(directory):
+            if (directory / MANIFEST_NAME).exists():
+                raise CommandError(f"{shown} is a dataset already: nothing is overwritten, so export to another")
+            if any(not path.name.startswith(".") for path in directory.iterdir()):
+                raise CommandError(f"{shown} is not empty, and no dataset: it has no {MANIFEST_NAME}")
+            inputs, files = _export(logs, directory, wanted, run, progress)
+    except OSError as error:
+        raise CommandError(f"cannot write {shown}: {error.strerror or error}") from error
+    for one in inputs:
+        for fault in one.faults:
+            faults.add(fault)
+        faults.count += one.fault_count - len(one.faults)
+    return Exported(shown, inputs, files)
+
+
+def _export(
+    logs: Sequence[LogFile], directory: Path, wanted: ExportRange, run: Runner, progress: Progress
+) -> tuple[list[Input], list[Part]]:
+    staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=directory)).absolute()
+    try:
+        # A log that is named twice is one.
+        by_hash = {sha256_of(log.path, log.bytes): log for log in reversed(logs)}
+        tasks = [ExportTask(log, sha256, staging, wanted) for sha256, log in reversed(by_hash.items())]
+        outcomes = list(run(export_log, tasks, progress))
+        inputs = [outcome.input for outcome in outcomes]
+        files = [part for outcome in outcomes for part in outcome.parts]
+        schemas = {key: columns for outcome in outcomes for key, columns in outcome.schemas.items()}
+        for path in staging.iterdir():
+            path.rename(directory / path.name)
+        product = f"cruiser-gateway {version('cruiser-gateway')}"
+        write_manifest(directory, Manifest(FORMAT, VERSION, product, inputs, files, schemas))
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return inputs, files
+
+
+@contextmanager
+def _locked(directory: Path) -> Generator[None, None, None]:
+    """One export at a time, where the file system locks directories; NFS does not."""
+    place = os.open(directory, os.O_RDONLY)
+    try:
+        if not lock_own(place):
+            raise CommandError(f"another export writes into {plain(str(directory))}")
+        yield
+    finally:
+        os.close(place)
+
+
+SUFFIX: Final = ".csv"
+OPEN_MAX: Final = 64
+
+
+class CsvFile(msgspec.Struct, frozen=True):
+    """A file that was written."""
+
+    path: str
+    topic: str
+    rows: int
+
+
+def export_csv(
+    logs: Sequence[LogFile],
+    directory: Path,
+    wanted: ExportRange,
+    faults: Faults,
+    progress: Progress = lambda _: None,
+) -> list[CsvFile]:
+    """Write logs as CSV.
+
+    Raises:
+        CommandError: one of the files is there already, or the disk does not take it.
+    """
+    files = _Files(directory)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for log in logs:
+            for batch in read_batches(log, wanted.selection, faults, progress):
+                files.add(batch.columns, batch.rows)
+        files.close()
+    except OSError as error:
+        files.discard()
+        raise CommandError(f"cannot write {plain(str(directory))}: {error.strerror or error}") from error
+    except BaseException:
+        files.discard()
+        raise
+    return files.written
+
+
+class _File:
+    """Until it is whole it is called ``.part`` behind its name."""
+
+    def __init__(self, path: Path, topic: str) -> None:
+        self.path = path
+        self.part = path.with_name(f"{path.name}.part")
+        self.topic = topic
+        self.rows = 0
+        self.stream: BinaryIO | None = None
+
+
+class _Files:
+    """By topic and columns; the last ones are open."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._files: dict[tuple[str, str], _File] = {}
+
+    @property
+    def written(self) -> list[CsvFile]:
+        """The files written so far."""
+        return [CsvFile(str(one.path), one.topic, one.rows) for one in self._files.values()]
+
+    def add(self, columns: Columns, rows: pa.RecordBatch) -> None:
+        """Rows of a topic."""
+        key = columns.topic.name, described(columns.schema)[0]
+        file = self._files.get(key)
+        if file is None:
+            file = _File(self._new_path(columns.topic.name), columns.topic.name)
+            # What is somebody else's is not ours to discard.
+            file.part.touch(exist_ok=False)
+            self._files[key] = file
+        if file.stream is None:
+            self._make_room()
+            file.stream = file.part.open("ab")
+        options = csv.WriteOptions(include_header=file.rows == 0)
+        csv.write_csv(cells(rows), file.stream, options)
+        file.rows += rows.num_rows
+
+    def close(self) -> None:
+        """End all files: they are whole.
+
+        Raises:
+            OSError: the disk does not take one.
+        """
+        for file in self._files.values():
+            if file.stream is not None:
+                file.stream.close()
+            give_name(file.part, file.path)
+
+    def discard(self) -> None:
+        """Leave nothing of what is not whole."""
+        for file in self._files.values():
+            with suppress(OSError):
+                if file.stream is not None:
+                    file.stream.close()
+            with suppress(OSError):
+                file.part.unlink(missing_ok=True)
+
+    def _new_path(self, topic: str) -> Path:
+        """A name that none of ours has; one that was there before is not overwritten."""
+        taken = {file.path for file in self._files.values()}
+        path, number = self._directory / (file_name(topic) + SUFFIX), 1
+        while path in taken:
+            number += 1
+            path = self._directory / f"{file_name(topic)}~{number}{SUFFIX}"
+        for there in (path, path.with_name(f"{path.name}.part")):
+            if there.exists():
+                raise CommandError(f"{plain(str(there))} is there already; nothing is overwritten")
+        return path
+
+    def _make_room(self) -> None:
+        opened = [file for file in self._files.values() if file.stream is not None]
+        if len(opened) >= OPEN_MAX and opened[0].stream is not None:
+            opened[0].stream.close()
+            opened[0].stream = None

@@ -1,0 +1,269 @@
+"""Reads logs, and finds what a report says of them. One pass over the messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from itertools import islice
+from typing import Any, Final
+
+import msgspec
+
+from recorder.reading.logs import Faults, LogFile, logs_of
+from recorder.reading.rows import (
+    END_OF_TIME_NS,
+    Progress,
+    Row,
+    Selection,
+    decoded_rows,
+    read_contents,
+    walk_contents,
+)
+from recorder.reading.topics import Topic
+from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
+from recorder.record.robots import METADATA_NAME
+from recorder.review.entries import Entry
+from recorder.review.events import BEFORE_NS, Timeline, is_within
+from recorder.review.report.account import TAKEN, Account, Versions
+from recorder.review.report.findings import Report, ReportedFile, RobotReport
+from schemas.decisions import SafetyState
+from schemas.messages import GatewayInfo
+from schemas.recording import RecorderEvent, RecordGap
+
+ROBOTS_MAX: Final = 30
+OTHERS_MAX: Final = 5000
+TOPICS_MAX: Final = 5000
+NAMES_MAX: Final = 100
+"""Robots that a recorder describes in one log. It describes no more; names can be made up."""
+
+REMEMBERED: Final = 256
+"""Messages of recorders that are known again when they come a second time."""
+
+_OF_ROBOTS: Final = TAKEN | {GatewayInfo}
+_OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})
+
+Facts = dict[str, str]
+
+
+def read_report(
+    logs: Sequence[LogFile],
+    selection: Selection,
+    faults: Faults,
+    progress: Progress = lambda _: None,
+    *,
+    version: str = "",
+) -> Report:
+    """Read what logs say of their robots, in memory that does not grow with them.
+
+    Args:
+        logs: as ``find_logs`` gives them.
+        selection: the wanted messages; of the time before it the states are read too.
+        faults: takes what cannot be read; the rest is read all the same.
+        progress: receives the number of bytes that were read.
+        version: of the program, which the report names.
+    """
+    margins = [read_margins(log) for log in logs]
+    fleet = _Fleet(logs, selection, margins, faults)
+    fleet.read(progress)
+    return Report(
+        files=[_reported(log, margin) for log, margin in zip(logs, margins, strict=True)],
+        from_ns=selection.from_ns,
+        to_ns=None if selection.to_ns == END_OF_TIME_NS else selection.to_ns,
+        robots=sorted(fleet.end(), key=lambda one: one.summary.name),
+        more_robots=len(fleet.others),
+        faults=faults.told,
+        fault_count=faults.count,
+        version=version,
+    )
+
+
+class Margins(msgspec.Struct):
+    """The metadata of a file: its robots, and the recorder's account.
+
+    Attributes:
+        facts: its metadata about each robot, one after the other, by the robot's key; by its name if that is all.
+        completeness: by topic.
+    """
+
+    facts: dict[str, list[Facts]]
+    completeness: dict[str, KeyReport]
+
+
+def read_margins(log: LogFile) -> Margins:
+    """Read the metadata of a log. The faults of the file are reported by the reader of the rows."""
+    named: dict[str, list[Facts]] = {}
+    accounts: Facts = {}
+    for name, entries in _metadata_of(log):
+        if name == METADATA_NAME:
+            for robot, facts in _by_name(entries):
+                if robot in named or len(named) < NAMES_MAX:
+                    named.setdefault(robot, []).append(facts)
+        elif name == COMPLETENESS_NAME:
+            accounts = entries
+    completeness = {}
+    for topic, text in islice(accounts.items(), TOPICS_MAX):
+        with suppress(msgspec.MsgspecError):
+            completeness[topic] = msgspec.json.decode(text, type=KeyReport)
+    return Margins({_key_of(robot, named, log): found for robot, found in named.items()}, completeness)
+
+
+def _metadata_of(log: LogFile) -> list[tuple[str, Facts]]:
+    with suppress(OSError), log.path.open("rb") as stream:
+        contents = read_contents(stream)
+        if contents is None:
+            contents = walk_contents(stream, log.bytes, lambda _: None, is_being_written=log.is_being_written)
+        return contents.metadata
+    return []
+
+
+def _by_name(metadata: Facts) -> Iterator[tuple[str, Facts]]:
+    """The names of the robots in a log, and what its metadata say of each."""
+    version = {"recorder_version": metadata["recorder_version"]} if "recorder_version" in metadata else {}
+    for name in filter(None, metadata.get("robots", "").split(",")[:NAMES_MAX]):
+        prefix = f"{name}."
+        facts = {one.removeprefix(prefix): value for one, value in metadata.items() if one.startswith(prefix)}
+        yield name, version | facts
+
+
+def _key_of(name: str, names: Iterable[str], log: LogFile) -> str:
+    """A recorder calls a robot by its name, and the second one of that name by its root, too."""
+    keys = {f"{root}/{robot}" for root, robot in log.robots if robot == name} - set(names)
+    return keys.pop() if len(keys) == 1 else name
+
+
+class _Fleet:
+    """The robots of a report.
+
+    Attributes:
+        others: keys of robots for which there was no room.
+    """
+
+    def __init__(
+        self, logs: Sequence[LogFile], asked: Selection, margins: Sequence[Margins], faults: Faults
+    ) -> None:
+        self.others: set[str] = set()
+        self._logs = logs
+        self._asked = asked
+        self._margins = margins
+        self._faults = faults
+        self._accounts: dict[str, Account] = {}
+        self._timeline = Timeline(faults, kept=REMEMBERED)  # The accounts remember the robots' messages.
+
+    def read(self, progress: Progress) -> None:
+        """Read what is asked about. The states before tell whether the first one is of another gateway."""
+        asked = self._asked
+        looked_at = Selection(
+            lambda topic: _is_wanted(topic) and asked.wants(topic),
+            max(0, asked.from_ns - BEFORE_NS),
+            asked.to_ns,
+        )
+        for row, message in decoded_rows(self._logs, looked_at, self._faults, progress):
+            if row.log_ns >= asked.from_ns:
+                self._take(row, message)
+            elif isinstance(message, SafetyState) and self._account(row.topic) is not None:
+                self._timeline.take(row, message)
+
+    def _take(self, row: Row, message: Any) -> None:  # noqa: ANN401 - any message that is wanted
+        if row.topic.kind in _OF_RECORDERS:
+            if isinstance(message, RecordGap):
+                self._lose(message)
+            else:
+                message = self._known(row.topic, message)
+        else:
+            account = self._account(row.topic)
+            if account is None:
+                return
+            if isinstance(message, GatewayInfo):
+                account.versions.hear(message, row.log_ns)
+            elif not account.take(message, row.publish_ns, row.log_ns):
+                return
+        self._timeline.take(row, message)
+        self._note(self._timeline.tell())
+
+    def end(self) -> Iterator[RobotReport]:
+        """Yield all robots of which something is known. After the last row."""
+        asked = self._asked
+        for ending in self._timeline.endings(self._logs, asked.to_ns):
+            if is_within(ending.entry, asked):
+                for account in self._named(ending.entry.robot):
+                    account.end(ending)
+        self._note(self._timeline.end())
+        for key, account in self._accounts.items():
+            files = logs_of(key, self._logs)
+            begins_before = any(log.start_ns < asked.from_ns for log in files)
+            ends_behind = any(log.end_ns > asked.to_ns for log in files)
+            account.miss(asked.from_ns if begins_before else None, asked.to_ns if ends_behind else None)
+            found = account.sum_up(*_of_robot(key, self._margins), asked.from_ns, asked.to_ns)
+            if found is not None:
+                yield found
+
+    def _account(self, topic: Topic) -> Account | None:
+        key = _robot_key(topic)
+        account = self._accounts.get(key)
+        if account is None and len(self._accounts) < ROBOTS_MAX:
+            begins_ns = min((log.start_ns for log in logs_of(key, self._logs)), default=0)
+            versions = Versions()
+            for margin in self._margins:
+                for facts in _facts_of(key, margin):
+                    versions.read(facts)
+            account = Account(topic.robot, key, versions, max(self._asked.from_ns, begins_ns))
+            self._accounts[key] = account
+        elif account is None and len(self.others) < OTHERS_MAX:
+            self.others.add(key)
+        return account
+
+    def _lose(self, gap: RecordGap) -> None:
+        for key, account in self._accounts.items():
+            if gap.key.startswith(f"{key}/"):
+                account.lose(gap.key, gap.reason.value, gap.count)
+                return
+
+    def _known(self, topic: Topic, event: RecorderEvent) -> RecorderEvent:
+        """The same, with the robot called as it is here: a recorder may know no other of this name."""
+        account = self._accounts.get(f"{topic.name.partition('/@')[0]}/{event.robot}")
+        return event if account is None else msgspec.structs.replace(event, robot=account.name)
+
+    def _note(self, entries: Iterable[Entry]) -> None:
+        for entry in entries:
+            if is_within(entry, self._asked):
+                for account in self._named(entry.robot):
+                    account.take_entry(entry)
+
+    def _named(self, robot: str) -> list[Account]:
+        """The accounts of the robot of this name; all where it has none."""
+        accounts = list(self._accounts.values())
+        known = [one for one in accounts if robot in {"", one.name, one.key}]
+        # A recorder calls by its root only the second robot of a name.
+        return known or [one for one in accounts if one.key.endswith(f"/{robot}")]
+
+
+def _facts_of(key: str, margin: Margins) -> list[Facts]:
+    return margin.facts.get(key, margin.facts.get(key.rpartition("/")[2], []))
+
+
+def _of_robot(key: str, margins: Sequence[Margins]) -> tuple[dict[str, KeyReport], Facts]:
+    """The account of its topics, and what is known of it, of all files."""
+    reports: dict[str, list[KeyReport]] = {}
+    values: dict[str, dict[str, None]] = {}
+    for margin in margins:
+        for topic, report in margin.completeness.items():
+            if topic.startswith(f"{key}/"):
+                reports.setdefault(topic, []).append(report)
+        for facts in _facts_of(key, margin)[-1:]:
+            for name, value in facts.items():
+                values.setdefault(name, {})[value] = None
+    completeness = {topic: total(of_topic) for topic, of_topic in sorted(reports.items())}
+    return completeness, {name: ", ".join(list(found)[:5]) for name, found in list(values.items())[:NAMES_MAX]}
+
+
+def _is_wanted(topic: Topic) -> bool:
+    return topic.kind in _OF_RECORDERS or (topic.kind in _OF_ROBOTS and bool(topic.robot))
+
+
+def _robot_key(topic: Topic) -> str:
+    return topic.name.removesuffix(f"/{topic.subject}")
+
+
+def _reported(log: LogFile, margins: Margins) -> ReportedFile:
+    is_accounted = log.is_incident or bool(margins.completeness)
+    return ReportedFile(log.path.name, log.bytes, log.start_ns, log.end_ns, is_accounted, log.is_being_written)

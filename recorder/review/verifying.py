@@ -1,0 +1,865 @@
+"""The parts of ``verify``: authority, commands, files and their signatures.
+
+- Faults in the proofs of a log.
+- The statements that a recorder wrote beside the messages: what the robots had shown before a file began.
+- Log files against the signatures that their recorders put beside them.
+
+Whom a log's grants, revocations and robot keys go back to, and whether they held at a time.
+
+The authority changes in mid-log: lists of revocations come, a rotation replaces the keys, grants are renewed. Each
+sample is judged by what was in force at its time. A statement was in force from the moment when the robot showed
+it first at the latest, and not before it was signed; in between the robot may or may not have known it, for a log
+may begin long after, and the robot repeats what is in force.
+
+Commanders by the requests in the journal: each signed verb's signature and grant, checked once more.
+
+The robot judged each request when it came, and the journal has its verdict beside the request. A drive command is
+proven by a key that only the robot and the holder of the lease have: it is attributed to the lease's holder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from mcap import records
+
+from recorder.mcap.reader import read_pieces
+from recorder.reading.logs import Faults, LogFile
+from recorder.reading.rows import Progress
+from recorder.reading.topics import UNREADABLE
+from recorder.record.retention import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
+from recorder.record.robots import STATEMENTS_NAME
+from schemas import keys
+from schemas.authority.proof import (
+    Grant,
+    GrantRole,
+    RequestProof,
+    Revocations,
+    Rotation,
+    Signed,
+    StatementFault,
+    chain_text,
+    read_chain,
+)
+from schemas.authority.trust import BY_SITE, HeldGrant, Objection, Trust, fingerprint, fits, is_signed
+from schemas.command_line import other_kind
+from schemas.decisions import Decision, Journal, Verdict
+from schemas.journal import Kind
+from schemas.reasons import TEXTS, Reason
+from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
+
+
+class ProofFault(Enum):
+    """The kind of a fault.
+
+    ``unproven``: the log lacks the evidence. ``other_authority``: all that is signed goes back to an authority
+    that was not given. Neither says that anything was tampered with; all others do.
+    """
+
+    MISSING = "missing"
+    CHANGED = "changed"
+    WRONGLY_SIGNED = "wrongly_signed"
+    NOT_GRANTED = "not_granted"
+    UNPROVEN = "unproven"
+    OTHER_AUTHORITY = "other_authority"
+
+    @property
+    def is_tampering(self) -> bool:
+        """Return True if it is certain that the log is not what the robot signed, or was not granted."""
+        return self not in {ProofFault.UNPROVEN, ProofFault.OTHER_AUTHORITY}
+
+
+class ProofFinding(msgspec.Struct, frozen=True):
+    """A finding.
+
+    Attributes:
+        what: in words.
+        time_ns: the robot's time of the first, nanoseconds since 1970; None if it is of no time.
+        count: samples, or requests.
+        until_ns: the robot's time of the last; None if there is but one time.
+    """
+
+    fault: ProofFault
+    what: str
+    time_ns: int | None = None
+    count: int = 1
+    until_ns: int | None = None
+
+
+_NOBODY: Final = bytes(32)
+"""The standby key of an authority that is not known: nobody has it."""
+
+_S: Final = 1_000_000_000
+
+_ALWAYS_NS: Final = -(2**63)
+
+
+class ShownStatement(msgspec.Struct, frozen=True):
+    """A statement that a robot took over, or repeated.
+
+    Attributes:
+        time_ns: when it said so, by its clock, nanoseconds since 1970.
+        text: the statement with its chain and signatures.
+    """
+
+    robot: str
+    time_ns: int
+    text: str
+
+
+class GrantInfo(msgspec.Struct, frozen=True):
+    """A grant of a log, for people.
+
+    Attributes:
+        id: the identifier, hexadecimal.
+        name, role, serial, key: of the holder.
+        not_before, not_after: the time in which all of its chain holds, seconds since 1970.
+        signers: names of those above it in the chain, the nearest first.
+        root: the key of the authority at which the chain ends, hexadecimal.
+        objection: why it did not hold when it was first used; empty if it did.
+        revoked_later: the reason for which it was revoked, or its authority replaced, by the end of the logs;
+            empty if it was not, or did not hold from the first.
+    """
+
+    id: str
+    name: str
+    role: str
+    serial: int
+    key: str
+    not_before: int
+    not_after: int
+    signers: list[str]
+    root: str
+    objection: str
+    revoked_later: str = ""
+
+
+class _InForce(msgspec.Struct, frozen=True):
+    """The authorities that counted from a time on: more than one as long as nothing says which of the given.
+
+    Attributes:
+        earliest_ns: the time of the signature of the statement that brought them.
+        shown_ns: the time when the robot showed that statement first.
+    """
+
+    earliest_ns: int
+    shown_ns: int
+    trusts: tuple[Trust, ...]
+
+
+class LogAuthority:
+    """The authority, the grants and the keys of a robot, as its log shows them.
+
+    Attributes:
+        is_vouched: the authority's keys were given from outside; else the log is all there is to believe.
+        roots: the authority's active keys, in the order in which they were in force; none if the log names none.
+        robot_keys: keys that the log says are this robot's.
+        findings: statements that do not hold.
+    """
+
+    def __init__(self, robot: str, given: Sequence[Trust], statements: Iterable[ShownStatement]) -> None:
+        """Read statements.
+
+        Args:
+            robot: the robot's name, without its root.
+            given: the fleet's authority, and those before it; without any the log is believed.
+            statements: in any order, repeated ones too.
+        """
+        self.is_vouched = bool(given)
+        self.findings: list[ProofFinding] = []
+        self._given = tuple(given)
+        self._own: dict[bytes, list[list[Signed]]] = {}
+        self._grants: dict[bytes, list[list[Signed]]] = {}
+        self._verified: dict[tuple[bytes, bytes], HeldGrant | Objection] = {}
+        self._judged: dict[bytes, GrantInfo] = {}
+        self._unknown_until_ns = _ALWAYS_NS
+        self._foreign: list[tuple[int, Signed, str]] = []
+        changes: list[tuple[int, Signed]] = []
+        statements = list(statements)
+        self._shown = [(one.time_ns, one.text) for one in statements]
+        for time_ns, text in _first_shown(statements):
+            chain = read_chain(text.encode())
+            if isinstance(chain, StatementFault):
+                self._find(ProofFault.CHANGED, f"a statement cannot be read: {chain.detail}", time_ns)
+            elif isinstance(grant := chain[0].statement, Grant):
+                self._grants.setdefault(chain[0].id, []).append(chain)
+                if grant.role is GrantRole.ROBOT and grant.name == robot:
+                    self._own.setdefault(bytes.fromhex(grant.key), []).append(chain)
+            else:
+                changes.append((time_ns, chain[0]))
+        self.robot_keys = list(self._own)
+        self._in_force: list[_InForce] = []
+        changes.sort(key=_order)
+        unread = list(self.findings)
+        self._follow(tuple(given) or tuple(self._named()), changes)
+        if other := self._other_authority():
+            # Whoever made this log, it can hold in itself, or not: by its own authority that is told all the same.
+            self.is_vouched = False
+            self.findings = [ProofFinding(ProofFault.OTHER_AUTHORITY, other), *unread]
+            self._follow(tuple(self._named()), changes)
+        roots = (trust.active for state in self._in_force for trust in state.trusts)
+        self.roots = list(dict.fromkeys(roots))
+
+    def _follow(self, first: tuple[Trust, ...], changes: Sequence[tuple[int, Signed]]) -> None:
+        """Follow the authority from its beginning through the lists and rotations of the log, in order."""
+        self._in_force = [_InForce(_ALWAYS_NS, _ALWAYS_NS, first)]
+        self._foreign.clear()
+        for time_ns, signed in changes:
+            self._change(time_ns, signed)
+        self._judge_foreign()
+
+    @property
+    def grants(self) -> list[GrantInfo]:
+        """The grants that were judged."""
+        judged = self._judged.values()
+        return [msgspec.structs.replace(one, revoked_later=self._revoked_later(one)) for one in judged]
+
+    def _revoked_later(self, info: GrantInfo) -> str:
+        """Return why no authority of the end of the logs counts a grant that held once; empty if one does."""
+        if info.objection:
+            return ""
+        objection: Objection | None = None
+        for chain in self._grants[bytes.fromhex(info.id)]:
+            for trust in self._in_force[-1].trusts:
+                held = self._held(chain, trust, info.not_before)
+                if isinstance(held, HeldGrant):
+                    return ""
+                objection = objection or held
+        return "" if objection is None else objection.text
+
+    def judge(self, identifier: bytes, at_ns: int) -> HeldGrant | Objection | None:
+        """Judge a grant as the robot had to at a time, nanoseconds since 1970; None if it is not in the log."""
+        return self._judge(self._grants.get(identifier, ()), at_ns)
+
+    def judge_own(self) -> Iterator[ProofFinding]:
+        """Judge the robot's own grants at the times when it showed them.
+
+        A rotation ends one; until the next one comes, the key is that of the grants on both sides. That a grant is
+        over means that nobody vouches for the key, and not that somebody else has it.
+        """
+        for key, chains in self._own.items():
+            texts = {chain_text(chain) for chain in chains}
+            yield from self._judge_own(key, [time_ns for time_ns, text in self._shown if text in texts])
+
+    def _judge_own(self, key: bytes, times_ns: Iterable[int]) -> Iterator[ProofFinding]:
+        times = sorted(times_ns)
+        objections = [(at_ns, self._judge(self._own[key], at_ns)) for at_ns in times]
+        held_ns = [at_ns for at_ns, held in objections if isinstance(held, HeldGrant)]
+        for at_ns, held in objections:
+            if not isinstance(held, Objection):
+                continue
+            found = self.finding("the robot's own grant does not hold", held, at_ns)
+            if held.reason is Reason.GRANT_EXPIRED:
+                found = ProofFinding(ProofFault.UNPROVEN, found.what, at_ns)
+            elif (
+                held.reason is Reason.GRANT_UNKNOWN
+                and at_ns >= self._unknown_until_ns
+                and self._is_of_former(self._own[key])
+            ):
+                if held_ns and held_ns[0] < at_ns < held_ns[-1]:
+                    continue
+                what = "a rotation ended the robot's own grant, and the logs hold no other for that time"
+                found = ProofFinding(ProofFault.UNPROVEN, what, at_ns)
+            yield found
+
+    def finding(self, what: str, objection: Objection, at_ns: int) -> ProofFinding:
+        """Return the finding that somebody did something at a time with a grant that did not hold."""
+        if objection.reason is Reason.GRANT_UNKNOWN and self._unknown_until_ns != _ALWAYS_NS:
+            why = (
+                f"that is under authority {_fingerprints(self._unknown_roots()) or 'of before'}, which was not "
+                f"given; the log shows the rotation from it to {_fingerprints(self._given_keys())}: give the "
+                "authority.json of before it too (--authority FILE for each)"
+            )
+            return ProofFinding(ProofFault.UNPROVEN, f"{what}: {why}", at_ns)
+        is_by_site = objection.detail == BY_SITE
+        fault = ProofFault.UNPROVEN if is_by_site else ProofFault.NOT_GRANTED
+        return ProofFinding(fault, f"{what}: {_cause(objection)}", at_ns)
+
+    def _other_authority(self) -> str:
+        """Return that the whole log is under an authority that was not given, in words; empty if it is not.
+
+        So it is if no grant of the robot's own goes back to one that was given, and the log leads to none of them.
+        Where some do, or where an own grant holds under nobody, the others are somebody's who was put in.
+        """
+        chains = [chain for chains in self._own.values() for chain in chains]
+        is_whole = all(isinstance(self._verify(one, Trust(one[-1].signer, _NOBODY)), HeldGrant) for one in chains)
+        if not self._given or not chains or not is_whole or self._unknown_until_ns != _ALWAYS_NS:
+            return ""
+        if self._is_of_former(chains):
+            return ""
+        are = "none of those" if len(self._given) > 1 else "not the one"
+        return (
+            f"signed under authority {_fingerprints(self._unknown_roots())}, which is {are} that you gave "
+            f"({_fingerprints(self._given_keys())}); the log shows no rotation from it to that: give the "
+            "authority.json of then (--authority FILE). If that authority was never yours, somebody else made this"
+        )
+
+    def _unknown_roots(self) -> list[bytes]:
+        """Return the keys of authorities of the robot's own grants that are not known."""
+        known = {trust.active for state in self._in_force for trust in state.trusts}
+        roots = (chain[-1].signer for chains in self._own.values() for chain in chains)
+        return [root for root in dict.fromkeys(roots) if root not in known]
+
+    def _given_keys(self) -> list[bytes]:
+        return [trust.active for trust in self._given]
+
+    def _is_of_former(self, chains: Sequence[list[Signed]]) -> bool:
+        """Report whether an authority that counted before or after signed any of these chains."""
+        trusts = [trust for state in self._in_force for trust in state.trusts]
+        return any(isinstance(self._verify(chain, trust), HeldGrant) for chain in chains for trust in trusts)
+
+    def _judge(self, chains: Sequence[list[Signed]], at_ns: int) -> HeldGrant | Objection | None:
+        """The first chain that held; else the first objection, by the authority that certainly counted."""
+        found: HeldGrant | Objection | None = None
+        states = list(self._states(at_ns))
+        for chain in chains:
+            for state in states:
+                for trust in state.trusts:
+                    held = self._held(chain, trust, at_ns // _S)
+                    if isinstance(held, HeldGrant):
+                        self._note(chain, held)
+                        return held
+                    found = found or held
+            found = found or Objection(Reason.GRANT_UNKNOWN)
+        if found is not None:
+            self._note(chains[0], found)
+        return found
+
+    def _states(self, at_ns: int) -> Iterator[_InForce]:
+        """The state that counted at a time for certain, and then those that may have counted already."""
+        certain = max(number for number, state in enumerate(self._in_force) if state.shown_ns < at_ns)
+        yield self._in_force[certain]
+        yield from (state for state in self._in_force[certain + 1 :] if state.earliest_ns <= at_ns)
+
+    def _held(self, chain: list[Signed], trust: Trust, now_s: int) -> HeldGrant | Objection:
+        held = self._verify(chain, trust)
+        return held if isinstance(held, Objection) else trust.objection(held, now_s) or held
+
+    def _verify(self, chain: list[Signed], trust: Trust) -> HeldGrant | Objection:
+        """Verify the signatures of a chain, once for each authority, and nothing that depends on the time."""
+        place = b"".join(one.id + one.signature for one in chain), trust.active
+        held = self._verified.get(place)
+        if held is None:
+            begins = max(
+                (one.statement.not_before for one in chain if isinstance(one.statement, Grant)), default=0
+            )
+            held = self._verified[place] = Trust(trust.active, trust.standby).judge(chain, begins)
+        return held
+
+    def _note(self, chain: Sequence[Signed], held: HeldGrant | Objection) -> None:
+        statement = chain[0].statement
+        if chain[0].id not in self._judged and isinstance(statement, Grant):
+            self._judged[chain[0].id] = _info(chain, statement, held)
+
+    def _named(self) -> Iterator[Trust]:
+        """The authority that the robot's first grant names; no one vouches for it."""
+        of_robot = [chain for chains in self._own.values() for chain in chains]
+        for chain in of_robot[:1] or [chains[0] for chains in self._grants.values()][:1]:
+            yield Trust(chain[-1].signer, _NOBODY)
+
+    def _change(self, time_ns: int, signed: Signed) -> None:
+        if isinstance(signed.statement, Rotation):
+            self._rotate(time_ns, signed, signed.statement)
+        elif isinstance(signed.statement, Revocations):
+            self._revoke(time_ns, signed, signed.statement)
+
+    def _rotate(self, time_ns: int, signed: Signed, rotation: Rotation) -> None:
+        trusts = self._in_force[-1].trusts
+        newer = [trust.rotate(signed) for trust in trusts]
+        accepted = [one for one in newer if isinstance(one, Trust)]
+        if accepted:
+            self._begin(time_ns, rotation.at, tuple(accepted[:1]))
+            return
+        # Of an authority that was given, and not come to by a rotation, it is not known who was there before.
+        led_to = [
+            trust
+            for trust in trusts
+            if _keys(trust) == (rotation.active, rotation.standby) and trust.rotation < rotation.serial
+        ]
+        if not led_to and any(isinstance(one, Objection) and one.reason is Reason.REPLAYED for one in newer):
+            return
+        if not is_signed(signed) or (self.is_vouched and not led_to):
+            detail = "it is not signed by the standby key"
+            self._foreign.append((time_ns, signed, f"a rotation is not the authority's: {detail}"))
+        elif led_to:
+            self._unknown_until_ns = time_ns
+        else:
+            what = "a rotation cannot be checked: who the standby is, the log does not say (--authority)"
+            self._find(ProofFault.UNPROVEN, what, time_ns)
+            self._unknown_until_ns = time_ns
+            new = Trust(bytes.fromhex(rotation.active), bytes.fromhex(rotation.standby), rotation.serial)
+            self._begin(time_ns, rotation.at, (new,))
+
+    def _revoke(self, time_ns: int, signed: Signed, revocations: Revocations) -> None:
+        trusts = self._in_force[-1].trusts
+        newer = [trust.revoke(signed) for trust in trusts]
+        if any(isinstance(one, Trust) for one in newer):
+            changed = tuple(
+                one if isinstance(one, Trust) else trust for one, trust in zip(newer, trusts, strict=True)
+            )
+            self._begin(time_ns, revocations.at, changed)
+            return
+        if newer and not any(one.reason is Reason.REPLAYED for one in newer if isinstance(one, Objection)):
+            self._foreign.append((time_ns, signed, "a list of revocations is not the authority's"))
+
+    def _judge_foreign(self) -> None:
+        """Judge the statements that no authority in force signed, now that all rotations are known.
+
+        A robot may repeat the list of an authority that was replaced: that list is in force no more.
+        """
+        trusts = [trust for state in self._in_force for trust in state.trusts]
+        known = {key for trust in trusts for key in (trust.active, trust.standby)}
+        for time_ns, signed, what in self._foreign:
+            is_whole = is_signed(signed)
+            if is_whole and signed.signer in known and isinstance(signed.statement, Revocations):
+                continue
+            is_unknown = is_whole and (not self.is_vouched or self._unknown_until_ns != _ALWAYS_NS)
+            self._find(ProofFault.UNPROVEN if is_unknown else ProofFault.WRONGLY_SIGNED, what, time_ns)
+
+    def _begin(self, time_ns: int, signed_s: int, trusts: tuple[Trust, ...]) -> None:
+        """The authorities that count from now on. A robot's clock may be behind that of who signed."""
+        shown_ns = max(time_ns, self._in_force[-1].shown_ns)
+        self._in_force.append(_InForce(min(signed_s * _S, shown_ns), shown_ns, trusts))
+
+    def _find(self, fault: ProofFault, what: str, time_ns: int) -> None:
+        self.findings.append(ProofFinding(fault, what, time_ns))
+
+
+def _cause(objection: Objection) -> str:
+    """Return an objection in words that are the same each second: without how long ago a grant ended."""
+    if objection.reason is not Reason.GRANT_EXPIRED:
+        return objection.text
+    has_begun = "begins" not in objection.detail
+    return TEXTS[objection.reason].means if has_begun else "it had not begun"
+
+
+def _fingerprints(keys: Iterable[bytes]) -> str:
+    return ", ".join(fingerprint(key) for key in keys)
+
+
+def _first_shown(statements: Iterable[ShownStatement]) -> list[tuple[int, str]]:
+    """Each text once, with the time when it was shown first, in order of time."""
+    first: dict[str, int] = {}
+    for one in statements:
+        first[one.text] = min(first.get(one.text, one.time_ns), one.time_ns)
+    return sorted((time_ns, text) for text, time_ns in first.items())
+
+
+def _order(change: tuple[int, Signed]) -> tuple[int, int, int]:
+    """Those that a robot repeats at one time: rotations before lists, each by its serial."""
+    time_ns, signed = change
+    serial = signed.statement.serial if isinstance(signed.statement, Rotation | Revocations) else 0
+    return time_ns, not isinstance(signed.statement, Rotation), serial
+
+
+def _keys(trust: Trust) -> tuple[str, str]:
+    return trust.active.hex(), trust.standby.hex()
+
+
+def _info(chain: Sequence[Signed], grant: Grant, held: HeldGrant | Objection) -> GrantInfo:
+    above = [one.statement for one in chain if isinstance(one.statement, Grant)]
+    return GrantInfo(
+        id=chain[0].id.hex(),
+        name=grant.name,
+        role=grant.role.value,
+        serial=grant.serial,
+        key=grant.key,
+        not_before=max(one.not_before for one in above),
+        not_after=min(one.not_after for one in above),
+        signers=[one.name for one in above[1:]],
+        root=chain[-1].signer.hex(),
+        objection=held.text if isinstance(held, Objection) else "",
+    )
+
+
+def file_statements(logs: Sequence[LogFile], faults: Faults) -> Iterator[ShownStatement]:
+    """Yield the statements in the metadata of logs; entries of another form are passed over.
+
+    Args:
+        logs: the files.
+        faults: takes what cannot be read.
+    """
+    for log in logs:
+        try:
+            with log.open() as stream:
+                pieces = read_pieces(stream, log.bytes, is_verifying=False)
+                found = [
+                    one.metadata
+                    for one in pieces
+                    if isinstance(one, records.Metadata) and one.name == STATEMENTS_NAME
+                ]
+        except OSError as error:
+            faults.add(f"{log.path}: {error.strerror or error}")
+            continue
+        for entries in found:
+            for name, text in entries.items():
+                yield from _shown(name, text, log)
+
+
+def _shown(name: str, text: str, log: LogFile) -> Iterator[ShownStatement]:
+    robot, _, place = name.partition(" ")
+    time_ns = place.partition(" ")[0]
+    short = robot.rpartition("/")[2]
+    if time_ns.isascii() and time_ns.isdecimal() and len(time_ns) < _DIGITS:
+        yield ShownStatement(robot if short in log.namesakes else short, int(time_ns), text)
+
+
+_DIGITS = 20
+
+
+SIGNED_INPUT: Final = bytes([0x9A, Kind.REQUEST])
+"""A request of signed mode begins so in MessagePack: an array of ten, and the kind."""
+
+OPEN_INPUT: Final = bytes([0x98, Kind.REQUEST])
+"""One of open mode: an array of eight."""
+
+
+LEASING: Final = frozenset({"acquire", "take"})
+
+COMMANDING_ROLES: Final = frozenset({GrantRole.PROGRAM, GrantRole.OPERATOR, GrantRole.SUPERVISOR})
+
+SAME_NS: Final = 50_000_000
+"""A request and its decision are of one tick, or of two that follow each other."""
+
+PROOF_OF_STOP_NS: Final = 5_000_000_000
+"""The proof of a stop follows within this time: whoever stops waits no longer."""
+
+STOPS_WAITING: Final = 256
+"""Unsigned stops of an operator that wait for their proof; of a flood the oldest are nobody's."""
+
+VERBS_MAX: Final = 20_000
+"""Signed verbs that are kept one by one; a flood is counted."""
+
+_DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
+
+
+class SignedVerb(msgspec.Struct, frozen=True):
+    """A verb whose proof the robot accepted.
+
+    Attributes:
+        time_ns: by the robot's clock, nanoseconds since 1970.
+        operator: by the key expression.
+        grant: the identifier of the grant; empty if there was no proof.
+        holds: signature and grant hold.
+        detail: why not.
+        unsigned_before: stops of the same operator that came without a proof, and for which this one is it: a stop
+            waits for no proof, which follows as soon as the robot has said what to sign.
+        unsigned_after: stops in the same name that came without a proof right after this one: who stops says it
+            again until the robot is seen to stand, and anybody may say it in that name. They stop what is stopped.
+    """
+
+    time_ns: int
+    operator: str
+    verb: str
+    grant: str
+    holds: bool
+    detail: str = ""
+    unsigned_before: int = 0
+    unsigned_after: int = 0
+
+
+class RefusedProof(msgspec.Struct):
+    """Requests of one kind whose proof the robot refused, or stops that had none.
+
+    Attributes:
+        operator: by the key expression, so as they said themselves.
+        reason: the robot's.
+        first_ns, last_ns: by the robot's clock, nanoseconds since 1970.
+    """
+
+    operator: str
+    verb: str
+    reason: str
+    count: int
+    first_ns: int
+    last_ns: int
+
+
+class Holder(msgspec.Struct):
+    """Somebody held the lease.
+
+    Attributes:
+        lease: its public identifier.
+        grant: identifier of the grant under which it was given; empty if the log does not show it.
+        from_ns, to_ns: the first and the last request under it that was accepted, by the robot's clock.
+        drives: drive commands that were accepted.
+    """
+
+    lease: int
+    operator: str
+    grant: str
+    from_ns: int
+    to_ns: int
+    drives: int
+
+
+class CommandRecord:
+    """Gathers what was commanded.
+
+    Attributes:
+        root: first chunks of the robot's keys, which are under its requests' signatures.
+        verbs: those whose proof was accepted, by their time; ``verbs_untold`` more.
+        refused: those whose proof was refused.
+        unproven_stops: remote stops without a proof that holds. They are served all the same.
+        findings: the faults.
+    """
+
+    def __init__(self, robot: str, authority: LogAuthority) -> None:
+        """Nothing was commanded yet.
+
+        Args:
+            robot: its name.
+            authority: judges the grants.
+        """
+        self.root = ""
+        self._robot, self._authority = robot, authority
+        self.verbs: list[SignedVerb] = []
+        self.verbs_untold = 0
+        self.findings: list[ProofFinding] = []
+        self._refused: dict[tuple[str, str, str], RefusedProof] = {}
+        self._stops: dict[str, deque[int]] = {}
+        self._signed_stops: dict[str, int] = {}
+        """The place of the last one of each operator among the verbs."""
+        self._holders: dict[tuple[str, int], Holder] = {}
+
+    @property
+    def refused(self) -> list[RefusedProof]:
+        """Requests that the robot refused for their proof."""
+        return [one for one in self._refused.values() if one.verb != STOP_VERB]
+
+    @property
+    def unproven_stops(self) -> list[RefusedProof]:
+        """Stops that nobody signed, neither right before nor right after."""
+        for operator, stops in self._stops.items():
+            while stops:
+                at_ns = stops.popleft()
+                self._refuse(operator, STOP_VERB, Reason.PROOF_MISSING.value, at_ns)
+        return [one for one in self._refused.values() if one.verb == STOP_VERB]
+
+    def holders(self) -> list[Holder]:
+        """Return the holders of the lease, in order of time."""
+        for holder in self._holders.values():
+            asked = [
+                verb
+                for verb in self.verbs
+                if verb.verb in LEASING
+                and verb.operator == holder.operator
+                and abs(verb.time_ns - holder.from_ns) <= SAME_NS
+            ]
+            holder.grant = asked[-1].grant if asked else ""
+        return sorted(self._holders.values(), key=lambda one: one.from_ns)
+
+    def take_decision(self, decision: Decision) -> None:
+        """A decision says who had what accepted."""
+        if decision.verdict is not Verdict.ACCEPTED or not decision.lease:
+            return
+        holder = self._holders.get((decision.operator, decision.lease))
+        if holder is None:
+            if decision.request not in LEASING | {DRIVE_VERB, "renew", "engage"}:
+                return
+            at_ns = decision.time_ns
+            holder = Holder(decision.lease, decision.operator, "", at_ns, at_ns, 0)
+            self._holders[decision.operator, decision.lease] = holder
+        holder.from_ns = min(holder.from_ns, decision.time_ns)
+        holder.to_ns = max(holder.to_ns, decision.time_ns)
+        holder.drives += decision.request == DRIVE_VERB
+
+    def take_journal(self, journal: Journal) -> None:
+        """Take the requests of a message of the journal."""
+        if SIGNED_INPUT not in journal.inputs and OPEN_INPUT not in journal.inputs:
+            return
+        try:
+            inputs = _DECODER.decode(journal.inputs)
+        except UNREADABLE:
+            what = "a message of the journal whose inputs cannot be read"
+            self.findings.append(ProofFinding(ProofFault.CHANGED, what, journal.time_ns))
+            return
+        waiting: list[tuple[Any, ...]] = []
+        for one in inputs:
+            if one[:1] == (Kind.REQUEST,) and len(one) == _SIGNED_LENGTH:
+                waiting.append(one)
+            elif one[:1] == (Kind.REQUEST,):
+                what = "requests of open mode: nothing proves who sent them"
+                self.findings.append(ProofFinding(ProofFault.UNPROVEN, what, journal.time_ns))
+            elif one[:1] == (Kind.TICK,) and len(one) > _WALL:
+                self._take_requests(waiting, one[_WALL])
+                waiting = []
+        # Their tick is in the next message.
+        self._take_requests(waiting, journal.time_ns)
+
+    def _take_requests(self, requests: Sequence[tuple[Any, ...]], at_ns: int) -> None:
+        for one in requests:
+            try:
+                self._take_request(one, at_ns)
+            except (TypeError, ValueError, IndexError, AttributeError):
+                what = "a request in the journal is of no form that a gateway writes"
+                self.findings.append(ProofFinding(ProofFault.CHANGED, what, at_ns))
+
+    def _take_request(self, one: tuple[Any, ...], at_ns: int) -> None:
+        _, _, _, verb, operator, payload, _, _, attachment, credentials = one
+        reason = Reason(credentials[0])
+        if verb == STOP_VERB and reason is Reason.PROOF_MISSING:
+            if self._repeats(operator, at_ns):
+                return
+            stops = self._stops.setdefault(operator, deque())
+            stops.append(at_ns)
+            if len(stops) > STOPS_WAITING:
+                self._refuse(operator, verb, reason.value, stops.popleft())
+        elif reason is not Reason.NONE:
+            self._refuse(operator, verb, reason.value, at_ns)
+        elif verb != DRIVE_VERB:
+            proof = RequestProof.read(attachment)
+            found = self._judge(verb, operator, payload, proof, credentials, at_ns)
+            if isinstance(found, ProofFinding):
+                self.findings.append(found)
+            if len(self.verbs) >= VERBS_MAX:
+                self.verbs_untold += 1
+                return
+            grant = "" if proof is None else proof.grant.hex()
+            detail = found.what if isinstance(found, ProofFinding) else ""
+            before = 0
+            if verb == STOP_VERB and not detail:
+                before = self._proven_by_it(operator, at_ns)
+                self._signed_stops[operator] = len(self.verbs)
+            self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail, before))
+
+    def _refuse(self, operator: str, verb: str, reason: str, at_ns: int) -> None:
+        new = RefusedProof(operator, verb, reason, 0, at_ns, at_ns)
+        refused = self._refused.setdefault((operator, verb, reason), new)
+        refused.count += 1
+        refused.first_ns, refused.last_ns = min(refused.first_ns, at_ns), max(refused.last_ns, at_ns)
+
+    def _proven_by_it(self, place: str, at_ns: int) -> int:
+        """Return the number of unsigned stops right before a signed one of the same operator, and forget them."""
+        stops = self._stops.pop(place, ())
+        proven = [one for one in stops if at_ns - PROOF_OF_STOP_NS <= one <= at_ns]
+        self._stops[place] = deque(one for one in stops if one not in proven)
+        return len(proven)
+
+    def _repeats(self, place: str, at_ns: int) -> bool:
+        """Return True if an unsigned stop came right after a signed one in the same name, and count it there."""
+        number = self._signed_stops.get(place)
+        if number is None or not 0 <= at_ns - self.verbs[number].time_ns <= PROOF_OF_STOP_NS:
+            return False
+        signed = self.verbs[number]
+        self.verbs[number] = msgspec.structs.replace(signed, unsigned_after=signed.unsigned_after + 1)
+        return True
+
+    def _judge(
+        self,
+        verb: str,
+        operator: str,
+        payload: bytes,
+        proof: RequestProof | None,
+        credentials: Sequence[Any],
+        at_ns: int,
+    ) -> ProofFinding | None:
+        """Return the finding against a verb that should not have been accepted; None if it should."""
+        command, what = BY_VERB.get(verb), f"{verb} of {operator}"
+        if proof is None or command is None:
+            return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what} was accepted without a signature", at_ns)
+        held = self._authority.judge(proof.grant, at_ns)
+        if held is None:
+            return ProofFinding(ProofFault.UNPROVEN, f"{what}: its grant is not in the log", at_ns)
+        if isinstance(held, Objection):
+            return self._authority.finding(f"{what} was accepted", held, at_ns)
+        text = proof.signed(keys.command(self.root, self._robot, operator, verb), command.encoding, payload)
+        if not fits(held.key, proof.signature, text):
+            return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what}: its signature does not fit", at_ns)
+        detail = self._excess(held, verb, operator, credentials)
+        return ProofFinding(ProofFault.NOT_GRANTED, f"{what} was accepted: {detail}", at_ns) if detail else None
+
+    def _excess(self, held: HeldGrant, verb: str, operator: str, credentials: Sequence[Any]) -> str:
+        """Return what the robot allowed beyond the grant; empty if nothing."""
+        grant = held.grant
+        if grant.name != operator or grant.role not in COMMANDING_ROLES:
+            return f"the grant is of {grant.name}, {grant.role.value}"
+        if not grant.covers(self._robot):
+            return f"the grant is not for {self._robot}"
+        if verb != STOP_VERB and verb not in grant.verbs:
+            return f"{verb} is not among the verbs of the grant"
+        allowed = [grant.serial, grant.role.value, grant.override, grant.speed_limit_mps]
+        return "" if list(credentials[2:6]) == allowed else "the robot took the grant for another one"
+
+
+_SIGNED_LENGTH: Final = 10
+_WALL: Final = 2
+
+
+UNSIGNED: Final = "no recorder has signed the log, as in open mode or by an earlier version: nothing proves it"
+OPEN: Final = "a log that is still being written is signed when it is finished"
+
+_BLOCK: Final = 1 << 20
+
+
+class SignedFile(msgspec.Struct, frozen=True):
+    """A log file, and what the signature beside it proves.
+
+    Attributes:
+        file: its name.
+        sha256: of all of it, hexadecimal.
+        key: the key that signed it, hexadecimal; empty if none did.
+        grant: identifier of that key's grant, hexadecimal; ``statement`` its text, with those of its signers.
+        finding: what is wrong with the signature, or that there is none; None if it fits.
+    """
+
+    file: str
+    sha256: str = ""
+    key: str = ""
+    grant: str = ""
+    statement: str = ""
+    finding: ProofFinding | None = None
+
+
+def prove_file(log: LogFile, faults: Faults, progress: Progress) -> SignedFile:
+    """Hold a file against the signature beside it. Whose the signature is another question.
+
+    Args:
+        log: the file.
+        faults: takes what cannot be read.
+        progress: is called while it is read, with no bytes.
+    """
+    name = log.path.name
+    if log.is_being_written:
+        return SignedFile(name, finding=ProofFinding(ProofFault.UNPROVEN, OPEN))
+    try:
+        data = _beside(log.path)
+        digest = hashlib.sha256()
+        with log.open() as stream:
+            while data and (block := stream.read(_BLOCK)):
+                digest.update(block)
+                progress(0)
+    except OSError as error:
+        faults.add(f"{log.name}: {error.strerror or error}")
+        return SignedFile(name, finding=ProofFinding(ProofFault.UNPROVEN, "a file cannot be read"))
+    if not data:
+        return SignedFile(name, finding=ProofFinding(ProofFault.UNPROVEN, UNSIGNED))
+    found = LogSignature.read(data)
+    if found is None:
+        what = f"{name}: its signature is in no form that a recorder writes"
+        return SignedFile(name, digest.hexdigest(), finding=ProofFinding(ProofFault.CHANGED, what))
+    finding = None
+    if not found.fits:
+        finding = ProofFinding(ProofFault.WRONGLY_SIGNED, f"{name}: its signature is not that of the key it names")
+    elif found.sha256 != digest.hexdigest():
+        finding = ProofFinding(ProofFault.CHANGED, f"{name} is not the file that its recorder signed")
+    first = found.chain[0]
+    return SignedFile(name, digest.hexdigest(), found.key.hex(), first.id.hex(), chain_text(found.chain), finding)
+
+
+def _beside(path: Path) -> bytes:
+    """The signature beside a log; empty if there is none."""
+    beside = path.with_name(path.name + SIGNATURE_SUFFIX)
+    try:
+        if other_kind(beside.stat().st_mode):
+            return b"\n"
+        with beside.open("rb") as stream:
+            return stream.read(SIGNATURE_MAX_BYTES + 1) or b"\n"
+    except FileNotFoundError:
+        return b""

@@ -1,1 +1,0 @@
-"""Proof of what logs of a robot in signed mode hold: signatures of files and verbs, grants."""

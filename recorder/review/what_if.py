@@ -1,0 +1,440 @@
+"""Recorded runs with other settings, and many logs beside each other.
+
+- The settings that are tried on recorded runs.
+- Logs run again, one task a log: in this process, in several, or on the machines of a cluster.
+
+A recorded run with other settings: the decisions that would differ, and the robot's motion under them.
+
+Where the other run commands the chassis differently, a model of the chassis answers in place of the recorded one.
+What people would have done otherwise nobody knows: they ask what was recorded.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final
+
+import msgspec
+
+from gateway.rerun import GivenOutput, what_if
+from recorder.reading.logs import Faults, LogFile, logs_of
+from recorder.reading.rows import Progress
+from recorder.reading.survey import CONFIGURATION, Configurations, configurations_of, settings_from, survey
+from recorder.reading.topics import UNREADABLE
+from recorder.review.rerun import NO_CONFIGURATION, RerunPlayer, RerunResult, SampleAgain, rerun_parts
+from schemas import codec
+from schemas.configuration import TomlSource, merge
+from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
+from schemas.journal import COMMAND_RULES
+from schemas.messages import RobotState
+from schemas.settings import STANDSTILL_MPS, Settings
+from schemas.subjects import BY_NAME
+
+
+class TriedSettings(msgspec.Struct, frozen=True):
+    """The run's own configuration or a whole other one, and changes to it. Called with the recorded TOML text.
+
+    Attributes:
+        text: the other configuration as TOML; None for the run's own.
+        path: the file that it is from.
+        changes: values by the name of the setting, as ``command.speed_limit_mps``.
+    """
+
+    text: str | None
+    path: str
+    changes: dict[str, object]
+
+    @property
+    def is_own(self) -> bool:
+        """Nothing else is tried than what the run had."""
+        return self.text is None and not self.changes
+
+    def __call__(self, recorded: str) -> Settings:
+        """Return the settings to try.
+
+        Raises:
+            CommandError: a value is none of this version.
+        """
+        if self.text is None:
+            source = TomlSource(CONFIGURATION, recorded, is_recorded=True)
+        else:
+            source = TomlSource(self.path, self.text)
+        return merge(source, {}, self.changes)
+
+
+STOP_TOLERANCE_NS: Final = 2_000_000_000
+"""Stops of one reason that lie no further apart are the same stop."""
+
+MOVED_NS: Final = 10_000_000
+"""A stop that is this much sooner or later, a tick of the arbiter, is reported."""
+
+STATE_GAP_S: Final = 1.0
+"""Over a longer gap between two states nothing is known of the way."""
+
+
+WhatIf = Callable[[Settings, Settings, Iterable[Journal]], Iterator[GivenOutput]]
+"""The run's settings, the other ones, and its journals, to what both runs say."""
+
+
+class StopMade(msgspec.Struct, frozen=True):
+    """A stop of the robot; the time is in nanoseconds since 1970."""
+
+    time_ns: int
+    reason: str
+    operator: str
+    text: str
+
+
+class StopMoved(msgspec.Struct, frozen=True):
+    """A stop that both runs make, and the other one at another time, in nanoseconds since 1970."""
+
+    stop: StopMade
+    other_ns: int
+
+
+class StopsCompared(msgspec.Struct, frozen=True):
+    """The stops of two runs: only in the recorded one, only in the other, and in both but not at the same time."""
+
+    avoided: list[StopMade]
+    added: list[StopMade]
+    moved: list[StopMoved]
+
+
+class CounterfactualVerdict(msgspec.Struct, frozen=True):
+    """The outcome of a request: the verdict, its reason, and the limits that changed what was asked."""
+
+    verdict: str
+    reason: str
+    bound_by: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Name it with its reason and the limits, for people."""
+        text = self.verdict if self.reason == "none" else f"{self.verdict} ({self.reason})"
+        return f"{text}, bound by {' and '.join(self.bound_by)}" if self.bound_by else text
+
+
+class DecisionChange(msgspec.Struct):
+    """Requests of one kind that would have been judged otherwise.
+
+    Attributes:
+        count: their number; the first came at ``first_ns``, the last at ``last_ns``.
+    """
+
+    operator: str
+    request: str
+    recorded: CounterfactualVerdict
+    other: CounterfactualVerdict
+    count: int
+    first_ns: int
+    last_ns: int
+
+
+class Journey(msgspec.Struct):
+    """The way of a robot.
+
+    Attributes:
+        distance_m: driven in either direction, by its speed feedback.
+        moving_s: the time that it moved.
+        top_speed_mps: the highest speed, a magnitude.
+        stops: why it was stopped, in order.
+    """
+
+    distance_m: float = 0.0
+    moving_s: float = 0.0
+    top_speed_mps: float = 0.0
+    stops: list[StopMade] = []
+
+
+class WhatIfResult(msgspec.Struct, frozen=True):
+    """A run, and what it would have been.
+
+    Attributes:
+        settings: each setting that differs: as it was, and as it is tried.
+        first, inputs, detail, rules: as in ``rerun.RerunResult``.
+        decisions: number that both runs made; ``changes`` are those that differ.
+        stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round;
+            ``stops_moved`` those of both that would have been sooner or later.
+    """
+
+    robot: str
+    run: int
+    first: int
+    inputs: int
+    detail: str
+    start_ns: int
+    end_ns: int
+    settings: dict[str, tuple[object, object]]
+    decisions: int
+    changes: list[DecisionChange]
+    recorded: Journey
+    other: Journey
+    stops_avoided: list[StopMade]
+    stops_added: list[StopMade]
+    stops_moved: list[StopMoved]
+    rules: int = COMMAND_RULES
+
+    @property
+    def differs_ns(self) -> int | None:
+        """The time of the first decision or stop that would have been another; None if there is none."""
+        decided = [change.first_ns for change in self.changes]
+        stops = [*self.stops_avoided, *self.stops_added, *(moved.stop for moved in self.stops_moved)]
+        return min([*decided, *(stop.time_ns for stop in stops)], default=None)
+
+
+def what_if_parts(
+    player: RerunPlayer, settings_of: Callable[[str], Settings], run_both: WhatIf = what_if
+) -> Iterator[WhatIfResult]:
+    """Every run that a player plays, as it was and as it would have been.
+
+    Args:
+        player: of one robot.
+        settings_of: turns the TOML text of a run's configuration into the settings to try.
+        run_both: runs both.
+    """
+    while player.next_part():
+        yield _what_if(player, run_both, settings_of)
+
+
+def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str], Settings]) -> WhatIfResult:
+    text = player.configuration()
+    pair = _RunsCompared()
+    changed: dict[str, tuple[object, object]] = {}
+    if text is None:
+        run = player.skip(NO_CONFIGURATION)
+    else:
+        settings, other = settings_from(text), settings_of(text)
+        changed = _changed_settings(settings, other)
+        try:
+            for said in run_both(settings, other, player.journals()):
+                pair.take(said.sample, is_other=said.is_other)
+        except UNREADABLE as error:
+            player.break_off(error)
+        run = player.result(pair.start_ns)
+    return pair.result(run, changed)
+
+
+def _changed_settings(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
+    """Return the settings of the arbiter that differ; bus and network make no difference here."""
+    return {
+        f"{section}.{name}": (was, tried)
+        for section in ("command", "chassis", "gateway")
+        for name in getattr(settings, section).__struct_fields__
+        if (was := getattr(getattr(settings, section), name)) != (tried := getattr(getattr(other, section), name))
+    }
+
+
+def compared(recorded: Sequence[StopMade], other: Sequence[StopMade]) -> StopsCompared:
+    """Pair the stops of the two runs: those of the same reason, and near in time."""
+    by_reason: dict[str, deque[StopMade]] = {}
+    for stop in sorted(other, key=_time):
+        by_reason.setdefault(stop.reason, deque()).append(stop)
+    found = StopsCompared([], [], [])
+    for stop in sorted(recorded, key=_time):
+        left = by_reason.get(stop.reason, deque())
+        # Both in the order of time: what is too early for this stop is so for all that follow.
+        while left and left[0].time_ns < stop.time_ns - STOP_TOLERANCE_NS:
+            found.added.append(left.popleft())
+        if not left or left[0].time_ns > stop.time_ns + STOP_TOLERANCE_NS:
+            found.avoided.append(stop)
+        elif abs((other_ns := left.popleft().time_ns) - stop.time_ns) >= MOVED_NS:
+            found.moved.append(StopMoved(stop, other_ns))
+    found.added.extend(stop for left in by_reason.values() for stop in left)
+    found.added.sort(key=_time)
+    return found
+
+
+def _time(stop: StopMade) -> int:
+    return stop.time_ns
+
+
+class _Side:
+    """One of the two runs."""
+
+    def __init__(self) -> None:
+        self.journey = Journey()
+        self.waiting: dict[int, Decision] = {}
+        self._last: RobotState | None = None
+
+    def take_state(self, state: RobotState) -> None:
+        last, self._last = self._last, state
+        speed_mps = state.speed_mps
+        if speed_mps is None:
+            return
+        self.journey.top_speed_mps = max(self.journey.top_speed_mps, abs(speed_mps))
+        if last is None or last.speed_mps is None:
+            return
+        passed_s = (state.time_ns - last.time_ns) / 1e9
+        if not 0 < passed_s <= STATE_GAP_S:
+            return
+        mean_mps = (abs(last.speed_mps) + abs(speed_mps)) / 2
+        self.journey.distance_m += mean_mps * passed_s
+        if mean_mps > STANDSTILL_MPS:
+            self.journey.moving_s += passed_s
+
+    def take_event(self, event: SafetyEvent) -> None:
+        if event.kind is EventKind.STOP:
+            self.journey.stops.append(StopMade(event.time_ns, event.reason.value, event.operator, event.text))
+
+
+class _RunsCompared:
+    """Both runs, as they were and as they would have been.
+
+    Attributes:
+        changes: the decisions that differ, alike ones together.
+        start_ns, end_ns: of the states that were taken; 0 before the first.
+    """
+
+    def __init__(self) -> None:
+        self.changes: dict[tuple[object, ...], DecisionChange] = {}
+        self.start_ns = self.end_ns = 0
+        self._sides = {False: _Side(), True: _Side()}
+        self._decisions = 0
+
+    def take(self, sample: SampleAgain, *, is_other: bool) -> None:
+        """Take a sample of one of them."""
+        if sample.subject not in _TAKEN:
+            return
+        message = codec.decode(BY_NAME[sample.subject], sample.payload)
+        side = self._sides[is_other]
+        match message:
+            case RobotState():
+                self.start_ns = self.start_ns or message.time_ns
+                self.end_ns = message.time_ns
+                side.take_state(message)
+            case SafetyEvent():
+                side.take_event(message)
+            case Decision():
+                self._take_decision(message, is_other=is_other)
+            case _:
+                pass
+
+    def result(self, run: RerunResult, settings: dict[str, tuple[object, object]]) -> WhatIfResult:
+        """Sum up both.
+
+        Args:
+            run: the recorded one.
+            settings: those that differ.
+        """
+        recorded, tried = self._sides[False].journey, self._sides[True].journey
+        stops = compared(recorded.stops, tried.stops)
+        return WhatIfResult(
+            robot=run.robot,
+            run=run.run,
+            first=run.first,
+            inputs=run.inputs,
+            detail=run.detail,
+            start_ns=self.start_ns,
+            end_ns=self.end_ns,
+            settings=settings,
+            decisions=self._decisions,
+            changes=list(self.changes.values()),
+            recorded=recorded,
+            other=tried,
+            stops_avoided=stops.avoided,
+            stops_added=stops.added,
+            stops_moved=stops.moved,
+            rules=run.rules,
+        )
+
+    def _take_decision(self, decision: Decision, *, is_other: bool) -> None:
+        """Pair the decisions of both runs by sequence: both judge the same requests in the same order."""
+        counterpart = self._sides[not is_other].waiting.pop(decision.sequence, None)
+        if counterpart is None:
+            self._sides[is_other].waiting[decision.sequence] = decision
+            return
+        self._decisions += 1
+        recorded, other = (counterpart, decision) if is_other else (decision, counterpart)
+        was, would_be = _verdict_of(recorded), _verdict_of(other)
+        if was == would_be:
+            return
+        key = (recorded.operator, recorded.request, was, would_be)
+        change = self.changes.get(key)
+        if change is None:
+            self.changes[key] = DecisionChange(
+                recorded.operator, recorded.request, was, would_be, 1, recorded.time_ns, recorded.time_ns
+            )
+        else:
+            change.count += 1
+            change.last_ns = recorded.time_ns
+
+
+_TAKEN: Final = frozenset({"state", "safety/decision", "safety/event"})
+
+
+def _verdict_of(decision: Decision) -> CounterfactualVerdict:
+    return CounterfactualVerdict(
+        decision.verdict.value, decision.reason.value, tuple(bound.value for bound in decision.bound_by)
+    )
+
+
+FOLLOWS_NS: Final = 600_000_000_000
+"""Files of a robot that lie no further apart are one log. A gateway keeps its journal for some ten minutes, and a
+recorder that comes back asks for it: a run goes on over such a gap."""
+
+
+class RerunTask(msgspec.Struct, frozen=True):
+    """A log of a robot.
+
+    Attributes:
+        logs: its files, in the order of their beginnings.
+        configurations: those of its runs.
+        tried: the settings to run it with.
+    """
+
+    robot: str
+    logs: list[LogFile]
+    configurations: Configurations
+    tried: TriedSettings
+
+    @property
+    def bytes(self) -> int:
+        """The length of all files."""
+        return sum(log.bytes for log in self.logs)
+
+
+class RerunOutcome(msgspec.Struct, frozen=True):
+    """The result of a task: one for each run of a gateway, or for each part of one between gaps."""
+
+    results: list[RerunResult | WhatIfResult]
+    faults: Faults
+
+
+def rerun_tasks(logs: Sequence[LogFile], tried: TriedSettings, faults: Faults) -> list[RerunTask]:
+    """The logs of all robots, by robot and time.
+
+    Args:
+        logs: the files, in the order of their beginnings.
+        tried: the settings to run them with.
+        faults: takes what cannot be read.
+    """
+    found = survey(logs, faults)
+    tasks = []
+    for robot in found.robots:
+        files = logs_of(robot, logs)
+        # A recorder writes a configuration when it is new to it, maybe in a log before.
+        configurations = configurations_of(robot, files, found, faults)
+        tasks += [RerunTask(robot, log, configurations, tried) for log in _joined(files)]
+    return tasks
+
+
+def _joined(files: Iterable[LogFile]) -> Iterator[list[LogFile]]:
+    """Yield files that follow each other together."""
+    log: list[LogFile] = []
+    end_ns = 0
+    for file in files:
+        if log and file.start_ns - end_ns > FOLLOWS_NS:
+            yield log
+            log = []
+        log.append(file)
+        end_ns = max(end_ns, file.end_ns)
+    if log:
+        yield log
+
+
+def run_task(task: RerunTask, progress: Progress) -> RerunOutcome:
+    """Run a log again, with the settings of its runs or with others."""
+    faults = Faults()
+    player = RerunPlayer(task.robot, task.logs, task.configurations, faults, progress)
+    parts = rerun_parts(player) if task.tried.is_own else what_if_parts(player, task.tried)
+    return RerunOutcome(list(parts), faults)

@@ -1,0 +1,382 @@
+"""Robots live in Foxglove and Lichtblick.
+
+The loop of a view: samples from Zenoh to viewers. It waits for neither.
+
+The WebSocket server of foxglove-sdk: channels and records go out, and nothing comes in.
+
+It has no capability, so it refuses what viewers publish, call or set, with a status message. Records wait for each
+viewer in a ring of its own; of a viewer who is too slow the oldest go.
+
+Samples to the channels and records that a log would have, for viewers instead of a file.
+
+What nobody looks at is not decoded. What comes seldom (events, decisions, who a robot is) is declared before it
+comes, so that viewers have subscribed by then, and the newest of it is shown to those who come later.
+Its bounds are those of a log's channels: ``gateway.client.fleet`` stores messages, a viewer gets encoded records.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, Protocol, Self
+
+import foxglove
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+from cryptography.x509 import load_pem_x509_certificates
+from foxglove.websocket import ChannelView, Client, ServerListener, StatusLevel
+
+from recorder.encoding.routes import Route, keep_raw
+from recorder.encoding.samples import ReceivedSample, log_record
+from recorder.layouts.attached import RobotKeys
+from recorder.mcap.writer import LogChannel, log_time
+from recorder.record.accounting import ChannelQuota, Channels
+from recorder.record.actions import Query
+from recorder.record.robots import Robots
+from recorder.zenoh.source import ZenohSource
+from schemas import keys
+from schemas.command_line import CommandError, ExitCode, plain, shown_address
+from schemas.decisions import Decision, SafetyEvent
+from schemas.messages import GatewayInfo, Message
+from schemas.settings import ROBOT_LIMIT
+from schemas.subjects import BY_TYPE
+
+RECORDS_WAITING: Final = 2048
+"""Records that wait for a viewer; beyond it the oldest go. A saturated bus has 375 frames in a batch."""
+
+SUBSCRIPTIONS_WAITING: Final = 10_000
+
+
+class _Subscriptions(ServerListener):
+    """Remembers which channels somebody has just subscribed to. Called on the server's threads."""
+
+    def __init__(self) -> None:
+        self.channels: deque[int] = deque(maxlen=SUBSCRIPTIONS_WAITING)
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the SDK's form
+        """Remember it; the loop asks for it."""
+        self.channels.append(channel.id)
+
+
+class ViewServer:
+    """Viewers, as ``LiveChannels`` wants them. Ends at the end of a ``with``.
+
+    Attributes:
+        where: its address, as it is typed into a viewer.
+    """
+
+    def __init__(self, name: str, host: str, port: int, certificate: tuple[Path, Path] | None = None) -> None:
+        """Listen.
+
+        Args:
+            name: shown by viewers.
+            host: the IP address.
+            port: 0 is a free one.
+            certificate: the files of a chain and its key, PEM; without them there is no TLS.
+
+        Raises:
+            CommandError: the address is taken or not one of this machine, or a file cannot be used.
+        """
+        # Its lines are about what viewers send; they are told themselves.
+        logging.getLogger("foxglove").setLevel(logging.ERROR)
+        self._context = foxglove.Context()
+        self._channels: dict[int, foxglove.Channel] = {}
+        self._ids: dict[int, int] = {}
+        """Our id of a channel, by the SDK's."""
+        self._subscriptions = _Subscriptions()
+        chain, key = (None, None) if certificate is None else _read(*certificate)
+        try:
+            self._server = foxglove.start_server(
+                name=name,
+                host=host,
+                port=port,
+                capabilities=[],
+                server_listener=self._subscriptions,
+                context=self._context,
+                message_backlog_size=RECORDS_WAITING,
+                tls_cert=chain,
+                tls_key=key,
+            )
+        except RuntimeError as error:
+            # It has no other exception.
+            text = plain(str(error).removeprefix("FoxgloveError: "))
+            raise CommandError(
+                f"cannot listen on {shown_address(host, port)}: {text}", ExitCode.UNREACHABLE
+            ) from error
+        scheme = "ws" if certificate is None else "wss"
+        self.where = f"{scheme}://{shown_address(host, self._server.port)}"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_raised: object) -> None:
+        self._server.stop()
+
+    def declare(self, channel: LogChannel) -> None:
+        """Add a channel."""
+        schema = foxglove.Schema(
+            name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema_data
+        )
+        added = foxglove.Channel(
+            channel.topic, message_encoding=channel.message_encoding, schema=schema, context=self._context
+        )
+        self._ids[added.id()] = channel.channel_id
+        self._channels[channel.channel_id] = added
+
+    def is_wanted(self, channel_id: int) -> bool:
+        """True if somebody has subscribed to a channel."""
+        return self._channels[channel_id].base.has_sinks()
+
+    def write(self, channel_id: int, log_ns: int, data: bytes) -> None:
+        """Send a record to those who have subscribed to its channel."""
+        self._channels[channel_id].log(data, log_time=log_ns)
+
+    def subscribed(self) -> Iterator[int]:
+        """The channels to which somebody has subscribed since the last call."""
+        waiting = self._subscriptions.channels
+        while waiting:
+            channel_id = self._ids.get(waiting.popleft())
+            if channel_id is not None:
+                yield channel_id
+
+    def warn(self, about: str, text: str) -> None:
+        """Show a warning to all viewers, in place of an earlier one about the same."""
+        self._server.publish_status(text, StatusLevel.Warning, about)
+
+    def clear(self, about: str) -> None:
+        """Take a warning back."""
+        self._server.remove_status([about])
+
+
+def _read(chain: Path, key: Path) -> tuple[bytes, bytes]:
+    """A certificate chain and its key, the key in the form that the SDK reads.
+
+    Raises:
+        CommandError: a file cannot be read, or is not what it should be.
+    """
+    files = f"{plain(str(chain))} and {plain(str(key))}"
+    try:
+        found = chain.read_bytes()
+        certificate = load_pem_x509_certificates(found)[0]
+        private = load_pem_private_key(key.read_bytes(), None)
+    except (OSError, TypeError, ValueError) as error:
+        raise CommandError(f"{files} are no certificate with its key: {error}", ExitCode.USAGE) from error
+    if private.public_key() != certificate.public_key():
+        raise CommandError(f"{files} do not belong together", ExitCode.USAGE)
+    return found, private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+SAMPLE_MAX_BYTES: Final = 1 << 20
+"""A larger sample is left out. Robots' routers let none pass either (``docs/authority.md``)."""
+
+SILENT_NS: Final = 1_000_000_000
+"""A robot of which nothing came for so long is silent: its state is published at 20 Hz."""
+
+_SELDOM: Final = (SafetyEvent, Decision)
+_SHOWN_LATER: Final = frozenset({SafetyEvent, GatewayInfo})
+
+
+class Viewers(Protocol):
+    """The destination of channels and records. No method waits for a viewer."""
+
+    def declare(self, channel: LogChannel) -> None:
+        """Add a channel."""
+        ...
+
+    def is_wanted(self, channel_id: int) -> bool:
+        """True if somebody has subscribed to a channel."""
+        ...
+
+    def write(self, channel_id: int, log_ns: int, data: bytes) -> None:
+        """Send a record to those who have subscribed to its channel."""
+        ...
+
+
+class LiveChannels:
+    """The channels of what robots say.
+
+    Attributes:
+        left_out: samples that were too large to be shown.
+    """
+
+    def __init__(self, viewers: Viewers, version: str) -> None:
+        """Nothing has come yet.
+
+        Args:
+            viewers: the destination.
+            version: of this package.
+        """
+        self.left_out = 0
+        self._viewers = viewers
+        self._channels = Channels(viewers.declare)
+        self._robots = Robots("", version)
+        self._received_ns: dict[str, int] = {}
+        """The last time that something of a robot came, monotonic, by its name; of at most ROBOT_LIMIT."""
+        self._changed: deque[RobotKeys] = deque(maxlen=ROBOT_LIMIT)
+        self._newest: dict[int, tuple[int, bytes]] = {}
+        """Log time and data of the newest record of what is shown to those who come later, by channel."""
+
+    @property
+    def robots(self) -> frozenset[str]:
+        """The robots of which something came."""
+        return frozenset(self._received_ns)
+
+    def silent(self, now_ns: int) -> frozenset[str]:
+        """The robots of which nothing came for ``SILENT_NS``."""
+        return frozenset(name for name, at_ns in self._received_ns.items() if now_ns - at_ns > SILENT_NS)
+
+    def changed_robots(self) -> Iterator[RobotKeys]:
+        """The robots that are new since the last call, or whose bus is known since."""
+        while self._changed:
+            yield self._changed.popleft()
+
+    def queries(self, now_ns: int) -> list[Query]:
+        """The queries that are due."""
+        return self._robots.queries(now_ns)
+
+    def receive(self, sample: ReceivedSample, now_ns: int) -> None:
+        """Show a sample. It may hold anything: nothing in it raises."""
+        if len(sample.payload) + len(sample.attachment) > SAMPLE_MAX_BYTES:
+            self.left_out += 1
+            return
+        route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns)
+        if route.robot in self._received_ns:
+            self._received_ns[route.robot] = now_ns
+        is_shown_later = route.subject is not None and route.subject.type in _SHOWN_LATER
+        if not is_shown_later and not self._viewers.is_wanted(route.channel_id):
+            return
+        log_ns = log_time(sample.received_ns)
+        message = route.decode(sample)
+        if isinstance(message, str):
+            raw = route if route.subject is None else self._channels.declare_raw(sample.key)
+            self._viewers.write(raw.channel_id, log_ns, keep_raw(sample, message, log_time(sample.zenoh_time_ns)))
+            return
+        for _, data in route.transcode(message):
+            self._write(route, log_ns, data, is_shown_later=is_shown_later)
+        self._act_on(sample.key, message, route, log_ns)
+
+    def show_newest(self, channel_id: int) -> None:
+        """Send the newest record of a channel again, if it comes seldom: somebody has just subscribed to it."""
+        newest = self._newest.get(channel_id)
+        if newest is not None:
+            self._viewers.write(channel_id, *newest)
+
+    def _act_on(self, key: str, message: Message, route: Route, log_ns: int) -> None:
+        if isinstance(message, GatewayInfo):
+            self._robots.receive_info(route.robot, message, log_ns)
+        elif isinstance(message, SafetyEvent):
+            line = self._channels.declare_line(key, ChannelQuota.TABLE)
+            if line is not None:
+                self._write(line, log_ns, log_record(message, _robot_of(key)), is_shown_later=True)
+
+    def _write(self, route: Route, log_ns: int, data: bytes, *, is_shown_later: bool) -> None:
+        if is_shown_later:
+            self._newest[route.channel_id] = log_ns, data
+        self._viewers.write(route.channel_id, log_ns, data)
+
+    def _find_route(self, key: str, now_ns: int) -> Route:
+        parts = keys.parse(key)
+        if parts is None or not parts.robot:
+            return self._channels.declare(key, None if parts is None else parts.subject, "")
+        robot = self._robots.see(parts.root, parts.robot, now_ns)
+        if not self._robots.has_quota(robot, parts.bus):
+            return self._channels.declare(key, parts.subject, robot)
+        if robot not in self._received_ns:
+            self._received_ns[robot] = now_ns
+            self._declare_seldom(parts.root, parts.robot, robot)
+            self._changed.append(RobotKeys(f"{parts.root}/{parts.robot}"))
+        if parts.bus:
+            self._changed.append(RobotKeys(f"{parts.root}/{parts.robot}", parts.bus))
+        return self._channels.declare(key, parts.subject, robot, ChannelQuota.TABLE)
+
+    def _declare_seldom(self, root: str, robot: str, name: str) -> None:
+        for kind in _SELDOM:
+            self._channels.declare(keys.build(root, robot, BY_TYPE[kind]), BY_TYPE[kind], name, ChannelQuota.TABLE)
+        self._channels.declare_line(keys.build(root, robot, BY_TYPE[SafetyEvent]), ChannelQuota.TABLE)
+
+
+def _robot_of(key: str) -> str:
+    parts = keys.parse(key)
+    return parts.robot if parts is not None else key
+
+
+PASS_SAMPLES: Final = 1000
+"""Samples of a subject between two ticks at most."""
+
+TICK_NS: Final = 50_000_000
+"""Pause between two ticks."""
+
+WARN_NS: Final = 1_000_000_000
+"""A warning is repeated so often, for viewers who came after it."""
+
+IDLE_S: Final = 0.01
+"""Pause when nothing has come in."""
+
+
+class Greeting(Protocol):
+    """Acts on a robot that is new, or whose bus is known since."""
+
+    def __call__(self, robot: RobotKeys, /) -> None:
+        """Act on it."""
+
+
+class ViewLoop:
+    """Shows samples to viewers.
+
+    Args:
+        source: of the samples.
+        server: the viewers.
+        channels: with the server as their destination.
+        greet: is called for each robot.
+    """
+
+    def __init__(self, source: ZenohSource, server: ViewServer, channels: LiveChannels, greet: Greeting) -> None:
+        self._source = source
+        self._server = server
+        self._channels = channels
+        self._greet = greet
+        self._ticked_ns = self._warned_ns = 0
+        self._silent: frozenset[str] = frozenset()
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Show what comes, until stopped."""
+        while not stopped():
+            if not self._step(time.monotonic_ns()):
+                time.sleep(IDLE_S)
+
+    def _step(self, now_ns: int) -> bool:
+        """One pass. False if nothing had come in."""
+        samples = self._source.drain(PASS_SAMPLES)
+        for sample in samples:
+            self._channels.receive(sample, now_ns)
+        if now_ns - self._ticked_ns >= TICK_NS:
+            self._ticked_ns = now_ns
+            self._tick(now_ns)
+        return bool(samples)
+
+    def _tick(self, now_ns: int) -> None:
+        for query in self._channels.queries(now_ns):
+            self._source.ask(query.key)
+        for channel_id in self._server.subscribed():
+            self._channels.show_newest(channel_id)
+        for robot in self._channels.changed_robots():
+            self._greet(robot)
+        self._warn_of_silence(now_ns)
+
+    def _warn_of_silence(self, now_ns: int) -> None:
+        """Viewers go on showing the last values: they are told that these are not current."""
+        before, self._silent = self._silent, self._channels.silent(now_ns)
+        for robot in before - self._silent:
+            self._server.clear(robot)
+        is_due = now_ns - self._warned_ns >= WARN_NS
+        if is_due:
+            self._warned_ns = now_ns
+        for robot in self._silent if is_due else self._silent - before:
+            self._server.warn(robot, f"{robot} is silent: what is shown of it is not current")

@@ -1,0 +1,277 @@
+"""``cruiser review find``."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from recorder.cli import asking, catalogs
+from recorder.cli.find import page_of
+from recorder.reading.rows import Progress
+from recorder.review.info import CATALOG_NAME
+from schemas.command_line import CommandError, ExitCode
+from tests.support.commands import review
+from tests.support.drives import drive_messages, drives_over, write_messages
+from tests.support.logs import saved
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """Two robots: one that a bumper stopped, and one that it stopped on each of three days."""
+    directory = tmp_path / "logs"
+    directory.mkdir()
+    write_messages(directory / "cruiser-1-a.mcap", drive_messages(60))
+    write_messages(directory / "cruiser-2-b.mcap", drives_over(3, 3), robots=("cruiser-2",))
+    return directory
+
+
+def test_moments_are_shown_with_links_into_their_reports(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A line each, and the command that writes the page."""
+    assert review("find", "stops", logs, "--reason=front_bumper", "--robot=cruiser-2") == ExitCode.OK
+    out = capsys.readouterr().out.splitlines()
+    assert len(out) == 1 + 3 + 1
+    assert f"{logs}/cruiser-2-b.html#t=2027-01-16T08:00:02.950Z&robot=cruiser-2" in out[2]
+    assert out[-1].endswith(f"cruiser review report {logs}/cruiser-2-b.mcap -o {logs}/cruiser-2-b.html")
+
+
+def test_json_is_an_object_a_line_that_says_how_to_go_on(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The commands of an answer work."""
+    assert review("find", "stops", logs, "--robot=cruiser-1", "--json") == ExitCode.OK
+    (answer,) = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (answer["robot"], answer["kind"], answer["reason"]) == ("cruiser-1", "stop", "front_bumper")
+    assert answer["file"] == f"{logs}/cruiser-1-a.mcap"
+    assert review(*shlex.split(answer["why"])[2:]) == ExitCode.OK
+    assert "front bumper" in capsys.readouterr().out
+    assert review(*shlex.split(answer["report"])[2:]) == ExitCode.OK
+    page, _, moment = answer["link"].partition("#t=")
+    assert f'href="#t={moment.partition("&")[0]}' in Path(page).read_text()
+
+
+def test_drives_and_logs(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each has a table of its own, and JSON."""
+    assert review("find", "drives", logs) == ExitCode.OK
+    assert len(capsys.readouterr().out.splitlines()) == 1 + 4 + 1
+    assert review("find", "logs", logs, "--robot=cruiser-2") == ExitCode.OK
+    head, line = capsys.readouterr().out.splitlines()
+    assert head.split() == ["begin", "robots", "lasted", "distance", "stops", "lost", "faults", "log"]
+    assert line.endswith(f"{logs}/cruiser-2-b.mcap")
+    assert review("find", "logs", logs, "--json") == ExitCode.OK
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert [first["names"], second["names"]] == [["cruiser-1"], ["cruiser-2"]]
+    assert "moments" not in first
+    assert review("find", "drives", logs, "--json") == ExitCode.OK
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def test_nothing_is_said_to_be_nothing(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For people; for programs there is no line."""
+    assert review("find", "stops", logs, "--reason=deadman") == ExitCode.OK
+    assert capsys.readouterr().out == "nothing of that is in the logs\n"
+    assert review("find", "stops", logs, "--reason=deadman", "--json") == ExitCode.OK
+    assert not capsys.readouterr().out
+
+
+def test_several_directories_are_one_answer(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What two of them hold is told once; each has its catalog."""
+    other = tmp_path / "depot"
+    other.mkdir()
+    (other / "c.mcap").write_bytes((logs / "cruiser-1-a.mcap").read_bytes())
+    write_messages(other / "d.mcap", drive_messages(60), robots=("cruiser-3",))
+    assert review("find", "stops", logs, other, "--json") == ExitCode.OK
+    answers = list(map(json.loads, capsys.readouterr().out.splitlines()))
+    assert [one["robot"] for one in answers].count("cruiser-1") == 1
+    assert {one["robot"] for one in answers} == {"cruiser-1", "cruiser-2", "cruiser-3"}
+    assert (logs / CATALOG_NAME).exists()
+    assert (other / CATALOG_NAME).exists()
+
+
+def test_a_damaged_catalog_is_told_in_a_line(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The answer is whole."""
+    saved(logs / CATALOG_NAME, b"rubbish")
+    assert review("find", "stops", logs, "--json") == ExitCode.OK
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 4
+    assert said.err == f"cruiser review: {logs}/{CATALOG_NAME} is damaged: it is made anew from the logs\n"
+
+
+def test_it_is_made_anew_when_told_to(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For who does not believe it: a log of the same length and time may be another one."""
+    assert review("find", "stops", logs) == ExitCode.OK
+    before = (logs / CATALOG_NAME).stat().st_ino
+    assert review("find", "stops", logs) == ExitCode.OK
+    assert (logs / CATALOG_NAME).stat().st_ino == before
+    assert review("find", "stops", logs, "--rebuild") == ExitCode.OK
+    assert (logs / CATALOG_NAME).stat().st_ino != before
+    assert not capsys.readouterr().err
+
+
+def test_the_catalog_is_kept_elsewhere_when_told_to(
+    logs: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is written beside the logs, and only what is new is read; of several directories it cannot be."""
+    catalog = tmp_path_factory.mktemp("elsewhere") / "catalog.parquet"
+    before = sorted(logs.iterdir())
+    assert review("find", "stops", logs, "--catalog", catalog) == ExitCode.OK
+    first = capsys.readouterr().out
+    written = catalog.stat().st_mtime_ns
+    assert review("find", "stops", logs, "--catalog", catalog) == ExitCode.OK
+    assert (capsys.readouterr().out, catalog.stat().st_mtime_ns) == (first, written)
+    assert sorted(logs.iterdir()) == before
+    with pytest.raises(CommandError, match="one directory"):
+        review("find", "stops", logs, logs.parent, "--catalog", catalog)
+
+
+def test_a_log_that_cannot_be_read_is_told_and_costs_no_other(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3."""
+    saved(logs / "e.mcap", b"no log at all")
+    assert review("find", "stops", logs, "--json") == ExitCode.PARTIAL
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 4
+    assert "e.mcap is no MCAP file" in said.err
+
+
+def test_a_damaged_log_is_answered_as_far_as_it_goes_each_time(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3, and the words that list such logs."""
+    path = logs / "cruiser-1-a.mcap"
+    path.write_bytes(path.read_bytes()[:-200])
+    for _ in range(2):
+        assert review("find", "stops", logs, "--robot=cruiser-1", "--json") == ExitCode.PARTIAL
+        said = capsys.readouterr()
+        assert len(said.out.splitlines()) == 1
+        assert said.err == "cruiser review: 1 of 2 logs are damaged, or not whole: 'find logs' marks them\n"
+    assert review("find", "logs", logs, "--json") == ExitCode.PARTIAL
+    answer, whole = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (answer["faults"] > 0, whole["faults"]) == (True, 0)
+    assert answer["file"] == str(path)
+    assert "cut off" in " ".join(answer["damage"])
+
+
+def test_a_log_that_takes_too_long_is_given_up_and_keeps_no_other_out(
+    logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may be made to keep a reader busy. What was read is not read again."""
+    slow = (logs / "cruiser-1-a.mcap").stat().st_size
+    with monkeypatch.context() as patched:
+        in_time = asking.in_time
+
+        def hurry(size: int, progress: Progress) -> Progress:
+            patched.setattr(asking, "BUDGET_S", -1.0 if size == slow else 30.0)
+            return in_time(size, progress)
+
+        patched.setattr(catalogs, "in_time", hurry)
+        assert review("find", "stops", logs, "--json") == ExitCode.PARTIAL
+        said = capsys.readouterr()
+        assert len(said.out.splitlines()) == 3
+        assert "cruiser-1-a.mcap: given up after" in said.err
+    assert review("find", "stops", logs, "--json") == ExitCode.OK
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def test_a_directory_without_logs_is_an_error(tmp_path: Path) -> None:
+    """As for every question."""
+    with pytest.raises(CommandError, match="there is no log in"):
+        review("find", "stops", tmp_path)
+
+
+def test_a_logs_words_do_not_reach_the_terminal_as_commands(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor does a file's name."""
+    (logs / "cruiser-1-a.mcap").rename(logs / "x\x1b[2J.mcap")
+    assert review("find", "logs", logs) == ExitCode.OK
+    assert "\x1b" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.mcap.part"])
+def test_a_page_is_called_after_its_log(name: str) -> None:
+    """Whole or not."""
+    assert page_of(f"logs/{name}") == "logs/a.html"
+
+
+def test_a_place_in_a_store_is_searched_as_a_directory_is(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its answers name the logs by their addresses, and tell how to go on there."""
+    assert review("find", "stops", logs, "--reason=front_bumper", "--json") == ExitCode.OK
+    here = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    (logs / CATALOG_NAME).unlink()
+    assert review("find", "stops", f"file://{logs}", "--reason=front_bumper", "--json") == ExitCode.OK
+    told = capsys.readouterr()
+    there = [json.loads(line) for line in told.out.splitlines()]
+    assert "2 logs of" in told.err
+    assert [one["file"] for one in there] == [f"file://{one['file']}" for one in here]
+    own = ("file", "link", "report", "why")
+    assert [{key: one[key] for key in one if key not in own} for one in there] == [
+        {key: one[key] for key in one if key not in own} for one in here
+    ]
+    assert review(*shlex.split(there[0]["why"])[2:]) == ExitCode.OK
+    capsys.readouterr()
+    assert review("find", "stops", f"file://{logs}") == ExitCode.OK
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1 + len(here)
+    assert lines[1].endswith(there[0]["file"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["stop reason=front_bumper robot=cruiser-*"],
+            "give stops, incidents, events, drives, logs, as in 'cruiser",
+        ),
+        (["stop last 7d"], "'cruiser review find stops DIRECTORY --robot NAME --since 30d'"),
+        (["fault severity=error"], "or 'cruiser review query' for all else"),
+        (["stops", "--reason", "front_bumpr"], "there is no reason 'front_bumpr': did you mean front_bumper?"),
+        (["stops", "--reason", "bad"], "it is one of "),
+        (["stops", "--since", "yesterday"], "'yesterday' is no time: give one as 30d"),
+        (["stops", "--since", "30"], "'30' is no time"),
+        (["stops", "--newest", "0"], "'0' is no number of answers"),
+        (["stops", "--since", "1d", "--until", "2d"], "there is no time between --since and --until"),
+        (["stops", "--robot", "cruiser-9"], "the logs hold nothing of cruiser-9, but of cruiser-1, cruiser-2"),
+    ],
+)
+def test_what_means_nothing_is_a_matter_of_usage(
+    words: list[str], said: str, logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An empty answer would look as if nothing had happened; the text says what can be asked."""
+    try:
+        code: object = review("find", words[0], logs, *words[1:])
+        text = ""
+    except CommandError as error:
+        code, text = error.code, str(error)
+    except SystemExit as error:
+        code, text = error.code, ""
+    assert code == ExitCode.USAGE
+    assert said in text + capsys.readouterr().err
+
+
+def test_the_catalog_is_a_table_for_any_other_question(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is brought up to date first; what the statement may not do elsewhere it may not do here."""
+    sql = "SELECT names[1] AS robot, len(drives) AS drives FROM catalog ORDER BY robot"
+    assert review("query", sql, logs, "--json") == ExitCode.OK
+    assert list(map(json.loads, capsys.readouterr().out.splitlines())) == [
+        {"robot": "cruiser-1", "drives": 1},
+        {"robot": "cruiser-2", "drives": 3},
+    ]
+    assert (logs / CATALOG_NAME).exists()
+    with pytest.raises(CommandError, match="not a SELECT"):
+        review("query", "COPY (SELECT * FROM catalog) TO 'elsewhere.csv'", logs)
+    with pytest.raises(CommandError, match="WHERE start_ns"):
+        review("query", "SELECT * FROM catalog", logs, "--from=1")
+
+
+def test_the_newest_answers_and_a_time_before_now(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each bounds what is shown."""
+    assert (
+        review("find", "stops", logs, "--newest=2", "--since=2000w", "--until=2100-01-01", "--json") == ExitCode.OK
+    )
+    times = [json.loads(line)["time_ns"] for line in capsys.readouterr().out.splitlines()]
+    assert len(times) == 2
+    assert times == sorted(times)
+    assert review("find", "stops", logs, "--until=2000-01-01", "--json") == ExitCode.OK
+    assert not capsys.readouterr().out

@@ -1,0 +1,184 @@
+"""``cruiser review report``."""
+
+import json
+import re
+import shlex
+import sys
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from recorder.cli import report
+from recorder.review.report import account
+from schemas.command_line import CommandError, ExitCode
+from tests.support.commands import review
+from tests.support.drives import drive_messages, drives_over, restart, write_messages
+from tests.support.logs import Log
+from tests.support.messages import gear, sample_of
+from tests.support.rigs import scenarios
+from tests.support.rigs.scenarios import recorded
+
+
+@pytest.fixture(autouse=True)
+def _in_a_directory_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def ask(*words: object) -> int:
+    """The command's exit code; a fault is told as the command would."""
+    try:
+        return review("report", *words)
+    except CommandError as error:
+        sys.stderr.write(f"cruiser: {error}\n")
+        return int(error.code)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A drive."""
+    return write_messages(tmp_path / "a.mcap", drive_messages(60))
+
+
+def test_a_page_is_written_whole(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing else beside; the summary on stdout."""
+    assert ask(log, "-o", "r.html") == ExitCode.OK
+    assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "r.html"]
+    said = capsys.readouterr()
+    assert "cruiser-1: 1 drive, 2.9 m; 1 stop: the front bumper was hit" in said.out
+    assert "written: r.html" in said.out
+    assert not said.err
+
+
+def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the first line of the robot, and with its times."""
+    path = write_messages(tmp_path / "a.mcap", restart(60, 40))
+    assert ask(path) == ExitCode.OK
+    said = capsys.readouterr().out
+    assert "1 stop: the gateway died." in said.splitlines()[0]
+    assert "  Gateway          silent for 2.0 s from " in said
+    assert ask(path, "--json") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    (outage,) = robot["outages"]
+    assert (outage["began_ns"] - outage["heard_ns"]) / 1e9 == pytest.approx(2.05)
+    assert [one["kind"] for one in robot["moments"]][:2] == ["gap", "gateway"]
+    assert robot["in_force"][0]["variant"] == "coarse"
+
+
+def test_json_alone_writes_no_file(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The summary with its events; nothing that is only drawn."""
+    assert ask(log, "--json") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert robot["distance_m"] == pytest.approx(2.95)
+    assert robot["moments"][0]["reason"] == "front_bumper"
+    assert "lines" not in robot
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_without_a_name_it_is_report_html(log: Path, tmp_path: Path) -> None:
+    """In the directory at hand; one that is there is replaced."""
+    (tmp_path / "report.html").write_text("old")
+    assert ask(log.parent) == ExitCode.OK
+    assert "Drive report" in (tmp_path / "report.html").read_text()
+
+
+def test_a_period(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Times count from the log's beginning."""
+    assert ask(log, "--json", "--from", "1", "--to", "2") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert robot["known_s"] == pytest.approx(0.95)
+
+
+def test_a_damaged_log_gives_a_report_of_what_can_be_read(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And exit code 3; what is wrong is told on stderr and in the report."""
+    log.write_bytes(log.read_bytes()[:-200])
+    assert ask(log, "-o", "r.html") == ExitCode.PARTIAL
+    assert "What could not be read" in (tmp_path / "r.html").read_text()
+    assert "a.mcap" in capsys.readouterr().err
+
+
+def test_a_log_of_no_robots_state_has_nothing_to_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As somebody else's is."""
+    log = Log()
+    log.receive(sample_of(gear(0)))
+    (tmp_path / "b.mcap").write_bytes(log.close())
+    assert ask(tmp_path / "b.mcap") == ExitCode.FAILURE
+    assert "nothing to report" in capsys.readouterr().err
+
+
+def test_a_file_of_another_kind_is_a_matter_of_usage(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before anything is read."""
+    assert ask(log, "-o", "r.pdf") == ExitCode.USAGE
+    assert ".html" in capsys.readouterr().err
+
+
+def test_where_nothing_can_be_written_it_says_so(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And leaves nothing half done behind."""
+    assert ask(log, "-o", tmp_path / "nowhere" / "r.html") == ExitCode.FAILURE
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_one_robot_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The others are left out; one that is not there is a matter of usage."""
+    path = write_messages(tmp_path / "a.mcap", drive_messages(20), robots=["r-1", "r-2"])
+    assert ask(path, "--json", "--robot", "r-2") == ExitCode.OK
+    assert [one["name"] for one in json.loads(capsys.readouterr().out)["robots"]] == ["r-2"]
+    assert ask(path, "--json", "--robot", "r-3") == ExitCode.USAGE
+    assert "there is nothing of r-3 in these logs" in capsys.readouterr().err
+
+
+def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command works as it stands, and its report is of this drive alone."""
+    monkeypatch.setattr(account, "DRAWN_MAX", 1)
+    write_messages(tmp_path / "a b.mcap", drives_over(3, 3), robots=["r-1"])
+    assert ask("a b.mcap", "--json") == ExitCode.OK
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert [one["stops"] for one in robot["drives"]] == [1, 1, 1]
+    assert ask("a b.mcap", "-o", "r.html") == ExitCode.OK
+    commands = re.findall("<code>cruiser review report (.*?)</code>", (tmp_path / "r.html").read_text())
+    assert len(commands) == 2
+    words = shlex.split(unescape(commands[1]))
+    assert ask(*words) == ExitCode.OK
+    assert ask(*words[:-2], "--json") == ExitCode.OK
+    (alone,) = json.loads(capsys.readouterr().out.rpartition("written: ")[2].partition("\n")[2])["robots"]
+    assert len(alone["drives"]) == 1
+    assert alone["drives"][0]["start_ns"] == robot["drives"][1]["start_ns"]
+    assert alone["stops"] == {"front_bumper": 1}
+
+
+def test_stops_beyond_the_limit_have_a_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is the one that explains them."""
+    monkeypatch.setattr(report, "WHYS_MAX", 0)
+    path = write_messages(tmp_path / "a.mcap", drive_messages(60))
+    assert ask(path, "-o", "r.html") == ExitCode.OK
+    html = (tmp_path / "r.html").read_text()
+    assert '<details class="why">' not in html
+    assert "cruiser review why" in html
+    assert "--robot cruiser-1 --at 2027-01-15T08:00:02.950Z" in html
+
+
+def test_each_stop_has_its_reason_as_why_words_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every sentence of the command's answer is on the page."""
+    (tmp_path / "a.mcap").write_bytes(recorded(scenarios.front_bumper))
+    assert ask(tmp_path / "a.mcap", "-o", "r.html") == ExitCode.OK
+    html = (tmp_path / "r.html").read_text()
+    capsys.readouterr()
+    assert review("why", tmp_path / "a.mcap", "--json") == ExitCode.OK
+    answer = json.loads(capsys.readouterr().out)
+    block = html.partition('<details class="why">')[2].partition("</details>")[0]
+    page_says = unescape(re.sub("<[^>]*>", " ", block))
+    assert answer["headline"] in page_says
+    assert len(answer["chain"]) > 5
+    for link in answer["chain"]:
+        assert link["text"][1:] in page_says

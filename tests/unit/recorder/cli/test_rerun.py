@@ -1,0 +1,182 @@
+"""``cruiser review rerun``."""
+
+import json
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from recorder.review.rerun import OTHER_RULES
+from schemas.command_line import CommandError, ExitCode
+from schemas.decisions import Journal
+from schemas.journal import rules_notice
+from schemas.messages import Variant
+from tests.support.commands import review
+from tests.support.logs import small_log
+from tests.support.rigs.day import RUN, Day, restful_day, under_rules_1
+from tests.support.rigs.gateway import Operator
+
+
+@pytest.fixture(scope="module")
+def day() -> Day:
+    """Two seconds with 1 m/s."""
+    day = Day(1, Variant.COARSE, ticks=0)
+    day.rig.run(0.6)
+    operator = Operator(day.rig)
+    operator.engage()
+    operator.drive(1.0, 0.0, 2.0)
+    day.rig.run(4)
+    return day
+
+
+@pytest.fixture(scope="module")
+def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its log."""
+    path = tmp_path_factory.mktemp("logs") / "cruiser-1-20260102T030405Z.mcap"
+    path.write_bytes(day.rig.log())
+    return path
+
+
+run = partial(review, "rerun")
+
+
+def test_the_same_decisions_are_exit_code_0(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With what was compared."""
+    assert run(log) == ExitCode.OK
+    out = capsys.readouterr().out
+    assert "cruiser-1, run " in out
+    assert "the same, byte for byte" in out
+    assert "different: 0" in out
+
+
+def test_a_directory_is_a_regression_test(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One object a line."""
+    assert run(log.parent, "--json") == ExitCode.OK
+    [line] = capsys.readouterr().out.splitlines()
+    assert json.loads(line)["difference_count"] == 0
+
+
+def test_other_settings_are_shown_beside_the_recorded_ones(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Distance, time, speed and stops of both."""
+    assert run(log, "--set", "command.speed_limit_mps=0.4") == ExitCode.OK
+    out = capsys.readouterr().out
+    assert "command.speed_limit_mps: 1.5, tried 0.4" in out
+    rows = {line[:25].strip(): line[25:].split() for line in out.splitlines() if line.startswith("  as ")}
+    assert float(rows["as recorded"][2]) == pytest.approx(1.0, abs=0.05)
+    assert float(rows["as it would have been"][2]) == pytest.approx(0.4, abs=0.05)
+    assert "decisions would have been others" in out
+
+
+def test_of_several_logs_it_says_how_many_decide_otherwise(
+    day: Day, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And which is the first, and when; with other settings too."""
+    other = tmp_path / "cruiser-2-20260102T030405Z.mcap"
+    other.write_bytes(day.rig.log(robot="cruiser-2", journal=under_rules_1))
+    assert run(log, other) == ExitCode.FAILURE
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said.startswith(f"1 of 2 logs decide otherwise, the first: {other}, ")
+    assert run(log, other, "--set", "command.speed_limit_mps=0.4", "--processes", "2") == ExitCode.FAILURE
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said.startswith(f"1 of 2 logs decide otherwise, the first: {log}, ")
+
+
+def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What it does not say has its start value; --set is above it."""
+    file = tmp_path / "other.toml"
+    file.write_text("[command]\nspeed_limit_mps = 0.6\n")
+    assert run(log, "--with", file, "--set", "command.lease_s=1.0", "--json") == ExitCode.OK
+    result = json.loads(capsys.readouterr().out)
+    assert result["settings"]["command.speed_limit_mps"] == [1.5, 0.6]
+    assert result["settings"]["command.lease_s"] == [1.5, 1.0]
+    assert result["settings"]["command.deadman_s"] == [0.25, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--set", "command.speed_limit_mps"], "SETTING=VALUE"),
+        (["--set", "command.speed_limit=1"], "no such setting"),
+        (["--set", "command.speed_limit_mps=fast"], "speed_limit_mps"),
+        (["--with", "/does/not/exist.toml"], r"cannot read /does/not/exist\.toml: No such file or directory$"),
+        (["--with", "/bin/sh"], "cannot read /bin/sh: it is no UTF-8 text$"),
+    ],
+)
+def test_a_wrong_setting_is_one_clear_error(log: Path, words: list[str], message: str) -> None:
+    """Before a long log is read, and with exit code 2."""
+    with pytest.raises(CommandError, match=message) as raised:
+        run(log, *words)
+    assert raised.value.code is ExitCode.USAGE
+
+
+def test_a_log_without_a_journal_is_partial(tmp_path: Path) -> None:
+    """There was nothing to run."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(small_log())
+    with pytest.raises(CommandError, match="no journal") as raised:
+        run(path)
+    assert raised.value.code is ExitCode.PARTIAL
+
+
+def test_damage_is_told_and_partial(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As far as the journal goes the run is run again; damage is never taken for another decision."""
+    path = tmp_path / "damaged.mcap"
+    codes = []
+    for place in range(1, 10):
+        data = bytearray(log.read_bytes())
+        start = len(data) * place // 10
+        data[start : start + 64] = bytes(64)
+        path.write_bytes(bytes(data))
+        with suppress(CommandError):
+            codes.append(run(path))
+    assert set(codes) <= {ExitCode.OK, ExitCode.PARTIAL}
+    assert ExitCode.PARTIAL in codes
+    assert "damaged.mcap: byte" in capsys.readouterr().err
+
+
+def test_a_run_under_other_rules_says_so_first_and_is_exit_code_1(
+    day: Day, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What has changed, above all differences; with other settings too."""
+    path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
+    path.write_bytes(day.rig.log(journal=under_rules_1))
+    assert run(path) == ExitCode.FAILURE
+    notice, head, *rest = capsys.readouterr().out.splitlines()
+    assert notice == f"cruiser-1, run {RUN}: {rules_notice(0)}"
+    assert head.startswith(f"cruiser-1, run {RUN}: ")
+    assert any(line.startswith("  different: ") and not line.endswith(" 0") for line in rest)
+    assert run(path, "--set", "command.speed_limit_mps=0.4") == ExitCode.FAILURE
+    assert capsys.readouterr().out.startswith(notice)
+    assert run(path, "--json") == ExitCode.FAILURE
+    assert json.loads(capsys.readouterr().out)["rules"] == 0
+
+
+def test_a_part_of_a_run_under_other_rules_has_no_place_to_begin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a gateway at rest is remembered by is another thing under each; so it says, and compares nothing."""
+    path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
+    first = 3000
+    path.write_bytes(restful_day(1, rounds=2).rig.log(journal=lambda one: _from(first, under_rules_1(one))))
+    assert run(path) == ExitCode.FAILURE
+    out = capsys.readouterr().out
+    assert out.startswith(f"cruiser-1, run {RUN}: {rules_notice(0)}\n")
+    assert OTHER_RULES in out
+    assert "different:" not in out
+
+
+def _from(first: int, journal: Journal) -> Journal:
+    """The journal, empty where it is before an input."""
+    kept = journal.first >= first
+    return journal if kept else msgspec.structs.replace(journal, count=0, inputs=b"\x90")
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "two", "1.5"])
+def test_so_many_processes_there_cannot_be(log: Path, count: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whole numbers from one on."""
+    with pytest.raises(SystemExit) as caught:
+        run(log, f"--processes={count}")
+    assert caught.value.code == ExitCode.USAGE
+    assert f"{count!r} is no number of at least 1" in capsys.readouterr().err

@@ -1,0 +1,273 @@
+"""Topics of others: protobuf by its descriptors, JSON as text, and what nobody here can read as bytes."""
+
+from typing import Any
+
+import pytest
+from google.protobuf import timestamp_pb2
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
+from google.protobuf.message_factory import GetMessageClass
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from recorder.mcap.writer import LogChannel
+from recorder.reading.logs import Faults
+from recorder.reading.topics import Topic, topic_of
+from recorder.review.columns import columns_of
+from tests.support.columns import batches_of, fields_of, rows_of
+from tests.support.logs import numbered_log
+
+F = FieldDescriptorProto
+NUMBERS = {
+    "f_double": (F.TYPE_DOUBLE, st.floats(allow_nan=False)),
+    "f_float": (F.TYPE_FLOAT, st.floats(width=32, allow_nan=False)),
+    "f_int32": (F.TYPE_INT32, st.integers(-(2**31), 2**31 - 1)),
+    "f_int64": (F.TYPE_INT64, st.integers(-(2**63), 2**63 - 1)),
+    "f_uint32": (F.TYPE_UINT32, st.integers(0, 2**32 - 1)),
+    "f_uint64": (F.TYPE_UINT64, st.integers(0, 2**64 - 1)),
+    "f_sint32": (F.TYPE_SINT32, st.integers(-(2**31), 2**31 - 1)),
+    "f_sint64": (F.TYPE_SINT64, st.integers(-(2**63), 2**63 - 1)),
+    "f_fixed32": (F.TYPE_FIXED32, st.integers(0, 2**32 - 1)),
+    "f_fixed64": (F.TYPE_FIXED64, st.integers(0, 2**64 - 1)),
+    "f_sfixed32": (F.TYPE_SFIXED32, st.integers(-(2**31), 2**31 - 1)),
+    "f_sfixed64": (F.TYPE_SFIXED64, st.integers(-(2**63), 2**63 - 1)),
+    "f_bool": (F.TYPE_BOOL, st.booleans()),
+    "f_enum": (F.TYPE_ENUM, st.sampled_from([0, 5, 300, 77])),
+    "f_string": (F.TYPE_STRING, st.text(st.characters(exclude_categories=["Cs"]), max_size=5)),
+}
+NAMES = {0: "NOTHING", 5: "FIVE", 300: "MANY", 77: "77"}
+
+
+def foreign_file() -> FileDescriptorProto:
+    """A class with a field of every kind of number, once, optional and repeated, a message, and oneofs."""
+    file = FileDescriptorProto(name="other.proto", package="other", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    enum = file.enum_type.add(name="Kind")
+    for number, name in NAMES.items():
+        if number != 77:
+            enum.value.add(name=name, number=number)
+    message = file.message_type.add(name="All")
+    number = 0
+    for name, (kind, _) in NUMBERS.items():
+        for prefix, label in (("", F.LABEL_OPTIONAL), ("opt_", F.LABEL_OPTIONAL), ("rep_", F.LABEL_REPEATED)):
+            number += 1
+            field = message.field.add(name=prefix + name, number=number, type=kind, label=label)
+            if kind == F.TYPE_ENUM:
+                field.type_name = ".other.Kind"
+            if prefix == "opt_":
+                field.proto3_optional = True
+                field.oneof_index = len(message.oneof_decl)
+                message.oneof_decl.add(name=f"_{field.name}")
+    _add_stamp(message, 1000)
+    return file
+
+
+def _add_stamp(message: DescriptorProto, number: int) -> None:
+    stamp = message.field.add(name="stamp", number=number, type=F.TYPE_MESSAGE, label=F.LABEL_OPTIONAL)
+    stamp.type_name = ".google.protobuf.Timestamp"
+
+
+def made(file: FileDescriptorProto, name: str) -> tuple[Any, bytes]:
+    """The protobuf package's class, and the schema's bytes."""
+    files = [FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb), file]
+    pool = DescriptorPool()
+    for one in files:
+        pool.Add(one)
+    descriptors = FileDescriptorSet(file=files).SerializeToString()
+    return GetMessageClass(pool.FindMessageTypeByName(name)), descriptors
+
+
+ALL, ALL_SCHEMA = made(foreign_file(), "other.All")
+
+
+def channel(
+    schema: bytes, name: str = "other.All", encoding: str = "protobuf", kind: str = "protobuf"
+) -> LogChannel:
+    """Somebody's channel."""
+    return LogChannel(1, "t", name, schema, schema_encoding=kind, message_encoding=encoding)
+
+
+def expected(message: Any) -> dict[str, Any]:  # noqa: ANN401 - protobuf makes the class at run time
+    """The row of a message, field by field."""
+    row: dict[str, Any] = {}
+    for field in ALL.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if field.enum_type is not None:
+            # A number without a name is shown as itself.
+            named = [NAMES.get(one, str(one)) for one in (value if field.is_repeated else [value])]
+            value = named if field.is_repeated else named[0]
+        elif field.name == "stamp":
+            value = {"seconds": value.seconds, "nanos": value.nanos}
+        elif field.is_repeated:
+            value = list(value)
+        row[field.name] = value if not field.has_presence or message.HasField(field.name) else None
+    return row
+
+
+@st.composite
+def messages(draw: st.DrawFn) -> Any:  # noqa: ANN401
+    """Any message of that class."""
+    message = ALL()
+    for name, (_, values) in NUMBERS.items():
+        if draw(st.booleans()):
+            setattr(message, name, draw(values))
+        if draw(st.booleans()):
+            setattr(message, f"opt_{name}", draw(values))
+        getattr(message, f"rep_{name}").extend(draw(st.lists(values, max_size=2)))
+    if draw(st.booleans()):
+        message.stamp.seconds = draw(st.integers(-5, 5_000_000_000))
+    return message
+
+
+@given(st.lists(messages(), min_size=1, max_size=3))
+def test_every_kind_of_field_of_others_is_read(drawn: list[Any]) -> None:
+    """By the descriptors in the log."""
+    rows = [fields_of(row) for row in rows_of(batches_of(one_chunk([one.SerializeToString() for one in drawn])))]
+    assert repr(rows) == repr([expected(one) for one in drawn])
+
+
+def one_chunk(data: list[bytes]) -> bytes:
+    """The log of these messages."""
+    return numbered_log([channel(ALL_SCHEMA)], [[(1, one) for one in data]])
+
+
+def wires() -> dict[str, bytes]:
+    """Legal ways to write a message that a recorder never takes."""
+    one = ALL(f_fixed32=7, f_string="x").SerializeToString()
+    return {
+        "a field twice": one + ALL(f_fixed32=9).SerializeToString(),
+        "a message twice": ALL(stamp={"seconds": 1}).SerializeToString()
+        + ALL(stamp={"nanos": 2}).SerializeToString(),
+        "unknown fields": one + b"\x80\xfa\x01\x05\x8a\xfa\x01\x02ab",
+        "repeated, not packed": _unpacked(),
+        "a varint of ten bytes": ALL(f_int32=-1).SerializeToString(),
+        "a varint too long": b"\x38\x85\x80\x00",
+        "a flag of two bytes": _tag("f_bool", 0) + b"\x80\x01",
+        "the wrong wire type": _tag("f_double", 0) + b"\x05" + one,
+        "a group": _tag("f_double", 3) + _tag("f_double", 4),
+        "nothing": b"",
+    }
+
+
+def _tag(name: str, wire: int) -> bytes:
+    number = ALL.DESCRIPTOR.fields_by_name[name].number << 3 | wire
+    return bytes([number]) if number < 128 else bytes([number & 0x7F | 0x80, number >> 7])
+
+
+def _unpacked() -> bytes:
+    tag = _tag("rep_f_uint32", 0)
+    packed: bytes = ALL(rep_f_uint32=[3, 300]).SerializeToString()
+    return tag + b"\x05" + tag + b"\x85\x01" + packed
+
+
+@pytest.mark.parametrize("wire", wires())
+def test_every_legal_way_to_write_is_read(wire: str) -> None:
+    """As the protobuf package reads it."""
+    data = wires()[wire]
+    rows = rows_of(batches_of(one_chunk([data])))
+    assert [fields_of(row) for row in rows] == [expected(ALL.FromString(data))]
+
+
+@given(messages(), st.lists(st.tuples(st.floats(0, 1), st.binary(max_size=3)), max_size=3))
+@example(ALL(opt_f_enum=0), [(1.0, _tag("opt_f_enum", 0) + b"\x01")])
+def test_whatever_the_bytes_are_what_protobuf_reads_is_read(
+    message: Any,  # noqa: ANN401
+    damage: list[tuple[float, bytes]],
+) -> None:
+    """The same row between two others; and what it cannot read never costs another message."""
+    good = message.SerializeToString()
+    data = good
+    for place, noise in damage:
+        at = round(place * len(data))
+        data = data[:at] + noise + data[at + len(noise) :]
+    rows = [fields_of(row) for row in rows_of(batches_of(one_chunk([good, data, good]), Faults()))]
+    try:
+        between = [expected(ALL.FromString(data))]
+    except DecodeError:
+        between = rows[1:-1]
+    assert repr(rows) == repr([expected(message), *between, expected(message)])
+
+
+def test_what_a_library_panics_at_cannot_be_read() -> None:
+    """A text that would be as long as a number can say: ptars 0.0.25 ends in what Rust calls a panic."""
+    good = ALL(f_int32=5).SerializeToString()
+    faults = Faults()
+    endless = _tag("f_string", 2) + b"\xff" * 9 + b"\x01"
+    rows = rows_of(batches_of(one_chunk([good, endless, good]), faults))
+    assert [row["f_int32"] for row in rows] == [5, 5]
+    assert faults.told == ["log: 1 messages of t cannot be read"]
+
+
+def test_json_is_text() -> None:
+    """As it stands in the log; what is no UTF-8 is counted."""
+    faults = Faults()
+    log = numbered_log(
+        [channel(b"{}", "s", "json", "jsonschema")], [[(1, b'{"a": 1}'), (1, b"\xff"), (1, b"no json")]]
+    )
+    rows = rows_of(batches_of(log, faults))
+    assert [row["json"] for row in rows] == ['{"a": 1}', "no json"]
+    assert [row["sequence"] for row in rows] == [0, 2]
+    assert faults.told == ["log: 1 messages of t cannot be read"]
+
+
+@pytest.mark.parametrize(
+    "one",
+    [channel(b"", "s", "cdr", "ros2msg"), channel(b"\xff", "other.All"), channel(ALL_SCHEMA, "other.Nothing")],
+    ids=["ros 2", "broken descriptors", "a class that they lack"],
+)
+def test_what_nobody_can_read_is_bytes(one: LogChannel) -> None:
+    """Of any encoding, and of protobuf whose schema is of no use."""
+    rows = rows_of(batches_of(numbered_log([one], [[(1, b"\x00abc")]])))
+    assert [fields_of(row) for row in rows] == [{"data": "AGFiYw=="}]
+
+
+def topic(fields: list[str]) -> Topic:
+    """A topic of a class with these fields."""
+    file = FileDescriptorProto(name="names.proto", package="other", syntax="proto3")
+    message = file.message_type.add(name="Names")
+    for number, name in enumerate(fields, start=1):
+        message.field.add(name=name, number=number, type=F.TYPE_INT32, label=F.LABEL_OPTIONAL)
+    one = channel(made(file, "other.Names")[1], "other.Names")
+    return topic_of(*_records(one))
+
+
+def _records(one: LogChannel) -> Any:  # noqa: ANN401
+    from mcap import records  # noqa: PLC0415
+
+    schema = records.Schema(1, one.schema_data, one.schema_encoding, one.schema_name)
+    return records.Channel(1, one.topic, one.message_encoding, {}, 1), schema
+
+
+def test_no_two_columns_have_one_name() -> None:
+    """Every table has its times and its sequence, a dataset its directories; SQL knows no upper case."""
+    names = columns_of(topic(["sequence", "Log_Time", "robot", "speed", "Speed", "message_robot"])).schema.names
+    assert names == [
+        "log_time",
+        "publish_time",
+        "sequence",
+        "message_sequence",
+        "message_Log_Time",
+        "message_robot",
+        "speed",
+        "message_Speed",
+        "message_message_robot",
+    ]
+
+
+def test_a_class_within_itself_is_kept_as_bytes() -> None:
+    """No column has a type without end."""
+    file = FileDescriptorProto(name="tree.proto", package="other", syntax="proto3")
+    message = file.message_type.add(name="Tree")
+    message.field.add(name="value", number=1, type=F.TYPE_INT32, label=F.LABEL_OPTIONAL)
+    child = message.field.add(name="child", number=2, type=F.TYPE_MESSAGE, label=F.LABEL_OPTIONAL)
+    child.type_name = ".other.Tree"
+    kind, schema = made(file, "other.Tree")
+    data = kind(value=1, child={"value": 2}).SerializeToString()
+    rows = rows_of(batches_of(numbered_log([channel(schema, "other.Tree")], [[(1, data)]])))
+    assert [fields_of(row) for row in rows] == [{"value": 1, "child": "CAI="}]

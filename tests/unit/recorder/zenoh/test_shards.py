@@ -1,0 +1,47 @@
+"""Which robots a recorder records where several share a fleet."""
+
+from collections import Counter
+from hashlib import sha256
+
+import pytest
+
+from recorder.zenoh.source import Shard, shard_of
+from schemas.command_line import CommandError, ExitCode
+
+ROBOTS = [f"cruiser-{number}" for number in range(200)]
+
+
+def test_each_robot_is_recorded_once() -> None:
+    """Whatever the number of shards; each has its share."""
+    for total in (1, 2, 4, 7):
+        parts = [[one for one in ROBOTS if Shard(number, total).has(one)] for number in range(1, total + 1)]
+        assert Counter(robot for part in parts for robot in part) == Counter(ROBOTS)
+        assert all(len(part) > 100 / total for part in parts)
+
+
+def test_the_rule_is_the_documented_one() -> None:
+    """Others may reckon it, in any language and any process."""
+    assert [Shard(number, 3).has("cruiser-7") for number in (1, 2, 3)] == [
+        int(sha256(b"cruiser-7").hexdigest(), 16) % 3 == number - 1 for number in (1, 2, 3)
+    ]
+    assert [next(n for n in (1, 2, 3, 4) if Shard(n, 4).has(f"cruiser-{robot}")) for robot in range(1, 7)] == [
+        3,
+        3,
+        3,
+        1,
+        2,
+        3,
+    ]
+
+
+def test_a_shard_is_read_as_it_is_written() -> None:
+    """Number and total."""
+    assert shard_of("2/4") == Shard(2, 4)
+
+
+@pytest.mark.parametrize("text", ["5/4", "0/4", "2", "2/", "a/b", "2/4/", "-1/4", "1/1000"])
+def test_a_shard_that_is_none_is_refused(text: str) -> None:
+    """What is wrong is said, with an example."""
+    with pytest.raises(CommandError, match="such as 2/4") as refused:
+        shard_of(text)
+    assert refused.value.code is ExitCode.USAGE
