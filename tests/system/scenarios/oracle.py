@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from math import inf, radians, sqrt, tan
+from operator import sub
 from typing import Any, Final
 
 import msgspec
@@ -159,7 +160,7 @@ class Trust:
         self._given_back_s: float | None = None
 
     def begin(self, *, is_kept: bool) -> None:
-        """Out of silence; a robot that its motor held by a stop for a brake that slips is kept by it."""
+        """Out of silence, or engaged anew. A robot that its motor held for a slipping brake is kept by it."""
         self._is_stray = self._is_unreleased = not is_kept
         self._before = None
 
@@ -214,7 +215,7 @@ class Oracle:
         self._lag_s = lag_s
         # What is asked.
         self._asked_mps, self._asked_s = 0.0, -9.0
-        self._zero_since_s = self._engaged_s = self._lagging_mps = 0.0
+        self._zero_since_s = self._engaged_s = self._lagging_mps = self._counted_m = self._latched_s = 0.0
         self._is_permitted = self._was_engaged = False
         self._engage_asked_s: float | None = None
         self._cause_s: float | None = None
@@ -238,9 +239,9 @@ class Oracle:
         self._heard = Heard(fine=fine)
         self._yields, self._begins_unknown = 0, False
         self._was_cut: bool | None = False
-        self._lately: deque[tuple[float, float, float]] = deque([(0.0, 0.0, 0.0)] * 100, round(1 / TICK_S))
-        self._counted_m, self._latched_s, self._latched_m, self._told_range = 0.0, 0.0, inf, (0.0, 0.0)
-        self._disturbed_until_s = self._frozen_wheels_s = -9.0
+        self._lately: deque[tuple[float, ...]] = deque([(0.0, 0.0, 0.0, 0.0)] * 100, round(1 / TICK_S))
+        self._told_range: tuple[tuple[float, ...], ...] = ((0.0, 0.0),) * 2
+        self._disturbed_until_s, self._frozen_wheels_s, self._latched_m = -9.0, -9.0, inf
         self._left_mps: float | None = None
         self._remote = Since()
         self._rest_m: float | None = None
@@ -278,6 +279,7 @@ class Oracle:
         if verb == "engage" and fields["ok"]:
             self._is_permitted, self._cause_s, self._emergency = True, None, False
             self._engage_asked_s = None
+            self._trust.begin(is_kept=False)
             self._asked_s = self._engaged_s = now_s
             self._rest_m, self._rest_sign, self._rest_is_stop, self._rest_bound_m = None, 0.0, False, 0.0
         elif verb == "park" and plant is not None:
@@ -365,7 +367,7 @@ class Oracle:
         self._was_excused = now_s < self._excused_until_s
         told_mps = 0.0 if self._order is None else self._order.signed_mps
         self._lagging_mps += (told_mps - self._lagging_mps) * TICK_S / LAGGING_S
-        self._lately.append((self._lagging_mps, plant.speed_mps, self._heard.speed_mps))
+        self._lately.append((told_mps, plant.speed_mps, self._heard.speed_mps, self._lagging_mps))
         self._judge_remote(plant, now_s)
         self._judge_roll_back(plant, now_s)
         self._judge_stop(plant, now_s)
@@ -792,7 +794,7 @@ class Oracle:
             self._stop_record = (now_s, plant.x_m, plant.speed_mps, plant.slope_deg)
             return
         began_s, x_m, speed_mps, _ = self._stop_record
-        if self._is_permitted:
+        if self._is_permitted or self._trust.is_lost:
             self._stop_record = None
             return
         slows_mps2 = self._limits.deceleration_mps2
@@ -900,13 +902,12 @@ class Oracle:
         """A robot that is told to move is seen to move, and what is seen changes with what is told."""
         seen_mps = self._heard.speed_mps
         told_mps = abs(order.signed_mps) - self._bit_mps if self._is_permitted else 0.0
-        # The command, with its lag, as it was a second ago, since when drive and wheels say the same.
-        before_mps = self._lately[0][0]
-        low_mps, high_mps = (
-            (before_mps, before_mps) if now_s - self._heard.unchanged_s <= 1.0 else self._told_range
-        )
-        self._told_range = min(low_mps, before_mps), max(high_mps, before_mps)
-        changed_mps = self._told_range[1] - self._told_range[0] if self._is_permitted else 0.0
+        # The command as it was a second ago, with its lag and without: since then drive and wheels say the same.
+        before = self._lately[0][0], self._lately[0][3]
+        is_new = now_s - self._heard.unchanged_s <= 1.0
+        lowest, highest = (before, before) if is_new else self._told_range
+        self._told_range = tuple(map(min, lowest, before)), tuple(map(max, highest, before))
+        changed_mps = min(map(sub, *reversed(self._told_range))) if self._is_permitted else 0.0
         # At rest each reading is like the one before, and the other rows judge.
         is_frozen = seen_mps >= FROZEN_MPS and changed_mps > TOLD_MPS + self._bit_mps
         counts = told_mps > FROZEN_TOLD_MPS and seen_mps < FROZEN_MPS
