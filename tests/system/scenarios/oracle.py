@@ -753,14 +753,9 @@ class Oracle:
         if self._latched:
             self._latched_m = plant.x_m
         rolled_m = min(rolled_m, abs(plant.x_m - self._latched_m))
-        is_seen = not plant.creeps_unseen
-        if (
-            not plant.brake_holds
-            and is_seen
-            and rolled_m > STOP_M / 2
-            and not self._latched
-            and self._gateway_lives
-        ):
+        is_due = not plant.brake_holds and not plant.creeps_unseen and self._gateway_lives
+        is_unnoticed = is_due and rolled_m > STOP_M / 2 and not self._latched
+        if self._timer("unnoticed").lasts(now_s, holds=is_unnoticed) > SEEING_S:
             self._fail("brake_unnoticed", now_s, f"{rolled_m:.2f} m, {'braked' if plant.braked else 'released'}")
 
     def _judge_start(self, plant: Plant, now_s: float) -> None:
