@@ -1,5 +1,7 @@
 """An arbiter with a chassis that follows at once; no frames, no bus."""
 
+from typing import Any
+
 import msgspec
 
 from gateway.chassis.port import ChassisState
@@ -12,6 +14,9 @@ from schemas.requests import CHALLENGE_BYTES
 from schemas.settings import AuthoritySettings, CommandSettings, GatewaySettings, Settings
 
 MS = 1_000_000
+Step = int | float | str | tuple[str, dict[str, Any]] | dict[str, Any]
+"""Of a row of a table: ticks; a drive command at a speed; a verb, with fields; what the chassis shows."""
+
 STANDING = ChassisState(
     bus_up=True,
     variant=Variant.COARSE,
@@ -150,6 +155,32 @@ class ArbiterRig:
         """A stream."""
         for _ in range(ticks):
             self.drive(speed_mps)
+
+    def play(self, *steps: Step) -> Ruling | None:
+        """Take these steps; the ruling of the last one. "stop by second" is a verb of somebody else.
+
+        A challenge that is a number is the one that was published so many ticks ago.
+        """
+        ruling = None
+        for step in steps:
+            ruling = None
+            match step:
+                case dict():
+                    self.changes = step
+                case int():
+                    self.tick(count=step)
+                case float():
+                    ruling = self.drive(step)
+                case str() | (str(), _):
+                    asked, fields = (step, {}) if isinstance(step, str) else step
+                    verb, _, operator = asked.partition(" by ")
+                    if isinstance(ticks_ago := fields.get("challenge"), int):
+                        fields = fields | {"challenge": self.challenge(ticks_ago)}
+                    if verb == "drive":
+                        ruling = self.drive(**fields)
+                    else:
+                        ruling = self.ask(verb, operator or "first", **fields)
+        return ruling
 
     def told(self, kind: EventKind) -> list[Event]:
         """The events of a kind."""

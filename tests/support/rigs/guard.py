@@ -1,6 +1,7 @@
 """A guard beside a simulated gateway and a simulated chassis: one time, one bus, no clocks."""
 
 from collections.abc import Callable
+from typing import Any, Union
 
 import msgspec
 
@@ -38,6 +39,8 @@ class GuardRig:
         sent: what the guard sent, with its time.
         see: what the guard sees instead of a feedback frame.
         lines: what the guard said.
+        mark: how many frames the guard and the loop had sent at the last mark.
+        fastest_mps: the fastest that the robot was since then.
     """
 
     def __init__(self, variant: Variant = Variant.COARSE, settings: CommandSettings | None = None) -> None:
@@ -60,6 +63,8 @@ class GuardRig:
         self.sent: list[tuple[int, Frame]] = []
         self.by_loop: list[Frame] = []
         self.lines: list[str] = []
+        self.mark = (0, 0)
+        self.fastest_mps = 0.0
         self._was_told = False
         self._last = DRIVING
 
@@ -77,6 +82,27 @@ class GuardRig:
         self.told = told
         self.run(seconds)
 
+    def play(self, *steps: "Step") -> None:
+        """Take these steps."""
+        for step in steps:
+            match step:
+                case float():
+                    self.run(step)
+                case str():
+                    self.fault(step)
+                case tuple():
+                    self.play(*step)
+                case dict():
+                    for knob, value in step.items():
+                        setattr(self, knob, value)
+                case _:
+                    step(self)
+
+    def set_mark(self) -> None:
+        """Count from now on."""
+        self.mark = (len(self.sent), len(self.by_loop))
+        self.fastest_mps = 0.0
+
     def run(self, seconds: float) -> None:
         """Let time pass."""
         for _ in range(round(seconds * S / GUARD_POLL_NS)):
@@ -85,6 +111,7 @@ class GuardRig:
             if self.loop_lives and self.parent_lives and self.now_ns % TICK_NS == 0:
                 self.loop()
             self._guard()
+            self.fastest_mps = max(self.fastest_mps, abs(self.chassis.state.speed_mps))
 
     def look_when_due(self, seconds: float) -> None:
         """Let time pass in steps of 1 ms, with the guard looking when it wants to; the loop does not live."""
@@ -157,3 +184,7 @@ class GuardRig:
             self.gate.sent(taken, self.now_ns)
             self.guardian.sent(len(taken), self.now_ns)
         self.lines += self.guardian.take_lines()
+
+
+Step = Union[float, str, dict[str, Any], Callable[[GuardRig], None], tuple["Step", ...]]  # noqa: UP007 - recursive
+"""Of a row of a table: seconds; a fault of the chassis; knobs; anything else; several of them."""

@@ -1,6 +1,6 @@
 """When the guard acts: after the gateway, never beside it, and until the robot rests."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from copy import deepcopy
 from functools import cache
 
@@ -30,7 +30,7 @@ from schemas.settings import (
     TICK_NS,
     CommandSettings,
 )
-from tests.support.rigs.guard import BURST, DRIVING, MS, GuardRig, S
+from tests.support.rigs.guard import BURST, DRIVING, MS, GuardRig, S, Step
 
 A_STOP_S = 8.0
 
@@ -68,12 +68,6 @@ ENDS: dict[str, tuple[Callable[[GuardRig], None], Cause]] = {
     "mute": (go_mute, Cause.MUTE),
     "closed while it drives": (GuardRig.close, Cause.GONE),
 }
-
-
-def no_speed(frames: Iterable[Frame]) -> bool:
-    """None of them asks for a speed."""
-    drive = load(Variant.COARSE).messages["Auto_DriveCmd"].can_id
-    return not any(any(frame.data[1:3]) for frame in frames if frame.can_id == drive)
 
 
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
@@ -208,31 +202,6 @@ def test_a_late_heartbeat_is_stopped_for_within_100_ms_and_not_before_its_limit(
     )
 
 
-def test_one_late_look_is_not_enough() -> None:
-    """A machine that stood still as a whole: the loop beats before the second look, and nothing is sent."""
-    rig = driven()
-    rig.now_ns += 300 * MS
-    rig.loop_lives = False
-    rig.poll()
-    rig.loop_lives = True
-    rig.run(1)
-    assert rig.sent == []
-
-
-def test_a_gateway_that_tells_the_chassis_nothing_is_let_go() -> None:
-    """Standing by, it may be late or end as it likes: nothing is sent, and the guard leaves."""
-    rig = GuardRig()
-    rig.run(0.5)
-    rig.loop_lives = False
-    rig.run(0.5)
-    assert not rig.guardian.is_ended
-    rig.parent_lives = False
-    rig.run(0.01)
-    assert rig.guardian.is_ended
-    assert rig.sent == []
-    assert rig.lines == []
-
-
 def test_a_guard_outlives_its_gateway_until_the_stop_is_done() -> None:
     """And then it leaves."""
     rig = driven()
@@ -242,104 +211,6 @@ def test_a_guard_outlives_its_gateway_until_the_stop_is_done() -> None:
     rig.run(0.01)
     assert rig.guardian.is_ended
     assert rig.chassis.state.speed_mps == 0
-
-
-def test_a_loop_that_comes_back_finds_the_stop_carried_through_and_is_watched_again() -> None:
-    """Nobody sends beside the guard; later the loop drives again and fails again, and is stopped for again."""
-    rig = driven()
-    rig.loop_lives = False
-    rig.run(0.2)
-    # Counted from its beginning: a loop that was away for all of it still learns of it.
-    assert (rig.guardian.is_sending, rig.guardian.stops) == (True, 1)
-    by_loop = len(rig.by_loop)
-    rig.loop_lives, rig.told = True, None
-    rig.run(A_STOP_S)
-    assert len(rig.by_loop) == by_loop
-    assert (rig.guardian.stops, rig.chassis.state.speed_mps) == (1, 0)
-    rig.drive()
-    assert rig.chassis.state.speed_mps > 0.9
-    rig.parent_lives = False
-    rig.run(A_STOP_S)
-    assert (rig.guardian.stops, rig.chassis.state.speed_mps) == (2, 0)
-
-
-@pytest.mark.parametrize("end", ["stalled", "mute"])
-def test_one_failure_is_stopped_for_once(end: str) -> None:
-    """A loop that stays late or mute after the stop is not stopped for again, and again."""
-    rig = driven()
-    ENDS[end][0](rig)
-    rig.run(3 * A_STOP_S)
-    assert rig.guardian.stops == 1
-
-
-def taken_over_before(rig: GuardRig) -> None:
-    """The gateway dies when it has not seen yet that the remote control has the robot."""
-    rig.fault("transmitter remote")
-    rig.run(0.1)
-    rig.parent_lives = False
-
-
-def taken_over_and_left(rig: GuardRig) -> None:
-    """The gateway gives way to the remote control, and dies later."""
-    rig.fault("transmitter remote")
-    rig.run(0.1)
-    rig.told = None
-    rig.run(1)
-    rig.parent_lives = False
-
-
-def taken_over_during(rig: GuardRig) -> None:
-    """In the middle of the guard's stop."""
-    rig.parent_lives = False
-    rig.run(0.2)
-    rig.fault("transmitter remote")
-    rig.run(0.1)
-
-
-@pytest.mark.parametrize(
-    ("take_over", "driven_s"), [(taken_over_before, 20), (taken_over_and_left, 20), (taken_over_during, 150)]
-)
-def test_the_hand_transmitter_has_the_robot(take_over: Callable[[GuardRig], None], driven_s: float) -> None:
-    """It is left with zero speed, then silence for minutes. Given back it does not move, and is parked."""
-    rig = driven()
-    take_over(rig)
-    rig.run(1)
-    sent = len(rig.sent)
-    rig.fault("sticks 0.8 0")
-    rig.run(driven_s)
-    assert rig.chassis.state.speed_mps > 0.7
-    assert len(rig.sent) == sent
-    assert not rig.guardian.is_ended
-    assert "remote control" in rig.lines[-1]
-    rig.fault("sticks 0 0")
-    rig.run(5)
-    assert rig.chassis.state.speed_mps == 0
-    rig.fault("transmitter command")
-    fastest_mps = 0.0
-    for _ in range(round(A_STOP_S / 0.005)):
-        rig.poll()
-        fastest_mps = max(fastest_mps, abs(rig.chassis.state.speed_mps))
-    assert fastest_mps == 0
-    assert rig.chassis.state.mode is Mode.STOP
-    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
-    assert rig.guardian.is_ended
-    assert rig.guardian.stops == 1
-
-
-def test_a_robot_that_is_given_back_unbraked_and_reads_stop_is_parked() -> None:
-    """Nothing else holds it: zero speed and the parking brake, and nothing old."""
-    rig = driven()
-    taken_over_during(rig)
-    rig.run(1)
-    sent = len(rig.sent)
-    rig.chassis._commands.clear()
-    rig.fault("transmitter command")
-    rig.run(A_STOP_S)
-    after = [frame for _, frame in rig.sent[sent:] if frame.can_id in MOTION]
-    assert len(after) > 100
-    assert no_speed(after)
-    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
-    assert rig.guardian.is_ended
 
 
 def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
@@ -362,6 +233,284 @@ def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
     rig.run(A_STOP_S)
     assert rig.chassis.state.speed_mps == 0
     assert "the robot stands" in rig.lines[-1]
+
+
+# What is played before the guard, and what it does: rows of one table.
+
+Check = Callable[[GuardRig], None]
+
+
+def told_mps(rig: GuardRig) -> float | None:
+    """The highest speed that the guard has sent since the mark."""
+    decoder = FrameDecoder(load(rig.variant))
+    told = [decoder.decode(frame) for _, frame in rig.sent[rig.mark[0] :]]
+    speeds = [one.signals.get("TargetVelocity") for one in told if isinstance(one, Decoded)]
+    return max((float(speed) for speed in speeds if speed is not None), default=None)
+
+
+FACTS: dict[str, Callable[[GuardRig], object]] = {
+    "ended": lambda rig: rig.guardian.is_ended,
+    "sending": lambda rig: rig.guardian.is_sending,
+    "stops": lambda rig: rig.guardian.stops,
+    "cause": lambda rig: rig.guardian.cause,
+    "mode": lambda rig: rig.chassis.state.mode,
+    "parked": lambda rig: rig.chassis.state.parking_status is ParkingStatus.APPLIED,
+    "rests": lambda rig: rig.chassis.state.speed_mps == 0,
+    "drives": lambda rig: rig.chassis.state.speed_mps > 0.5,
+    "frames": lambda rig: len(rig.sent) - rig.mark[0],
+    "by_loop": lambda rig: len(rig.by_loop) - rig.mark[1],
+    "told_mps": told_mps,
+    "fastest_mps": lambda rig: rig.fastest_mps,
+    "lines": lambda rig: len(rig.lines),
+    "left": lambda rig: rig.left is not None,
+    "sends_much": lambda rig: len([frame for _, frame in rig.sent[rig.mark[0] :] if frame.can_id in MOTION]) > 100,
+    "says": lambda rig: rig.lines[-1],
+}
+"""Those that are counted are counted since the mark."""
+
+
+def seen(**expected: object) -> Check:
+    """Look: these are the facts now. What it says holds these words."""
+
+    def look(rig: GuardRig) -> None:
+        for name, value in expected.items():
+            fact = FACTS[name](rig)
+            assert str(value) in str(fact) if name == "says" else fact == value, (name, fact, value)
+
+    return look
+
+
+def adopt_parked(rig: GuardRig) -> None:
+    """Others leave the robot parked in neutral."""
+    rig.chassis.adopt(speed_mps=0.0, angle_deg=0.0, gear=GearPosition.NEUTRAL, parked=True)
+
+
+def forget(rig: GuardRig) -> None:
+    """The chassis holds no command any more, as if it had been switched off and on."""
+    rig.chassis._commands.clear()
+
+
+def command_by_other(rig: GuardRig) -> None:
+    """The guard hears a drive command of another computer."""
+    rig.guardian.receive(rig.maker.make(DRIVING, [], rig.variant)[0], rig.now_ns)
+
+
+def be_commanded(rig: GuardRig) -> None:
+    """For half a second another computer commands."""
+    for _ in range(100):
+        command_by_other(rig)
+        rig.poll()
+
+
+def drive_by_other(rig: GuardRig, speed_mps: float) -> None:
+    """Another computer drives at this speed, unheard."""
+    for frame in rig.maker.make(replace(DRIVING, speed_mps=speed_mps), [], rig.variant):
+        rig.chassis.receive(frame, rig.now_ns)
+
+
+def replace_guard(rig: GuardRig) -> None:
+    """Another guard is started."""
+    rig.guardian = Guardian(CommandSettings())
+
+
+def cut_short(rig: GuardRig) -> None:
+    """The guard's stop ends at once."""
+    rig.guardian._stopper.give_up("cut short by this test")
+
+
+def be_stopped_by_others(rig: GuardRig) -> None:
+    """For six seconds the guard does not run, and others bring the robot to rest."""
+    for _ in range(1200):
+        rig.now_ns += 5 * MS
+        rig.chassis.advance(rig.now_ns)
+        forget(rig)
+    seen(rests=True)(rig)
+    rig.set_mark()
+
+
+def pause(seconds: float) -> Check:
+    """Time passes, and nothing of ours runs."""
+    return lambda rig: setattr(rig, "now_ns", rig.now_ns + round(seconds * S))
+
+
+def ask_to_end(rig: GuardRig) -> None:
+    """A signal."""
+    rig.guardian.ask_to_end()
+
+
+MARK = GuardRig.set_mark
+STALL, LIVE, KILL = {"loop_lives": False}, {"loop_lives": True}, {"parent_lives": False}
+SILENCE = {"told": None}
+NO_BUS, BUS, FULL = {"bus_up": False}, {"bus_up": True}, {"takes": 0}
+REMOTE, GIVEN_BACK = "transmitter remote", "transmitter command"
+FIRST: tuple[Step, ...] = (GuardRig.drive,)
+LEFT: tuple[Step, ...] = (*FIRST, REMOTE, 0.1, SILENCE, 1.0)
+"""Driven at 1 m/s, then taken over; the gateway has given way, and lives."""
+
+TAKEN_IN_A_STOP: tuple[Step, ...] = (*FIRST, KILL, 0.2, REMOTE, 0.1)
+AT_REST_SAID = seen(rests=True, says="the robot stands")
+NEAR_THE_END, AFTER_THE_END = GUARD_GIVES_UP_NS / S - 1, 2.0
+
+SCENES: dict[str, tuple[Step, ...]] = {
+    # The loop.
+    "a gateway that tells the chassis nothing may be late or end: the guard leaves": (
+        (0.5, STALL, 0.5, seen(ended=False), KILL, 0.01, seen(ended=True, frames=0, lines=0)),
+    ),
+    "one late look is not enough: the machine stood still as a whole": (
+        (*FIRST, pause(0.3), STALL, 0.005, LIVE, 1.0, seen(frames=0)),
+    ),
+    "a loop that comes back finds the stop carried through, sends nothing beside it and is watched again": (
+        (*FIRST, STALL, 0.2, seen(sending=True, stops=1), MARK, LIVE, SILENCE, A_STOP_S),
+        (seen(by_loop=0, stops=1, rests=True), *FIRST, seen(drives=True), KILL, A_STOP_S),
+        seen(stops=2, rests=True),
+    ),
+    "a loop that stays late is stopped for once": (*FIRST, STALL, 3 * A_STOP_S, seen(stops=1)),
+    "a loop that stays mute is stopped for once": (*FIRST, {"mute": True}, 3 * A_STOP_S, seen(stops=1)),
+    "the young beat of a dead gateway does not arm the guard again": (
+        ({"told": Actuation(enabled=True)}, 0.02, KILL, 0.005, cut_short, 0.05, seen(stops=1, ended=True)),
+    ),
+    "a signal is ignored while the chassis is told something": (
+        (*FIRST, ask_to_end, 0.1, seen(ended=False), {"told": AT_REST}, 0.1, SILENCE, 0.1, seen(ended=False)),
+        (ask_to_end, 0.01, seen(ended=True)),
+    ),
+    "what the guard has ended itself is not left any more": (
+        (*FIRST, STALL, A_STOP_S, MARK, seen(sending=False), LIVE, SILENCE, 0.5, seen(left=True), KILL, 0.5),
+        seen(frames=0, ended=True),
+    ),
+    "a guard that stood still gives the robot back to a loop that drives": (
+        (*FIRST, STALL, 0.2, LIVE, pause(1), GuardRig.loop, MARK, 0.5),
+        seen(frames=0, sending=False, says="given back"),
+    ),
+    "a guard that stood still gives the robot back to a loop that stands by": (
+        (*FIRST, STALL, 0.2, LIVE, pause(1), SILENCE, GuardRig.loop, GuardRig.loop, MARK, 0.5),
+        seen(frames=0, sending=False, says="given back"),
+    ),
+    "a guard that stood still beside a dead gateway goes on from what it sees": (
+        (*FIRST, KILL, 0.2, be_stopped_by_others, A_STOP_S, seen(fastest_mps=0, ended=True)),
+    ),
+    # The remote control.
+    "given back unbraked and in mode stop, the robot is parked and told nothing old": (
+        (*TAKEN_IN_A_STOP, 1.0, MARK, forget, GIVEN_BACK, A_STOP_S),
+        seen(sends_much=True, told_mps=0, parked=True, ended=True),
+    ),
+    "given back rolling, the robot is told zero speed at once: who held the transmitter drove it": (
+        (*TAKEN_IN_A_STOP, MARK, "sticks 0.6 0", 3.0, seen(drives=True), GIVEN_BACK, A_STOP_S),
+        seen(told_mps=0, rests=True),
+    ),
+    "a robot that another computer has commanded meanwhile is left to it": (
+        (*TAKEN_IN_A_STOP, 1.0, MARK, command_by_other, 0.1),
+        seen(ended=True, frames=0, says="another computer"),
+    ),
+    "a chassis that is switched off under the remote control is waited for half a minute more": (
+        (*TAKEN_IN_A_STOP, 2 * GUARD_GIVES_UP_NS / S, "silence all", NEAR_THE_END, seen(ended=False)),
+        (AFTER_THE_END, seen(ended=True, says="not heard any more")),
+    ),
+    "a gateway that ended the command and goes leaves nothing to wait for": (
+        (*FIRST, {"told": AT_REST}, 0.5, REMOTE, SILENCE, 0.5, KILL, 0.01, seen(ended=True, frames=0)),
+    ),
+    "a robot that was left, and commanded by others as the gateway hears, is not waited for": (
+        (*LEFT, {"left": None}, 0.1, KILL, 0.01, seen(ended=True, stops=0)),
+    ),
+    "a robot that was left, and commanded by others as the guard alone hears, is not waited for": (
+        (*LEFT, STALL, 0.3, command_by_other, 0.1, KILL, 0.01, seen(ended=True, stops=0)),
+    ),
+    "a signal is ignored while the chassis is left on a command": (*LEFT, ask_to_end, 0.1, seen(ended=False)),
+    "a gateway that hangs is stopped for when the robot is given back, and not before": (
+        (*LEFT, STALL, 30.0, seen(stops=0), GIVEN_BACK, A_STOP_S),
+        seen(cause=Cause.LATE, mode=Mode.STOP, rests=True, sending=False),
+    ),
+    "a late loop is no matter where nothing was left": (
+        (*LEFT, {"left": None}, 0.02, STALL, GIVEN_BACK, 1.0, seen(mode=Mode.AUTO, stops=0)),
+    ),
+    "a new guard knows by the heartbeat what was left": (
+        (*LEFT, replace_guard, 0.5, KILL, 1.0, GIVEN_BACK, A_STOP_S),
+        seen(rests=True, mode=Mode.STOP, ended=True),
+    ),
+    "a robot that was left and reads stop is told nothing old any more": (
+        (*LEFT, forget, GIVEN_BACK, 0.5, seen(mode=Mode.STOP), KILL, A_STOP_S),
+        seen(ended=True, sends_much=True, told_mps=0),
+    ),
+    # The bus.
+    "a mute loop does not make what it told long ago new": (
+        (*FIRST, {"mute": True}, NO_BUS, "silence all", 10.0, forget, BUS, 1.0, seen(told_mps=0)),
+    ),
+    "feedback that falls silent does not end the stop": (
+        (*FIRST, "silence all", 0.3, KILL, A_STOP_S, seen(rests=True, parked=True, says="not seen to stand")),
+    ),
+    "a bus that comes back in time is used, and a loop that could act itself is not kept from it": (
+        (*FIRST, KILL, NO_BUS, 2.0, seen(frames=0, sending=False, drives=True, ended=False)),
+        (BUS, A_STOP_S, AT_REST_SAID),
+    ),
+    "a late stop is not begun beside another computer, but after it": (
+        (*FIRST, KILL, NO_BUS, 1.0, BUS, be_commanded, seen(frames=0, ended=False)),
+        (A_STOP_S, AT_REST_SAID),
+    ),
+    "what is not seen is waited for a little and then taken for a parked robot": (
+        (*FIRST, KILL, NO_BUS, 1.0, forget, 3.0, adopt_parked, "silence all", 1.0, BUS, MARK),
+        (GUARD_LOOK_NS / S - 0.01, seen(frames=0), A_STOP_S, seen(told_mps=0, fastest_mps=0, parked=True)),
+    ),
+    "a bus that comes back after others stopped the robot": (
+        (*FIRST, KILL, NO_BUS, 1.0, forget, 5.0, seen(mode=Mode.STOP), BUS, MARK, A_STOP_S),
+        seen(fastest_mps=0, told_mps=0, ended=True),
+    ),
+    "a bus that is lost in a stop and comes back after others stopped the robot": (
+        (*FIRST, KILL, 0.2, NO_BUS, 1.0, forget, 5.0, seen(mode=Mode.STOP), BUS, MARK, A_STOP_S),
+        seen(fastest_mps=0, told_mps=0, ended=True),
+    ),
+}
+WITHOUT_BUS: dict[str, tuple[Step, ...]] = {
+    f"a guard that finds the bus {how} {when} gives up at last": (
+        (*FIRST, KILL, *before, *knobs, NEAR_THE_END, seen(ended=False), AFTER_THE_END),
+        seen(ended=True, says="given up"),
+    )
+    for how, knobs in {"lost": (NO_BUS, FULL), "full": (FULL,)}.items()
+    for when, before in {"at its beginning": (), "in its stop": (0.2,)}.items()
+}
+
+
+@pytest.mark.parametrize("steps", [*SCENES.values(), *WITHOUT_BUS.values()], ids=[*SCENES, *WITHOUT_BUS])
+def test_what_the_guard_does(steps: tuple[Step, ...]) -> None:
+    """Each row is a few moments: what happens, and what is to be seen then."""
+    rig = GuardRig()
+    rig.play(*steps)
+
+
+@pytest.mark.parametrize(("told", "others_mps"), [(1.0, 0.3), (0.3, 1.0)])
+def test_a_stop_that_begins_late_begins_at_the_lower_speed(told: float, others_mps: float) -> None:
+    """Of what it was told before, and of what is seen now that others have driven it."""
+    rig = GuardRig()
+    rig.drive(replace(DRIVING, speed_mps=told))
+    rig.play(KILL, NO_BUS, 1.0)
+    drive_by_other(rig, others_mps)
+    rig.play(3.0, BUS, A_STOP_S, AT_REST_SAID)
+    assert 0.2 < (told_mps(rig) or 0) <= 0.3
+
+
+def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
+    """It is speeding up when the gateway dies: the rest of that is not what the guard wants."""
+    rig = GuardRig(Variant.FINE)
+    rig.drive(seconds=0.4)
+    slowest_mps = rig.chassis.state.speed_mps
+    assert 0 < slowest_mps < 0.7
+    rig.play(KILL, A_STOP_S)
+    assert 0 < (told_mps(rig) or 0) <= slowest_mps + 0.01
+
+
+@pytest.mark.parametrize(
+    ("steps", "driven_s"),
+    [
+        ((*FIRST, REMOTE, 0.1, KILL), 20.0),
+        ((*LEFT, KILL), 20.0),
+        (TAKEN_IN_A_STOP, 150.0),
+    ],
+    ids=["before the gateway has seen it", "the gateway gave way and dies later", "in the guard's stop"],
+)
+def test_the_hand_transmitter_has_the_robot(steps: tuple[Step, ...], driven_s: float) -> None:
+    """It is left with zero speed, then silence for minutes. Given back it does not move, and is parked."""
+    rig = GuardRig()
+    rig.play(*steps, 1.0, MARK, "sticks 0.8 0", driven_s, seen(drives=True, frames=0, ended=False))
+    rig.play(seen(says="remote control"), "sticks 0 0", 5.0, seen(rests=True), MARK, GIVEN_BACK, A_STOP_S)
+    rig.play(seen(fastest_mps=0, mode=Mode.STOP, parked=True, ended=True, stops=1))
 
 
 @pytest.mark.parametrize("moves", [True, False])
@@ -389,388 +538,6 @@ def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*,
     assert told[load(Variant.COARSE).messages["Auto_ParkingCmd"].can_id][:2] == b"\1\1"
     assert told[load(Variant.COARSE).messages["Auto_GearCmd"].can_id][1] == 4
     assert "given up: it is told zero speed and the parking brake" in rig.lines[-1]
-
-
-def test_a_robot_that_is_given_back_to_another_computer_is_left_to_it() -> None:
-    """A new gateway has commanded it meanwhile: its last command is not ours any more."""
-    rig = driven()
-    taken_over_during(rig)
-    rig.run(1)
-    sent = len(rig.sent)
-    rig.guardian.receive(rig.maker.make(DRIVING, [], rig.variant)[0], rig.now_ns)
-    rig.run(0.1)
-    assert rig.guardian.is_ended
-    assert len(rig.sent) == sent
-    assert "another computer" in rig.lines[-1]
-
-
-def test_a_chassis_that_is_switched_off_under_the_hand_transmitter_is_waited_for_no_longer() -> None:
-    """For as long as the chassis is heard, and no bus for half a minute after."""
-    rig = driven()
-    taken_over_during(rig)
-    rig.run(2 * GUARD_GIVES_UP_NS / S)
-    rig.fault("silence all")
-    rig.run(GUARD_GIVES_UP_NS / S - 1)
-    assert not rig.guardian.is_ended
-    rig.run(2)
-    assert rig.guardian.is_ended
-    assert "not heard any more" in rig.lines[-1]
-
-
-def test_a_gateway_that_ended_the_command_and_goes_leaves_nothing_to_wait_for() -> None:
-    """Disabled frames were the last: under the remote control or not, the guard leaves with it."""
-    rig = driven()
-    rig.told = AT_REST
-    rig.run(0.5)
-    rig.fault("transmitter remote")
-    rig.told = None
-    rig.run(0.5)
-    rig.parent_lives = False
-    rig.run(0.01)
-    assert rig.guardian.is_ended
-    assert rig.sent == []
-
-
-@pytest.mark.parametrize("heard", ["by the gateway", "by the guard alone"])
-def test_a_robot_that_was_left_and_is_commanded_by_others_is_not_waited_for(heard: str) -> None:
-    """The gateway gave way and dies later; somebody else has commanded the chassis meanwhile."""
-    rig = left_under_the_transmitter()
-    if heard == "by the gateway":
-        rig.left = None
-    else:
-        rig.loop_lives = False
-        rig.run(0.3)
-        rig.guardian.receive(rig.maker.make(DRIVING, [], rig.variant)[0], rig.now_ns)
-    rig.run(0.1)
-    rig.parent_lives = False
-    rig.run(0.01)
-    assert rig.guardian.is_ended
-    assert rig.guardian.stops == 0
-
-
-def left_under_the_transmitter() -> GuardRig:
-    """Driven at 1 m/s, then taken over; the gateway has given way, and lives."""
-    rig = driven()
-    rig.fault("transmitter remote")
-    rig.run(0.1)
-    rig.told = None
-    rig.run(1)
-    return rig
-
-
-def test_a_signal_is_ignored_while_the_chassis_is_left_on_a_command() -> None:
-    """It may be given back at any time."""
-    rig = left_under_the_transmitter()
-    rig.guardian.ask_to_end()
-    rig.run(0.1)
-    assert not rig.guardian.is_ended
-
-
-def test_a_gateway_that_hangs_while_the_hand_transmitter_has_the_robot_is_stopped_for() -> None:
-    """Row 'gateway hung': given back, the chassis obeys its old command. Not before: a person drives."""
-    rig = left_under_the_transmitter()
-    rig.loop_lives = False
-    rig.run(30)
-    assert rig.guardian.stops == 0
-    rig.fault("transmitter command")
-    rig.run(A_STOP_S)
-    assert rig.guardian.cause is Cause.LATE
-    assert rig.chassis.state.mode is Mode.STOP
-    assert rig.chassis.state.speed_mps == 0
-    assert not rig.guardian.is_sending
-
-
-def test_what_the_guard_has_ended_itself_is_not_left_any_more() -> None:
-    """The gateway was paused, comes back, gives way, and goes: nothing more is sent, for the stop was complete."""
-    rig = driven()
-    rig.loop_lives = False
-    rig.run(A_STOP_S)
-    sent = len(rig.sent)
-    assert not rig.guardian.is_sending
-    rig.loop_lives, rig.told = True, None
-    rig.run(0.5)
-    assert rig.left is not None
-    rig.parent_lives = False
-    rig.run(0.5)
-    assert len(rig.sent) == sent
-    assert rig.guardian.is_ended
-
-
-def test_a_late_loop_is_no_matter_where_nothing_was_left() -> None:
-    """Standing by, in auto by another computer, the loop may be late as long as it likes."""
-    rig = left_under_the_transmitter()
-    rig.left = None
-    rig.run(0.02)
-    rig.loop_lives = False
-    rig.fault("transmitter command")
-    rig.run(1)
-    assert rig.chassis.state.mode is Mode.AUTO
-    assert rig.guardian.stops == 0
-
-
-def test_a_new_guard_knows_what_was_left() -> None:
-    """It was started when the gateway had given way already: the heartbeat tells it all."""
-    rig = left_under_the_transmitter()
-    rig.guardian = Guardian(CommandSettings())
-    rig.run(0.5)
-    rig.parent_lives = False
-    rig.run(1)
-    rig.fault("transmitter command")
-    rig.run(A_STOP_S)
-    assert rig.chassis.state.speed_mps == 0
-    assert rig.chassis.state.mode is Mode.STOP
-    assert rig.guardian.is_ended
-
-
-def test_a_robot_that_was_left_and_reads_stop_is_told_nothing_old_any_more() -> None:
-    """An enable was lost; the gateway dies; what it last told is overwritten, and the robot parked."""
-    rig = left_under_the_transmitter()
-    rig.chassis._commands.clear()
-    rig.fault("transmitter command")
-    rig.run(0.5)
-    assert rig.chassis.state.mode is Mode.STOP
-    rig.parent_lives = False
-    rig.run(A_STOP_S)
-    assert rig.guardian.is_ended
-    frames = [frame for _, frame in rig.sent if frame.can_id in MOTION]
-    assert len(frames) > 100
-    assert no_speed(frames)
-
-
-def test_a_mute_loop_does_not_make_what_it_told_long_ago_new() -> None:
-    """Both ways to the bus were lost; others stopped the robot; the guard's is back, and sees nothing yet."""
-    rig = driven()
-    rig.mute, rig.bus_up = True, False
-    rig.fault("silence all")
-    rig.run(10)
-    rig.chassis._commands.clear()
-    rig.bus_up = True
-    rig.run(1)
-    speeds = [frame.data[1] for _, frame in rig.sent if frame.can_id == MOTION[0]]
-    assert speeds
-    assert not any(speeds)
-
-
-def test_a_beat_of_a_dead_gateway_does_not_arm_the_guard_again() -> None:
-    """The last one is young still when a short stop has ended: one failure is stopped for once."""
-    rig = GuardRig()
-    rig.told = Actuation(enabled=True)
-    rig.run(0.02)
-    rig.parent_lives = False
-    rig.poll()
-    rig.guardian._stopper.give_up("cut short by this test")
-    rig.run(0.05)
-    assert rig.guardian.stops == 1
-    assert rig.guardian.is_ended
-
-
-def test_feedback_that_falls_silent_does_not_end_the_stop() -> None:
-    """Standstill cannot be seen, so the brake phase lasts its time; the rest follows, and the guard says so."""
-    rig = driven()
-    rig.fault("silence all")
-    rig.run(0.3)
-    rig.parent_lives = False
-    rig.run(A_STOP_S)
-    assert rig.chassis.state.speed_mps == 0
-    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
-    assert "not seen to stand" in rig.lines[-1]
-
-
-def test_a_bus_that_comes_back_in_time_is_used() -> None:
-    """Gone with the gateway for 2 s: the stop begins when it is there again."""
-    rig = driven()
-    rig.parent_lives = rig.bus_up = False
-    rig.run(2)
-    assert rig.sent == []
-    # A loop that could act itself is not kept from it.
-    assert not rig.guardian.is_sending
-    assert rig.chassis.state.speed_mps > 0.9
-    assert not rig.guardian.is_ended
-    rig.bus_up = True
-    rig.run(A_STOP_S)
-    assert rig.chassis.state.speed_mps == 0
-    assert "the robot stands" in rig.lines[-1]
-
-
-def told_mps(rig: GuardRig, since: int = 0) -> list[float]:
-    """The speeds that the guard sent, from this frame on."""
-    decoder = FrameDecoder(load(rig.variant))
-    told = [decoder.decode(frame) for _, frame in rig.sent[since:]]
-    return [
-        float(one.signals["TargetVelocity"])
-        for one in told
-        if isinstance(one, Decoded) and "TargetVelocity" in one.signals
-    ]
-
-
-def moved(rig: GuardRig, seconds: float) -> float:
-    """The fastest that the robot was in this time."""
-    fastest_mps = 0.0
-    for _ in range(round(seconds / 0.005)):
-        rig.poll()
-        fastest_mps = max(fastest_mps, abs(rig.chassis.state.speed_mps))
-    return fastest_mps
-
-
-@pytest.mark.parametrize("lost_after_s", [0.0, 0.2])
-def test_a_bus_that_comes_back_late_finds_a_robot_that_others_stopped(lost_after_s: float) -> None:
-    """It reads stop: no ramp from the old speed, before the guard has begun or in the middle."""
-    rig = driven()
-    rig.parent_lives, rig.bus_up = False, lost_after_s > 0
-    rig.run(lost_after_s)
-    rig.bus_up = False
-    rig.run(1)
-    rig.chassis._commands.clear()
-    rig.run(5)
-    assert rig.chassis.state.mode is Mode.STOP
-    rig.bus_up = True
-    sent = len(rig.sent)
-    assert moved(rig, A_STOP_S) == 0
-    assert no_speed(frame for _, frame in rig.sent[sent:])
-    assert rig.guardian.is_ended
-
-
-@pytest.mark.parametrize(("told", "others_mps"), [(1.0, 0.3), (0.3, 1.0)])
-def test_a_stop_that_begins_late_begins_at_the_lower_speed(told: float, others_mps: float) -> None:
-    """Of what it was told before, and of what is seen now that others have driven it."""
-    rig = GuardRig()
-    rig.drive(replace(DRIVING, speed_mps=told))
-    rig.parent_lives = rig.bus_up = False
-    rig.run(1)
-    for frame in rig.maker.make(replace(DRIVING, speed_mps=others_mps), [], rig.variant):
-        rig.chassis.receive(frame, rig.now_ns)
-    rig.run(3)
-    rig.bus_up = True
-    moved(rig, A_STOP_S)
-    assert 0.2 < max(told_mps(rig)) <= 0.3
-    assert "the robot stands" in rig.lines[-1]
-
-
-def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
-    """It is speeding up when the gateway dies: the rest of that is not what the guard wants."""
-    rig = GuardRig(Variant.FINE)
-    rig.drive(seconds=0.4)
-    slowest_mps = rig.chassis.state.speed_mps
-    assert 0 < slowest_mps < 0.7
-    rig.parent_lives = False
-    rig.run(A_STOP_S)
-    assert 0 < max(told_mps(rig)) <= slowest_mps + 0.01
-
-
-def test_a_robot_that_is_given_back_rolling_is_told_zero_speed_at_once() -> None:
-    """No ramp: who held the transmitter drove it, not we."""
-    rig = driven()
-    taken_over_during(rig)
-    sent = len(rig.sent)
-    rig.fault("sticks 0.6 0")
-    rig.run(3)
-    assert rig.chassis.state.speed_mps > 0.5
-    rig.fault("transmitter command")
-    rig.run(A_STOP_S)
-    assert max(told_mps(rig, sent)) == 0
-    assert rig.chassis.state.speed_mps == 0
-
-
-def test_what_is_not_seen_is_waited_for_a_little_and_then_taken_for_a_parked_robot() -> None:
-    """The bus is back and nothing is heard on it: after 100 ms zero speed, and the parking brake stays applied."""
-    rig = driven()
-    rig.parent_lives = rig.bus_up = False
-    rig.run(1)
-    rig.chassis._commands.clear()
-    rig.run(3)
-    rig.chassis.adopt(speed_mps=0.0, angle_deg=0.0, gear=GearPosition.NEUTRAL, parked=True)
-    rig.fault("silence all")
-    rig.run(1)
-    rig.bus_up = True
-    rig.run(GUARD_LOOK_NS / S - 0.01)
-    assert rig.sent == []
-    assert moved(rig, A_STOP_S) == 0
-    assert max(told_mps(rig)) == 0
-    parking = load(rig.variant).messages["Auto_ParkingCmd"].can_id
-    assert all(frame.data[1] & 1 for _, frame in rig.sent if frame.can_id == parking)
-    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
-
-
-def test_a_late_stop_is_not_begun_beside_another_computer() -> None:
-    """Who commands the chassis by now may have come to stop it; when it ends, the robot is looked at again."""
-    rig = driven()
-    rig.parent_lives = rig.bus_up = False
-    rig.run(1)
-    rig.bus_up = True
-    for _ in range(100):
-        rig.guardian.receive(rig.maker.make(DRIVING, [], rig.variant)[0], rig.now_ns)
-        rig.poll()
-    assert rig.sent == []
-    assert not rig.guardian.is_ended
-    rig.run(A_STOP_S)
-    assert rig.chassis.state.speed_mps == 0
-    assert "the robot stands" in rig.lines[-1]
-
-
-@pytest.mark.parametrize("lost_after_s", [0.0, 0.2])
-@pytest.mark.parametrize("how", ["lost", "full"])
-def test_a_guard_without_a_bus_gives_up_at_last(lost_after_s: float, how: str) -> None:
-    """Before or in the middle of its stop; it says so, and leaves."""
-    rig = driven()
-    rig.parent_lives = False
-    rig.bus_up = how == "full" or lost_after_s > 0
-    rig.takes = BURST if lost_after_s else 0
-    rig.run(lost_after_s)
-    rig.bus_up, rig.takes = how == "full", 0
-    rig.run(GUARD_GIVES_UP_NS / S - 1)
-    assert not rig.guardian.is_ended
-    rig.run(2)
-    assert rig.guardian.is_ended
-    assert "given up" in rig.lines[-1]
-
-
-def test_a_signal_is_ignored_while_the_chassis_is_told_something() -> None:
-    """A supervisor that ends every process at once must not take the guard from a robot that drives."""
-    rig = driven()
-    rig.guardian.ask_to_end()
-    rig.run(0.1)
-    assert not rig.guardian.is_ended
-    rig.told = AT_REST
-    rig.run(0.1)
-    rig.told = None
-    rig.run(0.1)
-    assert not rig.guardian.is_ended
-    rig.guardian.ask_to_end()
-    rig.run(0.01)
-    assert rig.guardian.is_ended
-
-
-@pytest.mark.parametrize("does", ["drives", "stands by"])
-def test_a_guard_that_stood_still_itself_gives_the_robot_back(does: str) -> None:
-    """Meanwhile the loop counted on it no more, and drives, or has brought it to rest: two must not send."""
-    rig = driven()
-    rig.loop_lives = False
-    rig.run(0.2)
-    rig.loop_lives = True
-    rig.now_ns += S
-    if does == "stands by":
-        rig.told = None
-        rig.loop()
-    rig.loop()
-    sent = len(rig.sent)
-    rig.run(0.5)
-    assert len(rig.sent) == sent
-    assert not rig.guardian.is_sending
-    assert "given back" in rig.lines[-1]
-
-
-def test_a_guard_that_stood_still_beside_a_dead_gateway_goes_on_from_what_it_sees() -> None:
-    """Others have brought the robot to rest meanwhile: no ramp from where the guard was."""
-    rig = driven()
-    rig.parent_lives = False
-    rig.run(0.2)
-    for _ in range(1200):
-        rig.now_ns += 5 * MS
-        rig.chassis.advance(rig.now_ns)
-        rig.chassis._commands.clear()
-    assert rig.chassis.state.speed_mps == 0
-    assert moved(rig, A_STOP_S) == 0
-    assert rig.guardian.is_ended
 
 
 def test_horn_and_odometer_are_ended_with_the_robot_and_its_hazard_lights_are_on() -> None:
