@@ -1,6 +1,7 @@
 """What is in a log: as the mcap package reads it, as our own reader does, and as a report sums it up."""
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from mcap import records
@@ -10,10 +11,12 @@ from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_n
 from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import Row, Selection, read_rows
 from recorder.reading.topics import Topic, topic_of
+from recorder.review.entries import Entry, EntryKind, EntrySource
 from recorder.review.report.findings import Report
 from recorder.review.report.gather import read_report
+from schemas.decisions import Severity
 from schemas.messages import CanFrame, RawSample
-from tests.support.messages import WALL_NS
+from tests.support.messages import ROBOT, WALL_NS
 
 
 class Read:
@@ -71,3 +74,17 @@ def report_of(*paths: Path, faults: Faults | None = None) -> Report:
     """The report of these logs."""
     told = Faults() if faults is None else faults
     return read_report(find_logs(paths, told), Selection(), told, version="0.1.0")
+
+
+def entry(kind: EntryKind, time_ns: int, text: str = "", **fields: Any) -> Entry:  # noqa: ANN401 - any field
+    """What happened to a robot at a time."""
+    plain = Entry(
+        time_ns=time_ns,
+        last_ns=time_ns,
+        robot=ROBOT,
+        kind=kind,
+        severity=Severity.WARNING,
+        source=EntrySource.EVENT,
+        text=text,
+    )
+    return msgspec.structs.replace(plain, **fields)

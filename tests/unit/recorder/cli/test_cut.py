@@ -33,29 +33,3 @@ def test_whoever_is_told_to_stop_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         review("cut", str(log), "-o", str(tmp_path / "out.mcap"), is_stopped=True)
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
-
-
-@pytest.mark.parametrize("left_out", [0, 20])
-def test_a_part_of_no_topic_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], left_out: int) -> None:
-    """A wrong pattern would look like an empty drive. That the log is cut off is told besides."""
-    data = own_log([gears(0, 3, 10)])
-    log = saved(tmp_path / "a.mcap", data[: len(data) - left_out])
-    with pytest.raises(CommandError, match="no topic is of these patterns") as refused:
-        review("cut", log, "--topics", "nothing", "-o", tmp_path / "out.mcap")
-    assert refused.value.code is ExitCode.USAGE
-    assert ("cut off" in capsys.readouterr().err) == bool(left_out)
-    assert list(tmp_path.iterdir()) == [log]
-
-
-def test_a_part_is_of_one_log(tmp_path: Path) -> None:
-    """A directory of one will do; of several, or of two files, nothing is cut."""
-    logs = tmp_path / "logs"
-    first = saved(logs / "a.mcap", own_log([gears(0, 3, 10)]))
-    assert review("cut", logs, "-o", tmp_path / "out.mcap") == ExitCode.OK
-    second = saved(logs / "b.mcap", own_log([gears(3, 3, 100)]))
-    with pytest.raises(CommandError, match=r"it takes one file, and .*logs has 2") as refused:
-        review("cut", logs, "-o", tmp_path / "other.mcap")
-    assert refused.value.code is ExitCode.USAGE
-    with pytest.raises(SystemExit):
-        review("cut", first, second, "-o", tmp_path / "other.mcap")
-    assert not (tmp_path / "other.mcap").exists()

@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import random
 import tracemalloc
 from contextlib import suppress
 from pathlib import Path
@@ -215,3 +216,22 @@ def test_a_log_that_is_being_written_is_no_fault(
         assert (found["whole"], found["is_being_written"], found["messages"]) == (False, True, 6)
     assert review(question, str(path)) != ExitCode.OK
     assert "being written" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("question", READERS)
+def test_damage_anywhere_is_an_answer_or_one_clear_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
+) -> None:
+    """Bytes that were changed, and a log that was cut off: never a traceback, and often an answer."""
+    data = log_scenarios.recorded(log_scenarios.front_bumper)
+    chance = random.Random(5)  # noqa: S311 - the same damage each time
+    codes = []
+    for number in range(20):
+        damaged = bytearray(data[: chance.randrange(len(data) // 2, 2 * len(data))])
+        for _ in range(chance.choice((0, 1, 3, 50))):
+            damaged[chance.randrange(8, len(damaged))] = chance.randrange(256)
+        path = saved(tmp_path / str(number) / "log.mcap", bytes(damaged))
+        monkeypatch.chdir(path.parent)
+        codes.append(answered(capsys, question, path)[0])
+    assert set(codes) <= {ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE, ExitCode.USAGE}
+    assert codes.count(ExitCode.OK) + codes.count(ExitCode.PARTIAL) > (0 if question == "check" else 5), codes

@@ -26,15 +26,6 @@ def logs(tmp_path: Path) -> Path:
     return directory
 
 
-def test_moments_are_shown_with_links_into_their_reports(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A line each, and the command that writes the page."""
-    assert review("find", "stops", logs, "--reason=front_bumper", "--robot=cruiser-2") == ExitCode.OK
-    out = capsys.readouterr().out.splitlines()
-    assert len(out) == 1 + 3 + 1
-    assert f"{logs}/cruiser-2-b.html#t=2027-01-16T08:00:02.950Z&robot=cruiser-2" in out[2]
-    assert out[-1].endswith(f"cruiser review report {logs}/cruiser-2-b.mcap -o {logs}/cruiser-2-b.html")
-
-
 def test_json_is_an_object_a_line_that_says_how_to_go_on(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The commands of an answer work."""
     assert review("find", "stops", logs, "--robot=cruiser-1", "--json") == ExitCode.OK
@@ -46,30 +37,6 @@ def test_json_is_an_object_a_line_that_says_how_to_go_on(logs: Path, capsys: pyt
     assert review(*shlex.split(answer["report"])[2:]) == ExitCode.OK
     page, _, moment = answer["link"].partition("#t=")
     assert f'href="#t={moment.partition("&")[0]}' in Path(page).read_text()
-
-
-def test_drives_and_logs(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each has a table of its own, and JSON."""
-    assert review("find", "drives", logs) == ExitCode.OK
-    assert len(capsys.readouterr().out.splitlines()) == 1 + 4 + 1
-    assert review("find", "logs", logs, "--robot=cruiser-2") == ExitCode.OK
-    head, line = capsys.readouterr().out.splitlines()
-    assert head.split() == ["begin", "robots", "lasted", "distance", "stops", "lost", "faults", "log"]
-    assert line.endswith(f"{logs}/cruiser-2-b.mcap")
-    assert review("find", "logs", logs, "--json") == ExitCode.OK
-    first, second = map(json.loads, capsys.readouterr().out.splitlines())
-    assert [first["names"], second["names"]] == [["cruiser-1"], ["cruiser-2"]]
-    assert "moments" not in first
-    assert review("find", "drives", logs, "--json") == ExitCode.OK
-    assert len(capsys.readouterr().out.splitlines()) == 4
-
-
-def test_nothing_is_said_to_be_nothing(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """For people; for programs there is no line."""
-    assert review("find", "stops", logs, "--reason=deadman") == ExitCode.OK
-    assert capsys.readouterr().out == "nothing of that is in the logs\n"
-    assert review("find", "stops", logs, "--reason=deadman", "--json") == ExitCode.OK
-    assert not capsys.readouterr().out
 
 
 def test_several_directories_are_one_answer(
@@ -124,17 +91,6 @@ def test_the_catalog_is_kept_elsewhere_when_told_to(
         review("find", "stops", logs, logs.parent, "--catalog", catalog)
 
 
-def test_a_log_that_cannot_be_read_is_told_and_costs_no_other(
-    logs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exit code 3."""
-    saved(logs / "e.mcap", b"no log at all")
-    assert review("find", "stops", logs, "--json") == ExitCode.PARTIAL
-    said = capsys.readouterr()
-    assert len(said.out.splitlines()) == 4
-    assert "e.mcap is no MCAP file" in said.err
-
-
 def test_a_damaged_log_is_answered_as_far_as_it_goes_each_time(
     logs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -174,21 +130,6 @@ def test_a_log_that_takes_too_long_is_given_up_and_keeps_no_other_out(
     assert len(capsys.readouterr().out.splitlines()) == 4
 
 
-def test_a_directory_without_logs_is_an_error(tmp_path: Path) -> None:
-    """As for every question."""
-    with pytest.raises(CommandError, match="there is no log in"):
-        review("find", "stops", tmp_path)
-
-
-def test_a_logs_words_do_not_reach_the_terminal_as_commands(
-    logs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Nor does a file's name."""
-    (logs / "cruiser-1-a.mcap").rename(logs / "x\x1b[2J.mcap")
-    assert review("find", "logs", logs) == ExitCode.OK
-    assert "\x1b" not in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("name", ["a.mcap", "a.mcap.part"])
 def test_a_page_is_called_after_its_log(name: str) -> None:
     """Whole or not."""
@@ -215,63 +156,3 @@ def test_a_place_in_a_store_is_searched_as_a_directory_is(logs: Path, capsys: py
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 + len(here)
     assert lines[1].endswith(there[0]["file"])
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            ["stop reason=front_bumper robot=cruiser-*"],
-            "give stops, incidents, events, drives, logs, as in 'cruiser",
-        ),
-        (["stop last 7d"], "'cruiser review find stops DIRECTORY --robot NAME --since 30d'"),
-        (["fault severity=error"], "or 'cruiser review query' for all else"),
-        (["stops", "--reason", "front_bumpr"], "there is no reason 'front_bumpr': did you mean front_bumper?"),
-        (["stops", "--reason", "bad"], "it is one of "),
-        (["stops", "--since", "yesterday"], "'yesterday' is no time: give one as 30d"),
-        (["stops", "--since", "30"], "'30' is no time"),
-        (["stops", "--newest", "0"], "'0' is no number of answers"),
-        (["stops", "--since", "1d", "--until", "2d"], "there is no time between --since and --until"),
-        (["stops", "--robot", "cruiser-9"], "the logs hold nothing of cruiser-9, but of cruiser-1, cruiser-2"),
-    ],
-)
-def test_what_means_nothing_is_a_matter_of_usage(
-    words: list[str], said: str, logs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """An empty answer would look as if nothing had happened; the text says what can be asked."""
-    try:
-        code: object = review("find", words[0], logs, *words[1:])
-        text = ""
-    except CommandError as error:
-        code, text = error.code, str(error)
-    except SystemExit as error:
-        code, text = error.code, ""
-    assert code == ExitCode.USAGE
-    assert said in text + capsys.readouterr().err
-
-
-def test_the_catalog_is_a_table_for_any_other_question(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It is brought up to date first; what the statement may not do elsewhere it may not do here."""
-    sql = "SELECT names[1] AS robot, len(drives) AS drives FROM catalog ORDER BY robot"
-    assert review("query", sql, logs, "--json") == ExitCode.OK
-    assert list(map(json.loads, capsys.readouterr().out.splitlines())) == [
-        {"robot": "cruiser-1", "drives": 1},
-        {"robot": "cruiser-2", "drives": 3},
-    ]
-    assert (logs / CATALOG_NAME).exists()
-    with pytest.raises(CommandError, match="not a SELECT"):
-        review("query", "COPY (SELECT * FROM catalog) TO 'elsewhere.csv'", logs)
-    with pytest.raises(CommandError, match="WHERE start_ns"):
-        review("query", "SELECT * FROM catalog", logs, "--from=1")
-
-
-def test_the_newest_answers_and_a_time_before_now(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each bounds what is shown."""
-    assert (
-        review("find", "stops", logs, "--newest=2", "--since=2000w", "--until=2100-01-01", "--json") == ExitCode.OK
-    )
-    times = [json.loads(line)["time_ns"] for line in capsys.readouterr().out.splitlines()]
-    assert len(times) == 2
-    assert times == sorted(times)
-    assert review("find", "stops", logs, "--until=2000-01-01", "--json") == ExitCode.OK
-    assert not capsys.readouterr().out

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from recorder.layouts.attached import RobotKeys, layouts
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import ExitCode
 from tests.support.commands import review
 from tests.support.logs import Log, small_log
-from tests.support.messages import FakeSample, batch, gear, info, sample_of
+from tests.support.messages import batch, gear, info, sample_of
 
 run = partial(review, "layouts")
 
@@ -81,18 +81,3 @@ def test_a_robot_whose_name_is_too_long_costs_no_other_its_layouts(
     assert said.out.count("fleet/cruiser-1: ") == 2
     assert f"no layout of fleet/{long}: " in said.err
     assert "File name too long" in said.err
-
-
-def test_a_log_of_no_robot_has_none(tmp_path: Path) -> None:
-    """A clear line."""
-    log = Log()
-    log.receive(FakeSample("somebody/else", "text/plain", b"x"))
-    (tmp_path / "a.mcap").write_bytes(log.close())
-    with pytest.raises(CommandError, match="no topic of a robot"):
-        run(tmp_path / "a.mcap", "-o", tmp_path / "out")
-
-
-def test_where_nothing_can_be_written_it_says_so(log: Path) -> None:
-    """A file in the directory's place."""
-    with pytest.raises(CommandError, match="cannot write"):
-        run(log, "-o", log)

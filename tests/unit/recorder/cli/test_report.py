@@ -13,9 +13,7 @@ from recorder.cli import report
 from recorder.review.report import account
 from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
-from tests.support.drives import drive_messages, drives_over, restart, write_messages
-from tests.support.logs import Log
-from tests.support.messages import gear, sample_of
+from tests.support.drives import drive_messages, drives_over, write_messages
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import recorded
 
@@ -51,23 +49,6 @@ def test_a_page_is_written_whole(log: Path, tmp_path: Path, capsys: pytest.Captu
     assert not said.err
 
 
-def test_a_gateway_that_died_is_told_on_the_terminal_and_as_json(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In the first line of the robot, and with its times."""
-    path = write_messages(tmp_path / "a.mcap", restart(60, 40))
-    assert ask(path) == ExitCode.OK
-    said = capsys.readouterr().out
-    assert "1 stop: the gateway died." in said.splitlines()[0]
-    assert "  Gateway          silent for 2.0 s from " in said
-    assert ask(path, "--json") == ExitCode.OK
-    (robot,) = json.loads(capsys.readouterr().out)["robots"]
-    (outage,) = robot["outages"]
-    assert (outage["began_ns"] - outage["heard_ns"]) / 1e9 == pytest.approx(2.05)
-    assert [one["kind"] for one in robot["moments"]][:2] == ["gap", "gateway"]
-    assert robot["in_force"][0]["variant"] == "coarse"
-
-
 def test_json_alone_writes_no_file(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The summary with its events; nothing that is only drawn."""
     assert ask(log, "--json") == ExitCode.OK
@@ -85,13 +66,6 @@ def test_without_a_name_it_is_report_html(log: Path, tmp_path: Path) -> None:
     assert "Drive report" in (tmp_path / "report.html").read_text()
 
 
-def test_a_period(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Times count from the log's beginning."""
-    assert ask(log, "--json", "--from", "1", "--to", "2") == ExitCode.OK
-    (robot,) = json.loads(capsys.readouterr().out)["robots"]
-    assert robot["known_s"] == pytest.approx(0.95)
-
-
 def test_a_damaged_log_gives_a_report_of_what_can_be_read(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,40 +74,6 @@ def test_a_damaged_log_gives_a_report_of_what_can_be_read(
     assert ask(log, "-o", "r.html") == ExitCode.PARTIAL
     assert "What could not be read" in (tmp_path / "r.html").read_text()
     assert "a.mcap" in capsys.readouterr().err
-
-
-def test_a_log_of_no_robots_state_has_nothing_to_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As somebody else's is."""
-    log = Log()
-    log.receive(sample_of(gear(0)))
-    (tmp_path / "b.mcap").write_bytes(log.close())
-    assert ask(tmp_path / "b.mcap") == ExitCode.FAILURE
-    assert "nothing to report" in capsys.readouterr().err
-
-
-def test_a_file_of_another_kind_is_a_matter_of_usage(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Before anything is read."""
-    assert ask(log, "-o", "r.pdf") == ExitCode.USAGE
-    assert ".html" in capsys.readouterr().err
-
-
-def test_where_nothing_can_be_written_it_says_so(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And leaves nothing half done behind."""
-    assert ask(log, "-o", tmp_path / "nowhere" / "r.html") == ExitCode.FAILURE
-    assert "cannot write" in capsys.readouterr().err
-
-
-def test_one_robot_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The others are left out; one that is not there is a matter of usage."""
-    path = write_messages(tmp_path / "a.mcap", drive_messages(20), robots=["r-1", "r-2"])
-    assert ask(path, "--json", "--robot", "r-2") == ExitCode.OK
-    assert [one["name"] for one in json.loads(capsys.readouterr().out)["robots"]] == ["r-2"]
-    assert ask(path, "--json", "--robot", "r-3") == ExitCode.USAGE
-    assert "there is nothing of r-3 in these logs" in capsys.readouterr().err
 
 
 def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(

@@ -20,7 +20,6 @@ from recorder.mcap.framing import CHECK_OPCODE, MAGIC, RECORD_HEADER, encode
 from recorder.mcap.writer import LogChannel
 from recorder.review.check import LogCheck, check_log, check_stream
 from recorder.review.flaws import FINDINGS_MAX, About, Findings
-from schemas.command_line import CommandError
 from schemas.decisions import Journal
 from schemas.messages import CanFrame, Gear
 from schemas.recording import GapReason, RecordGap
@@ -545,19 +544,6 @@ def test_many_findings_are_counted_and_the_first_are_told() -> None:
     assert (len(findings.told), findings.untold) == (FINDINGS_MAX, 7)
     assert findings.has(About.FILE)
     assert not findings.has(About.DATA)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [(b"", "is empty"), (b"hello, this is no log", "is no MCAP file"), (None, "No such file")],
-)
-def test_what_is_no_log_is_one_clear_error(tmp_path: Path, content: bytes | None, message: str) -> None:
-    """A missing, an empty and a foreign file."""
-    path = tmp_path / "log.mcap"
-    if content is not None:
-        saved(path, content)
-    with pytest.raises(CommandError, match=message):
-        check_log(path)
 
 
 def test_the_progress_comes_to_the_length_of_the_file(tmp_path: Path) -> None:

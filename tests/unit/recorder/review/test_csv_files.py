@@ -53,14 +53,6 @@ def test_bytes_are_digits_and_what_is_nested_is_json(tmp_path: Path) -> None:
     assert info["versions"] == '{"cruiser-gateway":"0.1.0"}'
 
 
-def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    """A file that is there is refused."""
-    log = saved(tmp_path / "1.mcap", drive_log())
-    export([log], tmp_path / "out")
-    with pytest.raises(CommandError, match="is there already"):
-        export([log], tmp_path / "out")
-
-
 def test_few_files_are_open_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file that is opened again goes on where it was."""
     log = saved(tmp_path / "1.mcap", drive_log(count=200))

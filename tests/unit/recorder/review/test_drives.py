@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf, nan
+from typing import Any
 
 import msgspec
 import pytest
@@ -25,6 +26,7 @@ from recorder.review.entries import Entry, EntryKind, EntrySource, Stops, kind_o
 from schemas.decisions import Severity
 from schemas.reasons import AS_ASKED, Reason
 from tests.support.messages import MS, SECOND, WALL_NS
+from tests.support.reading import entry as entry_at
 
 STEP_NS = 50 * MS
 DAY_NS = 24 * 3600 * SECOND
@@ -85,19 +87,11 @@ def test_what_is_there_twice_adds_nothing() -> None:
     assert (motion.gaps, motion.gap_ns) == (1, 0)
 
 
-def entry(at_s: float, kind: EntryKind, **fields: object) -> Entry:
+def entry(at_s: float, kind: EntryKind, **fields: Any) -> Entry:  # noqa: ANN401 - any field
     """Something that happened so long after the beginning."""
-    time_ns = WALL_NS + round(at_s * SECOND)
-    plain = Entry(
-        time_ns=time_ns,
-        last_ns=time_ns,
-        robot="cruiser-1",
-        kind=kind,
-        severity=Severity.WARNING,
-        source=EntrySource.LOG,
-        text=kind.value,
+    return entry_at(
+        kind, WALL_NS + round(at_s * SECOND), **{"source": EntrySource.LOG, "text": kind.value, **fields}
     )
-    return msgspec.structs.replace(plain, **fields)
 
 
 def happened(*entries: Entry, found: Drives | None = None) -> Drives:

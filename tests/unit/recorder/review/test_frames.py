@@ -213,14 +213,6 @@ def test_a_long_gap_between_regular_frames_is_an_outage() -> None:
     assert (lost, repeated, corrupt, outages, unseen) == (0, 0, 0, 1, 32)
 
 
-def test_a_corrupt_frame_among_many_is_counted() -> None:
-    """And its counter is not read."""
-    frames = [frame(number) for number in range(10)]
-    frames[4] = frame(4, data=b"\x09" + feedback(4)[1:])
-    [(*_, count, lost, _, corrupt, _, _)] = counts(frames)
-    assert (count, lost, corrupt) == (10, 0, 1)
-
-
 def test_records_that_are_no_frames_are_told() -> None:
     """By their places; the others count."""
     count = FrameCount()

@@ -16,7 +16,7 @@ from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, tot
 from schemas.command_line import CommandError
 from schemas.messages import Gear
 from tests.support.logs import NO_INDEXES, Log, foreign_log, gear_message, gears, own_log, small_log
-from tests.support.messages import MS, SECOND, WALL_NS, gear, info, sample_of
+from tests.support.messages import gear, info, sample_of
 
 
 @pytest.fixture
@@ -29,38 +29,6 @@ def info_of(path: Path, data: bytes) -> LogInfo:
     """What is read from a file with this content."""
     path.write_bytes(data)
     return read_info(path)
-
-
-def test_a_whole_log_tells_all_of_itself(path: Path) -> None:
-    """Channels, schemas, counts, robots, variant, versions, attachments."""
-    found = info_of(path, small_log())
-    assert (found.whole, found.source, found.faults) == (True, LogSourceInfo.SUMMARY, [])
-    assert found.messages == 12
-    assert {channel.topic: (channel.schema, channel.messages) for channel in found.channels} == {
-        "fleet/cruiser-1/can/can0/rx": ("cruiser.CanFrame", 5),
-        "fleet/cruiser-1/chassis/gear": ("cruiser.Gear", 5),
-        "fleet/cruiser-1/gateway/info": ("cruiser.GatewayInfo", 1),
-        "fleet/elsewhere": ("cruiser.RawSample", 1),
-    }
-    assert (found.robots, found.variants) == (["cruiser-1"], {"cruiser-1": "coarse"})
-    assert found.versions == {"recorder_version": "0.1.0", "cruiser-1.versions.cruiser-gateway": "0.1.0"}
-    assert [one.name for one in found.attachments] == [
-        "cruiser-1/configuration.toml",
-        "cruiser-1/cruiser-coarse.dbc",
-        "cruiser-1/layout.foxglove.json",
-        "cruiser-1/layout.plotjuggler.xml",
-    ]
-    assert found.bytes == len(small_log())
-
-
-def test_rates_and_times_come_from_the_receipt(path: Path) -> None:
-    """The mean rate over the channel's own span."""
-    log = Log()
-    for number in range(11):
-        log.receive(sample_of(gear(number)), wall_ns=WALL_NS + number * 100 * MS)
-    found = info_of(path, log.close())
-    assert (found.start_ns, found.end_ns, found.duration_s) == (WALL_NS, WALL_NS + SECOND, 1.0)
-    assert found.channels[0].rate_hz == pytest.approx(10.0)
 
 
 def test_all_incidents_are_named(path: Path) -> None:
@@ -227,18 +195,6 @@ def test_several_logs_together(path: Path) -> None:
         duration_s=940e-9,
         robots=["cruiser-1"],
     )
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [(b"", "is empty"), (b"hello, this is no log", "is no MCAP file"), (None, "No such file")],
-)
-def test_what_is_no_log_is_one_clear_error(path: Path, content: bytes | None, message: str) -> None:
-    """A missing, an empty and a foreign file."""
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(CommandError, match=message):
-        read_info(path)
 
 
 def test_a_directory_is_one_clear_error(tmp_path: Path) -> None:

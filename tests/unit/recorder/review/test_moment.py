@@ -28,44 +28,39 @@ def _acknowledged() -> tuple[RecordedRig, Operator]:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "headline"),
+    ("speed_mps", "seconds", "headline", "said"),
     [
-        (0.2, "It was engaged, commanded -0.0"),
-        (0.28, "It was engaged, commanded -0.10 m/s, and hardly moved, at 0.04 m/s."),
-        (0.7, "It was engaged and moved, at 0."),
+        # It speeds up backward, as the cure says: nothing blocks it, and nothing is to be cured.
+        (-0.5, 0.2, "It was engaged, commanded -0.0", {}),
+        (-0.5, 0.28, "It was engaged, commanded -0.10 m/s, and hardly moved, at 0.04 m/s.", {}),
+        (-0.5, 0.7, "It was engaged and moved, at 0.", {}),
+        # It stands for its operator; what it could not have done is told besides.
+        (0.0, 0.3, "It was engaged and stood: operator-1 requested zero speed.", {Step.CAUSE: PRESSED}),
+        # What was reset need not be reset.
+        (
+            0.5,
+            0.5,
+            "It was engaged and stood: the front bumper was hit.",
+            {
+                Step.CAUSE: PRESSED,
+                Step.EVIDENCE: "FrontBumper = 1",
+                Step.CURE: "to cure front_bumper: drive backward",
+            },
+        ),
     ],
 )
-def test_a_bumper_is_not_in_the_way_of_a_robot_that_goes_away_from_it(
-    seconds: float, headline: str, tmp_path: Path
+def test_a_bumper_is_in_the_way_of_a_robot_that_is_to_go_there(
+    speed_mps: float, seconds: float, headline: str, said: dict[Step, str], tmp_path: Path
 ) -> None:
-    """It speeds up backward, as the cure says: nothing blocks it, and nothing is to be cured."""
+    """And not of one that goes away from it, or is asked for nothing."""
     rig, operator = _acknowledged()
-    operator.drive(-0.5, 0.0, seconds)
+    operator.drive(speed_mps, 0.0, seconds)
     explanation = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
     assert explanation.headline.startswith(headline)
-    assert "bumper" not in explanation.headline
-    assert texts(explanation, Step.CAUSE) == ""
-    assert "front_bumper" not in texts(explanation, Step.CURE)
-
-
-def test_a_bumper_is_in_the_way_of_a_robot_that_is_to_go_there(tmp_path: Path) -> None:
-    """It is named as the cause, with the frame; what was reset need not be reset."""
-    rig, operator = _acknowledged()
-    operator.drive(0.5, 0.0, 0.5)
-    explanation = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
-    assert explanation.headline == "It was engaged and stood: the front bumper was hit."
-    assert PRESSED in texts(explanation, Step.CAUSE)
-    assert "FrontBumper = 1" in texts(explanation, Step.EVIDENCE)
-    assert "to cure front_bumper: drive backward" in texts(explanation, Step.CURE)
-
-
-def test_a_robot_that_is_asked_for_nothing_is_not_kept_by_a_bumper(tmp_path: Path) -> None:
-    """It stands for its operator; what it could not have done is told besides."""
-    rig, operator = _acknowledged()
-    operator.drive(0.0, 0.0, 0.3)
-    explanation = ask(tmp_path / "log.mcap", rig.log(), rig.at_ns)
-    assert explanation.headline == "It was engaged and stood: operator-1 requested zero speed."
-    assert PRESSED in texts(explanation, Step.CAUSE)
+    assert (texts(explanation, Step.CAUSE) == "") is (speed_mps < 0)
+    assert speed_mps >= 0 or "front_bumper" not in texts(explanation, Step.CURE)
+    for step, words in said.items():
+        assert words in texts(explanation, step)
 
 
 def _remotely_stopped() -> tuple[RecordedRig, Operator]:

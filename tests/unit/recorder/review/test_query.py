@@ -159,21 +159,6 @@ def test_only_the_columns_that_are_asked_for_are_made(tmp_path: Path, monkeypatc
     assert all(columns <= {"gear_position", "active", "log_time"} for columns in asked)
 
 
-@pytest.mark.parametrize(
-    "sql",
-    [
-        "SELECT * FROM 'https://example.com/x.parquet'",
-        "INSTALL httpfs",
-        "SET autoinstall_known_extensions = true",
-        "SET custom_extension_repository = 'http://example.com'",
-    ],
-)
-def test_nothing_goes_to_the_network(source: Source, sql: str) -> None:
-    """No extension is looked for, and the settings stay as they are."""
-    with pytest.raises(CommandError):
-        ask(source, sql)
-
-
 def test_damage_is_told_once(tmp_path: Path) -> None:
     """However often a statement reads the table; what can be read is in the answer."""
     data = drive_log(count=200)
@@ -275,22 +260,19 @@ def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None
         "EXPORT DATABASE '{}/all'",
         "SET enable_external_access = true",
         "SET allowed_directories = ['/']",
+        "SELECT * FROM 'https://example.com/x.parquet'",
+        "INSTALL httpfs",
+        "SET autoinstall_known_extensions = true",
+        "SET custom_extension_repository = 'http://example.com'",
     ],
 )
-def test_a_statement_sees_no_files(source: Source, tmp_path_factory: pytest.TempPathFactory, sql: str) -> None:
-    """It may be a stranger's, as the log is: no file of the user's is read, written or listed."""
+def test_a_statement_sees_neither_files_nor_network(
+    source: Source, tmp_path_factory: pytest.TempPathFactory, sql: str
+) -> None:
+    """It may be a stranger's, as the log is: no file is read, written or listed, and no extension looked for."""
     directory = tmp_path_factory.mktemp("home")
     (directory / "secret.csv").write_text("secret\n1\n")
     with pytest.raises(CommandError):
         ask(source, sql.format(directory))
     # EXPORT leaves an empty directory.
     assert [path.name for path in directory.rglob("*") if path.is_file()] == ["secret.csv"]
-
-
-def test_a_statement_may_write_a_file_where_that_is_allowed(source: Source, tmp_path: Path) -> None:
-    """It has the user's own rights then, and gives no rows."""
-    path = tmp_path / "gears.csv"
-    sql = "COPY (SELECT sequence FROM chassis_gear WHERE robot = 'cruiser-2') TO '" + str(path) + "'"  # noqa: S608
-    with answer(source, sql, may_use_files=True) as rows:
-        assert rows is None or rows.read_all()
-    assert path.read_text().split() == ["sequence", "0", "1", "2", "3", "4"]

@@ -2,10 +2,11 @@
 
 import pytest
 
-from recorder.review.entries import Entry, EntryKind, EntrySource, Stops
+from recorder.review.entries import Entry, EntryKind, Stops
 from schemas.decisions import GUARD_STOP_ENDED, Severity
 from schemas.reasons import Reason
 from tests.support.messages import SECOND, WALL_NS
+from tests.support.reading import entry
 
 ENGAGED = (EntryKind.ENGAGED, Reason.NONE)
 STOPPED = (EntryKind.STOPPED, Reason.NONE)
@@ -21,19 +22,10 @@ DIED = (EntryKind.GATEWAY, Reason.NONE)
 WATCHED = (EntryKind.GUARD, Reason.NONE)
 
 
-def entry(kind: EntryKind, reason: Reason, time_ns: int = 0, text: str = "") -> Entry:
+def happened(kind: EntryKind, reason: Reason, time_ns: int) -> Entry:
     """An entry; what is of no gateway that died is no error."""
     severity = Severity.ERROR if kind is EntryKind.GATEWAY else Severity.WARNING
-    return Entry(
-        time_ns=time_ns,
-        last_ns=time_ns,
-        robot="r",
-        kind=kind,
-        severity=severity,
-        source=EntrySource.EVENT,
-        text=text,
-        reason=reason,
-    )
+    return entry(kind, time_ns, reason=reason, severity=severity)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +51,7 @@ def test_one_stop_for_each_end_of_being_commanded(
 ) -> None:
     """These entries, a second apart, and the numbers of those that are stops."""
     counted = Stops()
-    marked = [counted.mark(entry(*one, number * SECOND)) for number, one in enumerate(entries)]
+    marked = [counted.mark(happened(*one, number * SECOND)) for number, one in enumerate(entries)]
     assert [number for number, one in enumerate(marked) if one.is_stop] == stops
 
 
@@ -73,7 +65,7 @@ def test_a_robot_that_is_stopped_again_much_later(
     """It was moved in between, though never engaged; what the next gateway says of the stop is no news."""
     counted = Stops()
     marked = [
-        counted.mark(entry(*one, WALL_NS + round(time_s * SECOND)))
+        counted.mark(happened(*one, WALL_NS + round(time_s * SECOND)))
         for one, time_s in ((DIED, 0), (second, after_s))
     ]
     assert sum(one.is_stop for one in marked) == stops
@@ -81,5 +73,5 @@ def test_a_robot_that_is_stopped_again_much_later(
 
 def test_the_end_of_a_guards_stop_is_none() -> None:
     """It is news of a stop before."""
-    told = entry(EntryKind.GUARD, Reason.GUARD, text=f"{GUARD_STOP_ENDED}the robot stands")
+    told = entry(EntryKind.GUARD, 0, f"{GUARD_STOP_ENDED}the robot stands", reason=Reason.GUARD)
     assert not Stops().mark(told).is_stop

@@ -5,45 +5,32 @@ from pathlib import Path
 import msgspec
 
 from recorder.reading.logs import Faults, find_logs
-from recorder.review.entries import Entry, EntryKind, EntrySource
+from recorder.review.entries import EntryKind
 from recorder.review.moment import Story
-from schemas.decisions import RUN_TICKS, Severity
+from schemas.decisions import RUN_TICKS
 from schemas.reasons import Reason
 from tests.support.messages import MS, ROBOT, SECOND
+from tests.support.reading import entry
 from tests.support.rigs.recorded import RecordedRig
-
-
-def _entry(kind: EntryKind, time_ns: int, text: str, *, tick: int, reason: Reason = Reason.NONE) -> Entry:
-    return Entry(
-        time_ns=time_ns,
-        last_ns=time_ns,
-        robot="cruiser-1",
-        kind=kind,
-        severity=Severity.INFO,
-        source=EntrySource.EVENT,
-        text=text,
-        reason=reason,
-        tick=tick,
-    )
 
 
 def test_a_reset_is_of_the_latches_that_it_names_in_its_run() -> None:
     """One of another latch, one of nothing, and one of another gateway are none of it."""
-    latch = _entry(EntryKind.LATCH, 1, "latched until a reset", tick=10, reason=Reason.REMOTE_STOP)
+    latch = entry(EntryKind.LATCH, 1, "latched until a reset", tick=10, reason=Reason.REMOTE_STOP)
     others = [
-        _entry(EntryKind.RESET, 2, "reset: front_bumper", tick=20),
-        _entry(EntryKind.RESET, 3, "reset: nothing was latched", tick=30),
-        _entry(EntryKind.RESET, 4, "reset: remote_stop", tick=10 + RUN_TICKS),
+        entry(EntryKind.RESET, 2, "reset: front_bumper", tick=20),
+        entry(EntryKind.RESET, 3, "reset: nothing was latched", tick=30),
+        entry(EntryKind.RESET, 4, "reset: remote_stop", tick=10 + RUN_TICKS),
     ]
-    own = _entry(EntryKind.RESET, 5, "reset: front_bumper, remote_stop", tick=50)
+    own = entry(EntryKind.RESET, 5, "reset: front_bumper, remote_stop", tick=50)
     assert Story([latch, *others]).reset_of(latch) is None
     assert Story([latch, *others, own]).reset_of(latch) == own
 
 
 def test_the_last_stop_is_one_that_nobody_asked_for() -> None:
     """Where there was none, it is the end of the drive."""
-    stop = _entry(EntryKind.STOP, 1, "stopping", tick=10, reason=Reason.DEADMAN)
-    end = _entry(EntryKind.END, 2, "stopping", tick=20, reason=Reason.DISENGAGED)
+    stop = entry(EntryKind.STOP, 1, "stopping", tick=10, reason=Reason.DEADMAN)
+    end = entry(EntryKind.END, 2, "stopping", tick=20, reason=Reason.DISENGAGED)
     assert Story([stop, end]).last_stop() == stop
     assert Story([end]).last_stop() == end
     assert Story([stop, end]).stop_before(3) == end
@@ -80,9 +67,9 @@ def test_a_gateway_that_ends_at_work_has_died(tmp_path: Path) -> None:
 
 def test_a_clock_that_is_set_back_leaves_the_order() -> None:
     """A time that comes twice is the later one; the last stop is the last, whatever its time."""
-    first = _entry(EntryKind.STOP, 100, "stopping", tick=10, reason=Reason.DEADMAN)
-    clock = msgspec.structs.replace(_entry(EntryKind.CLOCK, 50, "set", tick=11), last_ns=150)
-    last = _entry(EntryKind.STOP, 60, "stopping", tick=20, reason=Reason.REMOTE_STOP)
+    first = entry(EntryKind.STOP, 100, "stopping", tick=10, reason=Reason.DEADMAN)
+    clock = msgspec.structs.replace(entry(EntryKind.CLOCK, 50, "set", tick=11), last_ns=150)
+    last = entry(EntryKind.STOP, 60, "stopping", tick=20, reason=Reason.REMOTE_STOP)
     story = Story([first, clock, last])
     assert story.last_stop() == last
     assert [story.order_ns(at_ns) for at_ns in (40, 60, 100, 200)] == [40, 160, 200, 300]

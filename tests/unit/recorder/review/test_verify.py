@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,6 @@ from tests.support.commands import review
 from tests.support.logs import Disk, channel_of, foreign_log, saved, sealed
 from tests.support.messages import ROBOT, key_of
 from tests.support.signed_run import (
-    LEASE,
     SignedRun,
     credentials_of,
     driven,
@@ -85,26 +84,6 @@ def faults_of(report: RobotProofReport) -> set[ProofFault]:
 def words_of(report: RobotProofReport) -> str:
     """What is wrong, for people."""
     return "\n".join(one.what for one in report.findings)
-
-
-def test_a_log_as_it_was_signed_holds(tmp_path: Path) -> None:
-    """Its recorder, and who commanded with which grant, are named."""
-    report = verified(tmp_path, log_of(SAMPLES))
-    assert not report.findings
-    assert report.is_proven
-    assert report.is_vouched
-    assert report.authorities == [FLEET.authority.key.hex()]
-    assert report.robot_key == RUN.robot.key.hex()
-    (file,) = report.files
-    assert file.file == "log-0.mcap"
-    assert [(verb.verb, verb.operator, verb.holds) for verb in report.verbs] == [
-        ("acquire", "ann", True),
-        ("engage", "ann", True),
-    ]
-    (holder,) = report.holders
-    assert (holder.lease, holder.operator, holder.grant) == (LEASE, "ann", ANN.chain[0].id.hex())
-    assert holder.drives == len(of(SAMPLES, Decision)) - 2
-    assert {grant.name for grant in report.grants} == {"ann", ROBOT, "depot-1"}
 
 
 def test_a_copy_says_nothing_new_and_counts_once(tmp_path: Path) -> None:
@@ -212,16 +191,6 @@ def test_a_signature_is_read_with_care(tmp_path: Path) -> None:
     beside.unlink()
     os.mkfifo(beside)
     assert faults_of(verified_files([path], FLEET.trust)) == {ProofFault.CHANGED}
-
-
-def test_requests_of_open_mode_in_a_signed_log_are_said(tmp_path: Path) -> None:
-    """Nobody can tell who sent them."""
-    run, ann = driven(FLEET, robot=RUN.robot)
-    run.waiting.append((Kind.REQUEST, 1, 1, "engage", ann.name, b"\x80", 1, ""))
-    run.seconds(1)
-    report = verified(tmp_path, log_of(run.samples))
-    assert faults_of(report) == {ProofFault.UNPROVEN}
-    assert "open mode" in words_of(report)
 
 
 # What is in them.
@@ -365,35 +334,56 @@ def test_a_verb_that_was_accepted_and_not_signed_is_found(tmp_path: Path, attach
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("granted", "asked_as"),
     [
-        {"robots": ["cruiser-2"]},
-        {"verbs": ["acquire"]},
-        {"not_after": NOW_S - 1},
-        {"not_before": NOW_S + DAY_S // 2},
-        {"role": GrantRole.RECORDER},
+        ({"robots": ["cruiser-2"]}, {}),
+        ({"verbs": ["acquire"]}, {}),
+        ({"not_after": NOW_S - 1}, {}),
+        ({"not_before": NOW_S + DAY_S // 2}, {}),
+        ({"role": GrantRole.RECORDER}, {}),
+        # The holder of the grant signed it so.
+        ({}, {"operator": "carl", "attachment": _signed_for("engage", operator="carl")}),
+        *(
+            ({}, {"credentials": credentials_of(ANN, **allowed)})
+            for allowed in ({"serial": 2}, {"override": True}, {"speed_limit_mps": None}, {"speed_limit_mps": 2.0})
+        ),
     ],
+    ids=str,
 )
-def test_a_verb_that_its_grant_did_not_allow_is_found(tmp_path: Path, changes: dict[str, Any]) -> None:
-    """Though the robot took it."""
-    bob = FLEET.operator("bob", **changes)
-    credentials = Credentials(Reason.NONE, serial=1)
-    report = asked(tmp_path, by=bob, credentials=credentials)
-    assert faults_of(report) == {ProofFault.NOT_GRANTED}
-
-
-def test_a_verb_under_somebody_elses_grant_is_found(tmp_path: Path) -> None:
-    """The key expression names another operator than the grant; the holder of the grant signed it so."""
-    report = asked(tmp_path, operator="carl", attachment=_signed_for("engage", operator="carl"))
-    assert faults_of(report) == {ProofFault.NOT_GRANTED}
+def test_a_verb_that_its_grant_did_not_allow_is_found(
+    tmp_path: Path, granted: dict[str, Any], asked_as: dict[str, Any]
+) -> None:
+    """Though the robot took it: another robot, verb, time, role or operator, or more than the grant allows."""
+    if granted:
+        asked_as = {"by": FLEET.operator("bob", **granted), "credentials": Credentials(Reason.NONE, serial=1)}
+    assert faults_of(asked(tmp_path, **asked_as)) == {ProofFault.NOT_GRANTED}
 
 
 @pytest.mark.parametrize(
-    "changes", [{"serial": 2}, {"override": True}, {"speed_limit_mps": None}, {"speed_limit_mps": 2.0}]
+    ("said", "fault"),
+    [
+        # A list of revocations that the authority did not sign revokes nothing.
+        (lambda run: run.show(Party().revoke(1, keys=(ANN.key,)).text()), ProofFault.WRONGLY_SIGNED),
+        # That a grant is not in the log is no proof that the verb was wrong.
+        (lambda run: run.ask("acquire", FLEET.operator("zoe")), ProofFault.UNPROVEN),
+        # Of a request of open mode nobody can tell who sent it.
+        (
+            lambda run: run.waiting.append((Kind.REQUEST, 1, 1, "engage", "ann", b"\x80", 1, "")),
+            ProofFault.UNPROVEN,
+        ),
+    ],
+    ids=["list of another", "no grant", "open mode"],
 )
-def test_a_robot_that_allowed_more_than_the_grant_is_found(tmp_path: Path, changes: dict[str, Any]) -> None:
-    """Role, override and speed limit are the grant's."""
-    assert faults_of(asked(tmp_path, credentials=credentials_of(ANN, **changes))) == {ProofFault.NOT_GRANTED}
+def test_what_does_not_hold_in_a_signed_log_is_said(
+    tmp_path: Path, said: Callable[[SignedRun], object], fault: ProofFault
+) -> None:
+    """As what it is."""
+    run, _ = driven(FLEET, robot=RUN.robot)
+    said(run)
+    run.seconds(1)
+    report = verified(tmp_path, log_of(run.samples))
+    assert faults_of(report) == {fault}
+    assert report.is_broken is (fault is ProofFault.WRONGLY_SIGNED)
 
 
 def test_a_verb_after_its_grant_was_revoked_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -419,14 +409,6 @@ def test_a_verb_after_its_grant_was_revoked_is_found(tmp_path: Path, capsys: pyt
     assert [verb.holds for verb in report.verbs] == [True, True, False]
 
 
-def test_a_list_of_revocations_that_the_authority_did_not_sign_is_found(tmp_path: Path) -> None:
-    """And revokes nothing."""
-    run, _ = driven(FLEET, robot=RUN.robot)
-    run.show(Party().revoke(1, keys=(ANN.key,)).text())
-    run.seconds(1)
-    assert faults_of(verified(tmp_path, log_of(run.samples))) == {ProofFault.WRONGLY_SIGNED}
-
-
 def test_after_a_rotation_the_new_authority_is_believed(tmp_path: Path) -> None:
     """By whoever knew the standby key before."""
     fleet, active, standby = Fleet(), Party("new"), Party("next")
@@ -443,16 +425,6 @@ def test_after_a_rotation_the_new_authority_is_believed(tmp_path: Path) -> None:
     report = verified(tmp_path, log_of(run.samples), trust=fleet.trust, signer=recorder_of(fleet))
     assert [(verb.operator, verb.holds) for verb in report.verbs][-1] == ("bob", True)
     assert not [one for one in report.findings if "bob" in one.what]
-
-
-def test_a_verb_whose_grant_is_not_in_the_log_cannot_be_told(tmp_path: Path) -> None:
-    """That is no proof that it was wrong."""
-    run, ann = SignedRun(FLEET), FLEET.operator("ann")
-    run.ask("acquire", ann)
-    run.seconds(1)
-    report = verified(tmp_path, log_of(run.samples))
-    assert faults_of(report) == {ProofFault.UNPROVEN}
-    assert not report.is_broken
 
 
 def test_stops_that_nobody_signed_and_refused_requests_are_listed(tmp_path: Path) -> None:
@@ -473,66 +445,55 @@ def test_stops_that_nobody_signed_and_refused_requests_are_listed(tmp_path: Path
     assert report.verbs[-1].unsigned_before == 0
 
 
-@pytest.mark.parametrize(
-    ("after_s", "by", "proven", "left"), [(0, "ann", 2, 0), (4, "ann", 2, 0), (6, "ann", 0, 2), (1, "zoe", 0, 2)]
-)
-def test_a_stop_that_is_signed_right_after_is_its_operators(
-    tmp_path: Path, after_s: int, by: str, proven: int, left: int
-) -> None:
-    """A stop goes out before its proof can be made; nobody is accused for it. Another's proof is none of it."""
-    run, ann = driven(FLEET, robot=RUN.robot)
-    for _ in range(2):
-        run.ask("stop", ann, operator=by, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
-    run.seconds(after_s)
-    run.ask("stop", ann)
-    run.seconds(1)
-    report = verified(tmp_path, log_of(run.samples))
-    assert report.is_proven
-    assert sum(one.count for one in report.unproven_stops) == left
-    assert (report.verbs[-1].verb, report.verbs[-1].unsigned_before) == ("stop", proven)
+def stops_of(run: SignedRun, ann: Party, steps: str) -> None:
+    """Say stops: s is one that ann signs, 3 are so many seconds, a is an unsigned one of ann and z of zoe."""
+    other = ann.prove(keys.command("fleet", ROBOT, "ann", "engage"), BY_VERB["engage"].encoding, b"\x80", bytes(8))
+    for step in steps:
+        if step.isdigit():
+            run.seconds(int(step))
+        elif step in "sx":
+            run.ask("stop", ann, attachment=other if step == "x" else None)
+        else:
+            refused = Credentials(Reason.PROOF_MISSING)
+            run.ask("stop", ann, operator={"a": "ann", "z": "zoe"}[step], attachment=b"", credentials=refused)
 
 
 @pytest.mark.parametrize(
-    ("after_s", "by", "repeats"), [(0, "ann", 3), (4, "ann", 3), (6, "ann", 0), (1, "zoe", 0)]
+    ("steps", "unproven", "before", "after"),
+    [
+        # A stop goes out before its proof can be made. Another's proof is none of it.
+        ("aas1", 0, 2, 0),
+        ("aa4s1", 0, 2, 0),
+        ("aa6s1", 2, 0, 0),
+        ("zz1s1", 2, 0, 0),
+        # It is said until the robot is seen to stand.
+        ("s1aaa1", 0, 0, 3),
+        ("s14aaa1", 0, 0, 3),
+        ("s16aaa1", 3, 0, 0),
+        ("s11zzz1", 3, 0, 0),
+        # All of a flood are counted.
+        ("a" * (STOPS_WAITING + 50) + "s1", 50, STOPS_WAITING, 0),
+    ],
 )
-def test_a_stop_that_is_said_again_right_after_it_was_signed_is_counted_with_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], after_s: int, by: str, repeats: int
+def test_a_stop_that_is_signed_soon_is_its_operators(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], steps: str, unproven: int, before: int, after: int
 ) -> None:
-    """It is said until the robot is seen to stand. Later ones, and those in another name, are unproven."""
+    """Nobody is accused for those around it; later ones, and those in another name, are unproven."""
     run, ann = driven(FLEET, robot=RUN.robot)
-    run.ask("stop", ann)
-    run.seconds(1)
-    run.seconds(after_s)
-    for _ in range(3):
-        run.ask("stop", ann, operator=by, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
-    run.seconds(1)
+    stops_of(run, ann, steps)
     report = verified(tmp_path, log_of(run.samples))
     assert report.is_proven
-    assert (report.verbs[-1].verb, report.verbs[-1].unsigned_after) == ("stop", repeats)
-    assert sum(one.count for one in report.unproven_stops) == 3 - repeats
+    assert sum(one.count for one in report.unproven_stops) == unproven
+    last = report.verbs[-1]
+    assert (last.verb, last.unsigned_before, last.unsigned_after) == ("stop", before, after)
     assert review("verify", str(tmp_path / "log-0.mcap"), "--authority", str(authority_file(tmp_path))) == 0
-    assert ("3 more in this name right after it, unsigned" in capsys.readouterr().out) == bool(repeats)
-
-
-def test_a_flood_of_unsigned_stops_is_counted(tmp_path: Path) -> None:
-    """All of them, whether somebody signs one afterwards or not."""
-    run, ann = driven(FLEET, robot=RUN.robot)
-    for _ in range(STOPS_WAITING + 50):
-        run.ask("stop", ann, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
-    run.ask("stop", ann)
-    run.seconds(1)
-    report = verified(tmp_path, log_of(run.samples))
-    assert [one.count for one in report.unproven_stops] == [50]
-    assert report.verbs[-1].unsigned_before == STOPS_WAITING
+    assert ("3 more in this name right after it, unsigned" in capsys.readouterr().out) == bool(after)
 
 
 def test_a_signed_stop_that_does_not_hold_proves_none(tmp_path: Path) -> None:
     """Its operator is not known then."""
     run, ann = driven(FLEET, robot=RUN.robot)
-    run.ask("stop", ann, attachment=b"", credentials=Credentials(Reason.PROOF_MISSING))
-    other = ann.prove(keys.command("fleet", ROBOT, "ann", "engage"), BY_VERB["engage"].encoding, b"\x80", bytes(8))
-    run.ask("stop", ann, attachment=other)
-    run.seconds(1)
+    stops_of(run, ann, "ax1")
     report = verified(tmp_path, log_of(run.samples))
     assert report.is_broken
     assert [one.count for one in report.unproven_stops] == [1]

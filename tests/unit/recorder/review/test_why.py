@@ -654,27 +654,6 @@ def test_without_the_journal_it_is_said_that_the_time_is_that_of_the_bus(path: P
     assert "when the arbiter was given the frames is not in the log" in shown
 
 
-def test_a_log_without_the_arbiter_is_not_answered(path: Path) -> None:
-    """That of a gateway that only listens: what the chassis did is told, and no more."""
-    safety = ("safety/event", "safety/state", "safety/decision", "journal")
-    explanation = ask(path, recorded(scenarios.deadman, *safety))
-    assert not explanation.is_answered
-    assert explanation.headline == "Not in the log: what the arbiter did then."
-
-
-@pytest.mark.parametrize(
-    ("off_ns", "words"),
-    [(HOUR_NS, "it ends 59 min"), (8 * SECOND, "it ends 3."), (-100 * SECOND, "it begins 100")],
-)
-def test_a_moment_outside_of_the_log_is_said_to_be_one(off_ns: int, words: str, path: Path) -> None:
-    """No stop of the log is taken for an answer, however near."""
-    explanation = ask(path, recorded(scenarios.deadman), WALL_NS + off_ns)
-    assert explanation.headline.startswith(f"The log does not hold that moment: {words}")
-    assert (explanation.state, explanation.reason, explanation.stop_ns) == (None, Reason.NONE, None)
-    assert not explanation.is_answered
-    assert {link.step for link in explanation.chain} == {Step.MISSING}
-
-
 def test_a_death_that_a_recorder_saw_is_told_where_no_other_gateway_follows(path: Path) -> None:
     """The log ends with it: at the moment, soon before and long after it, and where no moment is asked about."""
     rig, operator = RecordedRig.driving()

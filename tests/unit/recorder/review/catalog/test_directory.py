@@ -332,15 +332,6 @@ def test_a_page_that_is_damaged_and_can_be_unpacked_is_seen(tmp_path: Path) -> N
         read_table(path)
 
 
-def test_a_log_that_has_changed_is_not_known(tmp_path: Path) -> None:
-    """It is looked at."""
-    put(tmp_path / "a.mcap", contents()[0])
-    refreshed(tmp_path)
-    put(tmp_path / "a.mcap", contents()[1])
-    assert not known_logs(tmp_path)
-    assert find_logs([tmp_path], Faults(), known=known_logs(tmp_path)) == find_logs([tmp_path], Faults())
-
-
 # A catalog of somebody else's making may lie in the directory.
 
 

@@ -229,8 +229,9 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState)
         *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 5 * PERIOD_NS)]
     )
     assert report.summary.ends_commanding is (engaged is not ArbiterState.STANDBY)
-    texts = [moment.text for moment in report.moments]
-    assert texts == ([f"the log ends here: {engaged.value}, commanded 1.00 m/s"] * report.summary.ends_commanding)
+    told = [(moment.kind, moment.severity, moment.text) for moment in report.moments]
+    ends = ("gap", "warning", f"the log ends here: {engaged.value}, commanded 1.00 m/s")
+    assert told == [ends] * report.summary.ends_commanding
 
 
 def test_a_period_that_ends_in_the_middle_of_a_drive_is_no_end_of_the_log() -> None:
