@@ -9,7 +9,7 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority, TimeFloor
+from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority, TimeFloor, trust_of
 from gateway.authority.session import RobotSigner
 from gateway.command.rulings import RawRequest
 from schemas.authority.proof import (
@@ -23,9 +23,10 @@ from schemas.authority.proof import (
     Signed,
     Statement,
     body_of,
+    chain_text,
     signed_bytes,
 )
-from schemas.authority.trust import HeldGrant, Trust, fits
+from schemas.authority.trust import HeldGrant, Objection, Trust, fits
 from schemas.decisions import StatementReply
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, Settings
@@ -165,3 +166,32 @@ class AuthorityBench:
         """Why nobody may engage, a second later."""
         self.tick()
         return self._bars
+
+    def takes(self, *signed: Signed | str) -> None:
+        """Show these; each is taken over."""
+        for one in signed:
+            assert self.show(one if isinstance(one, str) else one.text()).ok
+
+    def chain_of(self, name: str, **changes: Any) -> str:  # noqa: ANN401 - fields of a grant
+        """The grant of an operator, as text."""
+        return chain_text(self.fleet.operator(name, **changes).chain)
+
+    @property
+    def own(self) -> str:
+        """The robot's own grant, as text."""
+        return chain_text(self.robot.chain)
+
+    def regrant(self, by: Party | None = None, **changes: Any) -> str:  # noqa: ANN401 - fields of a grant
+        """Another grant for the robot's key, which is its own from now on if it takes it."""
+        self.robot.chain = []
+        said: dict[str, Any] = {"role": GrantRole.ROBOT, "robots": ["cruiser-1"]}
+        (by or self.fleet.authority).grant(self.robot, **(said | changes))
+        return self.own
+
+    def restarted(self) -> Trust:
+        """What a restart trusts by the note of the next tick."""
+        kept = self.tick().kept
+        assert kept is not None
+        trust = trust_of(self.fleet.trust, kept)
+        assert not isinstance(trust, Objection)
+        return trust

@@ -1,7 +1,10 @@
 """The operator's half against the robot's: what each believes of the other, and what neither does."""
 
+from typing import Any
+
 import msgspec
 import pytest
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.operator_proof import OperatorProof, ViewerProof, new_lease_key, new_question
 from gateway.authority.robot_authority import RobotAuthority
@@ -16,7 +19,7 @@ from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive
 from schemas.subjects import BY_NAME, BY_VERB, STATEMENT_REPLY_ENCODING
-from tests.support.authority import CHALLENGE, NOW_S, AuthorityBench, Fleet, Party
+from tests.support.authority import CHALLENGE, NOW_S, AuthorityBench
 
 STATE = BY_NAME["safety/state"]
 STATE_KEY = "fleet/cruiser-1/safety/state"
@@ -27,15 +30,31 @@ QUESTION = b"who are you now?"
 class Pair:
     """An operator and a robot of one fleet, with nothing but bytes between them."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, met: bool = True, **granted: Any) -> None:  # noqa: ANN401 - fields of a grant
         self.bench = AuthorityBench()
-        self.ann = self.bench.fleet.operator()
-        self.proof = self.proof_of(self.ann)
+        self.ann = self.bench.fleet.operator(**granted)
+        self.proof = self.new_proof()
+        self.refusal = self.meet() if met else None
 
-    def proof_of(self, party: Party, fleet: Fleet | None = None) -> OperatorProof:
-        """The operator's half for somebody."""
-        trust = (fleet or self.bench.fleet).trust
-        return OperatorProof(party.private, party.chain, trust, "fleet", lambda: NOW_S)
+    def new_proof(self) -> OperatorProof:
+        """The operator's half, which has met nobody."""
+        return OperatorProof(self.ann.private, self.ann.chain, self.bench.fleet.trust, "fleet", lambda: NOW_S)
+
+    def meet(self, question: bytes = QUESTION) -> Objection | None:
+        """The robot answers this question."""
+        return self.proof.meet("cruiser-1", self.shown(question), question)
+
+    def believes(self, received: Received, **changes: Any) -> bool:  # noqa: ANN401 - what arrives
+        """The operator believes this, changed on its way."""
+        return self.proof.believes("cruiser-1", msgspec.structs.replace(received, **changes))
+
+    def leased(self, lease: int) -> tuple[Credentials, X25519PrivateKey, bytes, Received]:
+        """The robot gives this lease: its credentials, the private key, the request, and the reply."""
+        private, public = new_lease_key()
+        credentials, reply, request = self.ask(
+            "acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(lease)
+        )
+        return credentials, private, request, reply
 
     @property
     def robot(self) -> RobotAuthority:
@@ -109,24 +128,11 @@ def test_a_viewer_knows_the_robot_and_commands_nothing_but_a_stop() -> None:
 def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
     """Grant, signed verb, signed reply, and a stream under a key that only these two know."""
     pair = Pair()
-    assert pair.proof.meet("cruiser-1", pair.shown(), QUESTION) is None
-    private, public = new_lease_key()
-    credentials, reply, request = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(9))
+    assert pair.refusal is None
+    credentials, private, request, reply = pair.leased(9)
     assert credentials.reason is Reason.NONE
     assert pair.proof.is_reply("cruiser-1", reply, request)
-    said = msgspec.msgpack.decode(reply.payload, type=LeaseReply)
-    assert pair.proof.begin_lease("cruiser-1", private, said, reply.attachment)
-    assert pair.drives(9).reason is Reason.NONE
-    assert pair.drives(8).reason is Reason.NONE  # whose lease it is, the arbiter says by the payload
-    assert pair.proof_of(pair.ann).drive(b"") == b""
-
-
-def test_verbs_to_the_robot_whose_lease_is_held_have_its_tag() -> None:
-    """So that no flood keeps them out; what goes to another robot has none."""
-    pair = Pair()
-    assert pair.proof.meet("cruiser-1", pair.shown(), QUESTION) is None
-    private, public = new_lease_key()
-    _, reply, _ = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(7))
+    # Verbs to the robot whose lease is held have its tag, so that no flood keeps them out; others have none.
     assert len(pair.proof.request("cruiser-1", "park", b"", CHALLENGE)) == 89
     said = msgspec.msgpack.decode(reply.payload, type=LeaseReply)
     assert pair.proof.begin_lease("cruiser-1", private, said, reply.attachment)
@@ -134,55 +140,86 @@ def test_verbs_to_the_robot_whose_lease_is_held_have_its_tag() -> None:
     assert len(tagged) == 105
     assert pair.robot.admission.may_be_holders("park", b"", tagged)
     assert len(pair.proof.request("cruiser-2", "park", b"", CHALLENGE)) == 89
+    assert pair.drives(9).reason is Reason.NONE
+    assert pair.drives(8).reason is Reason.NONE  # whose lease it is, the arbiter says by the payload
+    assert pair.new_proof().drive(b"") == b""
 
 
 def test_a_robot_that_was_not_met_is_not_believed() -> None:
     """Neither its replies nor its states."""
-    pair = Pair()
+    pair = Pair(met=False)
     _, reply, request = pair.ask("renew", b"", b"done")
     assert not pair.proof.is_reply("cruiser-1", reply, request)
+    assert not pair.believes(pair.state(1))
     assert not pair.proof.has_met("cruiser-1")
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    pair.meet()
     assert pair.proof.has_met("cruiser-1")
+    assert pair.believes(pair.state(1))
 
 
-def test_an_impostor_is_not_met() -> None:
-    """A robot of another fleet, another robot, somebody who repeats a robot's grant without its key."""
-    pair = Pair()
+IMPOSTORS: dict[str, tuple[str, dict[str, Any], Objection | None]] = {
+    "it repeats a robot's grant without its key": (
+        "cruiser-1",
+        {"attachment": b""},
+        Objection(Reason.PROOF_MISSING, "the reply is not signed"),
+    ),
+    "it says something else": ("cruiser-1", {"payload": lambda payload: payload[:-1] + b" "}, None),
+    "it says nothing": ("cruiser-1", {"payload": b""}, Objection(Reason.MALFORMED, "Input data was truncated")),
+    "it signs something else": (
+        "cruiser-1",
+        {"attachment": lambda attachment: attachment[:-1] + b"x"},
+        Objection(Reason.PROOF_WRONG, "the reply is not the robot's"),
+    ),
+    "it is another robot": (
+        "cruiser-2",
+        {},
+        Objection(Reason.NOT_GRANTED, "the reply is of cruiser-1, not of cruiser-2"),
+    ),
+}
+
+
+@pytest.mark.parametrize("who", IMPOSTORS)
+def test_an_impostor_is_not_met(who: str) -> None:
+    """And it is said why, in words."""
+    robot, changes, why = IMPOSTORS[who]
+    pair = Pair(met=False)
     shown = pair.shown()
-    for robot, received in (
-        ("cruiser-1", msgspec.structs.replace(shown, attachment=b"")),
-        ("cruiser-1", msgspec.structs.replace(shown, payload=shown.payload[:-1] + b" ")),
-        ("cruiser-1", msgspec.structs.replace(shown, payload=b"")),
-        ("cruiser-1", msgspec.structs.replace(shown, attachment=shown.attachment[:-1] + b"x")),
-        ("cruiser-2", shown),
-        ("cruiser-1", Pair().shown()),
-    ):
-        proof = pair.proof_of(pair.ann)
-        assert isinstance(proof.meet(robot, received, QUESTION), Objection)
-        assert not proof.has_met(robot)
-    person = StatementReply(True, Reason.NONE, "", "", own=pair.proof.statement.decode())  # noqa: FBT003
-    posing = msgspec.structs.replace(shown, payload=msgspec.msgpack.encode(person))
-    refusal = pair.proof_of(pair.ann).meet("ann", posing, QUESTION)
+    made = {name: one(getattr(shown, name)) if callable(one) else one for name, one in changes.items()}
+    refusal = pair.proof.meet(robot, msgspec.structs.replace(shown, **made), QUESTION)
+    assert isinstance(refusal, Objection)
+    assert why in {None, refusal}
+    assert not pair.proof.has_met(robot)
+
+
+def test_a_robot_of_another_fleet_and_a_person_who_poses_as_one_are_not_met() -> None:
+    """A grant is of a role, and of an authority."""
+    pair = Pair(met=False)
+    assert isinstance(pair.proof.meet("cruiser-1", Pair(met=False).shown(), QUESTION), Objection)
+    own = StatementReply(True, Reason.NONE, "", "", own=pair.proof.statement.decode())  # noqa: FBT003
+    posing = msgspec.structs.replace(pair.shown(), payload=msgspec.msgpack.encode(own))
+    refusal = pair.proof.meet("ann", posing, QUESTION)
     assert isinstance(refusal, Objection)
     assert refusal.reason is Reason.NOT_GRANTED
+    assert not pair.proof.has_met("cruiser-1")
+    assert not pair.proof.has_met("ann")
 
 
 def test_a_robot_that_refuses_the_grant_is_known_all_the_same() -> None:
-    """So that a person without a grant can see who stops."""
-    pair = Pair()
-    pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 1)
-    pair.proof = pair.proof_of(pair.ann)
-    refusal = pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    assert isinstance(refusal, Objection)
-    assert refusal.reason is Reason.GRANT_EXPIRED
+    """So that a person without a grant can see who stops; its refusal is no doubt about who it is."""
+    pair = Pair(not_after=NOW_S - 3)
+    assert isinstance(pair.refusal, Objection)
+    assert pair.refusal.reason is Reason.GRANT_EXPIRED
+    assert pair.refusal.detail.endswith("it ended 2026-11-18 11:06 UTC, and here it is 2026-11-18 11:06 UTC")
     assert pair.proof.has_met("cruiser-1")
+    unmet = pair.proof.unmet("cruiser-1")
+    assert unmet is not None
+    assert (unmet.is_refusal, unmet.reason) == (True, Reason.GRANT_EXPIRED)
+    assert pair.proof.doubt("cruiser-1") == UNSIGNED
 
 
 def test_a_reply_is_believed_for_the_request_that_it_answers() -> None:
     """Not for another request, nor with another key, encoding or payload."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     _, reply, request = pair.ask("renew", b"", b"done")
     assert pair.proof.is_reply("cruiser-1", reply, request)
     assert not pair.proof.is_reply("cruiser-1", reply, pair.proof.request("cruiser-1", "renew", b"", CHALLENGE))
@@ -197,25 +234,27 @@ def test_a_reply_is_believed_for_the_request_that_it_answers() -> None:
         assert not pair.proof.is_reply("cruiser-1", msgspec.structs.replace(reply, **changed), request)
 
 
-@pytest.mark.parametrize(
-    "changed", [{"payload": b"\x81"}, {"attachment": b""}, {"key": "fleet/cruiser-2/safety/state"}]
-)
-def test_a_state_is_believed_from_the_robot_alone(changed: dict[str, bytes]) -> None:
-    """Not when another publishes it, or another key carries it."""
+def test_a_state_is_believed_from_the_robot_alone() -> None:
+    """Not when another publishes it, another key carries it, nor where it has no number or no proof."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     payload = b"\x80"  # any bytes will do
-    state = Received(
-        STATE_KEY, STATE.encoding, payload, pair.bench.signer.publication(STATE_KEY, STATE.encoding, payload)
-    )
+    signed = pair.bench.signer.publication(STATE_KEY, STATE.encoding, payload)
+    state = Received(STATE_KEY, STATE.encoding, payload, signed)
     assert pair.proof.is_state("cruiser-1", state)
-    assert not pair.proof.is_state("cruiser-1", msgspec.structs.replace(state, **changed))
     assert not pair.proof.is_state("cruiser-2", state)
+    good = pair.state(1)
+    for changed in ({"payload": b"\x81"}, {"attachment": b""}, {"key": "fleet/cruiser-2/safety/state"}):
+        assert not pair.proof.is_state("cruiser-1", msgspec.structs.replace(state, **changed))
+    assert not pair.believes(state)
+    assert not pair.believes(good, attachment=b"")
+    assert not pair.believes(good, payload=payload)
+    assert not pair.proof.believes("cruiser-2", msgspec.structs.replace(good, key=good.key.replace("-1", "-2")))
+    assert pair.believes(good)
 
 
 def test_a_reply_that_was_kept_meets_nobody() -> None:
     """It answers the question that it was made for: who was met is there now, and says which run it is in."""
-    pair = Pair()
+    pair = Pair(met=False)
     kept = pair.shown(b"asked yesterday.")
     for question in (QUESTION, b""):
         refusal = pair.proof.meet("cruiser-1", kept, question)
@@ -230,96 +269,70 @@ def test_every_question_is_another() -> None:
     assert (len(questions), {len(one) for one in questions}) == (100, {16})
 
 
+@pytest.mark.parametrize(
+    ("numbers", "believed"),
+    [
+        pytest.param((2, 2, 1, 3, 0, 5, 4, 3, 5), [2, 3, 5], id="over a loss"),
+        pytest.param(
+            (SEQUENCE_MAX - 1, SEQUENCE_MAX, 0, SEQUENCE_MAX, 1, 2 + SEQUENCE_MAX // 2, 1 + SEQUENCE_MAX // 2),
+            [SEQUENCE_MAX - 1, SEQUENCE_MAX, 0, 1, 1 + SEQUENCE_MAX // 2],
+            id="0 follows the last one",
+        ),
+    ],
+)
 @pytest.mark.parametrize("subject", ["safety/state", "state"])
-def test_no_state_is_believed_twice_nor_an_older_one(subject: str) -> None:
-    """Whatever somebody repeats: what is believed of a subject only becomes newer, also over a loss."""
+def test_no_state_is_believed_twice_nor_an_older_one(
+    subject: str, numbers: tuple[int, ...], believed: list[int]
+) -> None:
+    """What is believed of a subject only becomes newer, also where the robot is met again."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    kept = {number: pair.state(number, subject) for number in range(6)}
-    believed = [number for number in (2, 2, 1, 3, 0, 5, 4, 3, 5) if pair.proof.believes("cruiser-1", kept[number])]
-    assert believed == [2, 3, 5]
-    assert pair.proof.meet("cruiser-1", pair.shown(b"again"), b"again") is None
-    assert not pair.proof.believes("cruiser-1", kept[5])
-    assert pair.proof.believes("cruiser-1", pair.state(6, subject))
-
-
-def test_what_is_not_signed_of_a_robot_that_is_not_known_or_not_numbered_is_not_believed() -> None:
-    """Each of these alone is enough: a proof, a robot that was met, a number."""
-    pair = Pair()
-    good = pair.state(1)
-    assert not pair.proof.believes("cruiser-1", good)
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    for changed in ({"attachment": b""}, {"payload": b"\x80"}):
-        assert not pair.proof.believes("cruiser-1", msgspec.structs.replace(good, **changed))
-    assert not pair.proof.believes("cruiser-2", msgspec.structs.replace(good, key=good.key.replace("-1", "-2")))
-    assert pair.proof.believes("cruiser-1", good)
-
-
-def test_each_subject_has_numbers_of_its_own() -> None:
-    """A robot's state is no older for what its arbiter says."""
-    pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    assert pair.proof.believes("cruiser-1", pair.state(900, "safety/state"))
-    assert pair.proof.believes("cruiser-1", pair.state(3, "state"))
-
-
-def test_the_numbers_go_on_after_the_last_one() -> None:
-    """0 follows; what was published before it stays old."""
-    pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    numbers = (
-        SEQUENCE_MAX - 1,
-        SEQUENCE_MAX,
-        0,
-        SEQUENCE_MAX,
-        1,
-        1 + SEQUENCE_MAX // 2 + 1,
-        1 + SEQUENCE_MAX // 2,
-    )
-    believed = [number for number in numbers if pair.proof.believes("cruiser-1", pair.state(number))]
-    assert believed == [SEQUENCE_MAX - 1, SEQUENCE_MAX, 0, 1, 1 + SEQUENCE_MAX // 2]
+    kept = {number: pair.state(number, subject) for number in numbers}
+    assert [number for number in numbers if pair.believes(kept[number])] == believed
+    assert pair.meet(b"again") is None
+    assert not pair.believes(kept[believed[-1]])
+    assert pair.believes(pair.state(believed[-1] + 1, subject))
+    # Each subject has numbers of its own.
+    other = {"safety/state": "state", "state": "safety/state"}[subject]
+    assert pair.believes(pair.state(0, other))
 
 
 def test_a_forged_state_makes_none_of_the_robots_own_old() -> None:
     """The number counts where the signature fits, and nowhere else."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     forged = pair.state(SEQUENCE_MAX // 2)
     for changed in ({"attachment": pair.state(7).attachment}, {"payload": b""}, {"payload": b"\x80"}):
-        assert not pair.proof.believes("cruiser-1", msgspec.structs.replace(forged, **changed))
-    assert pair.proof.believes("cruiser-1", pair.state(0))
+        assert not pair.believes(forged, **changed)
+    assert pair.believes(pair.state(0))
 
 
 def test_states_of_another_run_are_not_believed_until_the_robot_says_that_it_is_in_it() -> None:
     """A state of a former run is as well signed as that of a restarted robot: its reply to a question decides."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    assert pair.proof.believes("cruiser-1", pair.state(1))
+    assert pair.believes(pair.state(1))
     assert not pair.proof.is_to_meet_again("cruiser-1")
     former, later = pair.state(500, boot=b"boot no0"), pair.state(0, boot=b"boot no2")
     for other in (former, later, former):
-        assert not pair.proof.believes("cruiser-1", other)
+        assert not pair.believes(other)
         assert pair.proof.is_to_meet_again("cruiser-1")
     # Nobody who kept a state of a former run keeps those of this one from being believed.
-    assert pair.proof.believes("cruiser-1", pair.state(2))
+    assert pair.believes(pair.state(2))
     # It was no restart: all is as before.
-    assert pair.proof.meet("cruiser-1", pair.shown(b"again"), b"again") is None
+    assert pair.meet(b"again") is None
     assert not pair.proof.is_to_meet_again("cruiser-1")
-    assert not pair.proof.believes("cruiser-1", pair.state(2))
-    assert pair.proof.believes("cruiser-1", pair.state(3))
+    assert not pair.believes(pair.state(2))
+    assert pair.believes(pair.state(3))
     # It is one: its numbers begin anew, and what it said before is over.
     pair.restart(b"boot no2")
-    assert pair.proof.meet("cruiser-1", pair.shown(b"and now"), b"and now") is None
-    assert pair.proof.believes("cruiser-1", later)
-    assert not pair.proof.believes("cruiser-1", pair.state(4))
-    assert not pair.proof.believes("cruiser-1", former)
+    assert pair.meet(b"and now") is None
+    assert pair.believes(later)
+    assert not pair.believes(pair.state(4))
+    assert not pair.believes(former)
 
 
 def test_a_flood_of_states_that_were_kept_costs_no_signatures(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of another run is looked at, for the robot may be in it; then the robot is asked."""
     pair = Pair()
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    assert pair.proof.believes("cruiser-1", pair.state(1))
+    assert pair.believes(pair.state(1))
     looked_at: list[Received] = []
     is_state = pair.proof.is_state
 
@@ -329,18 +342,16 @@ def test_a_flood_of_states_that_were_kept_costs_no_signatures(monkeypatch: pytes
 
     monkeypatch.setattr(pair.proof, "is_state", look)
     for other in (pair.state(1), pair.state(500, boot=b"boot no0"), pair.state(501, boot=b"boot no0")):
-        assert not pair.proof.believes("cruiser-1", other)
+        assert not pair.believes(other)
     assert len(looked_at) == 1
 
 
 def test_nobody_but_the_robot_has_it_asked_again() -> None:
     """A sample of another run that it did not sign is noise; so is one of a robot that was not met."""
+    assert not Pair(met=False).proof.is_to_meet_again("cruiser-1")
     pair = Pair()
-    assert not pair.proof.is_to_meet_again("cruiser-1")
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
     other = pair.state(1, boot=b"boot no2")
-    forged = msgspec.structs.replace(other, attachment=other.attachment[:-1] + b"x")
-    assert not pair.proof.believes("cruiser-1", forged)
+    assert not pair.believes(other, attachment=other.attachment[:-1] + b"x")
     assert not pair.proof.is_to_meet_again("cruiser-1")
 
 
@@ -349,40 +360,14 @@ def test_what_nobody_decides_by_needs_no_signature() -> None:
     assert Pair().proof.believes("cruiser-1", Received("fleet/cruiser-1/gateway/health", "e", b"", b""))
 
 
-def test_why_a_robot_is_not_met_is_said() -> None:
-    """In words, each with its reason."""
-    pair = Pair()
-    shown = pair.shown()
-    malformed = pair.proof.meet("cruiser-1", msgspec.structs.replace(shown, payload=b""), QUESTION)
-    assert malformed == Objection(Reason.MALFORMED, "Input data was truncated")
-    unsigned = msgspec.structs.replace(shown, attachment=b"")
-    assert pair.proof.meet("cruiser-1", unsigned, QUESTION) == Objection(
-        Reason.PROOF_MISSING, "the reply is not signed"
-    )
-    changed = msgspec.structs.replace(shown, attachment=shown.attachment[:-1] + b"x")
-    assert pair.proof.meet("cruiser-1", changed, QUESTION) == Objection(
-        Reason.PROOF_WRONG, "the reply is not the robot's"
-    )
-    other = Objection(Reason.NOT_GRANTED, "the reply is of cruiser-1, not of cruiser-2")
-    assert pair.proof.meet("cruiser-2", shown, QUESTION) == other
-    pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 3)
-    pair.proof = pair.proof_of(pair.ann)
-    refused = pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    assert isinstance(refused, Objection)
-    assert refused.detail.endswith("it ended 2026-11-18 11:06 UTC, and here it is 2026-11-18 11:06 UTC")
-
-
 def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
     """No proof in the reply, no key of the robot, or one with which anybody would know the secret."""
     pair = Pair()
-    private, public = new_lease_key()
-    _, reply, _ = pair.ask("acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(9))
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=9, public_key=public)
-    assert not pair.proof.begin_lease("cruiser-1", private, said, b"")
-    for key in (None, bytes(32)):
-        without = msgspec.structs.replace(said, public_key=key)
-        assert not pair.proof.begin_lease("cruiser-1", private, without, reply.attachment)
+    _, private, _, reply = pair.leased(9)
+    public = new_lease_key()[1]
+    for key, attachment in ((public, b""), (None, reply.attachment), (bytes(32), reply.attachment)):
+        said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=9, public_key=key)
+        assert not pair.proof.begin_lease("cruiser-1", private, said, attachment)
         assert pair.proof.drive(b"") == b""
 
 
@@ -402,7 +387,7 @@ def test_every_request_has_a_nonce_of_its_own() -> None:
 
 def test_why_an_answer_cannot_be_verified_is_known_of_each_robot() -> None:
     """It never said who it is; it said so and is not believed; it was met, and the answer is another's."""
-    pair = Pair()
+    pair = Pair(met=False)
     assert (pair.proof.unmet("cruiser-1"), pair.proof.doubt("cruiser-1")) == (None, SILENT)
     unsigned = msgspec.structs.replace(pair.shown(), attachment=b"")
     pair.proof.meet("cruiser-1", unsigned, QUESTION)
@@ -410,17 +395,5 @@ def test_why_an_answer_cannot_be_verified_is_known_of_each_robot() -> None:
     assert (doubt, doubt.text) == (pair.proof.unmet("cruiser-1"), "the reply is not signed")
     pair.proof.meet("cruiser-1", msgspec.structs.replace(unsigned, payload=b""), QUESTION)
     assert pair.proof.doubt("cruiser-1").reason is Reason.MALFORMED
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
+    pair.meet()
     assert (pair.proof.unmet("cruiser-1"), pair.proof.doubt("cruiser-1")) == (None, UNSIGNED)
-
-
-def test_a_robot_that_refuses_the_grant_can_be_verified() -> None:
-    """Its refusal is no doubt about who it is."""
-    pair = Pair()
-    pair.bench.fleet.authority.grant(pair.ann, not_after=NOW_S - 1)
-    pair.proof = pair.proof_of(pair.ann)
-    pair.proof.meet("cruiser-1", pair.shown(), QUESTION)
-    unmet = pair.proof.unmet("cruiser-1")
-    assert unmet is not None
-    assert (unmet.is_refusal, unmet.reason) == (True, Reason.GRANT_EXPIRED)
-    assert pair.proof.doubt("cruiser-1") == UNSIGNED

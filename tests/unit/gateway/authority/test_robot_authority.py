@@ -1,5 +1,7 @@
 """What a robot in signed mode takes over of its authority, and what follows in each tick."""
 
+from typing import Any
+
 import msgspec
 import pytest
 from hypothesis import example, given, settings
@@ -14,7 +16,6 @@ from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode
 from schemas.decisions import LeaseReply, SignedStatement
-from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.requests import Acquire
 from schemas.subjects import BY_NAME, BY_VERB
@@ -23,50 +24,56 @@ from tests.support.authority import CHALLENGE, DAY_S, NOW_S, AuthorityBench, Fle
 HOUR = 3600 * S
 
 
+def signed_statements(effects: AuthorityEffects) -> list[SignedStatement]:
+    """What a tick publishes of them."""
+    samples = (one for one in effects.samples if one.subject == "authority/statement")
+    decoded = [decode(BY_NAME[one.subject], one.payload) for one in samples]
+    return [one for one in decoded if isinstance(one, SignedStatement)]
+
+
 def statements(effects: AuthorityEffects) -> list[str]:
-    """The statements that a tick publishes."""
-    decoded: list[Message] = [
-        message
-        for sample in effects.samples
-        if sample.subject == "authority/statement"
-        and isinstance(message := decode(BY_NAME[sample.subject], sample.payload), Message)
-    ]
-    return [one.text for one in decoded if isinstance(one, SignedStatement)]
+    """Their texts."""
+    return [one.text for one in signed_statements(effects)]
 
 
 def test_a_statement_is_answered_with_the_robots_own_grant() -> None:
-    """So that whoever asks learns the robot's key from the authority."""
+    """So that whoever asks learns the robot's key from the authority; handle and verb are the request's."""
     bench = AuthorityBench()
-    ann = bench.fleet.operator()
-    reply = bench.show(chain_text(ann.chain))
-    assert (reply.ok, reply.own) == (True, chain_text(bench.robot.chain))
-    refused = bench.show("")
-    assert (refused.ok, refused.reason, refused.own) == (False, Reason.MALFORMED, chain_text(bench.robot.chain))
+    reply = bench.show(bench.chain_of("ann"))
+    assert (reply.ok, reply.own) == (True, bench.own)
+    for text, reason, detail in (
+        ("", Reason.MALFORMED, ""),
+        ("x", Reason.MALFORMED, "it is not pairs of lines"),
+        (bench.chain_of("ann", robots=["a"]), Reason.NOT_GRANTED, "it is not for cruiser-1"),
+    ):
+        refused = bench.show(text)
+        assert (refused.ok, refused.reason, refused.own) == (False, reason, bench.own)
+        assert detail in refused.detail
+    pending = bench.authority.receive(RawRequest(41, "", "", b"", 0), 0)
+    assert (pending.handle, pending.verb) == (41, "")
 
 
 def test_grants_that_are_taken_over_are_published_once() -> None:
     """And once a minute again while they are in use, for logs that begin later."""
     bench = AuthorityBench()
-    ann = chain_text(bench.fleet.operator().chain)
-    assert bench.show(ann).ok
-    assert bench.show(ann).ok
+    ann = bench.chain_of("ann")
+    bench.takes(ann, ann)
     assert statements(bench.tick()) == [ann]
     assert statements(bench.tick()) == []
-    assert chain_text(bench.robot.chain) in statements(bench.tick(61 * S))
+    assert bench.own in statements(bench.tick(61 * S))
 
 
 def test_a_list_of_revocations_is_in_force_at_once_and_kept() -> None:
     """Also after a restart; an older list never comes back."""
     bench = AuthorityBench()
     ann = bench.fleet.operator()
-    assert bench.show(chain_text(ann.chain)).ok
     revoked = bench.fleet.authority.revoke(5, keys=(ann.key,)).text()
-    assert bench.show(revoked).ok
+    bench.takes(chain_text(ann.chain), revoked)
     assert bench.show(chain_text(ann.chain)).reason is Reason.GRANT_REVOKED
     assert bench.show(bench.fleet.authority.revoke(4).text()).reason is Reason.REPLAYED
     effects = bench.tick()
-    assert effects.kept is not None
     assert statements(effects) == [chain_text(ann.chain), revoked]
+    assert effects.kept is not None
     trust = trust_of(bench.fleet.trust, effects.kept)
     assert not isinstance(trust, Objection)
     assert isinstance(trust.judge(ann.chain, NOW_S), Objection)
@@ -76,14 +83,13 @@ def test_a_list_of_revocations_is_in_force_at_once_and_kept() -> None:
 def test_a_rotation_is_kept_and_ends_the_robots_own_grant_until_it_gets_a_new_one() -> None:
     """The new authority grants it without anybody touching the robot."""
     bench, active, standby = AuthorityBench(), Party(), Party()
-    assert bench.show(bench.fleet.standby.rotate(1, active, standby).text()).ok
+    bench.takes(bench.fleet.standby.rotate(1, active, standby))
     assert bench.bars().keys() == {Reason.GRANT_REVOKED}
-    active.grant(bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
-    assert bench.show(chain_text(bench.robot.chain)).ok
+    bench.takes(bench.regrant(active))
     effects = bench.tick()
     assert effects.bars == {}
     assert effects.kept is not None
-    assert effects.kept.own == chain_text(bench.robot.chain)
+    assert effects.kept.own == bench.own
     trust = trust_of(bench.fleet.trust, effects.kept)
     assert not isinstance(trust, Objection)
     assert trust.active == active.key
@@ -95,11 +101,8 @@ def test_a_restart_finds_what_was_revoked_before_and_after_a_rotation(first: str
     bench, active, standby = AuthorityBench(), Party(), Party()
     signer = {"authority": bench.fleet.authority, "standby": bench.fleet.standby, "new": active}[first]
     shown = [bench.fleet.standby.rotate(1, active, standby), signer.revoke(5, keys=(standby.key,))]
-    for signed in shown if first == "new" else reversed(shown):
-        assert bench.show(signed.text()).ok
-    effects = bench.tick()
-    assert effects.kept is not None
-    assert trust_of(bench.fleet.trust, effects.kept) == bench.authority.admission.trust
+    bench.takes(*(shown if first == "new" else reversed(shown)))
+    assert bench.restarted() == bench.authority.admission.trust
 
 
 Shown = tuple[str, int, int, int]
@@ -174,20 +177,26 @@ def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
     assert bench.show(third).reason is Reason.PROOF_WRONG
 
 
-@pytest.mark.parametrize("kept", [Kept(revocations="x"), Kept(rotations=["x"])])
-def test_a_damaged_note_is_no_trust(kept: Kept) -> None:
-    """Nor is one that somebody else wrote."""
-    fleet = Fleet()
-    assert isinstance(trust_of(fleet.trust, kept), Objection)
-    foreign = Kept(revocations=Fleet().authority.revoke(1).text())
-    assert isinstance(trust_of(fleet.trust, foreign), Objection)
+@pytest.mark.parametrize(
+    ("kept", "why"),
+    [
+        (Kept(revocations="x"), "it is not pairs of lines, a statement and its signature"),
+        (Kept(rotations=["x"]), ""),
+        (Kept(revocations=Fleet().authority.revoke(1).text()), ""),
+    ],
+    ids=["list", "rotation", "somebody else wrote it"],
+)
+def test_a_damaged_note_is_no_trust(kept: Kept, why: str) -> None:
+    """And is named by what is wrong with its text."""
+    refusal = trust_of(Fleet().trust, kept)
+    assert isinstance(refusal, Objection)
+    assert not why or refusal == Objection(Reason.MALFORMED, why)
 
 
 def learnt(fleet: Fleet, new: Fleet) -> Kept:
     """What a robot of the first fleet has learnt: a rotation to the other, and what that one revoked."""
     bench = AuthorityBench(fleet, since(fleet))
-    assert bench.show(fleet.standby.rotate(1, new.authority, new.standby).text()).ok
-    assert bench.show(new.authority.revoke(1, keys=(b"x" * 32,)).text()).ok
+    bench.takes(fleet.standby.rotate(1, new.authority, new.standby), new.authority.revoke(1, keys=(b"x" * 32,)))
     kept = bench.tick().kept
     assert kept is not None
     return kept
@@ -229,18 +238,12 @@ def test_a_damaged_note_does_not_begin_anew() -> None:
         assert isinstance(resume(fleet.trust, damaged), Objection)
 
 
-def test_nobody_engages_before_the_self_test_has_passed() -> None:
-    """It is under way at first, and says why when it fails."""
+def test_nobody_engages_before_the_self_test_has_passed_nor_while_nothing_can_be_saved() -> None:
+    """Both say why, at once and once: a robot that is switched off and on would forget what was revoked."""
     bench = AuthorityBench()
     bench.authority.self_test = "it is under way"
     assert bench.bars() == {Reason.SELF_TEST: "it is under way"}
     bench.authority.self_test = ""
-    assert bench.bars() == {}
-
-
-def test_what_cannot_be_saved_bars_at_once_and_until_it_is() -> None:
-    """A robot that is switched off and on would forget what was revoked."""
-    bench = AuthorityBench()
     assert bench.bars() == {}
     bench.authority.unsaved = "the disk is full"
     effects = bench.tick(10_000_000)
@@ -250,91 +253,56 @@ def test_what_cannot_be_saved_bars_at_once_and_until_it_is() -> None:
     assert bench.tick(10_000_000).bars == {}
 
 
-def test_a_grant_of_another_robot_or_of_a_person_is_not_its_own() -> None:
-    """However long it holds, and also for the robot's own key."""
+@pytest.mark.parametrize(
+    ("is_its_key", "changes"),
+    [
+        (False, {"role": GrantRole.ROBOT, "robots": ["cruiser-2"]}),
+        (False, {"role": GrantRole.ROBOT, "robots": ["*"]}),
+        (True, {"role": GrantRole.OPERATOR, "robots": ["*"]}),
+    ],
+    ids=["another robot's", "another robot's for all", "its own key, as a person"],
+)
+def test_a_grant_of_another_robot_or_of_a_person_is_not_its_own(
+    is_its_key: bool,  # noqa: FBT001 - a column
+    changes: dict[str, Any],
+) -> None:
+    """However long it holds."""
     bench = AuthorityBench()
-    own = chain_text(bench.robot.chain)
-    other, long = Party("cruiser-2"), NOW_S + 9 * DAY_S
-    bench.fleet.authority.grant(other, role=GrantRole.ROBOT, robots=["cruiser-2"], not_after=long)
-    bench.robot.chain = []
-    bench.fleet.authority.grant(bench.robot, role=GrantRole.OPERATOR, robots=["*"], not_after=long)
-    for chain in (other.chain, bench.robot.chain):
-        assert bench.show(chain_text(chain)).own == own
-
-
-def test_a_list_counts_with_its_epoch_where_the_note_has_a_lower_one() -> None:
-    """No grant of a former epoch comes back by it."""
-    fleet = Fleet()
-    trust = trust_of(fleet.trust, Kept(revocations=fleet.authority.revoke(1, epoch=3).text()))
-    assert not isinstance(trust, Objection)
-    assert trust.epoch == 3
-
-
-def test_a_time_that_was_attested_is_saved_at_once() -> None:
-    """A robot that is switched off right after it revives no grant."""
-    bench = AuthorityBench()
-    bench.tick()
-    assert bench.tick().kept is None
-    assert bench.show(bench.fleet.authority.revoke(1, at=NOW_S + HOUR // S).text()).ok
-    kept = bench.tick().kept
-    assert kept is not None
-    assert kept.floor_s >= NOW_S + HOUR // S
+    own, other = bench.own, Party("cruiser-1" if is_its_key else "cruiser-2")
+    if is_its_key:
+        other.private = bench.robot.private
+    bench.fleet.authority.grant(other, not_after=NOW_S + 9 * DAY_S, **changes)
+    assert bench.show(chain_text(other.chain)).own == own
 
 
 def test_an_answer_for_the_name_holds_the_grant_of_now() -> None:
     """A gateway that asks for the name judges by it."""
     bench = AuthorityBench()
-    answer = bench.authority.name_proof.attachment(b"info", b"question")
-    assert answer.endswith(chain_text(bench.robot.chain).encode())
-    bench.robot.chain = []
-    bench.fleet.authority.grant(
-        bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"], serial=2, not_after=NOW_S + 9 * DAY_S
-    )
-    assert bench.show(chain_text(bench.robot.chain)).ok
-    answer = bench.authority.name_proof.attachment(b"info", b"question")
-    assert answer.endswith(chain_text(bench.robot.chain).encode())
-
-
-def test_a_robot_without_a_grant_of_its_own_does_not_arm() -> None:
-    """What it signs would convince nobody."""
-    bench = AuthorityBench()
-    bench.wall_s = NOW_S + DAY_S + 1
-    assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
+    proof = bench.authority.name_proof
+    assert proof.attachment(b"info", b"question").endswith(bench.own.encode())
+    bench.takes(bench.regrant(serial=2, not_after=NOW_S + 9 * DAY_S))
+    assert proof.attachment(b"info", b"question").endswith(bench.own.encode())
 
 
 def test_the_floor_of_time_outlives_a_restart() -> None:
-    """A robot that is switched off and on, with its clock set back, revives no grant."""
+    """It is saved at once: a robot that is switched off and on, with its clock set back, revives no grant."""
     bench = AuthorityBench()
-    bench.show(bench.fleet.authority.revoke(1).text())
+    bench.tick()
+    assert bench.tick().kept is None
+    bench.takes(bench.fleet.authority.revoke(1, at=NOW_S + HOUR // S))
     effects = bench.tick()
     assert effects.kept is not None
-    assert effects.kept.floor_s >= NOW_S
+    assert effects.kept.floor_s >= NOW_S + HOUR // S
     again = AuthorityBench(bench.fleet, effects.kept)
     again.wall_s = 0
     again.tick()
-    old = bench.fleet.operator("old", not_after=NOW_S - 1)
-    assert again.show(chain_text(old.chain)).reason is Reason.GRANT_EXPIRED
-
-
-def test_a_refusal_says_what_is_wrong_and_the_reply_goes_to_who_asked() -> None:
-    """With the figures; handle and verb are the request's."""
-    bench = AuthorityBench()
-    assert "it is not pairs of lines" in bench.show("x").detail
-    assert "it is not for cruiser-1" in bench.show(chain_text(bench.fleet.operator(robots=["a"]).chain)).detail
-    pending = bench.authority.receive(RawRequest(41, "", "", b"", 0), 0)
-    assert (pending.handle, pending.verb) == (41, "")
-
-
-def test_a_damaged_note_is_named() -> None:
-    """By what is wrong with its text."""
-    refusal = trust_of(Fleet().trust, Kept(revocations="x"))
-    assert refusal == Objection(Reason.MALFORMED, "it is not pairs of lines, a statement and its signature")
+    assert again.show(again.chain_of("old", not_after=NOW_S - 1)).reason is Reason.GRANT_EXPIRED
 
 
 def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
-    """With the date of its end: a log is read by people, and the journal keeps each change."""
+    """What the robot signs would convince nobody, so it does not arm; the journal keeps each change."""
     bench = AuthorityBench()
-    bench.wall_s = NOW_S + 2 * DAY_S
+    bench.wall_s = NOW_S + DAY_S + 1
     bars = [bench.tick().bars for _ in range(5)]
     assert bars[0] == {Reason.GRANT_EXPIRED: "the robot's own ended on 2026-11-19 11:06 UTC"}
     assert bars[1:] == [None] * 4
@@ -366,36 +334,31 @@ def test_the_tick_says_that_the_holders_grant_has_ended() -> None:
     """The loop stops the robot by it."""
     holding = Holding()
     assert holding.bench.tick().ended is None
-    assert holding.bench.show(holding.bench.fleet.authority.revoke(1, keys=(holding.ann.key,)).text()).ok
+    holding.bench.takes(holding.bench.fleet.authority.revoke(1, keys=(holding.ann.key,)))
     assert holding.bench.tick().ended == Objection(Reason.GRANT_REVOKED, "by list 1")
 
 
 def test_the_holders_grant_is_published_again_with_what_is_new() -> None:
     """Also in the minute in which another statement came; the grants of others are not."""
     holding = Holding()
-    bob, cyd = (chain_text(holding.bench.fleet.operator(name).chain) for name in ("bob", "cyd"))
-    assert holding.bench.show(bob).ok
-    holding.bench.tick()
-    assert holding.bench.show(cyd).ok
-    own, held = chain_text(holding.bench.robot.chain), chain_text(holding.ann.chain)
-    assert statements(holding.bench.tick(61 * S)) == [cyd, own, held]
+    bench = holding.bench
+    bench.takes(bench.chain_of("bob"))
+    bench.tick()
+    bench.takes(cyd := bench.chain_of("cyd"))
+    assert statements(bench.tick(61 * S)) == [cyd, bench.own, chain_text(holding.ann.chain)]
 
 
 def test_rotations_are_published_again_and_a_list_as_long_as_it_is_in_force() -> None:
     """So that a log of any time leads from the authority that was known before to the one that counts."""
     bench, active, standby = AuthorityBench(), Party(), Party()
-    own = chain_text(bench.robot.chain)
-    former = bench.fleet.authority.revoke(1).text()
-    assert bench.show(former).ok
-    assert statements(bench.tick(61 * S)) == [former, own, former]
-    rotation = bench.fleet.standby.rotate(1, active, standby).text()
-    assert bench.show(rotation).ok
+    bench.takes(former := bench.fleet.authority.revoke(1).text())
+    assert statements(bench.tick(61 * S)) == [former, bench.own, former]
+    bench.takes(rotation := bench.fleet.standby.rotate(1, active, standby).text())
     bench.tick()
-    assert statements(bench.tick(61 * S)) == [rotation, own]
-    newer = active.revoke(1).text()
-    assert bench.show(newer).ok
+    assert statements(bench.tick(61 * S)) == [rotation, bench.own]
+    bench.takes(newer := active.revoke(1).text())
     bench.tick()
-    assert statements(bench.tick(61 * S)) == [rotation, own, newer]
+    assert statements(bench.tick(61 * S)) == [rotation, bench.own, newer]
 
 
 def test_statements_are_numbered() -> None:
@@ -403,128 +366,93 @@ def test_statements_are_numbered() -> None:
     bench = AuthorityBench()
     numbers = []
     for name in ("ann", "bob", "cyd"):
-        assert bench.show(chain_text(bench.fleet.operator(name).chain)).ok
-        samples = bench.tick().samples
-        numbers += [
-            message.sequence
-            for sample in samples
-            if isinstance(message := decode(BY_NAME[sample.subject], sample.payload), SignedStatement)
-        ]
+        bench.takes(bench.chain_of(name))
+        numbers += [one.sequence for one in signed_statements(bench.tick())]
     assert numbers == [numbers[0] + step for step in range(3)]
 
 
 def test_what_has_changed_is_saved_once_and_the_floor_once_a_minute() -> None:
-    """A disk is not written in each tick."""
+    """A disk is not written in each tick; the first floor is the begin of the robot's own grant."""
     bench = AuthorityBench()
     assert [bench.tick().kept for _ in range(3)] == [None] * 3
-    assert bench.show(bench.fleet.authority.revoke(1).text()).ok
+    bench.takes(bench.fleet.authority.revoke(1))
     saved = [bench.tick(10_000_000).kept is not None for _ in range(3)]
     assert saved == [True, False, False]
     assert bench.tick(61 * S).kept is not None
     assert bench.tick(10_000_000).kept is None
-
-
-def test_another_robots_grant_is_not_this_ones() -> None:
-    """Nor is one of this robot's key that is for something else."""
-    bench = AuthorityBench()
-    own = chain_text(bench.robot.chain)
-    other = Party("cruiser-2")
-    bench.fleet.authority.grant(other, role=GrantRole.ROBOT, robots=["*"])
-    assert bench.show(chain_text(other.chain)).own == own
-    as_operator = Party("cruiser-1")
-    as_operator.private = bench.robot.private
-    bench.fleet.authority.grant(as_operator)
-    assert bench.show(chain_text(as_operator.chain)).own == own
+    kept = AuthorityBench().tick(61 * S).kept
+    assert kept is not None
+    assert kept.floor_s >= NOW_S - DAY_S
 
 
 def test_a_clock_that_is_set_back_revives_no_grant_although_nobody_states_the_time() -> None:
     """A verified grant has begun: it is later than that."""
     bench = AuthorityBench()
-    bench.robot.chain = []
-    bench.fleet.authority.grant(bench.robot, role=GrantRole.ROBOT, robots=["*"], not_after=NOW_S + 9 * DAY_S)
-    assert bench.show(chain_text(bench.robot.chain)).ok
-    over = bench.fleet.operator("over", not_after=NOW_S + DAY_S)
+    bench.takes(bench.regrant(robots=["*"], not_after=NOW_S + 9 * DAY_S))
+    over = bench.chain_of("over", not_after=NOW_S + DAY_S)
     bench.wall_s = NOW_S + 2 * DAY_S
     bench.tick()
-    assert bench.show(
-        chain_text(
-            bench.fleet.operator("newer", not_before=NOW_S + 2 * DAY_S - 60, not_after=NOW_S + 3 * DAY_S).chain
-        )
-    ).ok
+    bench.takes(bench.chain_of("newer", not_before=NOW_S + 2 * DAY_S - 60, not_after=NOW_S + 3 * DAY_S))
     bench.wall_s = NOW_S
     bench.tick()
-    assert bench.show(chain_text(over.chain)).reason is Reason.GRANT_EXPIRED
-
-
-def test_the_robots_own_grant_lifts_the_floor_of_time() -> None:
-    """A robot that starts with a clock of before does not believe it."""
-    bench = AuthorityBench()
-    kept = bench.tick(61 * S).kept
-    assert kept is not None
-    assert kept.floor_s >= NOW_S - DAY_S
+    assert bench.show(over).reason is Reason.GRANT_EXPIRED
 
 
 def test_nobody_takes_the_robots_own_grant_away() -> None:
     """It is public: whoever shows it again under other signatures, or the one before it, changes nothing."""
     bench = AuthorityBench()
-    former = bench.robot.chain
-    bench.robot.chain = []
-    bench.fleet.authority.grant(
-        bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"], not_after=NOW_S + 2 * DAY_S
-    )
-    own = chain_text(bench.robot.chain)
+    former = bench.own
+    own = bench.regrant(not_after=NOW_S + 2 * DAY_S)
     assert bench.show(own).own == own
     kept = bench.tick().kept
     assert kept is not None
     assert kept.own == own
     forged = chain_text([msgspec.structs.replace(bench.robot.chain[0], signature=bytes(64))])
-    said = bench.show(forged)
-    assert (said.ok, said.reason, said.own) == (False, Reason.PROOF_WRONG, own)
-    bench.tick()
-    said = bench.show(chain_text(former))
-    assert (said.ok, said.own) == (True, own)
-    effects = bench.tick()
-    assert effects.kept is None
-    assert forged not in statements(effects)
+    for text, ok, reason in ((forged, False, Reason.PROOF_WRONG), (former, True, Reason.NONE)):
+        said = bench.show(text)
+        assert (said.ok, said.reason, said.own) == (ok, reason, own)
+        effects = bench.tick()
+        assert effects.kept is None
+        assert forged not in statements(effects)
     assert bench.bars() == {}
 
 
 def test_the_grants_of_so_many_people_are_remembered_as_text() -> None:
     """The oldest go; one that was forgotten is published again when it is shown."""
     bench = AuthorityBench()
-    first = chain_text(bench.fleet.operator("first").chain)
-    assert bench.show(first).ok
+    bench.takes(first := bench.chain_of("first"))
     for number in range(GRANTS_KEPT - 1):
         bench.tick()
-        assert bench.show(chain_text(bench.fleet.operator(f"p{number}").chain)).ok
+        bench.takes(bench.chain_of(f"p{number}"))
     bench.tick()
-    assert bench.show(first).ok
+    bench.takes(first)
     assert first not in statements(bench.tick())
-    assert bench.show(chain_text(bench.fleet.operator("one-more").chain)).ok
+    bench.takes(bench.chain_of("one-more"))
     bench.tick()
-    assert bench.show(first).ok
+    bench.takes(first)
     assert first in statements(bench.tick())
 
 
-def test_an_epoch_outlives_a_restart_although_a_newer_list_says_a_lower_one() -> None:
+@pytest.mark.parametrize("epochs", [[3], [5, 0]])
+def test_an_epoch_outlives_a_restart_although_a_newer_list_says_a_lower_one(epochs: list[int]) -> None:
     """Only the newest list is kept, and a robot that was switched off would believe old grants again."""
     bench = AuthorityBench()
-    assert bench.show(bench.fleet.authority.revoke(1, epoch=5).text()).ok
-    assert bench.show(bench.fleet.authority.revoke(2).text()).ok
-    effects = bench.tick()
-    assert effects.kept is not None
-    trust = trust_of(bench.fleet.trust, effects.kept)
-    assert not isinstance(trust, Objection)
-    assert (trust.list_serial, trust.epoch) == (2, 5)
+    bench.takes(*(bench.fleet.authority.revoke(number, epoch=one) for number, one in enumerate(epochs, 1)))
+    trust = bench.restarted()
+    assert (trust.list_serial, trust.epoch) == (len(epochs), epochs[0])
+    # Also where the note itself has none.
+    note = trust_of(bench.fleet.trust, Kept(revocations=bench.fleet.authority.revoke(1, epoch=3).text()))
+    assert not isinstance(note, Objection)
+    assert note.epoch == 3
 
 
 def test_a_new_authority_says_what_time_it_is() -> None:
     """Whoever stole the former one's key may have dated a list in the year 3000, by which every grant is over."""
     bench, active, standby = AuthorityBench(), Party(), Party()
-    assert bench.show(bench.fleet.authority.revoke(1, at=NOW_S + 10**10).text()).ok
+    bench.takes(bench.fleet.authority.revoke(1, at=NOW_S + 10**10))
     assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
-    assert bench.show(bench.fleet.standby.rotate(1, active, standby).text()).ok
-    active.grant(bench.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
+    bench.takes(bench.fleet.standby.rotate(1, active, standby))
+    text = bench.regrant(active)
     bench.tick()
-    assert bench.show(chain_text(bench.robot.chain)).ok
+    bench.takes(text)
     assert bench.bars() == {}

@@ -21,7 +21,7 @@ from schemas.command_line import CommandError
 from schemas.decisions import StatementReply
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, GatewaySettings, RobotSettings, Settings, ZenohSettings
-from tests.support.provisioning import ProvisionedFleet, chain, run
+from tests.support.provisioning import ProvisionedFleet, bundle_of, chain, run
 from tests.support.waiting import wait_until
 
 
@@ -50,6 +50,14 @@ def settings_of(fleet: ProvisionedFleet, name: str = "cruiser-1") -> Settings:
     )
 
 
+def noted(fleet: ProvisionedFleet, kept: Kept) -> None:
+    """The robot's note holds this."""
+    note = note_path(settings_of(fleet), os.environ)
+    assert note is not None
+    note.parent.mkdir(parents=True)
+    note.write_bytes(msgspec.json.encode(kept))
+
+
 def renewed(fleet: ProvisionedFleet, days: str) -> Path:
     """A bundle with another grant for the same keys."""
     run("renew", "robot", "--directory", fleet.place / "cruiser-1", "-o", f"{days}.request")
@@ -63,12 +71,8 @@ def test_of_a_grant_that_was_shown_and_one_that_was_installed_the_longer_one_hol
     """Whichever came last: an installation does not end sooner than what it replaces, nor the other way."""
     installed = (fleet.place / "cruiser-1" / "robot.grant").read_text()
     assert started(fleet) == installed
-    bundle = renewed(fleet, days)
-    shown = msgspec.json.decode(bundle.read_bytes().partition(b"\n")[0])["chain"]
-    note = note_path(settings_of(fleet), os.environ)
-    assert note is not None
-    note.parent.mkdir(parents=True)
-    note.write_bytes(msgspec.json.encode(Kept(own=shown)))
+    shown = bundle_of(renewed(fleet, days)).chain
+    noted(fleet, Kept(own=shown))
     assert started(fleet) == (shown if days == "40" else installed)
 
 
@@ -85,23 +89,12 @@ def test_a_grant_that_is_shown_before_the_first_tick_is_judged_by_the_present(fl
 
 def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedFleet) -> None:
     """However long it would last: the authority was replaced."""
-    bundle = renewed(fleet, "400")
-    shown = msgspec.json.decode(bundle.read_bytes().partition(b"\n")[0])["chain"]
+    shown = bundle_of(renewed(fleet, "400")).chain
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "400.request", "--directory", new.place / "authority", "-o", "new.bundle", "--days", "5")
-    run(
-        "install",
-        "new.bundle",
-        "--directory",
-        fleet.place / "cruiser-1",
-        "--replace",
-        "--fingerprint",
-        new.fingerprint,
-    )
-    note = note_path(settings_of(fleet), os.environ)
-    assert note is not None
-    note.parent.mkdir(parents=True)
-    note.write_bytes(msgspec.json.encode(Kept(own=shown)))
+    place = fleet.place / "cruiser-1"
+    run("install", "new.bundle", "--directory", place, "--replace", "--fingerprint", new.fingerprint)
+    noted(fleet, Kept(own=shown))
     installed = fleet.place / "cruiser-1" / "robot.grant"
     assert started(fleet) == chain_text(chain(installed))
 
@@ -112,12 +105,7 @@ def test_a_robot_starts_under_another_authority_that_was_installed(fleet: Provis
     bundle = renewed(fleet, "5")
     run("revoke", "cruiser-1", "--directory", fleet.place / "authority")
     before = msgspec.json.decode((fleet.place / "cruiser-1" / "authority.json").read_bytes(), type=AuthorityKeys)
-    note = note_path(settings_of(fleet), os.environ)
-    assert note is not None
-    note.parent.mkdir(parents=True)
-    note.write_bytes(
-        msgspec.json.encode(Kept(revocations=Path("revocations.statement").read_text(), since=before))
-    )
+    noted(fleet, Kept(revocations=Path("revocations.statement").read_text(), since=before))
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "5.request", "--directory", new.place / "authority", "-o", bundle, "--replace")
     run("install", bundle, "--directory", fleet.place / "cruiser-1", "--replace", "--fingerprint", new.fingerprint)
