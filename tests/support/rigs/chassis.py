@@ -14,6 +14,13 @@ S = 1_000_000_000
 ENABLES = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd")
 
 
+def fault_line(text: str) -> FaultLine:
+    """A fault, as it is typed."""
+    line = parse(text)
+    assert isinstance(line, FaultLine), line
+    return line
+
+
 class ChassisRig:
     """Holds the time, and the latest feedback of each name."""
 
@@ -46,9 +53,7 @@ class ChassisRig:
 
     def fault(self, text: str) -> None:
         """Cause a fault now."""
-        line = parse(text)
-        assert isinstance(line, FaultLine), line
-        self.chassis.inject(line, self.now_ns)
+        self.chassis.inject(fault_line(text), self.now_ns)
 
     def run(self, seconds: float) -> list[Frame]:
         """Let time pass; returns the frames meanwhile."""

@@ -18,7 +18,6 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, FrameDecoder, Value
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
 from schemas import codec, decisions
@@ -37,6 +36,7 @@ from schemas.settings import (
     Settings,
 )
 from schemas.subjects import BY_NAME, BY_VERB
+from tests.support.rigs.chassis import fault_line
 
 MS = 1_000_000
 TICK = 10 * MS
@@ -154,10 +154,8 @@ class GatewayRig:
 
     def fault(self, text: str) -> None:
         """A fault of the chassis, now."""
-        line = parse(text)
-        assert isinstance(line, FaultLine), line
         self.faults.append(text)
-        self.chassis.inject(line, self.now_ns)
+        self.chassis.inject(fault_line(text), self.now_ns)
 
     def put(self, operator: str, verb: str, payload: bytes) -> None:
         """A put, judged in the next tick."""

@@ -12,10 +12,10 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.port import Actuation
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat
-from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_POLL_NS, TICK_NS, CommandSettings
+from tests.support.rigs.chassis import fault_line
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -70,9 +70,7 @@ class GuardRig:
 
     def fault(self, text: str) -> None:
         """Cause a fault of the chassis now."""
-        line = parse(text)
-        assert isinstance(line, FaultLine), line
-        self.chassis.inject(line, self.now_ns)
+        self.chassis.inject(fault_line(text), self.now_ns)
 
     def drive(self, told: Actuation = DRIVING, seconds: float = 1.5) -> None:
         """The gateway drives until the robot rolls."""

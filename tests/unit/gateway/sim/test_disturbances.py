@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.chassis.frame import ERROR, EXTENDED, FaultKind, FrameFault
+from gateway.chassis.frame import ERROR, EXTENDED, FaultKind, Frame, FrameFault
 from gateway.chassis.layout import Decoded, checksum
 from gateway.sim.disturbances import ScheduledFault, parse_scheduled
 from tests.support.rigs.chassis import ChassisRig, S
@@ -26,43 +26,30 @@ def test_a_bad_checksum_strikes_one_message() -> None:
     assert fault.kind is FaultKind.CHECKSUM
 
 
-def test_a_stuck_counter_stands_still_and_runs_on() -> None:
-    """The checksum stays right meanwhile; afterwards the counter goes on from where it stood."""
+COUNTED = {
+    "stuck, it goes on from where it stood": (0.05, "stuck G for 5 frames | 0.1", "5 5 5 5 5 5 6 7 8 9"),
+    "skipping, it rises by 2 unless told": (0.0, "skip G by 3 | 0.05, skip G | 0.03", "0 3 6 9 12 15 1 3"),
+    "silent, nothing is counted": (0.05, "silence G for 2s | 2, foreign 123 off | 0.03", "5 6 7 8"),
+    "dropped, it was sent": (0.0, "drop G every 4 | 0.1, drop G next 3 | 0.06", "0 1 2 4 5 6 8 9 13 14 15"),
+}
+"""After a time these faults, each for a time, and the counters meanwhile."""
+
+
+@pytest.mark.parametrize("name", COUNTED)
+def test_a_counter_tells_what_became_of_its_message(name: str) -> None:
+    """The checksums stay right meanwhile, and all other messages come: 530 a second."""
+    before_s, faults, counters = COUNTED[name]
     rig = ChassisRig()
-    rig.run(0.05)
-    rig.fault(f"stuck {GEAR} for 5 frames")
-    frames = rig.run(0.1)
-    assert rig.counters(GEAR, frames) == [5, 5, 5, 5, 5, 5, 6, 7, 8, 9]
+    rig.run(before_s)
+    frames, took_s = list[Frame](), 0.0
+    for fault in faults.split(", "):
+        text, seconds = fault.split(" | ")
+        rig.fault(f"{text} ".replace(" G ", f" {GEAR} "))
+        frames += rig.run(float(seconds))
+        took_s += float(seconds)
+    assert rig.counters(GEAR, frames) == [int(one) for one in counters.split()]
+    assert len(frames) - len(rig.named(GEAR, frames)) == pytest.approx(530 * took_s, abs=10)
     assert all(checksum(frame.data) == frame.data[7] for frame in frames)
-
-
-def test_a_skipping_counter_rises_by_n() -> None:
-    """By 2 unless told."""
-    rig = ChassisRig()
-    rig.fault(f"skip {GEAR} by 3")
-    assert rig.counters(GEAR, rig.run(0.05)) == [0, 3, 6, 9, 12]
-    rig.fault(f"skip {GEAR}")
-    assert rig.counters(GEAR, rig.run(0.03)) == [15, 1, 3]
-
-
-def test_a_silent_message_does_not_count() -> None:
-    """Nothing is sent, so the counter goes on without a gap."""
-    rig = ChassisRig()
-    rig.run(0.05)
-    rig.fault(f"silence {GEAR} for 2s")
-    frames = rig.run(2)
-    assert len(rig.named(GEAR, frames)) <= 1
-    assert len(frames) >= 1060
-    assert rig.counters(GEAR, frames + rig.run(0.03)) == [5, 6, 7, 8]
-
-
-def test_a_dropped_frame_leaves_a_gap() -> None:
-    """It was sent and lost on the way: the counter goes on."""
-    rig = ChassisRig()
-    rig.fault(f"drop {GEAR} every 4")
-    assert rig.counters(GEAR, rig.run(0.1)) == [0, 1, 2, 4, 5, 6, 8, 9]
-    rig.fault(f"drop {GEAR} next 3")
-    assert rig.counters(GEAR, rig.run(0.06)) == [13, 14, 15]
 
 
 def test_a_frozen_message_counts_on() -> None:
@@ -148,21 +135,8 @@ def test_foreign_frames_are_on_the_bus() -> None:
 def test_clear_ends_everything() -> None:
     """After it the chassis is as at the start."""
     rig = ChassisRig()
-    for text in (
-        "silence all",
-        "checksum all",
-        "foreign 123",
-        "bumper both on",
-        "transmitter remote",
-        "sticks 1 1",
-        "scale wrong",
-        "variant fine",
-        "slope 20",
-        "payload 100",
-        "pedal 1",
-        "motor 0",
-        "reboot",
-    ):
+    faults = "silence all, checksum all, foreign 123, bumper both on, transmitter remote, sticks 1 1, scale wrong"
+    for text in f"{faults}, variant fine, slope 20, payload 100, pedal 1, motor 0, reboot".split(", "):
         rig.fault(text)
     rig.run(1)
     rig.fault("clear")

@@ -3,6 +3,7 @@
 import json
 import math
 from collections import Counter
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
 from gateway.chassis.layout import Decoded, FrameDecoder
-from gateway.sim.body import Conditions, StopMode
+from gateway.sim.body import NOMINAL, Conditions, StopMode
 from gateway.sim.model import VirtualChassis
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
 from tests.support import SUPPORT
@@ -74,29 +75,176 @@ def test_the_rate_can_be_raised_to_a_saturated_bus() -> None:
     assert fast.speed_mps == pytest.approx(nominal.speed_mps, abs=0.01)
 
 
-def test_it_starts_standing_parked_and_stopped() -> None:
-    """At power-up nobody has commanded anything."""
-    rig = ChassisRig()
-    rig.run(0.1)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
-    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "park"
-    assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == "applied"
-    assert rig.seen["Auto_WheelSpdFeedback"]["RearLeftSpeed"] == 0
-    assert rig.seen["Auto_GearFeedBack"]["Active"] is False
+# Scripts, a step a line: what is done (a drive command, a frame, a fault), for how long, what is shown then.
+
+SHOWN = {
+    "mode": ("Auto_MileageAndBodyFeedback", "Mode"),
+    "front": ("Auto_MileageAndBodyFeedback", "FrontBumper"),
+    "rear": ("Auto_MileageAndBodyFeedback", "RearBumper"),
+    "km": ("Auto_MileageAndBodyFeedback", "TotalMileage"),
+    "gear": ("Auto_GearFeedBack", "GearPosition"),
+    "active": ("Auto_GearFeedBack", "Active"),
+    "parking": ("Auto_ParkingFeedBack", "ParkingStatus"),
+    "brake": ("Auto_BrakingFeedBack", "BrakingStatus"),
+    "wheel": ("Auto_WheelSpdFeedback", "RearLeftSpeed"),
+    "headlamp": ("Auto_LightFeedback", "Headlamp"),
+    "right": ("Auto_LightFeedback", "RightIndicator"),
+    "left": ("Auto_LightFeedback", "LeftIndicator"),
+    "horn": ("Auto_SpeakerFeedback", "Horn"),
+}
+DRIVES = "drive 1 | 2 | mode=auto speed_mps=1.0"
+SCRIPTS: dict[str, list[str]] = {
+    "at power-up it stands, parked and in mode stop": [
+        " | 0.1 | mode=stop gear=park parking=applied wheel=0.0 active=False"
+    ],
+    **{
+        f"without the enable of {missing} it is in mode stop, and stops": [
+            DRIVES,
+            f"{missing} Enable=0 | 2 | mode=stop speed_mps=0.0",
+        ]
+        for missing in ENABLES
+    },
+    "the last command holds for ever": ["drive 1 | 120 | mode=auto speed_mps=1.0"],
+    "it limits angle and speed to 24 deg and 8 km/h": ["drive 40 60 | 5 | angle_deg=24.0 speed_mps=2.221..2.223"],
+    "in neutral it stands": ["neutral 1 | 1 | speed_mps=0.0 gear=neutral"],
+    "park is reserved and counts as neutral": ["park 1 | 1 | speed_mps=0.0 gear=neutral"],
+    "the parking brake wins, and lets it go": [
+        "drive 1 0 1 | 1 | gear=park parking=applied speed_mps=0.0",
+        "drive 1 | 1 | gear=drive parking=released speed_mps=0.5..1",
+    ],
+    **{
+        f"a pedal at {percent} % is {status}": [f"drive 0 0 0 {percent} | 0.1 | brake={status}"]
+        for percent, status in ((0.0, "released"), (30.0, "braking"), (99.6, "fully_braked"))
+    },
+    "in remote the sticks drive; given back, the last command on CAN holds again": [
+        DRIVES,
+        "transmitter remote | 0",
+        "sticks -0.5 8 | 3 | mode=remote active=False gear=reverse speed_mps=-0.5..-0.499 angle_deg=7.999..8.001",
+        "transmitter command | 3 | mode=auto speed_mps=1.0",
+    ],
+    "a takeover with the sticks at rest stops it": [
+        "drive 2 | 3 | speed_mps=2.0",
+        "transmitter remote | 2 | speed_mps=0.0",
+    ],
+    "sticks at rest hold it on a slope, also where it was in neutral": [
+        "slope 20 | 0",
+        "transmitter remote | 5 | speed_mps=0.0 x_m=-0.005..0.005",
+    ],
+    "a hit is shown, and does not stop it": [
+        DRIVES,
+        "bumper front on | 2 | front=True rear=False speed_mps=1.0",
+        "bumper front off | 0",
+        "bumper rear on | 0.1 | front=False rear=True",
+    ],
+    "mileage is cleared by bit 16 with the enable, by neither alone, and counts from zero": [
+        " | 0.1 | km=12.345",
+        "Auto_OdometerCmd Enable=0 ClearMileage=1 | 0.1 | km=12.345",
+        "Auto_OdometerCmd Enable=1 ClearMileage=0 | 0.1 | km=12.345",
+        "Auto_OdometerCmd Enable=1 ClearMileage=1 | 0.1 | km=0.0",
+        "Auto_OdometerCmd | 0",
+        "drive 1 | 5 | km=0.004",
+    ],
+    "lamps and horn follow in any mode": [
+        "Auto_LightCmd Headlamp=1 LeftIndicator=1 | 0",
+        "Auto_SpeakerCmd Horn=1 | 0.1 | mode=stop headlamp=True right=False left=True horn=True",
+    ],
+    "a request to park of just before mode stop takes effect": [
+        DRIVES,
+        "drive 1 0 1 | 0.01",
+        "Auto_GearCmd Enable=0 | 0.1 | parking_status=ParkingStatus.APPLIED",
+        " | 1 | speed_mps=0.0",
+    ],
+    "the parking brake applies and releases 50 ms later, and so do its status and the gear's P": [
+        " | 0.2",
+        "drive | 0.04 | parking=applied",
+        " | 0.01 | parking=released gear=drive",
+        " | 0.2",
+        "drive 0 0 1 | 0.04 | parking=released",
+        " | 0.01 | parking=applied gear=park",
+    ],
+    **{
+        f"with {weaker} it rolls on 20 deg, and without it the motor holds": [
+            "drive | 2",
+            "slope 20 | 1 | speed_mps=0.0",
+            f"{weaker} | 1 | speed_mps=-9..-0.001",
+            "clear | 3 | speed_mps=0.0",
+        ]
+        for weaker in ("payload 100", "motor 0.5")
+    },
+    "the pedal holds by its gain": [
+        "slope 10 | 0",
+        "pedal 1 | 0",
+        "neutral 0 0 0 60 | 1 | speed_mps=0.0",
+        "pedal 0.3 | 1 | speed_mps=-9..-0.5",
+    ],
+    **{
+        f"after a reboot all five enables must come again, also {missing}": [
+            DRIVES,
+            "reboot for 500ms | 0.2",
+            "drive 1 | 1 | mode=stop",
+            "drive 1 | 0",
+            f"without {missing} | 0.1 | mode=stop",
+            "drive 1 | 0.1 | mode=auto",
+        ]
+        for missing in ENABLES
+    },
+    "a reboot leaves the parking brake applied": [
+        "slope 10 | 0",
+        "drive 0 0 1 | 1",
+        "reboot | 0.9 | speed_mps=0.0",
+    ],
+    "a reboot leaves the parking brake released": [
+        "slope 10 | 0",
+        "drive | 1",
+        "reboot | 0.9 | speed_mps=-9..-0.1",
+    ],
+}
 
 
-@pytest.mark.parametrize("missing", ENABLES)
-def test_auto_needs_all_five_enables(missing: str) -> None:
-    """Any enable missing is stop mode, and a moving chassis stops."""
-    rig = ChassisRig()
-    rig.command("drive", 1.0)
-    rig.run(2)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
-    assert rig.speed_mps == 1.0
-    rig.send(missing, Enable=False)
-    rig.run(2)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
+def act(rig: ChassisRig, text: str) -> None:
+    """What a step does."""
+    name, *words = text.split() or [""]
+    if name in {"drive", "neutral", "park"}:
+        speed_mps, angle_deg, park, pedal_percent = [*map(float, words), 0.0, 0.0, 0.0, 0.0][:4]
+        rig.command(name, speed_mps, angle_deg, park=bool(park), pedal_percent=pedal_percent)
+    elif name.startswith("Auto_"):
+        rig.send(name, **{word.partition("=")[0]: word.endswith("=1") for word in words})
+    elif name == "without":
+        rig.chassis._commands.pop(words[0])
+    elif name:
+        rig.fault(text)
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_shows(name: str) -> None:
+    """A value in words, to three places, or between two."""
+    rig = ChassisRig(conditions=Conditions(stop_mode=StopMode.COASTS) if "just before" in name else NOMINAL)
+    for step in SCRIPTS[name]:
+        action, seconds, *rulings = step.split(" | ")
+        act(rig, action.strip())
+        rig.run(float(seconds))
+        for one, expected in (ruling.split("=") for ruling in " ".join(rulings).split()):
+            found: Any = (
+                rig.seen[SHOWN[one][0]][SHOWN[one][1]] if one in SHOWN else getattr(rig.chassis.state, one)
+            )
+            low, is_between, high = expected.partition("..")
+            if is_between:
+                assert float(low) <= found <= float(high), (step, one)
+            elif expected[-1].isdigit():
+                assert found == pytest.approx(float(expected), abs=1e-6), (step, one)
+            else:
+                assert str(found) == expected, (step, one)
+
+
+def test_a_slope_may_end_for_a_while() -> None:
+    """Then it is as it was at the start."""
+    rig = ChassisRig(conditions=Conditions(slope_deg=3.0))
+    rig.command("neutral")
+    rig.fault("slope 0 for 1995ms")
+    rig.run(1.99)
     assert rig.speed_mps == 0
+    rig.run(1)
+    assert rig.speed_mps == pytest.approx(0.3 - 9.81 * math.sin(math.radians(3)), abs=0.01)
 
 
 @VARIANTS
@@ -142,140 +290,6 @@ def test_it_answers_the_manuals_examples_as_the_manual_does(example: str) -> Non
     assert frames["feedback"]
     for frame in frames["feedback"]:
         assert sent[frame.can_id][:6] == frame.data[:6]
-
-
-def test_it_keeps_obeying_when_commands_cease() -> None:
-    """The last command holds for ever: nobody else will stop the robot."""
-    rig = ChassisRig()
-    rig.command("drive", 1.0)
-    rig.run(120)
-    assert rig.speed_mps == 1.0
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
-
-
-def test_it_limits_itself() -> None:
-    """It turns no further than 24 degrees and drives no faster than 8 km/h, whatever the frame says."""
-    rig = ChassisRig()
-    rig.command("drive", 40.0, 60.0)
-    rig.run(5)
-    assert rig.chassis.state.angle_deg == 24
-    assert rig.speed_mps == pytest.approx(2.222, abs=0.001)
-
-
-@pytest.mark.parametrize("gear", ["neutral", "park"])
-def test_without_a_driving_gear_it_stands(gear: str) -> None:
-    """Direction comes from the gear alone; park is reserved and counts as neutral."""
-    rig = ChassisRig()
-    rig.command(gear, 1.0)
-    rig.run(1)
-    assert rig.speed_mps == 0
-    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "neutral"
-
-
-def test_parked_reads_park_and_does_not_move() -> None:
-    """The electromagnetic brake wins, the gear feedback shows P, and releasing it lets it go."""
-    rig = ChassisRig()
-    rig.command("drive", 1.0, park=True)
-    rig.run(1)
-    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "park"
-    assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == "applied"
-    assert rig.speed_mps == 0
-    rig.command("drive", 1.0)
-    rig.run(1)
-    assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == "drive"
-    assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == "released"
-    assert rig.speed_mps > 0.5
-
-
-@pytest.mark.parametrize(
-    ("pedal_percent", "status"), [(0.0, "released"), (30.0, "braking"), (99.6, "fully_braked")]
-)
-def test_the_brake_is_reported(pedal_percent: float, status: str) -> None:
-    """Released, braking, fully braked, by the pedal."""
-    rig = ChassisRig()
-    rig.command("drive", 0.0, pedal_percent=pedal_percent)
-    rig.run(0.1)
-    assert rig.seen["Auto_BrakingFeedBack"]["BrakingStatus"] == status
-
-
-def test_in_remote_the_hand_transmitter_drives() -> None:
-    """Whatever CAN says; given back, the last command on CAN holds again."""
-    rig = ChassisRig()
-    rig.command("drive", 1.0)
-    rig.run(2)
-    rig.fault("transmitter remote")
-    rig.fault("sticks -0.5 8")
-    rig.run(3)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "remote"
-    assert rig.seen["Auto_GearFeedBack"] | {"AliveCounter": 0, "Checksum": 0} == {
-        "Active": False,
-        "GearPosition": "reverse",
-        "AliveCounter": 0,
-        "Checksum": 0,
-    }
-    assert rig.speed_mps == pytest.approx(-0.5)
-    assert rig.chassis.state.angle_deg == pytest.approx(8)
-    rig.fault("transmitter command")
-    rig.run(3)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
-    assert rig.speed_mps == pytest.approx(1.0)
-
-
-def test_sticks_let_go_stop_it() -> None:
-    """A takeover with the sticks at rest brings it to a stand."""
-    rig = ChassisRig()
-    rig.command("drive", 2.0)
-    rig.run(3)
-    rig.fault("transmitter remote")
-    rig.run(2)
-    assert rig.speed_mps == 0
-
-
-def test_a_bumper_does_not_stop_it() -> None:
-    """A hit is reported and nothing more."""
-    rig = ChassisRig()
-    rig.command("drive", 1.0)
-    rig.run(2)
-    rig.fault("bumper front on")
-    rig.run(2)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["FrontBumper"] is True
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["RearBumper"] is False
-    assert rig.speed_mps == 1.0
-    rig.fault("bumper front off")
-    rig.fault("bumper rear on")
-    rig.run(0.1)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["FrontBumper"] is False
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["RearBumper"] is True
-
-
-def test_mileage_is_cleared_by_bit_16_with_enable() -> None:
-    """Neither the flag nor the enable alone clears it; once cleared it counts from zero."""
-    rig = ChassisRig()
-    rig.run(0.1)
-    start_km = rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"]
-    rig.send("Auto_OdometerCmd", Enable=False, ClearMileage=True)
-    rig.run(0.1)
-    rig.send("Auto_OdometerCmd", Enable=True, ClearMileage=False)
-    rig.run(0.1)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"] == start_km != 0
-    rig.send("Auto_OdometerCmd", Enable=True, ClearMileage=True)
-    rig.run(0.1)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"] == 0
-    rig.send("Auto_OdometerCmd")
-    rig.command("drive", 1.0)
-    rig.run(5)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["TotalMileage"] == pytest.approx(0.004)
-
-
-def test_lamps_and_horn_are_the_upper_layers() -> None:
-    """They follow their commands in any mode."""
-    rig = ChassisRig()
-    rig.send("Auto_LightCmd", Headlamp=True, LeftIndicator=True)
-    rig.send("Auto_SpeakerCmd", Horn=True)
-    rig.run(0.1)
-    light = rig.seen["Auto_LightFeedback"]
-    assert (light["Headlamp"], light["RightIndicator"], light["LeftIndicator"]) == (True, False, True)
-    assert rig.seen["Auto_SpeakerFeedback"]["Horn"] is True
 
 
 def test_a_bad_command_frame_is_ignored() -> None:
@@ -388,65 +402,6 @@ def in_mode_stop(stop_mode: StopMode, slope_deg: float) -> ChassisRig:
     return rig
 
 
-def test_mode_stop_keeps_the_parking_brake() -> None:
-    """A request of just before goes on to take effect, however the chassis stops."""
-    rig = ChassisRig(conditions=Conditions(stop_mode=StopMode.COASTS))
-    rig.command("drive", 1.0)
-    rig.run(2)
-    rig.command("drive", 1.0, park=True)
-    rig.run(0.01)
-    rig.send("Auto_GearCmd", Enable=False)
-    rig.run(0.1)
-    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
-    rig.run(1)
-    assert rig.speed_mps == 0
-
-
-def test_the_parking_feedback_says_when_it_is_so() -> None:
-    """Asked for, the brake applies and releases 50 ms later, and so do its status and the gear's P."""
-    rig = ChassisRig()
-    for park, status, gear in ((False, "released", "drive"), (True, "applied", "park")):
-        before = "applied" if status == "released" else "released"
-        rig.run(0.2)
-        rig.command("drive", 0.0, park=park)
-        rig.run(0.04)
-        assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == before
-        rig.run(0.01)
-        assert rig.seen["Auto_ParkingFeedBack"]["ParkingStatus"] == status
-        assert rig.seen["Auto_GearFeedBack"]["GearPosition"] == gear
-
-
-def test_the_ground_may_change_while_it_drives() -> None:
-    """Slope, payload and strengths by fault; without them it is as it was at the start."""
-    rig = ChassisRig(conditions=Conditions(slope_deg=3.0))
-    rig.command("neutral")
-    rig.fault("slope 0 for 1995ms")
-    rig.run(1.99)
-    assert rig.speed_mps == 0
-    rig.run(1)
-    assert rig.speed_mps == pytest.approx(0.3 - 9.81 * math.sin(math.radians(3)), abs=0.01)
-    rig.command("drive")
-    rig.run(2)
-    for weaker in ("payload 100", "motor 0.5"):
-        rig.fault("slope 20")
-        rig.run(1)
-        assert rig.speed_mps == 0
-        rig.fault(weaker)
-        rig.run(1)
-        assert rig.speed_mps < 0
-        rig.fault("clear")
-        rig.run(3)
-        assert rig.speed_mps == 0
-    rig.fault("slope 10")
-    rig.fault("pedal 1")
-    rig.command("neutral", pedal_percent=60.0)
-    rig.run(1)
-    assert rig.speed_mps == 0
-    rig.fault("pedal 0.3")
-    rig.run(1)
-    assert rig.speed_mps < -0.5
-
-
 @VARIANTS
 def test_it_may_roll_faster_than_its_frames_can_say(variant: Variant) -> None:
     """They show the most they have room for."""
@@ -461,15 +416,6 @@ def test_it_may_roll_faster_than_its_frames_can_say(variant: Variant) -> None:
     assert len(frames) == 1260
     shown = [int.from_bytes(frame.data[1:3], "little") for frame in rig.named("Auto_WheelSpdFeedback", frames)]
     assert {raw & (2**wheels.length - 1) for raw in shown} == {0}
-
-
-def test_sticks_at_rest_hold_it_on_a_slope() -> None:
-    """Also where the takeover finds it in neutral: it rolls no further than the next instant."""
-    rig = ChassisRig(conditions=Conditions(slope_deg=20.0))
-    rig.fault("transmitter remote")
-    rig.run(5)
-    assert rig.speed_mps == 0
-    assert abs(rig.chassis.state.x_m) < 0.005
 
 
 def test_a_reboot_forgets_everything() -> None:
@@ -487,34 +433,3 @@ def test_a_reboot_forgets_everything() -> None:
     rig.run(1)
     assert rig.speed_mps == 0
     assert rig.seen["Auto_SpeakerFeedback"]["Horn"] is False
-
-
-@pytest.mark.parametrize("missing", ENABLES)
-def test_after_a_reboot_all_five_enables_must_come_again(missing: str) -> None:
-    """Those from before, and those that came meanwhile, count for nothing."""
-    rig = ChassisRig()
-    rig.command("drive", 1.0)
-    rig.run(2)
-    rig.fault("reboot for 500ms")
-    rig.run(0.2)
-    rig.command("drive", 1.0)
-    rig.run(1)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
-    rig.command("drive", 1.0)
-    rig.chassis._commands.pop(missing)
-    rig.run(0.1)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "stop"
-    rig.command("drive", 1.0)
-    rig.run(0.1)
-    assert rig.seen["Auto_MileageAndBodyFeedback"]["Mode"] == "auto"
-
-
-def test_a_reboot_leaves_the_parking_brake_as_it_is() -> None:
-    """Applied it stays applied, and released it lets the robot roll."""
-    for park in (True, False):
-        rig = ChassisRig(conditions=Conditions(slope_deg=10.0))
-        rig.command("drive", park=park)
-        rig.run(1)
-        rig.fault("reboot for 1s")
-        rig.run(0.9)
-        assert (rig.speed_mps == 0) is park

@@ -94,25 +94,12 @@ def test_a_reversal_goes_through_standstill() -> None:
     assert motion.speed_mps == pytest.approx(-1.0)
 
 
-def test_in_neutral_it_rolls() -> None:
-    """Neutral takes the drive away, and no more."""
-    motion = moving(demand(speed_mps=1.5), 3)
-    moving(demand(GearPosition.NEUTRAL, 1.5), 1, motion)
-    assert motion.speed_mps == pytest.approx(1.2)
-
-
-def test_the_pedal_wins_over_the_drive() -> None:
-    """Where the pedal has its gain, braking with the speed still asked for stops it."""
-    motion = moving(demand(speed_mps=2.0), 3, Motion(Conditions(pedal_gain=1.0)))
+@pytest.mark.parametrize(("gain", "speed_mps"), [(0.0, 2.0), (1.0, 0.0)])
+def test_the_pedal_wins_over_the_drive(gain: float, speed_mps: float) -> None:
+    """Where the pedal has its gain, braking with the speed still asked for stops it; else it changes nothing."""
+    motion = moving(demand(speed_mps=2.0), 3, Motion(Conditions(pedal_gain=gain)))
     moving(Demand(GearPosition.DRIVE, 2.0, 0.0, 100.0, parked=False), 0.7, motion)
-    assert motion.speed_mps == 0
-
-
-def test_the_parking_brake_stops_it() -> None:
-    """Applied at speed, with the drive still asked for."""
-    motion = moving(demand(speed_mps=2.0), 3)
-    moving(Demand(GearPosition.DRIVE, 2.0, 0.0, 0.0, parked=True), 0.35, motion)
-    assert motion.speed_mps == 0
+    assert motion.speed_mps == speed_mps
 
 
 def test_it_drives_a_circle() -> None:
@@ -285,7 +272,7 @@ def test_the_drive_ends_when_the_parking_brake_applies() -> None:
     held = Demand(GearPosition.DRIVE, 1.0, 0.0, 0.0, parked=True)
     moving(held, 0.04, motion)
     assert motion.speed_mps == 1.0
-    moving(held, 1, motion)
+    moving(held, 0.2, motion)
     assert (motion.speed_mps, motion.parked) == (0, True)
     moving(demand(speed_mps=1.0), 0.04, motion)
     assert motion.speed_mps == 0
@@ -299,9 +286,3 @@ def test_the_pedal_helps_by_its_gain(gain: float) -> None:
     moving(Demand(GearPosition.NEUTRAL, 0.0, 0.0, 50.0, parked=False), 2, motion)
     rolls_mps2 = max(0.0, GRAVITY_MPS2 * math.sin(math.radians(15)) - 0.3 - 0.5 * gain * BRAKING_DECELERATION_MPS2)
     assert motion.speed_mps == pytest.approx(-2 * rolls_mps2)
-
-
-def test_a_pedal_without_gain_leaves_the_drive_alone() -> None:
-    """It is reserved: pressing it changes nothing at all."""
-    motion = moving(Demand(GearPosition.DRIVE, 1.0, 0.0, 100.0, parked=False), 3)
-    assert motion.speed_mps == 1.0

@@ -20,21 +20,17 @@ from gateway.chassis.supervision import silence_ns
 from gateway.guard.stopper import Stopper
 from gateway.host.notes import StopNote
 from gateway.sim.body import Conditions
-from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis
 from schemas import settings
 from schemas.cruiser import STEERING_TOP_DEG, TURNING_RAW_MIN
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from tests.support.frames import MS, Feedback
 from tests.support.nights import seeds
+from tests.support.rigs.chassis import fault_line
 
 FILE = Path(early_stop.__file__)
 POLL_NS = 5 * MS
-
-
-def both_variants() -> list[Variant]:
-    """Those of the field."""
-    return [Variant.COARSE, Variant.FINE]
+VARIANTS = [Variant.COARSE, Variant.FINE]
 
 
 class Left:
@@ -86,7 +82,7 @@ class Left:
         return bursts
 
 
-@pytest.mark.parametrize("variant", both_variants())
+@pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("gear", [GearPosition.DRIVE, GearPosition.REVERSE])
 @pytest.mark.parametrize("speed_mps", [0.2, 0.46, 2.2])
 def test_a_robot_left_in_motion_is_told_zero_at_once_and_ends_parked(
@@ -105,7 +101,7 @@ def test_a_robot_left_in_motion_is_told_zero_at_once_and_ends_parked(
     assert left.until(1) == []
 
 
-@pytest.mark.parametrize("variant", both_variants())
+@pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize(
     "silent",
     [
@@ -122,15 +118,13 @@ def test_whatever_shows_the_motion_is_enough(silent: tuple[str, ...], variant: V
     """Drive feedback, wheels or pulses, with or without body frames: who moves is stopped."""
     left = Left(variant)
     for name in silent:
-        line = parse(f"silence {name}")
-        assert isinstance(line, FaultLine)
-        left.chassis.inject(line, left.now_ns)
+        left.chassis.inject(fault_line(f"silence {name}"), left.now_ns)
     left.until(3.0)
     assert left.chassis.state.speed_mps == 0
     assert left.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
-@pytest.mark.parametrize("variant", both_variants())
+@pytest.mark.parametrize("variant", VARIANTS)
 def test_a_robot_that_another_computer_commands_is_left_alone(variant: Variant) -> None:
     """A burst each 10 ms on the bus; also when it begins while the early stop listens."""
     left, maker = Left(variant), FrameMaker()
@@ -145,16 +139,19 @@ def test_a_robot_that_another_computer_commands_is_left_alone(variant: Variant) 
 
 
 def test_a_robot_that_stands_is_left_alone() -> None:
-    """Parked in mode stop, and standing in auto."""
+    """In auto; and eight zero bytes, which are no valid frame, are no mode auto."""
     left = Left(Variant.COARSE, 0.0)
     assert left.chassis.state.mode is Mode.AUTO
     assert left.until(3) == []
+    chassis = early_stop.Chassis()
+    chassis.receive(early_stop.BODY, bytes(8), 0)
+    assert chassis.mode(0) != AUTO
 
 
 def test_a_robot_that_the_remote_control_has_is_left_alone() -> None:
     """It is the remote control's; given back, it would obey its old command again, and is stopped then."""
     left = Left(Variant.COARSE)
-    left.chassis.inject(fault("transmitter remote for 2s"), left.now_ns)
+    left.chassis.inject(fault_line("transmitter remote for 2s"), left.now_ns)
     assert left.until(1.9) == []
     assert left.early.outcome == "", "nor is it said to be stopped"
     assert left.until(8)
@@ -166,17 +163,10 @@ def test_the_remote_control_ends_a_stop() -> None:
     left = Left(Variant.COARSE)
     left.until(0.2)
     assert left.early.is_sending
-    left.chassis.inject(fault("transmitter remote for 1s"), left.now_ns)
+    left.chassis.inject(fault_line("transmitter remote for 1s"), left.now_ns)
     left.until(0.5)
     assert not left.early.is_sending
     assert left.early.outcome == "the remote control has the robot"
-
-
-def fault(text: str) -> FaultLine:
-    """As it is typed."""
-    line = parse(text)
-    assert isinstance(line, FaultLine), line
-    return line
 
 
 # The same as the guard's.
@@ -255,14 +245,14 @@ def test_its_frames_are_those_of_the_guards_stop(seed: int) -> None:
     """Whatever the chassis does meanwhile: slopes, frames that fail or lie, a bus that takes a part."""
     chance = random.Random(seed)  # noqa: S311 - a scene, no secret
     left = Left(
-        chance.choice(both_variants()),
+        chance.choice(VARIANTS),
         chance.uniform(0.2, 2.2),
         gear=chance.choice([GearPosition.DRIVE, GearPosition.REVERSE]),
         angle_deg=chance.uniform(-24, 24),
         conditions=Conditions(slope_deg=chance.choice([0.0, chance.uniform(-20, 20)])),
     )
     for _ in range(chance.randrange(3)):
-        left.chassis.inject(fault(chance.choice(FAULTS)), left.now_ns + chance.randrange(4_000) * MS)
+        left.chassis.inject(fault_line(chance.choice(FAULTS)), left.now_ns + chance.randrange(4_000) * MS)
     pair = Pair(left.early, chance)
     for _ in range(8_000 // 5):
         left.now_ns += POLL_NS + (300 * MS if chance.random() < 0.001 else 0)
@@ -275,7 +265,7 @@ def test_its_frames_are_those_of_the_guards_stop(seed: int) -> None:
 def test_its_frames_are_the_guards_for_feedback_that_no_chassis_would_send(seed: int) -> None:
     """Each value by itself, for a while: modes, brakes, gears, angles and speeds that do not belong together."""
     chance = random.Random(seed)  # noqa: S311 - a scene, no secret
-    feedback = Feedback(chance.choice(both_variants()))
+    feedback = Feedback(chance.choice(VARIANTS))
     pair = Pair(EarlyStop(0), chance)
     values: dict[str, dict[str, Value]] = {}
     for now_ns in range(10 * MS, 15_000 * MS, 10 * MS):
@@ -317,32 +307,14 @@ FAULTS = (
 
 def test_it_imports_small_modules_of_the_standard_library_alone() -> None:
     """Nothing that would have to be installed, and nothing of ours."""
-    imported = {
-        alias.name.partition(".")[0]
-        for node in ast.walk(ast.parse(FILE.read_text("utf-8")))
-        if isinstance(node, ast.Import)
-        for alias in node.names
-    } | {
-        str(node.module).partition(".")[0]
-        for node in ast.walk(ast.parse(FILE.read_text("utf-8")))
-        if isinstance(node, ast.ImportFrom)
-    }
-    assert imported <= sys.stdlib_module_names
-    assert imported == {
-        *(
-            "__future__",
-            "_thread",
-            "errno",
-            "fcntl",
-            "hashlib",
-            "os",
-            "socket",
-            "struct",
-            "sys",
-            "time",
-            "tomllib",
-        ),
-    }
+    imported = set[str]()
+    for node in ast.walk(ast.parse(FILE.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add(str(node.module).partition(".")[0])
+    small = "__future__ _thread errno fcntl hashlib os socket struct sys time tomllib"
+    assert imported == set(small.split()) <= sys.stdlib_module_names
 
 
 @pytest.mark.parametrize(
@@ -414,10 +386,3 @@ def test_a_stop_is_noted_so_that_the_gateway_latches_it(monkeypatch: pytest.Monk
     begun, done = lines
     assert begun == FOUND
     assert done.startswith("done: the robot stands; ")
-
-
-def test_mode_auto_of_eight_zero_bytes_is_not_believed() -> None:
-    """It is not valid."""
-    chassis = early_stop.Chassis()
-    chassis.receive(early_stop.BODY, bytes(8), 0)
-    assert chassis.mode(0) != AUTO
