@@ -1,32 +1,53 @@
 """Commands of ``cruiser``, run in this process as a user runs them."""
 
 import argparse
+import signal
 from collections.abc import Callable
 from typing import Protocol
 
+from gateway.cli.main import main
 from recorder.cli import review as review_command
 from schemas.settings import Settings
 
 
-class Command(Protocol):
-    """The module of a command."""
+class HasWords(Protocol):
+    """What declares the words of a command."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare its words."""
+        """Declare them."""
+
+
+class Command(HasWords, Protocol):
+    """The module of a command."""
 
     def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
         """Run it; the exit code."""
+
+
+def parsed(command: HasWords, *words: object) -> argparse.Namespace:
+    """These words, as a command understands them."""
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return parser.parse_args([str(word) for word in words])
 
 
 def run_command(
     command: Command, *words: object, settings: Settings | None = None, stopped: Callable[[], bool] = lambda: False
 ) -> int:
     """Run the command of a module with these words, until ``stopped``; its exit code."""
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return command.run(parser.parse_args([str(word) for word in words]), settings or Settings(), stopped)
+    return command.run(parsed(command, *words), settings or Settings(), stopped)
 
 
 def review(*words: object, is_stopped: bool = False) -> int:
     """``cruiser review`` with these words; its exit code."""
     return run_command(review_command, *words, stopped=lambda: is_stopped)
+
+
+def in_process(*words: str) -> int:
+    """The exit code of a whole command line in this process, whose signal handlers are put back."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        return main(words)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

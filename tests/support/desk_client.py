@@ -1,7 +1,6 @@
 """A browser of the desk as light as can be: a WebSocket, and what came over it."""
 
 from contextlib import ExitStack
-from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlparse
 
@@ -37,9 +36,7 @@ class DeskClient:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     def send(self, **message: object) -> None:

@@ -1,7 +1,7 @@
 """A gateway's voice on Zenoh without a gateway: state, health and token, as the subject table says."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Self
 
 from zenoh import ext
@@ -43,9 +43,7 @@ class FakeGateway:
             )
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         close_session(self._session)
 
     def say(self, message: Message, encoding: str = "") -> None:
@@ -64,3 +62,14 @@ class FakeGateway:
     def peers(self) -> list[Any]:
         """Who is connected."""
         return list(self._session.info.peers_zid())
+
+
+def speech(*gateways: FakeGateway, says: Sequence[Message]) -> Callable[[], None]:
+    """Each of the gateways says all of it, each time that this is called."""
+
+    def speak() -> None:
+        for one in gateways:
+            for message in says:
+                one.say(message)
+
+    return speak

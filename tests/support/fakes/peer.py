@@ -5,7 +5,6 @@ import socket
 import threading
 from contextlib import suppress
 from random import SystemRandom
-from types import TracebackType
 from typing import Final, Self
 
 import zenoh
@@ -42,9 +41,7 @@ class Peer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

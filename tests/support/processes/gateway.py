@@ -11,7 +11,6 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from tests.support.processes.forked import Forked
@@ -30,9 +29,7 @@ class Running:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self.process.poll() is None:
             kill_all(self.process.pid)
         self.process.wait()
@@ -80,11 +77,9 @@ class Managed(Running):
         self._again = words, os.environ | {"NOTIFY_SOCKET": address}
         super().__init__(*words, NOTIFY_SOCKET=address)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._is_stopped = True
-        super().__exit__(kind, error, trace)
+        super().__exit__(*raised)
         self._manager.close()
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:

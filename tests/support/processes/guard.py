@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -173,11 +173,8 @@ class Watched:
 @contextmanager
 def listening(address: str) -> Iterator[Listener]:
     """Somebody on the bus who only listens."""
-    listener = Listener(open_bus(CanSettings(interface="socketcand", channel=address)))
-    try:
+    with closing(Listener(open_bus(CanSettings(interface="socketcand", channel=address)))) as listener:
         yield listener
-    finally:
-        listener.close()
 
 
 @contextmanager
@@ -187,13 +184,13 @@ def watched(speed_mps: float = 1.0) -> Iterator[Watched]:
     Where a busy machine holds up the stand-in meanwhile, the guard rightly stops the robot: then all begins again.
     """
     for _ in range(ATTEMPTS):
-        with chassis() as (_, address), listening(address) as listener:
-            running = Watched(address, listener, speed_mps)
-            try:
-                wait_until(lambda: listener.speed_mps() >= DRIVEN_MPS or bool(listener.by_guard()))
-                if not listener.by_guard():
-                    yield running
-                    return
-            finally:
-                running.close()
+        with (
+            chassis() as (_, address),
+            listening(address) as listener,
+            closing(Watched(address, listener, speed_mps)) as running,
+        ):
+            wait_until(lambda: listener.speed_mps() >= DRIVEN_MPS or bool(listener.by_guard()))
+            if not listener.by_guard():
+                yield running
+                return
     raise AssertionError(f"the guard stopped the robot {ATTEMPTS} times")

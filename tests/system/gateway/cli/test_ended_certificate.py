@@ -5,7 +5,7 @@ import shutil
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 import pytest
@@ -124,14 +124,11 @@ def test_a_recorder_waits_for_its_router(
         assert status in systemd.recv(1000).decode()
         # It has tried again meanwhile.
         wait_until(lambda: systemd.recv(1000) == b"WATCHDOG=1")
-        router = open_local_router(endpoint)
-        try:
+        with closing(open_local_router(endpoint)):
             recorder.wait_says("record: waiting for samples of ")
             wait_until(lambda: systemd.recv(1000).endswith(b"STATUS="))
             assert len([line for line in recorder.said if "nobody answers" in line]) == 1, recorder.said
             recorder.stop()
-        finally:
-            router.close()
 
 
 def test_by_hand_it_ends_with_the_same_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

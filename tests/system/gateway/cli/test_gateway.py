@@ -5,8 +5,8 @@ import os
 import signal
 import socket
 from argparse import Namespace
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from random import Random
@@ -35,7 +35,7 @@ from schemas.subjects import BY_VERB, COMMANDS, SUBJECTS, Pattern
 from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
-from tests.support.processes.gateway import chassis, gateway, run
+from tests.support.processes.gateway import Running, chassis, gateway, run
 from tests.support.processes.guard import listening
 from tests.support.processes.holding import is_done
 from tests.support.waiting import wait_until
@@ -103,8 +103,7 @@ def test_every_subject_is_published_as_the_table_says(variant: str) -> None:
     """All keys come with their encodings; info is answered; the token is there; SIGTERM ends it with 0."""
     endpoint = free_endpoint()
     with chassis("--variant", variant) as (_, address), gateway(address, endpoint, "--robot", "r-1") as running:
-        listener = Listener(endpoint)
-        try:
+        with closing(Listener(endpoint)) as listener:
             of_a_stop = {"fleet/r-1/safety/event", "fleet/r-1/safety/decision"}
             listener.wait_for("fleet/r-1/state", lambda state: state["mode"] == "stop")
             # A put goes nowhere before the sessions have found each other; a late gateway has events of its own.
@@ -132,33 +131,31 @@ def test_every_subject_is_published_as_the_table_says(variant: str) -> None:
                 if reply.ok
             ]
             assert tokens == ["fleet/r-1/gateway"]
-        finally:
-            listener.close()
         assert running.stop() == 0
 
 
 def test_a_lost_chassis_comes_back() -> None:
     """The server goes: the state says so, nothing ends. It returns at the same place: frames come again."""
     endpoint = free_endpoint()
-    with chassis() as (sim, address), gateway(address, endpoint) as running:
-        listener = Listener(endpoint)
-        try:
+    with (
+        chassis() as (sim, address),
+        gateway(address, endpoint) as running,
+        closing(Listener(endpoint)) as listener,
+    ):
+        listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
+        sim.stop(signal.SIGKILL)
+        state = listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
+        running.wait_says("the bus is lost")
+        state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 10)
+        assert (state["mode"], state["speed_mps"]) == ("undefined", None)
+        listener.wait_for(
+            "fleet/cruiser-1/gateway/health", lambda health: "Connection refused" in health["bus_detail"]
+        )
+        with chassis(listen=address):
             listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
-            sim.stop(signal.SIGKILL)
-            state = listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
-            running.wait_says("the bus is lost")
-            state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 10)
-            assert (state["mode"], state["speed_mps"]) == ("undefined", None)
-            listener.wait_for(
-                "fleet/cruiser-1/gateway/health", lambda health: "Connection refused" in health["bus_detail"]
-            )
-            with chassis(listen=address):
-                listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
-                health = listener.wait_for("fleet/cruiser-1/gateway/health", lambda health: health["bus_up"])
-                assert health["bus_losses"] == 1
-                assert running.stop(signal.SIGINT) == 0
-        finally:
-            listener.close()
+            health = listener.wait_for("fleet/cruiser-1/gateway/health", lambda health: health["bus_up"])
+            assert health["bus_losses"] == 1
+            assert running.stop(signal.SIGINT) == 0
 
 
 def test_a_lost_zenoh_node_comes_back() -> None:
@@ -189,13 +186,10 @@ def test_two_robots_on_one_bench() -> None:
         chassis() as (_, other),
         gateway(one, endpoint, "--robot", "r-1"),
         gateway(other, "tcp/127.0.0.1:0", "--connect", endpoint, "--robot", "r-2"),
+        closing(Listener(endpoint)) as listener,
     ):
-        listener = Listener(endpoint)
-        try:
-            listener.wait_for("fleet/r-1/state")
-            listener.wait_for("fleet/r-2/state")
-        finally:
-            listener.close()
+        listener.wait_for("fleet/r-1/state")
+        listener.wait_for("fleet/r-2/state")
 
 
 def test_a_second_gateway_of_one_chassis_is_warned() -> None:
@@ -226,20 +220,16 @@ def test_faults_are_counted_by_kind_and_never_published_as_data() -> None:
         "skip Auto_DriveFeedBack",
     ]
     words = [word for fault in faults for word in ("--fault", f"1ms {fault}")]
-    with chassis(*words) as (_, address), gateway(address, endpoint):
-        listener = Listener(endpoint)
-        try:
-            health = listener.wait_for(
-                "fleet/cruiser-1/gateway/health",
-                lambda health: {"checksum", "unknown_identifier", "alive_lost"} <= health["faults"].keys(),
-            )
-            assert health["unknown_identifiers"].keys() == {"123"}
-            state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 2)
-            assert set(state["silent"]) == {"Auto_GearFeedBack", "Auto_SpeakerFeedback"}
-            assert state["gear_position"] == "undefined"
-            assert "fleet/cruiser-1/chassis/gear" not in listener.latest
-        finally:
-            listener.close()
+    with chassis(*words) as (_, address), gateway(address, endpoint), closing(Listener(endpoint)) as listener:
+        health = listener.wait_for(
+            "fleet/cruiser-1/gateway/health",
+            lambda health: {"checksum", "unknown_identifier", "alive_lost"} <= health["faults"].keys(),
+        )
+        assert health["unknown_identifiers"].keys() == {"123"}
+        state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 2)
+        assert set(state["silent"]) == {"Auto_GearFeedBack", "Auto_SpeakerFeedback"}
+        assert state["gear_position"] == "undefined"
+        assert "fleet/cruiser-1/chassis/gear" not in listener.latest
 
 
 def test_a_missing_bus_is_one_clear_line() -> None:
@@ -264,14 +254,10 @@ def test_a_gateway_may_wait_for_its_bus() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-    with gateway(address, endpoint, "--wait-for-bus"):
-        listener = Listener(endpoint)
-        try:
-            listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
-            with chassis(listen=address):
-                listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
-        finally:
-            listener.close()
+    with gateway(address, endpoint, "--wait-for-bus"), closing(Listener(endpoint)) as listener:
+        listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
+        with chassis(listen=address):
+            listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
 
 
 def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
@@ -337,8 +323,7 @@ def test_no_bytes_on_any_command_key_change_anything(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("CRUISER_GATEWAY_ACCEPT_UNGUARDED", "true")
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint, "--variant", "coarse") as running:
-        listener = Listener(endpoint)
-        try:
+        with closing(Listener(endpoint)) as listener:
             listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
             lease = listener.ask("acquire", role="operator")["lease"]
             payloads = bad_payloads(lease)
@@ -366,8 +351,6 @@ def test_no_bytes_on_any_command_key_change_anything(monkeypatch: pytest.MonkeyP
                     key == DECISION and said["operator"] == "stranger" and said["verdict"] == "accepted"
                 )
             )
-        finally:
-            listener.close()
         assert running.stop() == 0
         assert not [line for line in running.said if "Traceback" in line or "ERROR" in line]
 
@@ -417,17 +400,13 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     """SIGTERM: the speed ramps down, then neutral, the parking brake, no enables; then it ends with 0."""
     monkeypatch.setenv("CRUISER_GATEWAY_ACCEPT_UNGUARDED", "true")
     endpoint = free_endpoint()
-    with chassis() as (_, address), gateway(address, endpoint) as running:
-        listener = Listener(endpoint)
-        try:
-            drive = RawDrive(listener)
-            drive.begin()
-            wait_until(lambda: drive.speed_mps > 0.6, lambda: drive.keep(0.8))
-            listener.heard.clear()
-            assert running.stop() == 0
-            listener.hear()
-        finally:
-            listener.close()
+    with chassis() as (_, address), gateway(address, endpoint) as running, closing(Listener(endpoint)) as listener:
+        drive = RawDrive(listener)
+        drive.begin()
+        wait_until(lambda: drive.speed_mps > 0.6, lambda: drive.keep(0.8))
+        listener.heard.clear()
+        assert running.stop() == 0
+        listener.hear()
     layout = load(Variant.COARSE).messages
     data: dict[int, list[bytes]] = {}
     for key, batch in listener.heard:
@@ -453,14 +432,20 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest
     ]
 
 
-def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() -> None:
-    """Row 'the guard has stopped the robot: latched, also across a restart, with its words as an event'."""
+@contextmanager
+def operated(address: str, operator: str = "first") -> Iterator[tuple[Running, Robot]]:
+    """A gateway on this bus, and an operator who is connected to it."""
     endpoint = free_endpoint()
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
+    with gateway(address, endpoint) as running, Robot.connect("cruiser-1", operator, settings, 30) as robot:
+        yield running, robot
+
+
+def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() -> None:
+    """Row 'the guard has stopped the robot: latched, also across a restart, with its words as an event'."""
     with chassis() as (_, address):
         with (
-            gateway(address, endpoint) as running,
-            Robot.connect("cruiser-1", "first", settings, 30) as robot,
+            operated(address) as (running, robot),
             robot.lease() as lease,
         ):
             wait_until(lambda: lease.is_engaged or is_done(lease.engage))
@@ -470,7 +455,7 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
         # On a busy machine it may have seen no sign of life even before that.
         assert words[0].startswith("guard: the gateway")
         for is_reset in (False, True):
-            with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+            with operated(address) as (running, robot):
                 assert robot.wait_for(lambda state: state.latched == [Reason.GUARD], 30)
                 text = guard_latch(robot).text
                 assert [one for one in words if one not in text] == []
@@ -479,78 +464,31 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
                         # One that comes within half a second of the latch was not meant for it.
                         wait_until(partial(is_done, lease.reset))
                 assert running.stop() == 0
-        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
-            assert robot.wait_for(lambda state: state.blocked_by == [Reason.NO_LEASE, Reason.NOT_ENGAGED], 30)
-            assert robot.state().state.latched == []
+        with operated(address) as (running, robot):
+            assert is_free(robot)
             assert running.stop() == 0
 
 
 @pytest.mark.parametrize("how", [by_night(signal.SIGTERM), signal.SIGKILL])
 def test_a_remote_stop_is_latched_until_a_reset_whatever_is_restarted(how: signal.Signals) -> None:
     """Whoever stopped the robot goes up to it: a restart of the process makes nobody's stop undone."""
-    endpoint = free_endpoint()
-    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
     with chassis() as (_, address):
-        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+        with operated(address) as (running, robot):
             # It is latched, also where the chassis is not seen yet.
             with suppress(Refused):
                 robot.stop()
             assert robot.wait_for(lambda state: Reason.REMOTE_STOP in state.latched, 30)
             wait_until(lambda: any(Path(os.environ["XDG_STATE_HOME"]).glob("**/*.latched.json")))
             running.stop(how)
-        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
+        with operated(address) as (running, robot):
             assert robot.wait_for(lambda state: Reason.REMOTE_STOP in state.latched, 30)
             with robot.lease() as lease:
                 wait_until(partial(is_done, lease.reset))
             assert robot.wait_for(lambda state: not state.latched, 30)
             assert running.stop() == 0
-        with gateway(address, endpoint) as running, Robot.connect("cruiser-1", "first", settings, 30) as robot:
-            assert robot.wait_for(lambda state: state.blocked_by == [Reason.NO_LEASE, Reason.NOT_ENGAGED], 30)
-            assert robot.state().state.latched == []
+        with operated(address) as (running, robot):
+            assert is_free(robot)
             assert running.stop() == 0
-
-
-def drive_on(lease: Lease) -> None:
-    """Drive at 1 m/s. A robot that a busy machine has stopped, or that never drove, is engaged."""
-    if lease.is_engaged and is_done(partial(lease.drive, 1.0)):
-        return
-    wait_until(lambda: lease.is_engaged or is_done(lease.engage))
-    is_done(lease.unpark)
-
-
-def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:
-    """Somebody goes up to the robot then: a restart that comes right after must not clear the stop."""
-    endpoint = free_endpoint()
-    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
-    with (
-        chassis() as (_, address),
-        gateway(address, endpoint),
-        Robot.connect("cruiser-1", "first", settings, 30) as robot,
-        robot.lease() as lease,
-    ):
-        wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
-        robot.stop()
-        assert any(Path(os.environ["XDG_STATE_HOME"]).glob("**/*.latched.json"))
-
-
-def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
-    """One that is there while the guard still stops the robot knows whose frames these are, and how it ended."""
-    endpoint = free_endpoint()
-    settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
-    with (
-        chassis() as (_, address),
-        gateway(address, endpoint) as running,
-        Robot.connect("cruiser-1", "first", settings, 30) as robot,
-        robot.lease() as lease,
-    ):
-        wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
-        running.process.kill()
-        with gateway(address, endpoint) as after, Robot.connect("cruiser-1", "second", settings, 30) as other:
-            # On a busy machine the guard may be done before; then its words are with the latch.
-            after.wait_says(r"gateway\.loop: .*guard.*: the robot stands")
-            assert [one for one in other.events() if one.reason is Reason.OTHER_COMMANDER] == []
-            assert not any(TEXTS[Reason.OTHER_COMMANDER].means in line for line in after.said), after.said
-            assert after.stop() == 0
 
 
 def guard_latch(robot: Robot) -> SafetyEvent:
@@ -564,6 +502,49 @@ def guard_latch(robot: Robot) -> SafetyEvent:
     return latches()[0]
 
 
+def is_free(robot: Robot) -> bool:
+    """A gateway that began with nothing latched."""
+    ready = robot.wait_for(lambda state: state.blocked_by == [Reason.NO_LEASE, Reason.NOT_ENGAGED], 30)
+    return ready and robot.state().state.latched == []
+
+
+def drive_on(lease: Lease) -> None:
+    """Drive at 1 m/s. A robot that a busy machine has stopped, or that never drove, is engaged."""
+    if lease.is_engaged and is_done(partial(lease.drive, 1.0)):
+        return
+    wait_until(lambda: lease.is_engaged or is_done(lease.engage))
+    is_done(lease.unpark)
+
+
+def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:
+    """Somebody goes up to the robot then: a restart that comes right after must not clear the stop."""
+    with (
+        chassis() as (_, address),
+        operated(address) as (_, robot),
+        robot.lease() as lease,
+    ):
+        wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
+        robot.stop()
+        assert any(Path(os.environ["XDG_STATE_HOME"]).glob("**/*.latched.json"))
+
+
+def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
+    """One that is there while the guard still stops the robot knows whose frames these are, and how it ended."""
+    with (
+        chassis() as (_, address),
+        operated(address) as (running, robot),
+        robot.lease() as lease,
+    ):
+        wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
+        running.process.kill()
+        with operated(address, "second") as (after, other):
+            # On a busy machine the guard may be done before; then its words are with the latch.
+            after.wait_says(r"gateway\.loop: .*guard.*: the robot stands")
+            assert [one for one in other.events() if one.reason is Reason.OTHER_COMMANDER] == []
+            assert not any(TEXTS[Reason.OTHER_COMMANDER].means in line for line in after.said), after.said
+            assert after.stop() == 0
+
+
 def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Row 'a gateway without real-time priority says so at start', with limit and cure; so without a note."""
     monkeypatch.setenv("CRUISER_GATEWAY_REALTIME_PRIORITY", "0")
@@ -572,11 +553,8 @@ def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPat
     with chassis() as (_, address), gateway(address, endpoint) as running:
         running.wait_says("will not stay so across a restart: gateway.state_dir is empty")
         running.wait_says(r"no real-time priority.*: 1 m/s \(command.speed_limit_without_realtime_mps\); .*rtprio")
-        listener = Listener(endpoint)
-        try:
+        with closing(Listener(endpoint)) as listener:
             assert not listener.wait_for("fleet/cruiser-1/gateway/health")["realtime"]
-        finally:
-            listener.close()
         assert running.stop() == 0
 
 

@@ -1,22 +1,23 @@
-import argparse
 import json
 from collections.abc import Callable
 
 import msgspec
 import pytest
 
-from gateway.cli.list_robots import add_arguments, run
+from gateway.cli import list_robots as list_command
 from gateway.zenoh.client import PendingQuery, RobotListener
 from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import RobotSettings, Settings, ZenohSettings
+from tests.support.commands import run_command
 from tests.support.fakes.fleet import FakeFleet
-from tests.support.fakes.gateway import FakeGateway
+from tests.support.fakes.gateway import FakeGateway, speech
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, STANDBY, STATE
 from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import StopWhen, nothing
 
+WELL = [STATE, HEALTH]
 SILENT = "cruiser-1  OFFLINE: no state yet; its gateway is connected, but sends no health\n"
 
 Capture = pytest.CaptureFixture[str]
@@ -30,10 +31,8 @@ def list_robots(
     until: Callable[[], bool] = lambda: False,
 ) -> int:
     """Run the command in this process. ``meanwhile`` is done again and again until it ends."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
     settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
-    return run(parser.parse_args(list(words)), settings, StopWhen(until, meanwhile))
+    return run_command(list_command, *words, settings=settings, stopped=StopWhen(until, meanwhile))
 
 
 def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
@@ -42,9 +41,7 @@ def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
 
         def speak() -> None:
             first.say(msgspec.structs.replace(STANDBY, lease_holder="ann", blocked_by=[]))
-            for one in (first, second):
-                one.say(STATE)
-                one.say(HEALTH)
+            speech(first, second, says=WELL)()
 
         assert list_robots(first.listen, "--timeout", "20", meanwhile=speak) == 0
     told, *lines = capsys.readouterr().out.splitlines()
@@ -57,19 +54,10 @@ def test_robots_are_listed_with_their_health(capsys: Capture) -> None:
 def test_a_robot_that_is_lost_is_listed_until_it_is_forgotten(capsys: Capture) -> None:
     """Also by the next command, and by the live list: exit code 3, with its name. A pattern asks for others."""
     with FakeGateway("cruiser-1") as first:
-
-        def speak() -> None:
-            first.say(STATE)
-            first.say(HEALTH)
-
+        speak = speech(first, says=WELL)
         with FakeGateway("cruiser-2", connect=first.listen) as second:
-
-            def speak_both() -> None:
-                speak()
-                second.say(STATE)
-                second.say(HEALTH)
-
-            assert list_robots(first.listen, "--timeout", "20", meanwhile=speak_both) == 0
+            both = speech(first, second, says=WELL)
+            assert list_robots(first.listen, "--timeout", "20", meanwhile=both) == 0
         capsys.readouterr()
         assert list_robots(first.listen, "--timeout", "1", meanwhile=speak) == ExitCode.PARTIAL
         out, errors = capsys.readouterr()
@@ -88,12 +76,7 @@ def test_some_robots_are_listed_by_a_pattern_in_the_order_of_their_numbers(capsy
         FakeGateway("cruiser-2", connect=first.listen) as second,
         FakeGateway("other-1", connect=first.listen) as other,
     ):
-
-        def speak() -> None:
-            for one in (first, second, other):
-                one.say(STATE)
-                one.say(HEALTH)
-
+        speak = speech(first, second, other, says=WELL)
         assert list_robots(first.listen, "cruiser-*", "--timeout", "20", meanwhile=speak) == 0
         lines = capsys.readouterr().out.splitlines()
         assert [line.split()[0] for line in lines] == ["2", "cruiser-2", "cruiser-10"]
@@ -105,12 +88,7 @@ def test_what_is_latched_is_listed(capsys: Capture) -> None:
     """A robot that cannot be engaged until a reset is not shown as one that is well."""
     latched = msgspec.structs.replace(STANDBY, latched=[Reason.REMOTE_STOP, Reason.FRONT_BUMPER])
     with FakeGateway("cruiser-1") as gateway:
-
-        def speak() -> None:
-            gateway.say(STATE)
-            gateway.say(latched)
-            gateway.say(HEALTH)
-
+        speak = speech(gateway, says=[STATE, latched, HEALTH])
         assert list_robots(gateway.listen, "--timeout", "20", meanwhile=speak) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "  needs attention: remote stop, front bumper, reset required" in lines
@@ -135,24 +113,14 @@ def test_a_gateway_that_hangs_is_not_shown_as_well(capsys: Capture, caches_healt
 def test_a_robot_without_a_token_is_listed_by_its_health(capsys: Capture) -> None:
     """Health without a token is odd, and the list says so too."""
     with FakeGateway("cruiser-1", token=False) as gateway:
-
-        def speak() -> None:
-            gateway.say(STATE)
-            gateway.say(HEALTH)
-
-        assert list_robots(gateway.listen, "--timeout", "20", meanwhile=speak) == 0
+        assert list_robots(gateway.listen, "--timeout", "20", meanwhile=speech(gateway, says=WELL)) == 0
     assert "no liveliness token" in capsys.readouterr().out
 
 
 def test_the_list_as_json_has_an_object_a_line(capsys: Capture) -> None:
     """--json writes the report of each robot."""
     with FakeGateway("cruiser-1") as gateway:
-
-        def speak() -> None:
-            gateway.say(STATE)
-            gateway.say(HEALTH)
-
-        assert list_robots(gateway.listen, "--json", "--timeout", "20", meanwhile=speak) == 0
+        assert list_robots(gateway.listen, "--json", "--timeout", "20", meanwhile=speech(gateway, says=WELL)) == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["robot"], record["connected"]) == ("cruiser-1", True)
     assert record["health"]["frames_per_s"] == 630.0

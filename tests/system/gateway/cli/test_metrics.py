@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import http.client
 import socket
 import time
@@ -16,7 +15,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from gateway.authority.enrolment import TransportRole
-from gateway.cli.metrics import add_arguments, run
+from gateway.cli import metrics as metrics_command
 from gateway.cli.metrics_server import MetricsServer
 from gateway.metrics import FleetMetrics
 from gateway.provisioning.key_files import expires_s, read_certificates
@@ -24,6 +23,7 @@ from gateway.zenoh.client import open_router
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_session import close_session
+from tests.support.commands import run_command
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, recorder_health
@@ -52,8 +52,6 @@ def shows(
     capsys: pytest.CaptureFixture[str], settings: Settings, said: Callable[[], None]
 ) -> dict[tuple[str, str, str], float]:
     """Run the command in this process until robot and recorder are there. What it shows then."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
     where: list[str] = []
     found: dict[tuple[str, str, str], float] = {}
 
@@ -62,7 +60,8 @@ def shows(
         found.update(scrape(where[0]))
         return found.get(UP) == found.get(RECORDER_UP) == 1
 
-    assert run(parser.parse_args(["--listen", "127.0.0.1:0"]), settings, StopWhen(look, said)) == 0
+    words = ("--listen", "127.0.0.1:0")
+    assert run_command(metrics_command, *words, settings=settings, stopped=StopWhen(look, said)) == 0
     with pytest.raises(urllib.error.URLError):
         scrape(where[0])
     return found

@@ -1,6 +1,5 @@
 """``cruiser setup`` on a machine below a directory, with a virtual chassis, and services that are processes."""
 
-import argparse
 import errno
 import os
 import time
@@ -21,6 +20,7 @@ from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ChassisSettings
 from schemas.zenoh_session import split_endpoint
 from tests.support import provisioning
+from tests.support.commands import parsed
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, STATE
 from tests.support.processes.gateway import Running, chassis, gateway, run
@@ -106,9 +106,7 @@ def systemd(processes: ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def set_up(machine: Machine, *words: str) -> ExitCode:
     """Run the command."""
-    parser = argparse.ArgumentParser()
-    setup.add_arguments(parser)
-    return setup.set_up(parser.parse_args(list(words)), machine, lambda: False)
+    return setup.set_up(parsed(setup, *words), machine, lambda: False)
 
 
 def of(bus: str) -> list[str]:

@@ -15,9 +15,9 @@ import pytest
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import IDENTIFIER_MASK
 from gateway.chassis.layout import Encoder
-from gateway.cli.main import main
 from schemas.command_line import ExitCode
 from schemas.messages import Variant
+from tests.support.commands import in_process
 from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
 from tests.support.rigs.chassis import ENABLES
 
@@ -207,13 +207,3 @@ def test_another_server_is_not_taken_for_a_chassis(
         assert in_process("fault", "--sim", f"127.0.0.1:{port}", "clear") == code
         speaker.join(DEADLINE_S)
     assert capsys.readouterr().err.count("\n") == 1
-
-
-def in_process(*words: str) -> int:
-    """The exit code of a command that is run in this process, whose signal handlers are put back."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        return main(words)
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +24,7 @@ from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, RobotSettings, Settings
 from schemas.subjects import STATEMENT_REPLY_ENCODING
+from tests.support.commands import run_command
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.provisioning import ProvisionedFleet, run
 
@@ -200,11 +200,9 @@ def test_an_answer_that_is_not_the_robots_is_not_believed(
 def test_it_goes_on_until_it_is_stopped(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
     """Every so often, and to robots that came in between."""
     run("revoke", "ann", "--directory", fleet.place / "authority")
-    parser = argparse.ArgumentParser()
-    provision.add_arguments(parser)
-    arguments = parser.parse_args(["show", "revocations.statement", "--all", "--every", "0.1", "--timeout", "1"])
+    words = ("show", "revocations.statement", "--all", "--every", "0.1", "--timeout", "1")
     flags = {"zenoh.connect": [fleet.endpoint], "authority.directory": str(fleet.ann)}
-    assert provision.run(arguments, load_settings(None, {}, flags), after(6, capsys)) == ExitCode.OK
+    assert run_command(provision, *words, settings=load_settings(None, {}, flags), stopped=after(6, capsys)) == 0
 
 
 def after(lines: int, capsys: pytest.CaptureFixture[str]) -> Callable[[], bool]:

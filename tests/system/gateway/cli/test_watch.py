@@ -1,14 +1,14 @@
-import argparse
 import json
 from collections.abc import Callable
 
 import pytest
 
-from gateway.cli.watch import add_arguments, run
+from gateway.cli import watch as watch_command
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import RobotState
 from schemas.settings import RobotSettings, Settings, ZenohSettings
-from tests.support.fakes.gateway import FakeGateway
+from tests.support.commands import run_command
+from tests.support.fakes.gateway import FakeGateway, speech
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, STATE
 from tests.support.waiting import StopWhen
@@ -18,10 +18,8 @@ Capture = pytest.CaptureFixture[str]
 
 def watch(endpoint: str, *words: str, stopped: Callable[[], bool], root: str = "fleet") -> int:
     """Run the command in this process."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
     settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
-    return run(parser.parse_args(list(words)), settings, stopped)
+    return run_command(watch_command, *words, settings=settings, stopped=stopped)
 
 
 class Output:
@@ -41,12 +39,7 @@ def test_one_robot_is_shown_as_lines_without_a_terminal(capsys: Capture) -> None
     """Each second a line says what the robot does."""
     output = Output(capsys)
     with FakeGateway("cruiser-1") as gateway:
-
-        def speak() -> None:
-            gateway.say(HEALTH)
-            gateway.say(STATE)
-
-        stopped = StopWhen(lambda: output().count("\n") >= 2, speak)
+        stopped = StopWhen(lambda: output().count("\n") >= 2, speech(gateway, says=[HEALTH, STATE]))
         assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
     for line in output.text.splitlines():
         assert line.startswith("cruiser-1  telemetry only  mode auto  gear drive  +1.25 m/s  -3.5 deg")
@@ -162,11 +155,7 @@ def test_some_robots_are_shown_by_a_pattern(capsys: Capture) -> None:
         FakeGateway("cruiser-2", connect=first.listen) as second,
         FakeGateway("other-1", connect=first.listen) as other,
     ):
-
-        def speak() -> None:
-            for one in (first, second, other):
-                one.say(STATE)
-
+        speak = speech(first, second, other, says=[STATE])
         stopped = StopWhen(lambda: "\n2 telemetry only\ncruiser-2 " in f"\n{output()}", speak)
         assert watch(first.listen, "cruiser-*", stopped=stopped) == 0
     last = output.text.splitlines()[-3:]

@@ -1,6 +1,7 @@
 """Frames to python-can's messages and back, and what becomes of its errors."""
 
 import time
+from contextlib import closing
 
 import can
 import pytest
@@ -98,14 +99,11 @@ class FailingDriver(can.BusABC):
 def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss(separator: str) -> None:
     """A full transmit buffer and a lost cable look alike to who sends; ``receive`` tells them apart."""
     said = f"Transmit buffer full{separator}Traceback (most recent call last):\n  File ..."
-    bus = CanBus(FailingDriver(can.CanOperationError(said)))
-    try:
+    with closing(CanBus(FailingDriver(can.CanOperationError(said)))) as bus:
         with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
             bus.send(FRAME)
         with pytest.raises(BusLost, match=r"^Transmit buffer full$"):
             bus.receive(0)
-    finally:
-        bus.close()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """``cruiser demo``: what it prints."""
 
-import argparse
 from pathlib import Path
 
 import pytest
@@ -9,16 +8,14 @@ from gateway.cli import demo
 from gateway.cli.child import fresh
 from gateway.cli.demo import describe
 from schemas.command_line import CommandError
-from schemas.settings import Settings
+from tests.support.commands import run_command
 
 
 @pytest.mark.parametrize("text", ["5", "1e6"])
 def test_its_length_is_bounded(text: str) -> None:
     """The line says what it should be. A fleet and its desk may be shown for any time."""
-    parser = argparse.ArgumentParser()
-    demo.add_arguments(parser)
     with pytest.raises(CommandError, match="must be from 20 to 86400"):
-        demo.run(parser.parse_args(["--seconds", text]), Settings(), lambda: True)
+        run_command(demo, "--seconds", text, stopped=lambda: True)
 
 
 def test_a_viewer_is_given_the_path_of_a_topic_in_the_log() -> None:

@@ -1,20 +1,11 @@
 """The words of ``cruiser drive``, and of the other commands of an operator."""
 
-import argparse
-
 import pytest
 
 from gateway.cli import drive
 from gateway.cli.verbs import PARK
 from schemas.command_line import CommandError, ExitCode
-from schemas.settings import Settings
-
-
-def parsed(*words: str) -> argparse.Namespace:
-    """The words as ``cruiser drive`` understands them."""
-    parser = argparse.ArgumentParser()
-    drive.add_arguments(parser)
-    return parser.parse_args(["cruiser-1", *words])
+from tests.support.commands import parsed, run_command
 
 
 @pytest.mark.parametrize(
@@ -31,7 +22,7 @@ def test_what_cannot_be_asked_of_the_chassis_is_a_usage_error(
 ) -> None:
     """Told before anything is asked of the robot."""
     with pytest.raises(SystemExit) as caught:
-        parsed("--seconds", "1", *words)
+        parsed(drive, "cruiser-1", "--seconds", "1", *words)
     assert caught.value.code == ExitCode.USAGE
     assert why in capsys.readouterr().err
 
@@ -40,7 +31,7 @@ def test_what_cannot_be_asked_of_the_chassis_is_a_usage_error(
 def test_drive_without_a_terminal_wants_speed_and_seconds(words: list[str]) -> None:
     """It is a usage error before anything is connected."""
     with pytest.raises(CommandError) as caught:
-        drive.run(parsed(*words), Settings(), lambda: False)
+        run_command(drive, "cruiser-1", *words)
     assert caught.value.code is ExitCode.USAGE
 
 
@@ -58,9 +49,7 @@ def test_what_cannot_be_a_name_or_a_lease_is_a_usage_error(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The parser says so."""
-    parser = argparse.ArgumentParser()
-    PARK.add_arguments(parser)
     with pytest.raises(SystemExit) as caught:
-        parser.parse_args(words)
+        parsed(PARK, *words)
     assert caught.value.code == ExitCode.USAGE
     assert "error: argument" in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """``cruiser halt``: its flags, and its wait for another sender."""
 
-import argparse
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +13,7 @@ from gateway.cli.configuration_file import load_settings
 from gateway.host.notes import StopNote
 from schemas.messages import Variant
 from schemas.settings import Settings
+from tests.support.commands import parsed
 
 MS = 1_000_000
 TICK_NS = 10 * MS
@@ -73,9 +73,7 @@ def test_a_halt_leaves_its_note_where_a_gateway_of_the_same_flags_reads_it(tmp_p
     environment = {"CRUISER_GATEWAY_STATE_DIR": str(tmp_path)}
     paths = []
     for command in (gateway, halt):
-        parser = argparse.ArgumentParser()
-        command.add_arguments(parser)
-        flags = vars(parser.parse_args(["--robot", "cruiser-7"]))
+        flags = vars(parsed(command, "--robot", "cruiser-7"))
         given = {key: value for key, value in flags.items() if "." in key and value is not None}
         paths.append(StopNote.of(load_settings(None, environment, given), environment).path)
     assert paths[0] == paths[1] == tmp_path / "fleet.cruiser-7.guard-stop"

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 import pytest
 
-from gateway.cli.metrics import add_arguments, run
+from gateway.cli import metrics
 from schemas.command_line import CommandError
-from schemas.settings import Settings
-
-
-def parsed(*words: str) -> argparse.Namespace:
-    """The arguments of a command line."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return parser.parse_args(list(words))
+from tests.support.commands import parsed, run_command
 
 
 @pytest.mark.parametrize(
@@ -29,14 +21,14 @@ def parsed(*words: str) -> argparse.Namespace:
 )
 def test_it_listens_on_this_machine_unless_asked(words: list[str], address: tuple[str, int]) -> None:
     """By address and port."""
-    assert parsed(*words).listen == address
+    assert parsed(metrics, *words).listen == address
 
 
 @pytest.mark.parametrize("text", ["9747", "localhost:9747", "127.0.0.1:", "127.0.0.1:65536", "127.0.0.1:-1", ""])
 def test_what_is_no_address_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     """With an example of one."""
     with pytest.raises(SystemExit):
-        parsed("--listen", text)
+        parsed(metrics, "--listen", text)
     assert "is not an address and a port, such as 0.0.0.0:9747" in capsys.readouterr().err
 
 
@@ -48,4 +40,4 @@ def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyP
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     with pytest.raises(CommandError, match=r"prometheus_client: pip install -e '\.\[metrics\]'"):
-        run(parsed(), Settings(), lambda: True)
+        run_command(metrics, stopped=lambda: True)

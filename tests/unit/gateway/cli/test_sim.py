@@ -1,11 +1,9 @@
 """The flags of ``cruiser sim`` and ``cruiser fault``."""
 
-import signal
-
 import pytest
 
-from gateway.cli.main import main
 from schemas.command_line import ExitCode
+from tests.support.commands import in_process
 
 
 @pytest.mark.parametrize(
@@ -44,13 +42,3 @@ def test_a_wrong_fault_is_a_usage_error_without_a_chassis(capsys: pytest.Capture
     """The words are judged before anybody is called."""
     assert in_process("fault", "--sim", "127.0.0.1:9", "bumpr") == ExitCode.USAGE
     assert capsys.readouterr().err == "cruiser fault: there is no fault 'bumpr'; did you mean 'bumper'?\n"
-
-
-def in_process(*words: str) -> int:
-    """The exit code of a command that is run in this process, whose signal handlers are put back."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        return main(words)
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)

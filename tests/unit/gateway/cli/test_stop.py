@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 
 import pytest
@@ -11,7 +10,7 @@ from gateway.cli import stop
 from gateway.client import remote_stop
 from gateway.client.remote_stop import StopReport, Unverified
 from schemas.command_line import CommandError, ExitCode
-from schemas.settings import Settings
+from tests.support.commands import run_command
 
 
 def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int:
@@ -23,9 +22,7 @@ def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int
         return report
 
     monkeypatch.setattr(remote_stop, "stop_from_here", stop_from_here)
-    parser = argparse.ArgumentParser()
-    stop.add_arguments(parser)
-    return stop.run(parser.parse_args(list(words)), Settings(), lambda: False)
+    return run_command(stop, *words)
 
 
 @pytest.mark.parametrize(

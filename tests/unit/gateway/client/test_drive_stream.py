@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from gateway.client.link import BEGAN_ANEW, HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, SetPoint
 from schemas.decisions import RUN_TICKS, ArbiterState, SafetyState, StopPhase
 from schemas.reasons import TEXTS, Reason
+from schemas.requests import Drive
 from tests.support.messages import STANDBY
 
 START_NS = 10**12
@@ -37,6 +38,20 @@ def goes_on_to_see(stream: DriveStream, state: SafetyState) -> None:
         stream.see(state, START_NS - before_ms * MS)
 
 
+def commanded(stream: DriveStream, now_ns: int = START_NS) -> Drive:
+    """What is sent; something is."""
+    command = stream.command(now_ns)
+    assert command is not None
+    return command
+
+
+def driven(speed_mps: float = 1.0, angle_deg: float = 0.0, hold_s: float = 0.5) -> DriveStream:
+    """A stream of an engaged robot that drives so."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(speed_mps, angle_deg=angle_deg), hold_s, START_NS)
+    return stream
+
+
 def test_nothing_is_sent_before_engage_was_asked_for() -> None:
     """A lease alone sends no drive command, whatever the robot's state is."""
     for state in (STANDBY, ENGAGING, ENGAGED):
@@ -46,9 +61,7 @@ def test_nothing_is_sent_before_engage_was_asked_for() -> None:
 def test_the_stream_begins_when_engage_is_asked_for() -> None:
     """Over a slow link the deadman would be over before the robot was seen to be engaged; a refusal ends it."""
     stream = stream_that_saw(STANDBY)
-    command = stream.command(START_NS)
-    assert command is not None
-    assert command.speed_mps == 0.0
+    assert commanded(stream).speed_mps == 0.0
     assert stream.is_wanted, "each drive command renews the lease"
     stream.give_up()
     assert stream.command(START_NS) is None
@@ -66,8 +79,7 @@ def test_a_stop_after_refused_commands_says_so() -> None:
 def test_while_nothing_is_driven_the_stream_asks_for_zero_speed_and_leaves_the_wheels() -> None:
     """It begins while the robot is being engaged, at the angle that the chassis is told already."""
     for state in (ENGAGING, ENGAGED):
-        command = stream_that_saw(state).command(START_NS)
-        assert command is not None
+        command = commanded(stream_that_saw(state))
         assert (command.lease, command.speed_mps, command.angle_deg) == (7, 0.0, 7.0)
 
 
@@ -95,12 +107,10 @@ def test_an_old_challenge_is_not_echoed() -> None:
 @given(hold_ms=st.integers(1, 2000), late_ms=st.integers(-2000, 2000))
 def test_a_set_point_that_is_not_renewed_falls_back_to_zero_speed(hold_ms: int, late_ms: int) -> None:
     """It holds for its time and not longer; the wheels stay, and the program is told once."""
-    stream = stream_that_saw(ENGAGED)
-    stream.aim(SetPoint(1.0, angle_deg=5.0), hold_ms / 1e3, START_NS)
+    stream = driven(1.0, 5.0, hold_ms / 1e3)
     now_ns = START_NS + max(0, hold_ms + late_ms) * MS
     stream.see(ENGAGED, now_ns)
-    command = stream.command(now_ns)
-    assert command is not None
+    command = commanded(stream, now_ns)
     lapsed = now_ns >= START_NS + hold_ms * MS
     assert (command.speed_mps, command.angle_deg) == (0.0 if lapsed else 1.0, 5.0)
     assert bool(stream.take_note()) is lapsed
@@ -112,16 +122,14 @@ def test_a_turn_falls_back_to_its_angle() -> None:
     stream = stream_that_saw(ENGAGED)
     stream.aim(SetPoint(1.0, yaw_rate_radps=0.5), 0.1, START_NS)
     stream.see(ENGAGED, START_NS + 100 * MS)
-    command = stream.command(START_NS + 100 * MS)
-    assert command is not None
+    command = commanded(stream, START_NS + 100 * MS)
     assert command.yaw_rate_radps is None
     assert command.angle_deg == pytest.approx(18.26, abs=0.01)
 
 
 def test_zero_speed_needs_no_renewal() -> None:
     """A program that asked to stand is told nothing when it falls silent."""
-    stream = stream_that_saw(ENGAGED)
-    stream.aim(SetPoint(0.0, angle_deg=5.0), 0.1, START_NS)
+    stream = driven(0.0, 5.0, 0.1)
     stream.see(ENGAGED, START_NS + 200 * MS)
     assert stream.command(START_NS + 200 * MS) is not None
     assert stream.take_note() == ""
@@ -145,13 +153,10 @@ def test_zero_speed_needs_no_renewal() -> None:
 )
 def test_a_set_point_that_cannot_be_changes_nothing(set_point: SetPoint, hold_s: float) -> None:
     """It is an error of the program's, and what was asked for before goes on."""
-    stream = stream_that_saw(ENGAGED)
-    stream.aim(SetPoint(0.5, angle_deg=2.0), 0.5, START_NS)
+    stream = driven(0.5, 2.0, 0.5)
     with pytest.raises(ValueError):  # noqa: PT011 - the texts are for people
         stream.aim(set_point, hold_s, START_NS)
-    command = stream.command(START_NS)
-    assert command is not None
-    assert command.speed_mps == 0.5
+    assert commanded(stream).speed_mps == 0.5
 
 
 @pytest.mark.parametrize("value", ["0.3", b"0.3", None, True, [0.3], np.True_])
@@ -163,8 +168,7 @@ def test_what_is_no_number_is_named_and_changes_nothing(value: object) -> None:
     for field in ("speed_mps",) if value is None else ("speed_mps", "angle_deg"):
         with pytest.raises(TypeError, match=f"{field} must be a number, and is"):
             stream.aim(msgspec.structs.replace(wanted, **{field: value}), 0.5, START_NS)
-    command = stream.command(START_NS)
-    assert command is not None
+    command = commanded(stream)
     assert (command.speed_mps, command.angle_deg) == (0.5, 2.0)
 
 
@@ -173,8 +177,7 @@ def test_a_number_of_any_library_is_sent_as_a_float(one: float) -> None:
     """The wire knows no other kind."""
     stream = stream_that_saw(ENGAGED)
     stream.aim(SetPoint(one, curvature_1pm=one), 0.5, START_NS)
-    command = stream.command(START_NS)
-    assert command is not None
+    command = commanded(stream)
     assert [type(command.speed_mps), type(command.curvature_1pm)] == [float, float]
     assert (command.speed_mps, command.curvature_1pm) == (1.0, 1.0)
 
@@ -182,8 +185,7 @@ def test_a_number_of_any_library_is_sent_as_a_float(one: float) -> None:
 @pytest.mark.parametrize("state", [STOPPED, STANDBY, ENGAGING])
 def test_a_robot_that_is_engaged_no_more_ends_the_stream(state: SafetyState) -> None:
     """Nothing is sent from then on, also if it were engaged again by somebody; the reason is the robot's."""
-    stream = stream_that_saw(ENGAGED)
-    stream.aim(SetPoint(1.0, angle_deg=0.0), 0.5, START_NS)
+    stream = driven(1.0, 0.0, 0.5)
     goes_on_to_see(stream, state)
     stream.see(ENGAGED, START_NS)
     assert stream.command(START_NS) is None
@@ -202,14 +204,11 @@ def test_states_of_before_do_not_end_what_has_not_begun() -> None:
 
 def test_engaging_again_begins_at_zero() -> None:
     """What was driven before a stop is not driven after it."""
-    stream = stream_that_saw(ENGAGED)
-    stream.aim(SetPoint(1.0, angle_deg=0.0), 2.0, START_NS)
+    stream = driven(1.0, 0.0, 2.0)
     goes_on_to_see(stream, STOPPED)
     stream.expect_engaged()
     stream.see(ENGAGED, START_NS)
-    command = stream.command(START_NS)
-    assert command is not None
-    assert command.speed_mps == 0.0
+    assert commanded(stream).speed_mps == 0.0
 
 
 @pytest.mark.parametrize(("holder", "reason"), [("second", Reason.LEASE_TAKEN), ("", Reason.LEASE_EXPIRED)])
@@ -298,8 +297,7 @@ def test_commands_of_somebody_else_under_the_lease_end_it(accepted_seq: int, tar
 
     Every second time it obeys ours; it ends all the same, and the lease is to be given back.
     """
-    stream = stream_that_saw(ENGAGED)
-    stream.aim(SetPoint(0.5, angle_deg=3.0), 2.0, START_NS)
+    stream = driven(0.5, 3.0, 2.0)
     for _ in range(5):
         assert stream.command(START_NS) is not None
     ours = msgspec.structs.replace(ENGAGED, accepted_seq=5, target_speed_mps=0.5, target_angle_deg=3.0)
@@ -337,8 +335,7 @@ def test_the_robot_obeys_a_command_of_before_for_a_while() -> None:
 
 def test_the_target_of_a_new_engagement_is_no_command_of_the_last_one() -> None:
     """It begins at zero speed, and the number of the last accepted command stays."""
-    stream = stream_that_saw(ENGAGED)
-    stream.aim(SetPoint(0.5, angle_deg=3.0), 2.0, START_NS)
+    stream = driven(0.5, 3.0, 2.0)
     stream.command(START_NS)
     accepted = msgspec.structs.replace(ENGAGED, accepted_seq=1, target_speed_mps=0.5, target_angle_deg=3.0)
     goes_on_to_see(stream, accepted)

@@ -6,19 +6,12 @@ from hypothesis import strategies as st
 from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS, Bounds, Fleet, line
 from gateway.telemetry.samples import Received, TokenChange
 from schemas import codec, keys
-from schemas.messages import Message
 from schemas.subjects import BY_NAME, BY_TYPE, SUBJECTS
 from tests.support.messages import HEALTH, ROOT, STANDBY, STATE, recorder_health
 from tests.support.metrics import received, token
 from tests.support.newer import NEW_WORD, with_new_word
 
 START_NS = 10**12
-
-
-def sample(message: Message, robot: str = "cruiser-1", encoding: str = "") -> Received:
-    """A message as it arrives."""
-    subject = BY_TYPE[type(message)]
-    return Received(keys.build(ROOT, robot, subject), encoding or subject.encoding, codec.encode(message))
 
 
 def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
@@ -31,7 +24,7 @@ def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
 
 def test_what_was_heard_is_reported() -> None:
     """State, health and token of a robot are in its report, with the time since they arrived."""
-    report = fleet_that_heard(token(), sample(STATE), sample(HEALTH)).report("cruiser-1", START_NS + 10**8)
+    report = fleet_that_heard(token(), received(STATE), received(HEALTH)).report("cruiser-1", START_NS + 10**8)
     assert (report.connected, report.state, report.health) == (True, STATE, HEALTH)
     assert (report.state_age_s, report.health_age_s) == (0.1, 0.1)
 
@@ -39,7 +32,7 @@ def test_what_was_heard_is_reported() -> None:
 @given(age_ns=st.integers(0, 10**11))
 def test_an_old_value_is_never_reported(age_ns: int) -> None:
     """State and health are in the report only while they are fresh; their age stays."""
-    report = fleet_that_heard(token(), sample(STATE), sample(HEALTH)).report("cruiser-1", START_NS + age_ns)
+    report = fleet_that_heard(token(), received(STATE), received(HEALTH)).report("cruiser-1", START_NS + age_ns)
     assert (report.state is not None) == (age_ns < STATE_STALE_NS)
     assert (report.health is not None) == (age_ns < HEALTH_STALE_NS)
     assert report.state_age_s == age_ns / 1e9
@@ -59,23 +52,29 @@ def test_a_token_that_goes_takes_the_connection_with_it() -> None:
 
 SMALL = Bounds(robots=2, recorders=1, name_length=4, sample_bytes=1000, forgotten_ns=60)
 RECORDER, OTHER = received(recorder_health(), "r1"), received(recorder_health(), "r2")
-LARGE = msgspec.structs.replace(sample(STATE, "big"), payload=bytes(1001))
+LARGE = msgspec.structs.replace(received(STATE, "big"), payload=bytes(1001))
 
 
 NO_SUBJECT = Received(f"{ROOT}/a/x", "text/plain", b"")
 BOUNDED: dict[str, tuple[list[Received | TokenChange], int, str, str, int]] = {
-    "as many as there may be": ([sample(STATE, "a"), token("b")], 0, "ab", "a b", 0),
-    "one too many displaces none": ([sample(STATE, "a"), token("b"), token("c")], 0, "", "a b", 1),
-    "and none that goes on": ([sample(STATE, "a"), token("b"), token("c"), sample(STATE, "a")], 0, "", "a b", 1),
+    "as many as there may be": ([received(STATE, "a"), token("b")], 0, "ab", "a b", 0),
+    "one too many displaces none": ([received(STATE, "a"), token("b"), token("c")], 0, "", "a b", 1),
+    "and none that goes on": (
+        [received(STATE, "a"), token("b"), token("c"), received(STATE, "a")],
+        0,
+        "",
+        "a b",
+        1,
+    ),
     "recorders take no robot's place": ([RECORDER, OTHER, token("a"), token("b")], 0, "", "a b r1", 1),
-    "a long name is one too many": ([sample(STATE, "aaaa"), sample(STATE, "aaaaa")], 0, "", "aaaa", 1),
+    "a long name is one too many": ([received(STATE, "aaaa"), received(STATE, "aaaaa")], 0, "", "aaaa", 1),
     "a large sample, or of no subject, is ignored": ([LARGE, NO_SUBJECT, token("b")], 0, "", "b", 0),
-    "silent, not yet forgotten": ([sample(STATE, "a"), RECORDER], 59, "a r1", "a r1", 0),
-    "silent for long, and seen": ([sample(STATE, "a"), RECORDER], 60, "a r1", "", 0),
-    "silent for long, unseen": ([sample(STATE, "a"), RECORDER], 10**9, "", "a r1", 0),
+    "silent, not yet forgotten": ([received(STATE, "a"), RECORDER], 59, "a r1", "a r1", 0),
+    "silent for long, and seen": ([received(STATE, "a"), RECORDER], 60, "a r1", "", 0),
+    "silent for long, unseen": ([received(STATE, "a"), RECORDER], 10**9, "", "a r1", 0),
     "a token holds": ([token("a"), token("b"), token("b", present=False)], 60, "ab", "a", 0),
-    "too many: none goes early": ([token("a"), sample(STATE, "b"), token("c")], 59, "", "a b", 1),
-    "too many: a lost one goes": ([token("a"), sample(STATE, "b"), token("c")], 60, "", "a", 1),
+    "too many: none goes early": ([token("a"), received(STATE, "b"), token("c")], 59, "", "a b", 1),
+    "too many: a lost one goes": ([token("a"), received(STATE, "b"), token("c")], 60, "", "a", 1),
 }
 
 
@@ -104,7 +103,7 @@ def test_without_a_link_no_robot_is_connected() -> None:
 def test_robots_are_kept_apart() -> None:
     """Each robot has its own values, and robots under another root are not ours."""
     other = msgspec.structs.replace(STATE, speed_mps=2.0)
-    fleet = fleet_that_heard(sample(STATE), sample(other, "cruiser-2"), token("cruiser-3"))
+    fleet = fleet_that_heard(received(STATE), received(other, "cruiser-2"), token("cruiser-3"))
     elsewhere = Received(f"else/{ROOT}/cruiser-4/state", BY_NAME["state"].encoding, codec.encode(STATE))
     fleet.receive(elsewhere, START_NS)
     fleet.receive(TokenChange("else/cruiser-5/gateway", present=True), START_NS)
@@ -117,12 +116,12 @@ def test_what_cannot_be_read_is_said_until_something_can() -> None:
     encoding = BY_NAME["state"].encoding
     fleet = fleet_that_heard(Received(f"{ROOT}/cruiser-1/state", encoding, b"\xc1"))
     assert "state" in fleet.report("cruiser-1", START_NS).unreadable
-    fleet.receive(sample(STATE, encoding=f"{encoding}99"), START_NS)
+    fleet.receive(received(STATE, encoding=f"{encoding}99"), START_NS)
     report = fleet.report("cruiser-1", START_NS)
     assert report.state is None
     assert report.unreadable.startswith("state is version 199 of cruiser.RobotState")
     assert report.unreadable.endswith("upgrade this program")
-    fleet.receive(sample(STATE), START_NS)
+    fleet.receive(received(STATE), START_NS)
     assert fleet.report("cruiser-1", START_NS).unreadable == ""
 
 
@@ -143,7 +142,7 @@ def test_a_robot_of_a_newer_version_is_shown_as_far_as_it_is_known() -> None:
     state = BY_TYPE[type(STANDBY)]
     key = keys.build(ROOT, "cruiser-1", state)
     latched = Received(key, state.encoding, with_new_word(STANDBY, ("latched",)))
-    fleet = fleet_that_heard(token(), sample(STATE), latched, latched)
+    fleet = fleet_that_heard(token(), received(STATE), latched, latched)
     report = fleet.report("cruiser-1", START_NS)
     assert report.safety is not None
     assert report.safety.latched[-1].value == NEW_WORD

@@ -1,5 +1,6 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from typing import Any
 
 import msgspec
@@ -9,24 +10,18 @@ from gateway.client import link
 from gateway.client.link import RobotLink
 from gateway.client.refusal import Refused, Unreachable
 from gateway.telemetry.samples import Missed, Received
-from schemas import codec, keys
 from schemas.codec import PayloadFault
 from schemas.decisions import LeaseReply, SafetyState
 from schemas.messages import RobotState
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Park, Request
-from schemas.subjects import BY_TYPE, BY_VERB
-from tests.support.messages import ROOT, STANDBY, STATE
+from schemas.subjects import BY_VERB
+from tests.support.messages import STANDBY, STATE
+from tests.support.metrics import received
 from tests.support.waiting import wait_until
 
 MOVES = msgspec.structs.replace(STATE, speed_mps=0.5)
 FORGED = msgspec.structs.replace(STATE, speed_mps=0.0)
-
-
-def sample(message: SafetyState | RobotState) -> Received:
-    """As it comes over Zenoh."""
-    subject = BY_TYPE[type(message)]
-    return Received(keys.build(ROOT, "cruiser-1", subject), subject.encoding, codec.encode(message))
 
 
 class FakePort:
@@ -46,26 +41,23 @@ class FakePort:
 def looked_at(batch: Sequence[Received | Missed]) -> list[SafetyState | RobotState | PayloadFault | Missed]:
     """What a look shows after one batch: the chassis's states, and where some may be missing."""
     port: Any = FakePort(batch)
-    opened = RobotLink(port, port, "cruiser-1")
-    try:
+    with closing(RobotLink(port, port, "cruiser-1")) as opened:
         wait_until(lambda: not port.batch)
         with opened.heard:
             seen = opened.look()
             assert opened.look() == []
-    finally:
-        opened.close()
     return [one if isinstance(one, Missed) else one[2] for one in seen]
 
 
 def test_a_forged_state_hides_none_of_the_robots_own() -> None:
     """Though both came in one batch, and the forged one is newer: what the robot does is seen."""
-    assert looked_at([sample(STANDBY), sample(MOVES), sample(FORGED)]) == [STANDBY, MOVES, FORGED]
+    assert looked_at([received(STANDBY), received(MOVES), received(FORGED)]) == [STANDBY, MOVES, FORGED]
 
 
 def test_a_look_says_where_samples_are_missing() -> None:
     """Where the port lost some, and where more came than wait for a look."""
-    assert looked_at([sample(MOVES), Missed(), sample(FORGED)]) == [Missed(), FORGED]
-    flood = looked_at([sample(MOVES), *[sample(FORGED)] * link.SEEN_KEPT])
+    assert looked_at([received(MOVES), Missed(), received(FORGED)]) == [Missed(), FORGED]
+    flood = looked_at([received(MOVES), *[received(FORGED)] * link.SEEN_KEPT])
     assert flood[0] == Missed()
     assert len(flood) <= link.SEEN_KEPT
 
@@ -81,7 +73,7 @@ class FakeDoor(FakePort):
         self.asked = 0
 
     def drain(self) -> Iterator[Received | Missed]:
-        yield sample(STANDBY)
+        yield received(STANDBY)
 
     def ask(self, verb: str, _payload: bytes, _timeout_s: float) -> list[Received]:
         self.asked += 1
@@ -112,12 +104,9 @@ class FakeProof:
 def asked(door: Any, request: Request, timeout_s: float = 5.0) -> Any:  # noqa: ANN401 - a fake, a reply
     """What becomes of a request."""
     proof: Any = FakeProof()
-    opened = RobotLink(door, door, "cruiser-1", proof)
-    try:
+    with closing(RobotLink(door, door, "cruiser-1", proof)) as opened:
         wait_until(lambda: opened.is_heard)
         return opened.ask(request, timeout_s)
-    finally:
-        opened.close()
 
 
 def test_a_robot_that_is_asked_too_much_is_asked_for_its_lease_again() -> None:

@@ -59,99 +59,86 @@ def every_view(report: RobotStatus) -> list[str]:
     return [fleet.line(report), drawn(fleet.panel(report)), drawn(fleet.table([report]))]
 
 
-def test_a_fresh_state_shows_what_the_robot_does() -> None:
-    """Mode, gear, signed speed and angle, brakes, bumpers, lamps, variant, bus, faults and age are all there."""
-    for text in (fleet.line(FRESH), drawn(fleet.panel(FRESH))):
-        for part in (
-            "auto",
-            "drive",
-            "+1.25 m/s",
-            "-3.5 deg",
-            "released",
-            "clear",
-            "headlamp",
-            "coarse",
-            "up",
-            "0.04 s",
-        ):
-            assert part in text
-        assert "OFFLINE" not in text
+def of(safety: SafetyState = ENGAGED, **changes: object) -> RobotStatus:
+    """A report of a robot whose arbiter says this, but for the changes."""
+    return msgspec.structs.replace(FRESH, safety=msgspec.structs.replace(safety, **changes))
 
 
-def test_the_view_shows_how_old_the_commands_are() -> None:
-    """Row 'travel delay': the age, the metres and the limit from it, while the robot obeys commands."""
-    safety = msgspec.structs.replace(
-        ENGAGED, link_age_s=0.43, link_age_p50_s=0.42, link_age_p99_s=0.81, deadman_s=1.0, travel_delay_m=0.71,
-        travel_speed_limit_mps=0.7,
-    )  # fmt: skip
-    far = msgspec.structs.replace(FRESH, safety=safety)
-    words = "command latency 430 ms (p99 810 ms), timeout 1000 ms, reaction distance 0.71 m"
-    for text in (fleet.line(far), drawn(fleet.panel(far))):
-        assert f"{words}, speed limit 0.70 m/s" in text
-    for report in (
+IDLE = msgspec.structs.replace(
+    ENGAGED, state=ArbiterState.STANDBY, lease_holder="", blocked_by=[Reason.NO_LEASE, Reason.NOT_ENGAGED]
+)
+BUS_DOWN = of(
+    IDLE,
+    latched=[Reason.REMOTE_STOP],
+    blocked_by=[Reason.NO_LEASE, Reason.REMOTE_STOP, Reason.BUS_DOWN, Reason.NOT_ENGAGED],
+    stop_reason=Reason.REMOTE_STOP,
+    stop_detail="by bob",
+)
+FAR = msgspec.structs.replace(
+    ENGAGED, link_age_s=0.43, link_age_p50_s=0.42, link_age_p99_s=0.81, deadman_s=1.0, travel_delay_m=0.71,
+    travel_speed_limit_mps=0.7,
+)  # fmt: skip
+LINE_AND_PANEL, ALL = ("line", "panel"), ("line", "panel", "table")
+Row = tuple[RobotStatus, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+SHOWN: dict[str, Row] = {
+    "what a robot does": (
         FRESH,
-        msgspec.structs.replace(FRESH, safety=ENGAGED),
-        msgspec.structs.replace(STALE, safety=safety),
-    ):
-        assert not any("reaction distance" in text for text in every_view(report))
+        LINE_AND_PANEL,
+        ("auto", "drive", "+1.25 m/s", "-3.5 deg", "released", "clear", "headlamp", "coarse", "up", "0.04 s"),
+        ("OFFLINE",),
+    ),
+    "row 'travel delay': age, metres and limit of commands that it obeys": (
+        of(FAR),
+        LINE_AND_PANEL,
+        (
+            "command latency 430 ms (p99 810 ms), timeout 1000 ms, reaction distance 0.71 m",
+            "reaction distance 0.71 m, speed limit 0.70 m/s",
+        ),
+        (),
+    ),
+    "no age of commands where nothing is known of them": (FRESH, ALL, (), ("reaction distance",)),
+    "nor where there are none": (of(), ALL, (), ("reaction distance",)),
+    "nor of a robot that is silent": (
+        msgspec.structs.replace(STALE, safety=FAR),
+        ALL,
+        ("OFFLINE", "3.2"),
+        ("reaction distance", "auto", "1.25", "-3.5"),
+    ),
+    "what is latched": (
+        of(state=ArbiterState.STANDBY, latched=[Reason.REMOTE_STOP, Reason.ROLLING]),
+        ALL,
+        ("latched remote_stop, rolling",),
+        ("limit",),
+    ),
+    "the limit in force": (of(speed_limit_mps=0.5), LINE_AND_PANEL, ("limit 0.50 m/s",), ("latched",)),
+    "who drives": (of(lease_holder="ann"), LINE_AND_PANEL, ("driver ann",), ("blocked",)),
+    "why it does not move": (
+        of(IDLE),
+        LINE_AND_PANEL,
+        ("driver nobody", "blocked by no_lease, not_engaged"),
+        ("last stop",),
+    ),
+    "a remote stop is no idling": (
+        BUS_DOWN,
+        LINE_AND_PANEL,
+        ("blocked by no_lease, bus_down, not_engaged", "last stop remote_stop (by bob)"),
+        (),
+    ),
+    "a timeout is none": (of(IDLE, stop_reason=Reason.DEADMAN), ("line",), ("last stop deadman",), ()),
+    "among many, what is wrong alone": (BUS_DOWN, ("table",), ("bus_down",), ()),
+    "and nothing of what is not": (of(IDLE), ("table",), (), ("blocked",)),
+}
 
 
-def test_the_view_shows_what_is_latched_and_the_limit_in_force() -> None:
-    """Nobody has to ask ``why`` to see that a robot is latched, or how fast it may go."""
-    latched = msgspec.structs.replace(
-        ENGAGED, state=ArbiterState.STANDBY, latched=[Reason.REMOTE_STOP, Reason.ROLLING]
-    )
-    for text in every_view(msgspec.structs.replace(FRESH, safety=latched)):
-        assert "latched remote_stop, rolling" in text
-        assert "limit" not in text
-    driven = msgspec.structs.replace(FRESH, safety=msgspec.structs.replace(ENGAGED, speed_limit_mps=0.5))
-    for text in (fleet.line(driven), drawn(fleet.panel(driven))):
-        assert "limit 0.50 m/s" in text
-        assert "latched" not in text
-
-
-def of(safety: SafetyState) -> RobotStatus:
-    """A report of a robot whose arbiter says this."""
-    return msgspec.structs.replace(FRESH, safety=safety)
-
-
-def test_the_view_shows_who_drives_and_why_it_does_not_move() -> None:
-    """A robot after a remote stop does not look like one that idles, nor does one that its deadman stopped."""
-    driven = of(msgspec.structs.replace(ENGAGED, lease_holder="ann"))
-    idle = msgspec.structs.replace(
-        ENGAGED, state=ArbiterState.STANDBY, lease_holder="", blocked_by=[Reason.NO_LEASE, Reason.NOT_ENGAGED]
-    )
-    stopped = msgspec.structs.replace(
-        idle,
-        latched=[Reason.REMOTE_STOP],
-        blocked_by=[Reason.NO_LEASE, Reason.REMOTE_STOP, Reason.BUS_DOWN, Reason.NOT_ENGAGED],
-        stop_reason=Reason.REMOTE_STOP,
-        stop_detail="by bob",
-    )
-    lapsed = msgspec.structs.replace(idle, stop_reason=Reason.DEADMAN)
-    for text in (fleet.line(driven), drawn(fleet.panel(driven))):
-        assert "driver ann" in text
-        assert "blocked" not in text
-    for text in (fleet.line(of(idle)), drawn(fleet.panel(of(idle)))):
-        assert "driver nobody" in text
-        assert "blocked by no_lease, not_engaged" in text
-        assert "last stop" not in text
-    for text in (fleet.line(of(stopped)), drawn(fleet.panel(of(stopped)))):
-        assert "blocked by no_lease, bus_down, not_engaged" in text
-        assert "last stop remote_stop (by bob)" in text
-    assert "last stop deadman" in fleet.line(of(lapsed))
-    # Among many, what is wrong alone.
-    assert "blocked" not in drawn(fleet.table([of(idle)]))
-    assert "bus_down" in drawn(fleet.table([of(stopped)]))
-
-
-def test_a_stale_view_says_so_and_shows_no_value() -> None:
-    """When no state comes any more, every view says so loudly, and no old value stands as a present one."""
-    for text in every_view(STALE):
-        assert "OFFLINE" in text
-        assert "3.2" in text
-        for value in ("auto", "1.25", "-3.5"):
-            assert value not in text
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_view_shows(name: str) -> None:
+    """These words, and not those."""
+    report, views, words, others = SHOWN[name]
+    drawn_as = dict(zip(ALL, every_view(report), strict=True))
+    for view_name in views:
+        text = drawn_as[view_name]
+        assert [word for word in words if word not in text] == [], text
+        assert [word for word in others if word in text] == [], text
 
 
 @pytest.mark.parametrize(

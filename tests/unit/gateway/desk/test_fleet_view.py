@@ -34,6 +34,12 @@ class Scene:
         rows, self.recorders = self.view.changed_rows(self.now_ns)
         return rows
 
+    def row(self, seconds: float = 0.2) -> RobotRow:
+        """The one row that has changed meanwhile, of a robot that is there."""
+        (row,) = self.step(seconds).values()
+        assert row is not None
+        return row
+
 
 def test_only_what_has_changed_is_said() -> None:
     """A robot that says the same again is not said again; one that has fallen silent is."""
@@ -44,8 +50,7 @@ def test_only_what_has_changed_is_said() -> None:
     assert set(scene.step()) == {"cruiser-1"}
     scene.say(STATE, STANDBY, HEALTH)
     assert scene.step() == {}
-    (row,) = scene.step(2).values()
-    assert getattr(row, "word", None) == "offline"
+    assert scene.row(2).word == "offline"
 
 
 def test_a_robot_that_is_lost_stays_until_somebody_has_seen_it() -> None:
@@ -53,8 +58,7 @@ def test_a_robot_that_is_lost_stays_until_somebody_has_seen_it() -> None:
     scene = Scene()
     scene.say(STATE)
     scene.step()
-    (row,) = scene.step(5000).values()
-    assert row is not None
+    row = scene.row(5000)
     assert (row.word, row.text) == ("offline", "no contact for 83 min; its gateway is not connected")
     scene.view.acknowledge("cruiser-1", row.word, "ann")
     assert scene.step() == {"cruiser-1": None}
@@ -69,9 +73,8 @@ def test_of_each_key_the_newest_is_read() -> None:
     for number in range(EVENTS_KEPT + 7):
         scene.say(event(number, severity=Severity.WARNING, text=f"event {number}"))
     scene.view.receive(Missed())
-    (row,) = scene.step().values()
-    assert getattr(row, "speed_mps", None) == 0.49
-    assert getattr(row, "event", None) == f"event {EVENTS_KEPT + 6}"
+    row = scene.row()
+    assert (row.speed_mps, row.event) == (0.49, f"event {EVENTS_KEPT + 6}")
     assert len(scene.view.events("cruiser-1")) == EVENTS_KEPT
 
 
@@ -117,8 +120,7 @@ def test_what_is_of_another_fleet_is_no_robot() -> None:
     scene.view.receive(msgspec.structs.replace(sample, key=sample.key.replace("fleet/", "other/")))
     assert scene.step() == {}
     scene.view.receive(msgspec.structs.replace(sample, payload=b"\xc1"))
-    (row,) = scene.step().values()
-    assert "unreadable" in getattr(row, "text", "")
+    assert "unreadable" in scene.row().text
 
 
 def test_a_row_says_where_a_robot_belongs_and_who_sees_to_it() -> None:
@@ -126,21 +128,15 @@ def test_a_row_says_where_a_robot_belongs_and_who_sees_to_it() -> None:
     scene = Scene()
     scene.view = FleetView("fleet", [("hall 1", "cruiser-[12]"), ("yard", "*")])
     scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
-    (row,) = scene.step().values()
-    assert row is not None
+    row = scene.row()
     assert (row.site, row.acknowledged) == ("hall 1", "")
     scene.view.acknowledge("cruiser-1", row.word, "cat")
-    (row,) = scene.step().values()
-    assert row is not None
-    assert row.acknowledged == "cat"
-    (row,) = scene.step(2).values()
-    assert row is not None
+    assert scene.row().acknowledged == "cat"
+    row = scene.row(2)
     assert (row.word, row.acknowledged) == ("offline", "")
     # Another alarm is not seen to, nor the first one when it comes back.
     scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
-    (row,) = scene.step().values()
-    assert row is not None
-    assert row.acknowledged == ""
+    assert scene.row().acknowledged == ""
 
 
 def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
