@@ -113,6 +113,12 @@ def small_log() -> bytes:
     return log.close()
 
 
+def flipped(data: bytes, place: int | None = None, bits: int = 4) -> bytes:
+    """The log with wrong bits there, or in its first packed chunk."""
+    place = data.index(b"zstd") + 30 if place is None else place
+    return data[:place] + bytes([data[place] ^ bits]) + data[place + 1 :]
+
+
 def logs_in(directory: Path) -> list[str]:
     """The names of the files in a directory."""
     return sorted(path.name for path in directory.iterdir())

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import islice
+from typing import Any
 
 import pytest
 
@@ -39,6 +40,15 @@ from tests.support.messages import ROOT
 RECORDER_PLAN = RecorderPlan(
     root=ROOT, recorder="bench", per_robot=True, log=PLAN, ring_bytes=1_000_000, sample_max_bytes=1_000_000
 )
+
+
+def failing(number: int) -> Callable[..., Any]:
+    """A step that a disk fails, with this error of the system."""
+
+    def fail(*_arguments: object, **_named: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return fail
 
 
 class SlowDisk:

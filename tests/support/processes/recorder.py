@@ -90,6 +90,11 @@ def recording(*words: str, ulimit: str = "") -> Iterator[Process]:
             process.kill()
 
 
+def at(directory: Path, endpoint: str) -> list[str]:
+    """The words of a recorder that is called bench."""
+    return ["-o", str(directory), "--connect", endpoint, "--name", "bench"]
+
+
 def ask(*words: str) -> tuple[int, str, str]:
     """Run ``cruiser record`` with an action; exit code, stdout and stderr."""
     command = Forked(["record", *words], environment())

@@ -110,18 +110,8 @@ def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
     assert logs_in(tmp_path) == []
 
 
-def test_a_robot_is_asked_and_its_answer_recorded(tmp_path: Path) -> None:
-    """Even if the recording ends before the answer is there."""
-    source = FakeSource([sample_of(gear(0))], {INFO_KEY: [sample_of(info())]})
-    recorded = record(source, tmp_path)
-    assert INFO_KEY in source.asked
-    found = read_info(Path(recorded.path or ""))
-    assert found.variants == {"cruiser-1": "coarse"}
-    assert len(found.attachments) == 2 + LAYOUTS
-
-
 def test_no_more_is_asked_than_the_source_has_room_for(tmp_path: Path) -> None:
-    """The answers to what is on its way would be given up for more."""
+    """The answers to what is on its way would be given up for more. Then the answer is recorded."""
     source = FakeSource([sample_of(gear(0))], {INFO_KEY: [sample_of(info())]})
     source.room = 0
     one = recorder(source, tmp_path)
@@ -130,7 +120,9 @@ def test_no_more_is_asked_than_the_source_has_room_for(tmp_path: Path) -> None:
     source.room = 1
     recorded = one.run(lambda: source.is_exhausted)
     assert source.asked == [INFO_KEY]
-    assert read_info(Path(recorded.path or "")).variants == {"cruiser-1": "coarse"}
+    found = read_info(Path(recorded.path or ""))
+    assert found.variants == {"cruiser-1": "coarse"}
+    assert len(found.attachments) == 2 + LAYOUTS
 
 
 @pytest.mark.usefixtures("fast_clock")
@@ -159,13 +151,6 @@ def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Pat
     assert source.asked == [INFO_KEY, INFO_KEY]
     assert found.variants == {"cruiser-1": "coarse"}
     assert len(found.attachments) == 2 + LAYOUTS
-
-
-def test_what_had_come_in_when_it_was_stopped_is_recorded(tmp_path: Path) -> None:
-    """A signal loses nothing that was received."""
-    source = FakeSource(sample_of(gear(number)) for number in range(5000))
-    recorded = recorder(source, tmp_path).run(lambda: True)
-    assert recorded.messages == 5000
 
 
 class FailingFile(FileIO):
@@ -426,14 +411,6 @@ def test_the_leftovers_hear_of_room(tmp_path: Path) -> None:
     expected = list(notices)
     recorder(FakeSource(), tmp_path, keeper=keeper, leftovers=leftovers).run(lambda: not notices)
     assert heard == expected
-
-
-def test_a_sample_that_is_too_large_holds_nothing_up(tmp_path: Path) -> None:
-    """It is counted, and the others are recorded."""
-    large = FakeSample("x", "x", bytes(RECORDER_PLAN.sample_max_bytes + 1))
-    recorded = record(FakeSource([sample_of(gear(0)), large, sample_of(gear(1))]), tmp_path)
-    assert recorded.keys["x"] == KeyReport(received=1, lost_size=1)
-    assert recorded.keys[GEAR_KEY].written == 2
 
 
 class Clock:

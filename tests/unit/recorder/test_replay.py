@@ -35,12 +35,36 @@ def dues(one: Pace, *offsets_ns: int) -> list[int]:
     return [one.due_ns(WALL_NS + offset_ns) - BEGUN_NS for offset_ns in offsets_ns]
 
 
+HOUR = 3600 * SECOND
+
+
 @pytest.mark.parametrize(
-    ("speed", "wanted"), [(1, 600), (2, 300), (0.5, 1200), (10, 60), (AS_FAST_AS_POSSIBLE, 0)]
+    ("one", "offsets_ns", "due_ns", "cut"),
+    [
+        # What is 600 ns behind the first one is due after that time, divided by the speed.
+        *(
+            (pace(speed), [0, 600], [0, wanted], 0)
+            for speed, wanted in {1: 600, 2: 300, 0.5: 1200, 10: 60, AS_FAST_AS_POSSIBLE: 0}.items()
+        ),
+        # A message that was asked for later stands late in the log, and holds nothing up.
+        (pace(), [0, 9 * SECOND, 2 * SECOND, 9 * SECOND + 1], [0, 9 * SECOND, 9 * SECOND, 9 * SECOND + 1], 0),
+        # A log of two days is not watched overnight; the pauses are counted.
+        (
+            pace(1, 10 * SECOND),
+            [0, 10 * SECOND, HOUR, HOUR + SECOND],
+            [0, 10 * SECOND, 20 * SECOND, 21 * SECOND],
+            1,
+        ),
+        # At twice the speed a cut pause takes half as long.
+        (pace(2, 10 * SECOND), [0, HOUR], [0, 5 * SECOND], 1),
+    ],
 )
-def test_the_speed_scales_every_due_time(speed: float, wanted: int) -> None:
-    """What is 600 ns behind the first one is due after that time, divided by the speed."""
-    assert dues(pace(speed), 0, 600) == [0, wanted]
+def test_when_what_is_so_far_into_a_log_is_due(
+    one: Pace, offsets_ns: list[int], due_ns: list[int], cut: int
+) -> None:
+    """By its time in the log, the speed, and how long a pause may be."""
+    assert dues(one, *offsets_ns) == due_ns
+    assert one.cut == cut
 
 
 @given(st.lists(st.integers(0, 20_000_000), min_size=1, max_size=300), st.sampled_from([1.0, 3.0, 0.7, 10.0]))
@@ -53,11 +77,6 @@ def test_nothing_adds_up(steps_ns: list[int], speed: float) -> None:
     assert found == sorted(found)
 
 
-def test_what_is_out_of_order_is_due_with_what_was_before_it() -> None:
-    """A message that was asked for later stands late in the log, and holds nothing up."""
-    assert dues(pace(), 0, 9 * SECOND, 2 * SECOND, 9 * SECOND + 1) == [0, 9 * SECOND, 9 * SECOND, 9 * SECOND + 1]
-
-
 def test_a_clock_that_was_set_back_is_followed() -> None:
     """Where all that follows is earlier the clock was set back, and the replay goes on from there at its pace."""
     one = pace()
@@ -65,18 +84,6 @@ def test_a_clock_that_was_set_back_is_followed() -> None:
     found = [one.due_ns(WALL_NS + number * MS) - BEGUN_NS for number in range(2 * SET_BACK_AFTER)]
     assert found[: SET_BACK_AFTER + 1] == [0] * (SET_BACK_AFTER + 1)
     assert found[-1] == (2 * SET_BACK_AFTER - 1 - SET_BACK_AFTER) * MS
-
-
-def test_a_long_pause_is_cut() -> None:
-    """A log of two days is not watched overnight; the pauses are counted."""
-    one = pace(longest_pause_ns=10 * SECOND)
-    assert dues(one, 0, 10 * SECOND, 3600 * SECOND, 3601 * SECOND) == [0, 10 * SECOND, 20 * SECOND, 21 * SECOND]
-    assert one.cut == 1
-
-
-def test_a_cut_pause_is_of_the_logs_time() -> None:
-    """At twice the speed it takes half as long."""
-    assert dues(pace(2, 10 * SECOND), 0, 3600 * SECOND) == [0, 5 * SECOND]
 
 
 @given(st.lists(st.integers(0, 3_000_000_000), min_size=1, max_size=200), st.floats(0.01, 1))

@@ -13,6 +13,73 @@ from schemas.subjects import BY_TYPE, BY_VERB, COMMANDS, SUBJECTS, Command, Subj
 from tests.support.requests import REQUESTS
 from tests.support.strategies import ANYTHING, commands_and_requests, subjects_and_messages
 
+Kind = Subject | Command
+KINDS = st.sampled_from([*SUBJECTS, *COMMANDS])
+PAIRS = subjects_and_messages() | commands_and_requests()
+
+
+def read(kind: Kind, payload: bytes) -> object:
+    """A payload, decoded as a message of a subject or as a request of a verb."""
+    return decode(kind, payload) if isinstance(kind, Subject) else decode_request(kind, payload)
+
+
+def is_message_or_fault(kind: Kind, answer: object) -> bool:
+    """Whether the answer is of its class, or says what is wrong."""
+    own = kind.type if isinstance(kind, Subject) else kind.request
+    return isinstance(answer, own) or (isinstance(answer, PayloadFault) and bool(answer.detail))
+
+
+@given(pair=PAIRS)
+def test_what_is_encoded_decodes_to_the_same(pair: tuple[Kind, Message | Request]) -> None:
+    """Of every subject and of every verb; any MessagePack library reads a message's fields, in their order."""
+    kind, message = pair
+    assert read(kind, encode(message)) == message
+    fields: dict[str, Any] = msgpack.unpackb(encode(message))
+    assert not isinstance(kind, Subject) or list(fields) == list(kind.type.__struct_fields__)
+
+
+@given(kind=KINDS, payload=st.binary(), value=ANYTHING)
+def test_nothing_makes_decoding_raise(kind: Kind, payload: bytes, value: object) -> None:
+    """Neither any bytes nor right MessagePack of the wrong shape, which is a fault."""
+    assert is_message_or_fault(kind, read(kind, payload))
+    is_whole_request = value == {} and not isinstance(kind, Subject)
+    assert is_whole_request or isinstance(read(kind, msgpack.packb(value)), PayloadFault)
+
+
+@given(pair=PAIRS, data=st.data())
+def test_no_damage_makes_decoding_raise(pair: tuple[Kind, Message | Request], data: st.DataObject) -> None:
+    """A payload with a byte changed and its end cut off is a message or a fault."""
+    kind, message = pair
+    payload = bytearray(encode(message))
+    payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    answer = read(kind, bytes(payload[: data.draw(st.integers(0, len(payload)))]))
+    assert is_message_or_fault(kind, answer)
+
+
+LIES = [b"\xdd", b"\xdf", b"\xdb", b"\xc6", b"\x81\xa5lease\xdd", b"\x81\xa4role\xdb"]
+"""Lists, maps, texts or bytes that claim four thousand million parts, and have none."""
+BOMBS = [b"\x91" * depth + b"\xc0" for depth in (100, 10_000, 1_000_000)]
+"""Lists within lists."""
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
+def test_neither_depth_nor_a_false_length_makes_decoding_a_request_raise(command: Command) -> None:
+    """However deep: as the request, in a field that is known, and in one that is not."""
+    for payload in (
+        *(head + b"\xff\xff\xff\xff" for head in LIES),
+        *(head + bomb for bomb in BOMBS for head in (b"", b"\x81\xa5lease", b"\x81\xa1x")),
+    ):
+        assert isinstance(decode_request(command, payload), PayloadFault)
+
+
+@pytest.mark.parametrize("bomb", BOMBS, ids=len)
+def test_no_depth_makes_decoding_raise(bomb: bytes) -> None:
+    """In a field that nobody knows: the map has one more entry than it had."""
+    payload = encode(GEAR)
+    deeper = bytes([payload[0] + 1]) + payload[1:] + b"\xa1x" + bomb
+    assert isinstance(decode(BY_TYPE[Gear], deeper), Gear | PayloadFault)
+
+
 GEAR = Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=GearPosition.DRIVE)
 
 
@@ -21,54 +88,6 @@ def gear_payload(**fields: object) -> bytes:
     good: dict[str, object] = msgpack.unpackb(encode(GEAR))
     payload: bytes = msgpack.packb(good | fields)
     return payload
-
-
-@given(pair=subjects_and_messages())
-def test_what_is_encoded_decodes_to_the_same_message(pair: tuple[Subject, Message]) -> None:
-    """Encoding and decoding are inverse for every message of every subject."""
-    subject, message = pair
-    assert decode(subject, encode(message)) == message
-
-
-@given(pair=subjects_and_messages())
-def test_any_msgpack_library_reads_every_payload(pair: tuple[Subject, Message]) -> None:
-    """The msgpack package reads each payload as a map with the field names as its keys, in their order."""
-    subject, message = pair
-    fields: dict[str, Any] = msgpack.unpackb(encode(message))
-    assert list(fields) == list(subject.type.__struct_fields__)
-
-
-@given(subject=st.sampled_from(SUBJECTS), payload=st.binary())
-def test_no_bytes_make_decoding_raise(subject: Subject, payload: bytes) -> None:
-    """Whatever the payload holds, the answer is a message or a fault that says what is wrong."""
-    answer = decode(subject, payload)
-    assert isinstance(answer, subject.type) or (isinstance(answer, PayloadFault) and answer.detail)
-
-
-@given(subject=st.sampled_from(SUBJECTS), value=ANYTHING)
-def test_no_value_makes_decoding_raise(subject: Subject, value: object) -> None:
-    """Right MessagePack of the wrong shape is a fault too."""
-    answer = decode(subject, msgpack.packb(value))
-    assert isinstance(answer, PayloadFault)
-
-
-@given(pair=subjects_and_messages(), data=st.data())
-def test_no_damage_makes_decoding_raise(pair: tuple[Subject, Message], data: st.DataObject) -> None:
-    """A payload with a byte changed and its end cut off is a message or a fault."""
-    subject, message = pair
-    payload = bytearray(encode(message))
-    payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
-    answer = decode(subject, bytes(payload[: data.draw(st.integers(0, len(payload)))]))
-    assert isinstance(answer, subject.type | PayloadFault)
-
-
-@pytest.mark.parametrize("depth", [100, 10_000, 1_000_000])
-def test_no_depth_makes_decoding_raise(depth: int) -> None:
-    """Lists within lists, however deep, in a field that nobody knows, are a message or a fault."""
-    payload = encode(GEAR)
-    # The map has one more entry than it had: its key, then lists of one.
-    deeper = bytes([payload[0] + 1]) + payload[1:] + b"\xa1x" + b"\x91" * depth + b"\xc0"
-    assert isinstance(decode(BY_TYPE[Gear], deeper), Gear | PayloadFault)
 
 
 def test_a_field_that_is_not_known_is_ignored() -> None:
@@ -110,27 +129,6 @@ def judge(verb: str, fields: object) -> Request | PayloadFault:
     return decode_request(BY_VERB[verb], msgpack.packb(fields))
 
 
-@given(pair=commands_and_requests())
-def test_a_request_decodes_to_what_was_asked(pair: tuple[Command, Request]) -> None:
-    """Encoding and decoding are inverse for every request of every verb."""
-    command, request = pair
-    assert decode_request(command, encode(request)) == request
-
-
-@given(command=st.sampled_from(COMMANDS), payload=st.binary())
-def test_no_bytes_make_decoding_a_request_raise(command: Command, payload: bytes) -> None:
-    """Whatever was sent, the answer is a request or a fault that says what is wrong."""
-    answer = decode_request(command, payload)
-    assert isinstance(answer, command.request) or (isinstance(answer, PayloadFault) and answer.detail)
-
-
-@given(command=st.sampled_from(COMMANDS), value=ANYTHING)
-def test_what_is_no_map_is_no_request(command: Command, value: object) -> None:
-    """Right MessagePack of the wrong shape is a fault; so is a map of fields that the verb does not have."""
-    answer = decode_request(command, msgpack.packb(value))
-    assert isinstance(answer, PayloadFault) or value == {}
-
-
 @given(pair=commands_and_requests(), data=st.data())
 def test_a_field_of_any_value_makes_no_request_raise(pair: tuple[Command, Request], data: st.DataObject) -> None:
     """Each field of each verb, with anything at all in it."""
@@ -138,33 +136,20 @@ def test_a_field_of_any_value_makes_no_request_raise(pair: tuple[Command, Reques
     fields: dict[str, Any] = msgpack.unpackb(encode(request))
     if fields:
         fields[data.draw(st.sampled_from(sorted(fields)))] = data.draw(ANYTHING)
-    answer = decode_request(command, msgpack.packb(fields))
-    assert isinstance(answer, command.request) or (isinstance(answer, PayloadFault) and answer.detail)
+    assert is_message_or_fault(command, decode_request(command, msgpack.packb(fields)))
 
 
-@given(pair=commands_and_requests(), data=st.data())
-def test_no_damage_makes_decoding_a_request_raise(pair: tuple[Command, Request], data: st.DataObject) -> None:
-    """A request with a byte changed and its end cut off is a request or a fault."""
-    command, request = pair
-    payload = bytearray(encode(request))
-    payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
-    answer = decode_request(command, bytes(payload[: data.draw(st.integers(0, len(payload)))]))
-    assert isinstance(answer, command.request | PayloadFault)
-
-
-@pytest.mark.parametrize("field", ["speed_mps", "angle_deg", "curvature_1pm", "yaw_rate_radps"])
+@pytest.mark.parametrize(
+    ("verb", "field"),
+    [
+        *(("drive", field) for field in ("speed_mps", "angle_deg", "curvature_1pm", "yaw_rate_radps")),
+        ("engage", "speed_limit_mps"),
+    ],
+)
 @pytest.mark.parametrize("number", [nan, inf, -inf])
-def test_a_number_that_is_none_is_a_fault_that_names_the_field(field: str, number: float) -> None:
+def test_a_number_that_is_none_is_a_fault_that_names_the_field(verb: str, field: str, number: float) -> None:
     """No comparison with a limit holds for it, so it must not come as far as that."""
-    assert judge("drive", DRIVE | {field: number}) == PayloadFault(f"{field} is not a finite number")
-
-
-@pytest.mark.parametrize("number", [nan, inf, -inf])
-def test_a_speed_limit_is_finite_too(number: float) -> None:
-    """A limit that is no number would limit nothing."""
-    assert isinstance(
-        judge("engage", {"lease": 1, "challenge": CHALLENGE, "speed_limit_mps": number}), PayloadFault
-    )
+    assert judge(verb, REQUESTS[verb] | {field: number}) == PayloadFault(f"{field} is not a finite number")
 
 
 @pytest.mark.parametrize("number", [1.7976931348623157e308, -1.7976931348623157e308, 5e-324, 2**64 - 1, -(2**63)])
@@ -201,22 +186,6 @@ def test_a_request_with_a_field_that_is_not_known_is_refused(command: Command) -
     fault = judge(command.verb, fields | {"novelty": 1})
     assert isinstance(fault, PayloadFault)
     assert "novelty" in fault.detail
-
-
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
-@pytest.mark.parametrize("depth", [100, 10_000, 1_000_000])
-def test_no_depth_makes_decoding_a_request_raise(command: Command, depth: int) -> None:
-    """Lists within lists, however deep: as the request, in a field that is known, and in one that is not."""
-    bomb = b"\x91" * depth + b"\xc0"
-    for payload in (bomb, b"\x81\xa5lease" + bomb, b"\x81\xa1x" + bomb):
-        assert isinstance(decode_request(command, payload), PayloadFault)
-
-
-@pytest.mark.parametrize("head", [b"\xdd", b"\xdf", b"\xdb", b"\xc6", b"\x81\xa5lease\xdd", b"\x81\xa4role\xdb"])
-def test_a_length_that_is_a_lie_is_a_fault(head: bytes) -> None:
-    """A list, map, text or bytes that claims four thousand million parts, and has none."""
-    for command in COMMANDS:
-        assert isinstance(decode_request(command, head + b"\xff\xff\xff\xff"), PayloadFault)
 
 
 @pytest.mark.parametrize("verb", ["acquire", "take", "stop"])

@@ -109,18 +109,15 @@ def test_every_feedback_frame_has_a_subject(variant: Variant) -> None:
 
 
 @pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=FRAME_IDS)
-def test_a_message_has_the_signals_of_its_frame_as_fields(variant: Variant, frame: MessageLayout) -> None:
-    """The fields are exactly the signals: CamelCase as snake_case, the unit as a suffix, in the same order."""
+def test_a_message_is_what_the_dbc_says_of_its_frame(variant: Variant, frame: MessageLayout) -> None:
+    """Fields are its signals: CamelCase as snake_case, the unit as a suffix, in the same order; and its rate.
+
+    Each enumeration is its value table's names and ``undefined``, neither more nor fewer.
+    """
     del variant
     fields = fields_of(BY_DBC_MESSAGE[frame.name])
     assert list(fields) == [signal.field for signal in frame.payload_signals]
-
-
-@pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=FRAME_IDS)
-def test_a_value_table_has_the_values_of_its_enumeration(variant: Variant, frame: MessageLayout) -> None:
-    """Each enumeration is its value table's names and ``undefined``, neither more nor fewer."""
-    del variant
-    fields = fields_of(BY_DBC_MESSAGE[frame.name])
+    assert BY_DBC_MESSAGE[frame.name].rate == f"{1_000_000_000 // frame.period_ns} Hz"
     for signal in frame.payload_signals:
         kind = fields[signal.field]
         if signal.kind == "choice":
@@ -129,10 +126,3 @@ def test_a_value_table_has_the_values_of_its_enumeration(variant: Variant, frame
             assert {member.value for member in kind} == {*signal.choices.values(), "undefined"}
         elif signal.kind == "flag":
             assert kind is bool
-
-
-@pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=FRAME_IDS)
-def test_the_rate_in_the_table_is_the_cycle_time_of_the_frame(variant: Variant, frame: MessageLayout) -> None:
-    """What the key table promises is what the DBC says."""
-    del variant
-    assert BY_DBC_MESSAGE[frame.name].rate == f"{1_000_000_000 // frame.period_ns} Hz"

@@ -35,36 +35,36 @@ from schemas.zenoh_session import (
 )
 
 ENDPOINT = "tcp/127.0.0.1:7447"
-
-
-def test_multicast_is_off_unless_the_users_own_file_says_otherwise() -> None:
-    """By default no session scouts by multicast; nothing in our own settings turns it on."""
-    assert session_settings(ZenohSettings(), [], [])[MULTICAST] is False
-    assert MULTICAST not in session_settings(ZenohSettings(), [], [], lambda path: path == MULTICAST)
-
-
-def test_a_session_that_opens_waits_for_others_as_long_as_ours_or_the_users_own_file_says() -> None:
-    """Not for the half second of Zenoh's own, which it often waits for nothing; a file's word holds."""
-    assert session_settings(ZenohSettings(), [ENDPOINT], [])[SCOUTING] == SCOUTING_MS
-    assert SCOUTING not in session_settings(ZenohSettings(), [ENDPOINT], [], lambda path: path == SCOUTING)
-
-
-def test_a_files_endpoints_to_connect_to_hold_where_none_are_given() -> None:
-    """Endpoints that are given win over the file; where none are, the file's own stay."""
-    given = session_settings(ZenohSettings(), [ENDPOINT], [], lambda _: True)
-    assert given[CONNECT] == [ENDPOINT]
-    assert CONNECT not in session_settings(ZenohSettings(), [], [], lambda _: True)
-    assert session_settings(ZenohSettings(), [], [])[CONNECT] == []
-
-
-@pytest.mark.parametrize("listen", [[], [ENDPOINT]])
-@pytest.mark.parametrize("of_file", [True, False])
-def test_what_is_listened_on_is_what_is_given(listen: list[str], *, of_file: bool) -> None:
-    """Neither a file nor Zenoh's own start value, which is every address, adds an endpoint to listen on."""
-    assert session_settings(ZenohSettings(), [], listen, lambda _: of_file)[LISTEN] == listen
+ASKS = """{
+    scouting: { multicast: { enabled: true } },
+    listen: { endpoints: ["tcp/127.0.0.1:7500"] },
+    connect: { endpoints: ["tcp/127.0.0.1:7501"] },
+}"""
 
 
 OTHER = "tls/[::1]:7500"
+OURS = {MODE: "peer", LEASE: 1000, MULTICAST: False, SCOUTING: SCOUTING_MS, CONNECT: [], LISTEN: []}
+
+
+@pytest.mark.parametrize(
+    ("given", "connect", "listen", "of_file", "expected"),
+    [
+        (set(), [], [], False, OURS),
+        (set(), [ENDPOINT], [ENDPOINT], False, OURS | {CONNECT: [ENDPOINT], LISTEN: [ENDPOINT]}),
+        (set(), [], [], True, {LISTEN: []}),
+        (set(), [ENDPOINT], [ENDPOINT], True, {CONNECT: [ENDPOINT], LISTEN: [ENDPOINT]}),
+        ({"mode"}, [], [], True, {MODE: "peer", LISTEN: []}),
+        ({"lease_ms"}, [], [], True, {LEASE: 1000, LISTEN: []}),
+    ],
+)
+def test_a_files_word_holds_unless_a_setting_was_given(
+    given: set[str], connect: list[str], listen: list[str], *, of_file: bool, expected: dict[str, object]
+) -> None:
+    """Also one with its start value. On what a session listens no file decides, nor Zenoh, for which it is all."""
+    settings = ZenohSettings(given=frozenset(given))
+    found = session_settings(settings, connect, listen, lambda _: of_file)
+    assert {path: found[path] for path in OURS if path in found} == expected
+    assert not of_file or found.keys() == expected.keys()
 
 
 @pytest.mark.parametrize(
@@ -192,15 +192,6 @@ def test_an_endpoint_of_this_machine(endpoint: str, *, stays: bool) -> None:
     assert is_loopback(endpoint) is stays
 
 
-@pytest.mark.parametrize(("name", "path"), [("mode", MODE), ("lease_ms", LEASE)])
-def test_a_files_word_holds_against_a_start_value_not_against_a_given_one(name: str, path: str) -> None:
-    """A setting that a source gave wins over the file, even with its start value."""
-    assert path in session_settings(ZenohSettings(), [], [])
-    assert path not in session_settings(ZenohSettings(), [], [], lambda _: True)
-    given = ZenohSettings(given=frozenset({name}))
-    assert set(session_settings(given, [], [], lambda _: True)) == {path, LISTEN}
-
-
 def test_a_reason_is_one_clean_line() -> None:
     """The places in Zenoh's own source, line breaks and control characters are left out."""
     message = "Can not bind\n tcp/x: [in use at /build/dir/tcp.rs:61.] at /build/dir/unicast.rs:338."
@@ -229,30 +220,23 @@ def test_where_nobody_answers_it_is_said_in_plain_words(places: str, says: str) 
     assert (error.code, error.config) == (ExitCode.UNREACHABLE, "z.json5")
 
 
-def test_multicast_is_off_and_nothing_listens_unless_asked() -> None:
-    """A session neither scouts by multicast nor listens on any interface by itself."""
-    config = _configuration(ZenohSettings(), ["tcp/127.0.0.1:7447"], [])
-    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
-    assert json.loads(config.get_json("listen/endpoints")) == []
-
-
-def test_a_zenoh_file_that_says_nothing_of_it_changes_neither(tmp_path: Path) -> None:
-    """Multicast stays off unless a Zenoh file asks for it; a command listens on nothing, whatever it says."""
+@pytest.mark.parametrize(
+    ("text", "connect", "in_force"),
+    [
+        ("{}", [ENDPOINT], (False, [], [ENDPOINT])),
+        ("{ transport: { link: { tx: { keep_alive: 5 } } } }", [], (False, [], [])),
+        (ASKS, [], (True, [], ["tcp/127.0.0.1:7501"])),
+        (ASKS, [ENDPOINT], (True, [], [ENDPOINT])),
+    ],
+)
+def test_a_session_neither_scouts_nor_listens_by_itself(
+    tmp_path: Path, text: str, connect: list[str], in_force: tuple[bool, list[str], list[str]]
+) -> None:
+    """Multicast is off unless a Zenoh file asks for it; a command listens on nothing, whatever the file says."""
     file = tmp_path / "zenoh.json5"
-    file.write_text("{ transport: { link: { tx: { keep_alive: 5 } } } }")
-    config = _configuration(ZenohSettings(config=str(file)), [], [])
-    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
-    assert json.loads(config.get_json("listen/endpoints")) == []
-    file.write_text(
-        "{ scouting: { multicast: { enabled: true } }, listen: { endpoints: ['tcp/127.0.0.1:7500'] },"
-        " connect: { endpoints: ['tcp/127.0.0.1:7501'] } }"
-    )
-    config = _configuration(ZenohSettings(config=str(file)), [], [])
-    assert json.loads(config.get_json("scouting/multicast/enabled")) is True
-    assert json.loads(config.get_json("listen/endpoints")) == []
-    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7501"]
-    config = _configuration(ZenohSettings(config=str(file)), ["tcp/127.0.0.1:7502"], [])
-    assert json.loads(config.get_json("connect/endpoints")) == ["tcp/127.0.0.1:7502"]
+    file.write_text(text)
+    config = _configuration(ZenohSettings(config=str(file)), connect, [])
+    assert tuple(json.loads(config.get_json(path)) for path in (MULTICAST, LISTEN, CONNECT)) == in_force
 
 
 def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) -> None:

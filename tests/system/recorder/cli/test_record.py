@@ -16,7 +16,7 @@ from schemas.command_line import ExitCode
 from schemas.messages import CanFrames, Gear
 from tests.bench import recorder_kills
 from tests.support.fakes.peer import Peer, free_endpoint
-from tests.support.logs import logs_in, small_log
+from tests.support.logs import logs_in
 from tests.support.messages import MS, FakeSample, batch, feedback, gear, info, key_of, sample_of
 from tests.support.processes.recorder import counts, heard, link, readable, recording, whole
 from tests.support.waiting import wait_until
@@ -145,22 +145,6 @@ def test_a_directory_that_cannot_be_is_one_clear_line(tmp_path: Path) -> None:
     assert process.ready == f"cruiser record: cannot write {tmp_path / 'file'}: File exists\n"
 
 
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["-k", "fleet//x"], "is no key expression"),
-        (["--connect", "nonsense"], "Zenoh does not take connect/endpoints"),
-    ],
-)
-def test_wrong_words_are_a_usage_error(tmp_path: Path, words: list[str], complaint: str) -> None:
-    """Exit code 2, one clear line."""
-    with recording("-o", str(tmp_path), *words) as process:
-        code, _, err = process.end(None)
-    assert code == ExitCode.USAGE
-    assert complaint in process.ready
-    assert err == ""
-
-
 def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
     """The log goes on in further files, each readable alone. The shell bounds what a file may hold."""
     endpoint = free_endpoint()
@@ -272,21 +256,6 @@ def test_files_are_ended_by_time_and_by_size(tmp_path: Path) -> None:
         code, _, _ = process.end()
     assert code == ExitCode.OK
     assert all(check_log(path).whole for path in logs.iterdir())
-
-
-def test_a_start_recovers_what_a_killed_recorder_left(tmp_path: Path) -> None:
-    """It says how many messages, and records meanwhile."""
-    left = tmp_path / "cruiser-1-20260102T030405Z.mcap.part"
-    left.write_bytes(small_log()[:-200])
-    endpoint = free_endpoint()
-    with Peer(endpoint) as peer, recording("-o", str(tmp_path), "--connect", endpoint) as process:
-        wait_until(left.with_suffix("").exists)
-        wait_until(partial(heard, peer, tmp_path, "new"))
-        code, _, err = process.end()
-    assert code == ExitCode.OK
-    assert f"recovered 12 messages of {left} into {left.with_suffix('')}" in err
-    assert read_info(left.with_suffix("")).messages == 12
-    assert all(check_log(path).whole for path in tmp_path.iterdir())
 
 
 @pytest.mark.night

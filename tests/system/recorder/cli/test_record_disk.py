@@ -6,7 +6,7 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,18 @@ from schemas.recording import GapReason, RecorderEventKind, RecorderState
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.logs import Log, logs_in
 from tests.support.messages import SECOND, FakeSample, gear, key_of, safety_event, sample_of
-from tests.support.processes.recorder import Told, ask, counts, heard, link, readable, recording, sequences, whole
+from tests.support.processes.recorder import (
+    Told,
+    ask,
+    at,
+    counts,
+    heard,
+    link,
+    readable,
+    recording,
+    sequences,
+    whole,
+)
 from tests.support.waiting import wait_until
 
 PAGE_BYTES = 4096
@@ -39,18 +50,6 @@ def endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setenv("CRUISER_RECORDER_INCIDENT_AFTER_S", "0.5")
     monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "0")
     return free_endpoint()
-
-
-@pytest.fixture
-def peer(endpoint: str) -> Iterator[Peer]:
-    """The robot."""
-    with Peer(endpoint) as one:
-        yield one
-
-
-def words(directory: Path, endpoint: str) -> list[str]:
-    """A recorder's."""
-    return ["-o", str(directory), "--connect", endpoint, "--name", "bench"]
 
 
 def fill_until(peer: Peer, condition: Callable[[], object]) -> None:
@@ -81,7 +80,7 @@ def test_a_budget_is_kept_and_the_oldest_logs_go(
     monkeypatch.setenv("CRUISER_RECORDER_INCIDENT_BEFORE_S", "1")
     (tmp_path / "notes.txt").write_bytes(bytes(5_000_000))
     told = Told(peer)
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         link(peer, tmp_path)
         incident = make_incident(peer, tmp_path)
         oldest = min(entry.name for entry in read_entries(tmp_path) if not entry.is_incident)
@@ -118,7 +117,7 @@ def test_made_up_robots_do_not_push_out_what_a_known_robot_said_last(
         time.sleep(0.005)
         return len(told.events(RecorderEventKind.DELETED)) >= 20
 
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         link(peer, tmp_path)
         wait_until(lambda: heard(peer, tmp_path, "last"))
         process.signal(signal.SIGHUP)
@@ -146,7 +145,7 @@ def test_some_of_the_disk_stays_free(
     monkeypatch.setenv("CRUISER_RECORDER_ROTATE_BYTES", "300000")
     (small_disk / "ballast").write_bytes(bytes(12_500_000))
     told = Told(peer)
-    with recording(*words(small_disk, endpoint)) as process:
+    with recording(*at(small_disk, endpoint)) as process:
         link(peer, small_disk)
 
         def has_deleted() -> bool:
@@ -173,7 +172,7 @@ def test_when_nothing_may_go_recording_stops_and_goes_on_when_there_is_room(
     """What others fill a disk with costs none of the logs that there are; what came meanwhile is told as a gap."""
     monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "200000000")
     told = Told(peer)
-    with recording(*words(small_disk, endpoint), "--json") as process:
+    with recording(*at(small_disk, endpoint), "--json") as process:
         wait_until(partial(heard, peer, small_disk, "first"))
         ballast = small_disk / "ballast"
         ballast.write_bytes(bytes(15_500_000))
@@ -217,7 +216,7 @@ def test_without_room_from_the_start_it_says_why_there_is_no_log(
     monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "200000000")
     (small_disk / "ballast").write_bytes(bytes(15_500_000))
     told = Told(peer)
-    with recording(*words(small_disk, endpoint)) as process:
+    with recording(*at(small_disk, endpoint)) as process:
         wait_until(lambda: told.wait_for_health().state is RecorderState.FULL)
 
         def is_counted() -> bool:
@@ -251,7 +250,7 @@ def test_what_a_crash_left_is_made_whole_when_there_is_room(
         while stream.write(bytes(PAGE_BYTES)):
             pass
     told = Told(peer)
-    with recording(*words(small_disk, endpoint)) as process:
+    with recording(*at(small_disk, endpoint)) as process:
         wait_until(lambda: told.wait_for_health().state is RecorderState.FULL)
         # One after the other: when this one is cut, the first has failed.
         wait_until(lambda: second.stat().st_size == len(good))
@@ -268,7 +267,7 @@ def test_a_directory_that_is_removed_is_made_again(peer: Peer, endpoint: str, tm
     """The log goes on there in another file; it is told, and so is how much is gone."""
     logs = tmp_path / "logs"
     told = Told(peer)
-    with recording(*words(logs, endpoint)) as process:
+    with recording(*at(logs, endpoint)) as process:
         wait_until(partial(heard, peer, logs, "first"))
         shutil.rmtree(logs)
         wait_until(partial(heard, peer, logs, "last"))
@@ -292,7 +291,7 @@ def test_of_a_directory_that_is_moved_the_logs_become_whole_where_they_are(
     """It is told, and what comes then is in the old place; both are whole."""
     logs, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
     told = Told(peer)
-    with recording(*words(logs, endpoint)) as process:
+    with recording(*at(logs, endpoint)) as process:
         wait_until(partial(heard, peer, logs, "first"))
         logs.rename(elsewhere)
         wait_until(lambda: bool(told.events(RecorderEventKind.DISK)))
@@ -329,7 +328,7 @@ def test_a_disk_that_is_read_only_for_a_while_costs_nothing(small_disk: Path, pe
 
         wait_until(is_so)
 
-    with recording(*words(small_disk, endpoint)) as process:
+    with recording(*at(small_disk, endpoint)) as process:
         drive_until(lambda: bool(told.healths()) and has_gear(small_disk))
         # A sample that came after the hangup would begin another file.
         peer.put(FakeSample("fleet/cruiser-1/last", "zenoh/bytes", b""))

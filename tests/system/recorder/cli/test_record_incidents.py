@@ -3,7 +3,6 @@
 import json
 import signal
 import time
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from tests.support.messages import STANDBY, gear, key_of, sample_of
 from tests.support.processes.recorder import (
     Process,
     Told,
+    at,
     counts,
     heard,
     link,
@@ -44,13 +44,6 @@ def endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
     """Where a test's peer listens; incidents are short."""
     monkeypatch.setenv("CRUISER_RECORDER_INCIDENT_AFTER_S", "1.5")
     return free_endpoint()
-
-
-@pytest.fixture
-def peer(endpoint: str) -> Iterator[Peer]:
-    """The robot."""
-    with Peer(endpoint) as one:
-        yield one
 
 
 def alarm(text: str = "a wheel is off", severity: Severity = Severity.ERROR) -> SafetyEvent:
@@ -110,11 +103,6 @@ def started(told: Told, robot: Robot) -> int:
     return early
 
 
-def words(directory: Path, endpoint: str) -> list[str]:
-    """A recorder's."""
-    return ["-o", str(directory), "--connect", endpoint, "--name", "bench"]
-
-
 def check(incident: Path, robot_sent: int, early: int, before: int) -> list[int]:
     """An incident holds some of what came before and after, the alarm and why it was made."""
     found = read_info(incident)
@@ -130,7 +118,7 @@ def check(incident: Path, robot_sent: int, early: int, before: int) -> list[int]
 def test_an_alarm_keeps_what_came_before_and_after(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """The log goes on beside it, lacks nothing, and links to it; everybody is told."""
     robot = Robot(peer)
-    with recording(*words(tmp_path, endpoint), "--json") as process:
+    with recording(*at(tmp_path, endpoint), "--json") as process:
         told = Told(peer)
         early = started(told, robot)
         before = robot.sent
@@ -169,7 +157,7 @@ def test_a_recorder_that_stands_by_writes_incidents_alone(
     """That there is no log is no failure."""
     monkeypatch.setenv("CRUISER_RECORDER_STANDBY", "true")
     robot = Robot(peer)
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         early = started(Told(peer), robot)
         before = robot.sent
         assert logs_in(tmp_path) == []
@@ -189,7 +177,7 @@ def test_an_incident_that_a_kill_cuts_off_is_recovered_as_one(
     """It and the log are parts; the next start makes both whole under their names, and says so."""
     monkeypatch.setenv("CRUISER_RECORDER_INCIDENT_AFTER_S", "300")
     robot = Robot(peer)
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         early = started(Told(peer), robot)
         before = robot.sent
         peer.put(sample_of(alarm()))
@@ -207,7 +195,7 @@ def test_an_incident_that_a_kill_cuts_off_is_recovered_as_one(
     left = logs_in(tmp_path)
     assert sorted(name.partition("Z")[2] for name in left) == [".incident.mcap.part", ".mcap.part"]
     told = Told(peer)
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         wait_until(lambda: len(told.events(RecorderEventKind.RECOVERED)) == 2)
         wait_until(partial(heard, peer, tmp_path, "next"))
         process.end()
@@ -230,7 +218,7 @@ def grows(part: Path, robot: Robot) -> bool:
 def test_an_incident_at_the_end_is_whole(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """A signal ends it with all that came until then."""
     robot = Robot(peer)
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         started(Told(peer), robot)
         peer.put(sample_of(alarm()))
         part = robot.drive_until("*.incident.mcap.part", tmp_path)
@@ -249,7 +237,7 @@ def test_what_a_robot_says_rules_no_terminal(peer: Peer, endpoint: str, tmp_path
         assert process.is_running
         return any(tmp_path.glob("*.incident.mcap"))
 
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         link(peer, tmp_path)
         peer.put(sample_of(alarm(HOSTILE)))
         wait_until(partial(is_written, process))
@@ -261,7 +249,7 @@ def test_what_a_robot_says_rules_no_terminal(peer: Peer, endpoint: str, tmp_path
 
 def test_the_death_of_a_gateway_at_work_keeps_what_came_before(endpoint: str, tmp_path: Path) -> None:
     """Its liveliness token goes with it, whatever it could not say any more."""
-    with recording(*words(tmp_path, endpoint)) as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         with Peer(endpoint) as gateway:
             token = gateway.session.liveliness().declare_token(keys.liveliness("fleet", "cruiser-1"))
             told = Told(gateway)

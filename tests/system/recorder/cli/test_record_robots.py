@@ -4,7 +4,6 @@ import json
 import os
 import re
 import time
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,24 +15,11 @@ from recorder.review.info import LogInfo, read_info
 from schemas.command_line import ExitCode
 from schemas.messages import CanFrames, Gear
 from schemas.recording import GapReason
-from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer
 from tests.support.logs import logs_in
 from tests.support.messages import FakeSample, gear, key_of, sample_of
-from tests.support.processes.recorder import Told, counts, recording, sequences, whole
+from tests.support.processes.recorder import Told, at, counts, recording, sequences, whole
 from tests.support.waiting import wait_until
-
-
-@pytest.fixture
-def endpoint() -> str:
-    """Where a test's peer listens."""
-    return free_endpoint()
-
-
-@pytest.fixture
-def peer(endpoint: str) -> Iterator[Peer]:
-    """The robots."""
-    with Peer(endpoint) as one:
-        yield one
 
 
 def put_until_told(peer: Peer, told: Told, keys: list[str], keys_heard: int) -> None:
@@ -74,8 +60,7 @@ EXPRESSIONS = ["-k", "fleet/**", "other/**", "elsewhere"]
 
 def test_each_robot_has_a_log_of_its_own(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """What is no robot's is in the fleet's; robots of another root are not mixed up with ours."""
-    words = ["-o", str(tmp_path), "--connect", endpoint, "--name", "bench"]
-    with recording(*EXPRESSIONS, *words) as process:
+    with recording(*EXPRESSIONS, *at(tmp_path, endpoint)) as process:
         put_until_told(peer, Told(peer), KEYS, len(KEYS))
         code, _, err = process.end()
     assert code == ExitCode.OK
@@ -94,8 +79,7 @@ def test_one_log_may_hold_all_robots(
 ) -> None:
     """If the settings say so."""
     monkeypatch.setenv("CRUISER_RECORDER_PER_ROBOT", "false")
-    words = ["-o", str(tmp_path), "--connect", endpoint, "--name", "bench"]
-    with recording(*EXPRESSIONS, *words) as process:
+    with recording(*EXPRESSIONS, *at(tmp_path, endpoint)) as process:
         put_until_told(peer, Told(peer), KEYS, len(KEYS))
         code, _, _ = process.end()
     assert code == ExitCode.OK
@@ -109,7 +93,7 @@ def test_hundreds_of_robots_and_thousands_of_keys(peer: Peer, endpoint: str, tmp
     """Each robot's log is whole, and lacks nothing."""
     robots = [f"robot-{number}" for number in range(300)]
     keys = [f"fleet/{robot}/some/key-{number}" for robot in robots for number in range(10)]
-    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench", "--json") as process:
+    with recording(*at(tmp_path, endpoint), "--json") as process:
         told = Told(peer)
         put_until_told(peer, told, keys, len(keys))
         for number in range(3):
@@ -132,8 +116,7 @@ def test_hundreds_of_robots_and_thousands_of_keys(peer: Peer, endpoint: str, tmp
 def test_more_robots_than_files_may_be_open_cost_no_log(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """Those beyond it share one: a log that cannot be opened would hold up all others."""
     robots = [f"robot-{number}" for number in range(250)]
-    words = ["-o", str(tmp_path), "--connect", endpoint, "--name", "bench"]
-    with recording(*words, ulimit="-n 200") as process:
+    with recording(*at(tmp_path, endpoint), ulimit="-n 200") as process:
         told = Told(peer)
         put_until_told(peer, told, [f"fleet/{robot}/key" for robot in robots], len(robots))
         code, _, err = process.end()
@@ -148,7 +131,7 @@ def test_more_robots_than_files_may_be_open_cost_no_log(peer: Peer, endpoint: st
 def test_a_robots_name_may_be_of_any_length(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """Anybody on the network can make one up: it costs nobody's log."""
     keys = [f"fleet/{'a' * 3000}/key", "fleet/cruiser-1/key"]
-    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         put_until_told(peer, Told(peer), keys, len(keys))
         code, _, err = process.end()
     assert code == ExitCode.OK
@@ -192,7 +175,7 @@ STRANGE = [
 
 def test_nothing_that_is_sent_ends_a_recording_or_spoils_a_file(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """Broken payloads, absurd times, unknown encodings: kept as they are, beside what is sound."""
-    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         told = Told(peer)
         put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
         before = told.wait_for_health().received
@@ -216,7 +199,7 @@ def test_a_sample_that_is_too_large_is_told_and_no_more(peer: Peer, endpoint: st
     """50 MB by default: a gap of the key, exit code 3, and the rest is recorded."""
     large = "fleet/cruiser-1/large"
     before_ns = time.time_ns()
-    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench", "--json") as process:
+    with recording(*at(tmp_path, endpoint), "--json") as process:
         told = Told(peer)
         put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
         peer.put(FakeSample(large, "zenoh/bytes", bytes(50_000_000)))
@@ -242,7 +225,7 @@ def test_a_sample_of_50_mb_is_recorded_if_the_settings_say_so(
     """In a chunk of its own."""
     monkeypatch.setenv("CRUISER_RECORDER_SAMPLE_MAX_BYTES", "60000000")
     large = "fleet/cruiser-1/large"
-    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         told = Told(peer)
         put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
         peer.put(FakeSample(large, "zenoh/bytes", bytes(50_000_000)))
@@ -256,7 +239,7 @@ def test_a_sample_of_50_mb_is_recorded_if_the_settings_say_so(
 
 def test_health_is_told_each_second(peer: Peer, endpoint: str, tmp_path: Path) -> None:
     """Whether anything is heard or not; none is left out."""
-    with recording("-o", str(tmp_path), "--connect", endpoint, "--name", "bench") as process:
+    with recording(*at(tmp_path, endpoint)) as process:
         told = Told(peer)
         wait_until(lambda: len(told.healths()) >= 3)
         put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)

@@ -51,12 +51,6 @@ class Fleet:
 
 
 @pytest.fixture
-def endpoint() -> str:
-    """Where the fleet listens."""
-    return free_endpoint()
-
-
-@pytest.fixture
 def fleet(endpoint: str) -> Iterator[Fleet]:
     """The robots."""
     one = Fleet(endpoint)
@@ -116,12 +110,14 @@ def check(directory: Path) -> list[dict[str, str]]:
         (["--shard", "5/4"], "such as 2/4"),
         (["--shard", "two"], "recorder.shard"),
         (["--shard", "1/2", "-k", "elsewhere/**"], "names none"),
+        (["-k", "fleet//x"], "is no key expression"),
+        (["--connect", "nonsense"], "Zenoh does not take connect/endpoints"),
     ],
 )
-def test_a_shard_that_is_none_is_refused(words: list[str], why: str, tmp_path: Path) -> None:
-    """What is wrong is said, and nothing is recorded."""
+def test_wrong_words_are_a_usage_error(words: list[str], why: str, tmp_path: Path) -> None:
+    """What is wrong is said in one clear line, and nothing is recorded."""
     done = subprocess.run(
-        [sys.executable, "-m", "gateway", "record", *words, "-o", str(tmp_path), "--connect", free_endpoint()],
+        [sys.executable, "-m", "gateway", "record", "--connect", free_endpoint(), *words, "-o", str(tmp_path)],
         capture_output=True,
         text=True,
         check=False,
@@ -130,3 +126,4 @@ def test_a_shard_that_is_none_is_refused(words: list[str], why: str, tmp_path: P
     )
     assert done.returncode == ExitCode.USAGE
     assert why in done.stderr
+    assert len(done.stderr.splitlines()) == 1

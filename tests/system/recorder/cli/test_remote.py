@@ -13,7 +13,7 @@ from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.info import read_info
 from schemas.command_line import ExitCode
 from schemas.recording import RecorderEventKind
-from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer
 from tests.support.fakes.recorders import a_reply, answering
 from tests.support.logs import logs_in
 from tests.support.messages import gear, sample_of
@@ -43,19 +43,6 @@ class Depot:
         (line,) = out.splitlines()
         reply: dict[str, object] = json.loads(line)
         return reply
-
-
-@pytest.fixture
-def endpoint() -> str:
-    """Where a test's peer listens."""
-    return free_endpoint()
-
-
-@pytest.fixture
-def peer(endpoint: str) -> Iterator[Peer]:
-    """What all others connect to."""
-    with Peer(endpoint) as one:
-        yield one
 
 
 @pytest.fixture
@@ -197,15 +184,6 @@ def test_what_a_recorder_says_rules_no_terminal(peer: Peer, endpoint: str, words
     else:
         assert out.splitlines()[0].startswith(r"depot: \x1b[2J")
         assert "\nhost: recording" not in out
-
-
-@pytest.mark.parametrize("action", ["status", "mark"])
-def test_who_has_a_hostile_name_is_no_recorder(peer: Peer, endpoint: str, action: str) -> None:
-    """It is not even named."""
-    with answering(peer, "\x1b[2J", a_reply()) as asked, answering(peer, "also\x07", a_reply()):
-        code, out, err = ask(action, "--connect", endpoint, "--timeout", "2")
-        assert asked, "it was heard"
-    assert (code, out, err) == (ExitCode.UNREACHABLE, "", "cruiser record: no recorder answers\n")
 
 
 def test_two_that_share_a_name_are_both_shown(peer: Peer, endpoint: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 import zenoh
 
 from recorder.replay import ReplaySample, ZenohOutlet
-from schemas import codec, keys, zenoh_session
+from schemas import keys, zenoh_session
 from schemas.command_line import ExitCode
 from schemas.decisions import SafetyEvent, SafetyState
 from schemas.messages import CanFrames, Gear
@@ -123,17 +123,6 @@ def test_a_sample_that_was_kept_is_sent_as_it_was(peer: tuple[Peer, str]) -> Non
     assert gone.kind == zenoh.SampleKind.DELETE
 
 
-def test_time_stamps_can_be_moved(peer: tuple[Peer, str]) -> None:
-    """By what the caller says."""
-    one, endpoint = peer
-    subscriber = subscribe(one)
-    with outlet_at(endpoint) as outlet:
-        assert outlet.wait_for_subscriber(20, never)
-        outlet.send(gear_sample(0), SECOND)
-        (found,) = received(subscriber, 1)
-    assert codec.decode(GEAR, found.payload.to_bytes()) == gear(0, WALL_NS + SECOND)
-
-
 def test_a_key_that_zenoh_does_not_take_is_counted(peer: tuple[Peer, str]) -> None:
     """And ends nothing."""
     _, endpoint = peer
@@ -193,21 +182,6 @@ def test_a_gateway_that_turns_up_ends_it(peer: tuple[Peer, str]) -> None:
         assert "cruiser-9" in halt.detail
         token.undeclare()
         wait_until(lambda: outlet.attend() is None)
-
-
-def test_a_link_that_is_cut_is_noticed() -> None:
-    """What was sent meanwhile reached nobody."""
-    endpoint = free_endpoint()
-    with Peer(endpoint) as one, outlet_at(endpoint) as outlet:
-        outlet.attend()
-        assert not outlet.was_alone
-        one.close()
-
-        def is_alone() -> bool:
-            outlet.attend()
-            return outlet.was_alone
-
-        wait_until(is_alone)
 
 
 def test_nobody_is_waited_for_in_vain() -> None:

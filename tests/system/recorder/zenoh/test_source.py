@@ -16,17 +16,11 @@ from schemas.command_line import CommandError, ExitCode
 from schemas.keys import DeclaredKeys
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
-from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer
 from tests.support.messages import FakeSample, gear, info, sample_of
 from tests.support.waiting import wait_until
 
 SAMPLE = sample_of(gear(1))
-
-
-@pytest.fixture
-def endpoint() -> str:
-    """Where a test's peer listens."""
-    return free_endpoint()
 
 
 def source(endpoint: str, *expressions: str, queue: int = 1000) -> ZenohSource:

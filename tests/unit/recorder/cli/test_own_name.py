@@ -25,34 +25,35 @@ def provisioned(directory: Path, name: str = "depot-1", mode: str = "signed") ->
     return Settings(authority=authority)
 
 
-def test_a_recorder_goes_by_the_name_of_its_grant(tmp_path: Path) -> None:
-    """As it was provisioned, and as people order it."""
-    assert own_name(provisioned(tmp_path)) == "depot-1"
+GRANTED, DAMAGED = "as it was granted", "{}\ned25519 00 00\n"
 
 
-def test_a_name_that_is_set_comes_first(tmp_path: Path) -> None:
-    """Several recorders may share a machine and its grant."""
-    settings = provisioned(tmp_path)
-    assert own_name(msgspec.structs.replace(settings, recorder=RecorderSettings(name="second"))) == "second"
+@pytest.mark.parametrize(
+    ("granted", "mode", "grant", "name", "expected"),
+    [
+        ("depot-1", "signed", GRANTED, "", "depot-1"),
+        ("depot-1", "signed", GRANTED, "second", "second"),
+        ("depot-1", "open", GRANTED, "", host_name()),
+        ("Depot_1", "signed", GRANTED, "", host_name()),
+        *(
+            ("depot-1", "signed", content, "", host_name())
+            for content in (None, "", "junk", "{}\ned25519 00 00\n")
+        ),
+    ],
+)
+def test_the_name_of_a_recorder(
+    tmp_path: Path, granted: str, mode: str, grant: str | None, name: str, expected: str
+) -> None:
+    """That of its grant, as people order it; one that is set comes first, for several may share a machine.
 
-
-def test_in_open_mode_it_goes_by_the_hosts_name(tmp_path: Path) -> None:
-    """Whatever files are there."""
-    assert own_name(provisioned(tmp_path, mode="open")) == host_name()
-
-
-@pytest.mark.parametrize("content", [None, "", "junk", "{}\ned25519 00 00\n"])
-def test_without_a_grant_it_goes_by_the_hosts_name(tmp_path: Path, content: str | None) -> None:
-    """A missing or damaged one names nothing, and is no reason not to record."""
-    settings = provisioned(tmp_path)
-    grant = tmp_path / "recorder.grant"
-    grant.unlink() if content is None else grant.write_text(content)
-    assert own_name(settings) == host_name()
-
-
-def test_a_name_that_is_none_of_a_key_is_not_used(tmp_path: Path) -> None:
-    """A grant may name its holder as a person is called."""
-    assert own_name(provisioned(tmp_path, "Depot_1")) == host_name()
+    In open mode, with a name that is none of a key, and without a grant or with a damaged one it is the host's.
+    """
+    settings = provisioned(tmp_path, granted, mode)
+    if grant is None:
+        (tmp_path / "recorder.grant").unlink()
+    elif grant != GRANTED:
+        (tmp_path / "recorder.grant").write_text(grant)
+    assert own_name(msgspec.structs.replace(settings, recorder=RecorderSettings(name=name))) == expected
 
 
 def test_a_recorder_signs_with_the_key_that_it_was_provisioned_with(

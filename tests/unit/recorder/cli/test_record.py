@@ -1,4 +1,4 @@
-"""``cruiser record`` before it records: its flags, its name, its plan, and SIGHUP."""
+"""``cruiser record`` before it records: its flags, its name, its plan, and SIGHUP; and what it says to others."""
 
 import argparse
 import os
@@ -11,21 +11,50 @@ import pytest
 
 from gateway.cli import main
 from recorder.cli import record, remote
+from recorder.cli.remote import describe
 from recorder.loop import Recorded
 from recorder.record.accounting import KeyReport
 from schemas.command_line import ExitCode
+from schemas.recording import RecorderReply, RecorderState
 from schemas.settings import RecorderSettings, Settings, ZenohSettings
+from tests.support.messages import recorder_health
 
 
-@pytest.mark.parametrize("seconds", ["0", "-1", "inf", "nan", "soon"])
-def test_a_time_must_be_a_time(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit code 2."""
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["dance"],
+        ["status", "Depot"],
+        ["status", "depot/x"],
+        ["status", "\x1b[2J"],
+        ["status", "depot", "other"],
+        ["mark", "--robot", "*"],
+        ["mark", "--operator", "a b"],
+        ["mark", "--timeout", "0"],
+        ["mark", "--timeout", "nan"],
+        ["status", "--text", "x"],
+        *([f"--seconds={seconds}"] for seconds in ("0", "-1", "inf", "nan", "soon")),
+    ],
+)
+def test_wrong_words_are_a_usage_error(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2, before anybody is asked."""
     parser = argparse.ArgumentParser()
     record.add_arguments(parser)
     with pytest.raises(SystemExit) as caught:
-        parser.parse_args([f"--seconds={seconds}"])
+        parser.parse_args(words)
     assert caught.value.code == ExitCode.USAGE
-    assert "--seconds" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "\x1b" not in err
+    assert words[-1].partition("=")[0] in err or "--" not in words[-1]
+
+
+def test_a_reply_reads_like_a_sentence() -> None:
+    """A refusal is one; the figures of a status have their units."""
+    reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=recorder_health(RecorderState.FULL))
+    assert describe("depot", "mark", reply) == "depot: refused: why\n  a.mcap"
+    text = describe("depot", "status", reply)
+    assert "0.0 MB of logs, 0.0 MB of them incidents, 0.0 MB free" in text
+    assert "for 1 s, up 2 s, version 1" in text
 
 
 def test_the_usage_shows_that_an_action_is_not_needed(capsys: pytest.CaptureFixture[str]) -> None:

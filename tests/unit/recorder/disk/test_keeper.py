@@ -17,6 +17,7 @@ from recorder.disk.files import SafeLogs, UploadedLog, UploadNote
 from recorder.disk.keeper import DiskKeeper, read_entries
 from recorder.record.actions import Deleted, DiskRoom, Moved, Notice
 from recorder.record.retention import DiskLimits, LogEntry
+from tests.support.fakes.recording import failing
 from tests.support.logs import logs_in
 from tests.support.waiting import wait_until
 
@@ -201,9 +202,7 @@ def test_a_log_that_cannot_be_deleted_counts_and_others_go_in_its_place(
 
     def refuse(path: Path) -> None:
         tries.append(path.name)
-        if is_held and path.name == stuck:
-            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-        unlink(path)
+        (failing(errno.EROFS) if is_held and path.name == stuck else unlink)(path)
 
     monkeypatch.setattr(Path, "unlink", refuse)
     monkeypatch.setattr(disk_keeper, "RETRY_S", 0.05)
@@ -239,9 +238,7 @@ def test_when_all_are_held_recording_stops_and_goes_on_once_they_can_go(
     unlink = Path.unlink
 
     def refuse(path: Path) -> None:
-        if is_held:
-            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-        unlink(path)
+        (failing(errno.EROFS) if is_held else unlink)(path)
 
     monkeypatch.setattr(Path, "unlink", refuse)
     monkeypatch.setattr(disk_keeper, "RETRY_S", 0.5)

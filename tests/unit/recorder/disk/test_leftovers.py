@@ -3,13 +3,12 @@
 import errno
 import logging
 import os
-import shutil
 import threading
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import pytest
 from mcap.reader import make_reader
@@ -27,7 +26,8 @@ from recorder.disk.keeper import (
 from recorder.record.actions import DiskBack, DiskRoom, Recovered
 from recorder.record.retention import LogSigner
 from recorder.review.check import check_log
-from tests.support.logs import logs_in, small_log
+from tests.support.fakes.recording import failing
+from tests.support.logs import flipped, logs_in, small_log
 from tests.support.messages import WALL_NS
 
 LOG = small_log()
@@ -48,33 +48,35 @@ def messages(path: Path) -> int:
     return sum(1 for _ in make_reader(BytesIO(path.read_bytes()), validate_crcs=True).iter_messages())
 
 
-def attachments(path: Path) -> list[str]:
-    """The names of a log's attachments."""
-    return [one.name for one in make_reader(BytesIO(path.read_bytes())).iter_attachments()]
+BEHIND = b"\xffnobody knows"
+DAMAGED = flipped(LOG)[:SUMMARY]
 
 
-def flipped(data: bytes) -> bytes:
-    """The log with a wrong bit within its first chunk."""
-    place = data.index(b"\x04\x00\x00\x00zstd") + 30
-    return data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :]
-
-
-def test_a_killed_recorders_log_is_made_whole_in_place(tmp_path: Path) -> None:
-    """The same file under its proper name; nothing else is left."""
-    path = part(tmp_path, LOG[: SUMMARY + 3])
+@pytest.mark.parametrize(
+    ("data", "said", "kept"),
+    [
+        # outcome, messages, faults, bytes that were cut off
+        (LOG[: SUMMARY + 3], ("recovered", 12, 0, 3), {}),
+        (LOG, ("whole", 12, 0, 0), {}),
+        (DAMAGED, ("damaged", 2, 1, 0), {"x.mcap.damaged": DAMAGED}),
+        (LOG[:SUMMARY] + BEHIND, ("damaged", 12, 0, 13), {"x.mcap.rest": BEHIND}),
+    ],
+    ids=["torn", "whole but for its name", "damaged: what is good is copied", "more than torn behind the data"],
+)
+def test_a_part_is_made_whole(
+    tmp_path: Path, data: bytes, said: tuple[str, int, int, int], kept: dict[str, bytes]
+) -> None:
+    """In place, unless it is damaged; nothing of value is deleted, and nothing else is left."""
+    path, log = part(tmp_path, data), tmp_path / "x.mcap"
     inode = path.stat().st_ino
-    recovery = recover(path, "test")
-    assert (recovery.outcome, recovery.messages, recovery.cut_bytes) == (RecoveryOutcome.RECOVERED, 12, 3)
-    assert logs_in(tmp_path) == ["x.mcap"]
-    assert (tmp_path / "x.mcap").stat().st_ino == inode
-    assert check_log(tmp_path / "x.mcap").whole
-    assert messages(tmp_path / "x.mcap") == 12
-
-
-def test_a_whole_part_is_but_renamed(tmp_path: Path) -> None:
-    """Its recorder was killed between the last write and the new name."""
-    assert recover(part(tmp_path, LOG), "test").outcome is RecoveryOutcome.WHOLE
-    assert (tmp_path / "x.mcap").read_bytes() == LOG
+    one = recover(path, "test")
+    assert (one.outcome.value, one.messages, one.fault_count, one.cut_bytes) == said
+    assert [Path(one.kept).name for _ in kept if one.kept] == [*kept]
+    assert {name: (tmp_path / name).read_bytes() for name in logs_in(tmp_path) if name != log.name} == kept
+    assert (log.stat().st_ino == inode) == ("x.mcap.damaged" not in kept)
+    assert check_log(log).whole
+    assert messages(log) == one.messages
+    assert data != LOG or log.read_bytes() == LOG
 
 
 def test_a_name_that_exists_gets_a_number(tmp_path: Path) -> None:
@@ -113,40 +115,6 @@ def test_a_part_that_was_renamed_before_it_was_locked_is_not_touched(
     assert (tmp_path / "x.mcap").read_bytes() == LOG[:SUMMARY]
 
 
-def test_where_there_are_no_locks_nothing_is_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody could tell whether its recorder lives."""
-
-    def none(_descriptor: int) -> bool:
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(keeper, "lock", none)
-    path = part(tmp_path, LOG[:SUMMARY])
-    recovery = recover(path, "test")
-    assert recovery.outcome is RecoveryOutcome.FAILED
-    assert recovery.detail == f"No locks available: {keeper.NO_LOCKS}"
-    assert path.read_bytes() == LOG[:SUMMARY]
-
-
-def test_a_damaged_log_is_kept_as_it_is_beside_what_is_good_in_it(tmp_path: Path) -> None:
-    """Nothing of value is deleted."""
-    data = flipped(LOG)[:SUMMARY]
-    recovery = recover(part(tmp_path, data), "test")
-    assert (recovery.outcome, recovery.fault_count, recovery.messages) == (RecoveryOutcome.DAMAGED, 1, 2)
-    assert logs_in(tmp_path) == ["x.mcap", "x.mcap.damaged"]
-    assert (tmp_path / "x.mcap.damaged").read_bytes() == data
-    assert recovery.kept == str(tmp_path / "x.mcap.damaged")
-    assert check_log(tmp_path / "x.mcap").whole
-    assert messages(tmp_path / "x.mcap") == 2
-
-
-def test_what_is_cut_off_and_more_than_torn_is_kept(tmp_path: Path) -> None:
-    """Here something that is no record."""
-    recovery = recover(part(tmp_path, LOG[:SUMMARY] + b"\xffnobody knows"), "test")
-    assert (recovery.outcome, recovery.messages) == (RecoveryOutcome.DAMAGED, 12)
-    assert (tmp_path / "x.mcap.rest").read_bytes() == b"\xffnobody knows"
-    assert check_log(tmp_path / "x.mcap").whole
-
-
 def test_a_log_that_is_no_part_keeps_its_name(tmp_path: Path) -> None:
     """By hand any log can be made whole; a damaged one makes room."""
     path = tmp_path / "log.mcap"
@@ -171,60 +139,45 @@ def test_a_part_without_anything_is_set_aside_at_a_start(tmp_path: Path, data: b
     assert logs_in(tmp_path) == ["x.mcap.damaged"]
 
 
-def fail_to(name: str, monkeypatch: pytest.MonkeyPatch, number: int = errno.ENOSPC) -> None:
-    """Let a step of the recovery meet a full disk, or another fault."""
-
-    def full(*_arguments: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(keeper, name, full)
+def fail_late(stream: BinaryIO, kept: BinaryIO) -> None:
+    """A copy that breaks off."""
+    kept.write(stream.read(3))
+    failing(errno.EIO)()
 
 
-def test_a_copy_that_does_not_fit_leaves_the_log_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And nothing of the copy."""
-    fail_to("copy_good", monkeypatch)
-    data = flipped(LOG)[:SUMMARY]
-    recovery = recover(part(tmp_path, data), "test")
-    assert (recovery.outcome, recovery.detail) == (RecoveryOutcome.FAILED, "No space left on device")
-    assert logs_in(tmp_path) == ["x.mcap.part"]
-    assert (tmp_path / "x.mcap.part").read_bytes() == data
+def leaves(free: int) -> dict[str, Any]:
+    """A disk with so much room, on which nothing may even be begun."""
+    usage = SimpleNamespace(free=free)
+    return {"shutil.disk_usage": lambda _: usage, "copy_good": failing(errno.EIO), "_finish": failing(errno.EIO)}
+
+
+NO_ROOM = os.strerror(errno.ENOSPC)
 
 
 @pytest.mark.parametrize(
-    ("data", "needed"), [(flipped(LOG)[:SUMMARY], SUMMARY), (LOG[:SUMMARY] + b"\xffnobody knows", 13)]
+    ("knobs", "data", "detail"),
+    [
+        ({"lock": failing(errno.ENOLCK)}, LOG[:SUMMARY], f"{os.strerror(errno.ENOLCK)}: {keeper.NO_LOCKS}"),
+        ({"copy_good": failing(errno.ENOSPC)}, DAMAGED, NO_ROOM),
+        ({"shutil.copyfileobj": fail_late}, LOG[:SUMMARY] + BEHIND, os.strerror(errno.EIO)),
+        (leaves(SUMMARY - 1), DAMAGED, NO_ROOM),
+        (leaves(len(BEHIND) - 1), LOG[:SUMMARY] + BEHIND, NO_ROOM),
+    ],
+    ids=["no locks", "a copy does not fit", "a rest does not fit", "no room for a copy", "no room for a rest"],
 )
-def test_what_does_not_fit_beside_the_log_is_not_begun(
-    data: bytes, needed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_fails_leaves_the_log_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, knobs: dict[str, Any], data: bytes, detail: str
 ) -> None:
-    """A copy or rest that filled the disk in vain would have whole logs deleted for it, time and again."""
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=needed - 1))
-    fail_to("copy_good", monkeypatch, errno.EIO)
-    fail_to("_finish", monkeypatch, errno.EIO)
+    """And nothing of a copy or rest: each further try would leave one more. Later it is made whole."""
+    for step, knob in knobs.items():
+        monkeypatch.setattr(f"recorder.disk.keeper.{step}", knob)
     path = part(tmp_path, data)
-    assert recover(path, "test").detail == "No space left on device"
+    recovery = recover(path, "test")
+    assert (recovery.outcome, recovery.detail) == (RecoveryOutcome.FAILED, detail)
     assert logs_in(tmp_path) == ["x.mcap.part"]
     assert path.read_bytes() == data
     monkeypatch.undo()
-    assert recover(path, "test").outcome is RecoveryOutcome.DAMAGED
-
-
-def test_a_rest_that_cannot_be_kept_leaves_the_log_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And nothing of the rest: each further try would leave one more."""
-
-    def fail_late(stream: BinaryIO, kept: BinaryIO) -> None:
-        kept.write(stream.read(3))
-        raise OSError(errno.EIO, "Input/output error")
-
-    monkeypatch.setattr(shutil, "copyfileobj", fail_late)
-    data = LOG[:SUMMARY] + b"\xffnobody knows"
-    path = part(tmp_path, data)
-    assert recover(path, "test").detail == "Input/output error"
-    assert logs_in(tmp_path) == ["x.mcap.part"]
-    assert path.read_bytes() == data
+    assert recover(path, "test").outcome in {RecoveryOutcome.RECOVERED, RecoveryOutcome.DAMAGED}
 
 
 class FullDisk:
@@ -273,26 +226,38 @@ def test_a_recovery_reaches_the_disk_before_the_name(tmp_path: Path, monkeypatch
     assert steps == ["file", "name", "directory"]
 
 
+def looked(directory: Path) -> LeftoverThread:
+    """The thread of a start, when it has looked at what was left."""
+    thread = LeftoverThread(directory, "test")
+    thread.wait(30)
+    return thread
+
+
 def test_a_start_recovers_every_part_and_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With the count of messages; what is whole already is left alone."""
+    """With the count of messages. Of one in which nothing is read nobody is told; no name rules a terminal."""
     (tmp_path / "whole.mcap").write_bytes(LOG)
-    part(tmp_path, LOG[:SUMMARY], "a")
-    part(tmp_path, flipped(LOG)[:SUMMARY], "b")
+    part(tmp_path, LOG[:SUMMARY], "a-20270115T080000Z.incident")
+    part(tmp_path, DAMAGED, "b")
     part(tmp_path, b"", "c")
+    part(tmp_path, LOG[:SUMMARY], os.fsdecode(b"d\xff\x1b[2J"))
     with caplog.at_level(logging.INFO):
-        thread = LeftoverThread(tmp_path, "test")
-        thread.wait(30)
-    assert [one.messages for one in thread.recoveries] == [12, 2, 0]
-    assert logs_in(tmp_path) == ["a.mcap", "b.mcap", "b.mcap.damaged", "c.mcap.damaged", "whole.mcap"]
-    assert "recovered 12 messages" in caplog.text
-    assert "recovered 2 messages" in caplog.text
-    assert "cannot recover" in caplog.text
+        thread = looked(tmp_path)
+    assert [one.messages for one in thread.recoveries] == [12, 2, 0, 12]
+    names = {"a-20270115T080000Z.incident.mcap", "b.mcap", "b.mcap.damaged", "c.mcap.damaged", "whole.mcap"}
+    assert {name for name in logs_in(tmp_path) if not name.startswith("d")} == names
+    for line in ("recovered 12 messages", "recovered 2 messages", "cannot recover"):
+        assert line in caplog.text
+    assert list(thread.notices()) == [
+        Recovered("a-20270115T080000Z.incident.mcap", 12),
+        Recovered("b.mcap", 2),
+        Recovered(r"d\udcff\x1b[2J.mcap", 12),
+    ]
+    assert list(thread.notices()) == []
 
 
 def test_what_is_left_later_is_recovered_when_it_is_looked_for_again(tmp_path: Path) -> None:
     """A part that its recorder is still writing is locked, and left alone."""
-    thread = LeftoverThread(tmp_path, "test")
-    thread.wait(30)
+    thread = looked(tmp_path)
     part(tmp_path, LOG[:SUMMARY], "a")
     held = part(tmp_path, LOG[:SUMMARY], "b")
     with held.open("rb") as stream:
@@ -303,39 +268,11 @@ def test_what_is_left_later_is_recovered_when_it_is_looked_for_again(tmp_path: P
     assert [one.messages for one in thread.recoveries] == [12]
 
 
-def test_what_was_recovered_is_told_to_the_recording_and_nothing_else(tmp_path: Path) -> None:
-    """Of a part in which nothing can be read nobody says that it is whole now; nor does a name rule a terminal."""
-    part(tmp_path, LOG[:SUMMARY], "a-20270115T080000Z.incident")
-    part(tmp_path, flipped(LOG)[:SUMMARY], "b")
-    part(tmp_path, b"", "c")
-    part(tmp_path, LOG[:SUMMARY], os.fsdecode(b"d\xff\x1b[2J"))
-    thread = LeftoverThread(tmp_path, "test")
-    thread.wait(30)
-    assert list(thread.notices()) == [
-        Recovered("a-20270115T080000Z.incident.mcap", 12),
-        Recovered("b.mcap", 2),
-        Recovered(r"d\udcff\x1b[2J.mcap", 12),
-    ]
-    assert list(thread.notices()) == []
-    assert len(thread.recoveries) == 4
-
-
-def test_what_cannot_be_recovered_now_is_told_by_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is as it was."""
-    fail_to("copy_good", monkeypatch)
-    part(tmp_path, flipped(LOG)[:SUMMARY])
-    thread = LeftoverThread(tmp_path, "test")
-    thread.wait(30)
-    assert list(thread.notices()) == []
-    assert [one.outcome for one in thread.recoveries] == [RecoveryOutcome.FAILED]
-
-
 def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither before, nor again after that: where nothing has failed, room is no reason to look."""
-    fail_to("_finish", monkeypatch)
+    monkeypatch.setattr(keeper, "_finish", failing(errno.ENOSPC))
     part(tmp_path, LOG[:SUMMARY])
-    thread = LeftoverThread(tmp_path, "test")
-    thread.wait(30)
+    thread = looked(tmp_path)
     monkeypatch.undo()
     thread.receive_notice(FULL)
     thread.wait(30)
@@ -356,7 +293,7 @@ def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkey
 
 def test_a_try_that_fails_again_waits_for_the_next_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One try for each time that there is room: it reads the whole log."""
-    fail_to("_finish", monkeypatch)
+    monkeypatch.setattr(keeper, "_finish", failing(errno.ENOSPC))
     part(tmp_path, LOG[:SUMMARY])
     thread = LeftoverThread(tmp_path, "test")
     for tries in (1, 2, 3):
@@ -396,12 +333,11 @@ def test_an_incident_stays_one(tmp_path: Path) -> None:
     """Whole, with a number, with a rest or set aside: nobody deletes it for want of room."""
     stem = "a-20270115T080000Z.incident"
     (tmp_path / f"{stem}.mcap").write_bytes(LOG)
-    part(tmp_path, flipped(LOG)[:SUMMARY], stem)
+    part(tmp_path, DAMAGED, stem)
     (tmp_path / f"{stem}-3.mcap").write_bytes(LOG)
-    part(tmp_path, LOG[:SUMMARY] + b"\xffnobody knows", f"{stem}-3")
+    part(tmp_path, LOG[:SUMMARY] + BEHIND, f"{stem}-3")
     part(tmp_path, b"", f"{stem}-4")
-    thread = LeftoverThread(tmp_path, "test")
-    thread.wait(30)
+    looked(tmp_path)
     assert len(logs_in(tmp_path)) == 7
     entries = read_entries(tmp_path)
     assert len(entries) == 7

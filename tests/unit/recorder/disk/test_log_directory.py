@@ -28,7 +28,7 @@ from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.command_line import CommandError
 from schemas.messages import Gear
-from tests.support.fakes.recording import SlowDisk
+from tests.support.fakes.recording import SlowDisk, failing
 from tests.support.logs import logs_in, sealed
 from tests.support.messages import WALL_NS
 from tests.support.reading import Read
@@ -205,11 +205,38 @@ def test_without_room_for_the_end_the_part_stays_readable(tmp_path: Path) -> Non
     assert [fault.partition(": ")[2] for fault in info.faults] == ["the file ends without a footer"]
 
 
-def test_a_disk_without_room_for_a_header_leaves_no_file(tmp_path: Path) -> None:
-    """There is nothing to keep."""
+def test_what_the_disk_does_not_take_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No header; names, however often it is tried; a file without a message, which only repeats another's."""
+    directory = LogDirectory(tmp_path)
     with files_end_at(4), pytest.raises(CommandError, match="too large"):
-        LogDirectory(tmp_path).open("x", WALL_NS, "test")
+        directory.open("x", WALL_NS, "test")
+    with monkeypatch.context() as knobs:
+        knobs.setattr(files, "sync_directory", failing(errno.EIO))
+        for _ in range(3):
+            with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
+                directory.open("x", WALL_NS, "test")
+    log = opened(tmp_path)
+    log.salvage()
     assert logs_in(tmp_path) == []
+    assert not log.is_kept
+    # A disk that is gone may not even say whether there is one: that is no fault of ours.
+    monkeypatch.setattr(Path, "exists", failing(errno.EIO))
+    assert not log.is_kept
+
+
+def test_a_part_that_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that another start has taken for a leftover is left to it; where there are no locks it is written."""
+    with monkeypatch.context() as knobs:
+        answers = iter([False, True])
+        knobs.setattr(files, "lock", lambda _: next(answers))
+        log = opened(tmp_path)
+        assert log.path.name == f"{STEM}-2.mcap.part"
+        log.salvage()
+    monkeypatch.setattr(files, "lock", failing(errno.ENOLCK))
+    log = opened(tmp_path)
+    log.write(chunk(1))
+    log.write(CloseLog("x"))
+    assert sequences(log.path) == [1]
 
 
 def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> None:
@@ -405,88 +432,19 @@ def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.
         assert lock(other.fileno())
 
 
-def test_a_new_part_that_another_process_has_locked_is_left_to_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Between its creation and its lock another start may have taken it for a leftover."""
-    answers = iter([False, True])
-    monkeypatch.setattr(files, "lock", lambda _: next(answers))
-    log = opened(tmp_path)
-    assert log.path.name == f"{STEM}-2.mcap.part"
-    log.salvage()
-
-
-def test_where_there_are_no_locks_a_log_is_written_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Some network file systems have none."""
-
-    def none(_descriptor: int) -> bool:
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(files, "lock", none)
-    log = opened(tmp_path)
-    log.write(chunk(1))
-    log.write(CloseLog("x"))
-    assert sequences(log.path) == [1]
-
-
-def test_a_file_without_a_message_is_not_left_by_a_fault(tmp_path: Path) -> None:
-    """It only repeats what another file says."""
-    log = opened(tmp_path)
-    log.salvage()
-    assert logs_in(tmp_path) == []
-    assert not log.is_kept
-
-
 @pytest.mark.parametrize("step", ["sync_directory", "McapFile"])
 def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     """The disk takes no header, and is read-only from then on: what is told is the first of it."""
-
-    def fail(*_arguments: object, **_named: object) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    def refuse(_path: Path) -> None:
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
     directory = LogDirectory(tmp_path)
     with monkeypatch.context() as knobs:
-        knobs.setattr(files, step, fail)
-        knobs.setattr(Path, "unlink", refuse)
+        knobs.setattr(files, step, failing(errno.EIO))
+        knobs.setattr(Path, "unlink", failing(errno.EROFS))
         with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
             directory.open("x", WALL_NS, "test")
     with (tmp_path / "x-20270115T080000Z.mcap.part").open("rb") as left:
         assert lock(left.fileno()), "nobody holds it any more"
-
-
-def test_a_directory_whose_names_the_disk_does_not_take_is_left_empty(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However often it is tried: no heap of empty parts."""
-
-    def fail(_path: Path) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    monkeypatch.setattr(files, "sync_directory", fail)
-    directory = LogDirectory(tmp_path)
-    for _ in range(3):
-        with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
-            directory.open("x", WALL_NS, "test")
-    assert logs_in(tmp_path) == []
-
-
-def test_of_a_disk_that_is_gone_no_file_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may not even say whether there is one: that is no fault of ours."""
-
-    def fail(_path: Path) -> bool:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    log = opened(tmp_path)
-    log.salvage()
-    monkeypatch.setattr(Path, "exists", fail)
-    assert not log.is_kept
 
 
 def test_an_incident_is_called_one(tmp_path: Path) -> None:

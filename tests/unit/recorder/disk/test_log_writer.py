@@ -6,7 +6,8 @@ import shutil
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from functools import partial
 from io import FileIO
 from pathlib import Path
 
@@ -52,13 +53,15 @@ BEGIN: list[LogAction] = [
 
 
 class FaultyFile(FileIO):
-    """A file whose disk takes no data while ``error`` says so, and no more than ``room`` of all files together."""
+    """A file whose disk fails while ``error`` says so, waits, and takes no more than ``room`` of all files."""
 
     error = 0
     written = 0
     room = 10**9
+    goes_on = threading.Event()
 
     def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
+        assert FaultyFile.goes_on.wait(30)
         if FaultyFile.error:
             raise OSError(FaultyFile.error, os.strerror(FaultyFile.error))
         if FaultyFile.written + len(data) > FaultyFile.room:
@@ -73,9 +76,9 @@ def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "FileIO", FaultyFile)
     monkeypatch.setattr(log_writer, "RETRY_MIN_S", 0.01)
     monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.02)
-    monkeypatch.setattr(FaultyFile, "error", 0)
-    monkeypatch.setattr(FaultyFile, "written", 0)
-    monkeypatch.setattr(FaultyFile, "room", 10**9)
+    for knob, value in (("error", 0), ("written", 0), ("room", 10**9)):
+        monkeypatch.setattr(FaultyFile, knob, value)
+    FaultyFile.goes_on.set()
 
 
 @pytest.fixture
@@ -94,6 +97,23 @@ def on_log(actions: Iterable[LogAction], log: str = "x") -> list[LogAction]:
     return [msgspec.structs.replace(action, log=log) for action in actions]
 
 
+def end(writer: LogWriter, *actions: LogAction) -> None:
+    """These actions, and the end of the log and of the writer."""
+    writer.submit(on_log([*actions, CloseLog("x")]))
+    writer.close()
+
+
+def is_written(writer: LogWriter) -> bool:
+    """Whether all that was submitted is in a file."""
+    return bool(writer.sizes) and not writer._queue
+
+
+def is_kept(writer: LogWriter) -> bool:
+    """Whether all that is in the file of x is on the disk."""
+    file = writer._chains["x"].file
+    return file is not None and file.has_synced and file.kept_size == file.size
+
+
 def sequences(path: Path) -> list[int]:
     """The messages of a whole file."""
     return [sequence for _, sequence, *_ in Read(path).messages]
@@ -108,8 +128,7 @@ def names(path: Path) -> list[str]:
 def test_actions_become_a_file(tmp_path: Path, writer: LogWriter) -> None:
     """In order; the result says what was written."""
     writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
-    writer.submit(on_log([chunk(2), CloseLog("x")]))
-    writer.close()
+    end(writer, chunk(2))
     path = tmp_path / f"{STEM}.mcap"
     assert sequences(path) == [1, 2]
     assert (writer.path, writer.files, writer.bytes, writer.lost) == (str(path), 1, path.stat().st_size, 0)
@@ -117,8 +136,7 @@ def test_actions_become_a_file(tmp_path: Path, writer: LogWriter) -> None:
 
 def test_the_next_file_repeats_what_lasts(tmp_path: Path, writer: LogWriter) -> None:
     """So that it can be read alone; no message is in both."""
-    writer.submit(on_log([*BEGIN, chunk(1), CloseLog("x"), OpenLog("x", "x", WALL_NS), chunk(2), CloseLog("x")]))
-    writer.close()
+    end(writer, *BEGIN, chunk(1), CloseLog("x"), OpenLog("x", "x", WALL_NS), chunk(2))
     first, second = tmp_path / f"{STEM}.mcap", tmp_path / f"{STEM}-2.mcap"
     assert (sequences(first), sequences(second)) == ([1], [2])
     assert names(first) == ["cruiser", "cruiser.once", "a.dbc"]
@@ -138,13 +156,12 @@ def test_the_size_is_that_of_the_file_that_is_asked_for(writer: LogWriter) -> No
 def test_after_a_fault_the_log_goes_on_in_another_file(tmp_path: Path, error: int, writer: LogWriter) -> None:
     """The chunk that failed is the first of it; nothing is lost or doubled."""
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: bool(writer.sizes) and not writer._queue)
+    wait_until(partial(is_written, writer))
     FaultyFile.error = error
     writer.submit(on_log([chunk(2), SyncLog("x")]))
     wait_until(lambda: writer.files == 1)
     FaultyFile.error = 0
-    writer.submit(on_log([chunk(3), CloseLog("x")]))
-    writer.close()
+    end(writer, chunk(3))
     assert writer.lost == 0
     kept = sorted(tmp_path.iterdir())
     assert [path.name for path in kept] == [f"{STEM}-2.mcap", f"{STEM}.mcap.part"]
@@ -164,8 +181,7 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(t
     wait_until(lambda: writer.lost >= 90)
     assert logs_in(tmp_path) in ([], [f"{STEM}.mcap.part"])
     FaultyFile.error = 0
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     kept = sequences(tmp_path / f"{STEM}.mcap")
     # One may be in hand while later ones go.
     assert kept[1:] == list(range(101 - len(kept), 100))
@@ -187,38 +203,19 @@ def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path, 
         writer.submit(on_log([chunk(number), SyncLog("x")]))
         number += 1
         wait_until(lambda: not writer._queue)
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     assert [type(one) for one in writer.notices()] == [DiskFault, Opened, DiskBack, Ended]
     assert sequences(tmp_path / f"{STEM}.mcap") == list(range(1, number))
 
 
 @pytest.mark.parametrize("ends", [False, True])
 def test_what_the_disk_fails_to_keep_is_written_again(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    writer: LogWriter,
-    ends: bool,  # noqa: FBT001 - parametrized
+    tmp_path: Path, writer: LogWriter, disk: SlowDisk, *, ends: bool
 ) -> None:
     """Into the next file; the one before is cut back to what was kept. Nothing is lost or there twice."""
-    fails = threading.Event()
-    keep = os.fdatasync, os.fsync
-
-    def sync(descriptor: int, how: Callable[[int], None]) -> None:
-        if fails.is_set() and stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise OSError(errno.EIO, "Input/output error")
-        how(descriptor)
-
-    monkeypatch.setattr(os, "fdatasync", lambda descriptor: sync(descriptor, keep[0]))
-    monkeypatch.setattr(os, "fsync", lambda descriptor: sync(descriptor, keep[1]))
     writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
-
-    def is_kept() -> bool:
-        writer.submit(on_log([SyncLog("x")]))
-        return (file := writer._chains["x"].file) is not None and not file.unkept_bytes
-
-    wait_until(is_kept)
-    fails.set()
+    wait_until(partial(is_kept, writer))
+    disk.fails = True
     writer.submit(on_log([chunk(2), chunk(3), *([CloseLog("x")] if ends else [SyncLog("x"), chunk(4)])]))
 
     def is_told() -> bool:
@@ -226,14 +223,12 @@ def test_what_the_disk_fails_to_keep_is_written_again(
         return writer._is_faulty
 
     wait_until(is_told)
-    fails.clear()
-    if not ends:
-        writer.submit(on_log([chunk(5), CloseLog("x")]))
-    writer.close()
-    for path in tmp_path.glob("*.part"):
-        assert recover(path, "test").outcome is RecoveryOutcome.RECOVERED
-    found = [sequences(path) for path in sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)]
-    assert sorted(number for numbers in found for number in numbers) == list(range(1, 4 if ends else 6))
+    disk.fails = False
+    if ends:
+        writer.close()
+    else:
+        end(writer, chunk(5))
+    assert all_sequences(tmp_path) == list(range(1, 4 if ends else 6))
     assert writer.lost == 0
 
 
@@ -243,8 +238,7 @@ def test_several_logs_are_written_at_once(tmp_path: Path, writer: LogWriter) -> 
     writer.submit(on_log([OpenLog("y", "y", WALL_NS, is_incident=True), *BEGIN[1:], chunk(2)], "y!"))
     writer.submit(on_log([chunk(3)]))
     writer.submit(on_log([chunk(4), CloseLog("x")], "y!"))
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     incident = tmp_path / "y-20270115T080000Z.incident.mcap"
     assert (sequences(tmp_path / f"{STEM}.mcap"), sequences(incident)) == ([1, 3], [2, 4])
     assert writer.path == str(tmp_path / f"{STEM}.mcap")
@@ -261,15 +255,14 @@ def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
     directory = tmp_path / "logs"
     writer = LogWriter(LogDirectory(directory), "test")
     writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
-    wait_until(lambda: bool(writer.sizes) and not writer._queue)
+    wait_until(partial(is_written, writer))
     shutil.rmtree(directory)
     number = 2
     while not directory.exists():
         writer.submit(on_log([chunk(number), SyncLog("x")]))
         wait_until(lambda: not writer._queue)
         number += 1
-    writer.submit(on_log([chunk(number), CloseLog("x")]))
-    writer.close()
+    end(writer, chunk(number))
     found = sequences(next(directory.glob("*.mcap")))
     assert found == list(range(writer.lost + 1, number + 1))
 
@@ -280,15 +273,10 @@ def test_what_is_removed_with_a_log_is_lost(tmp_path: Path, writer: LogWriter, *
     begin = [OpenLog("x", "x", WALL_NS, is_incident=is_incident), *BEGIN[1:]]
     writer.submit(on_log([*begin, chunk(1), chunk(2), SyncLog("x")]))
 
-    def is_kept() -> bool:
-        file = writer._chains["x"].file
-        return file is not None and file.has_synced and file.kept_size == file.size
-
-    wait_until(is_kept)
+    wait_until(partial(is_kept, writer))
     (part,) = tmp_path.iterdir()
     part.unlink()
-    writer.submit(on_log([chunk(3), CloseLog("x")]))
-    writer.close()
+    end(writer, chunk(3))
     (left,) = tmp_path.iterdir()
     assert sequences(left) == [3]
     assert writer.lost == (0 if is_incident else 2)
@@ -300,25 +288,19 @@ def test_what_is_removed_with_a_log_is_lost(tmp_path: Path, writer: LogWriter, *
 def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path, writer: LogWriter) -> None:
     """What waits is lost, and counted."""
     FaultyFile.error = errno.EIO
-    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog("x")]))
-    writer.close()
+    end(writer, *BEGIN, *(chunk(number) for number in range(20)))
     assert (writer.lost, writer.files, writer.path) == (20, 0, None)
     assert logs_in(tmp_path) == []
 
 
-def test_who_submits_never_waits_for_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
-) -> None:
+def test_who_submits_never_waits_for_the_disk(tmp_path: Path, writer: LogWriter) -> None:
     """Neither for a sync nor for a write."""
-    goes_on = threading.Event()
-    write = FaultyFile.write
-    monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
+    FaultyFile.goes_on.clear()
     for number in range(50):
         writer.submit(on_log([*(BEGIN if not number else []), chunk(number), SyncLog("x")]))
-    assert not goes_on.is_set()
-    goes_on.set()
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    assert not FaultyFile.goes_on.is_set()
+    FaultyFile.goes_on.set()
+    end(writer)
     assert sequences(tmp_path / f"{STEM}.mcap") == list(range(50))
 
 
@@ -348,8 +330,7 @@ def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path)
     writer.submit(on_log([opening, *BEGIN[1:], *(chunk(number) for number in range(1, 100))], "x!"))
     FaultyFile.error = 0
     writer.submit(on_log([CloseLog("x")], "x!"))
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     lost = [one for one in writer.notices() if isinstance(one, Lost)]
     assert {one.log for one in lost} <= {"x"}
     assert writer.lost == sum(one.counts[1] for one in lost) <= 1
@@ -375,8 +356,7 @@ def test_a_chunk_larger_than_the_queue_costs_no_others(tmp_path: Path) -> None:
     wait_until(lambda: writer._is_faulty)
     writer.submit(on_log([chunk(10, 20_000), chunk(11)]))
     FaultyFile.error = 0
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     assert writer.lost == 1
     assert sequences(tmp_path / f"{STEM}.mcap") == [*range(10), 11]
 
@@ -384,13 +364,12 @@ def test_a_chunk_larger_than_the_queue_costs_no_others(tmp_path: Path) -> None:
 def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path, writer: LogWriter) -> None:
     """The header fits and what follows does not: who waits for an ended file does not wait for that one."""
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: bool(writer.sizes) and not writer._queue)
+    wait_until(partial(is_written, writer))
     FaultyFile.room = FaultyFile.written + 500
     writer.submit(on_log([chunk(2, 5000)]))
     wait_until(lambda: writer._pause_s > log_writer.RETRY_MIN_S)
     FaultyFile.room = 10**9
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     told = [one for one in writer.notices() if isinstance(one, Opened | Ended)]
     assert {one.file for one in told} == {name.removesuffix(".part") for name in logs_in(tmp_path)}
     assert [type(one) for one in told] == [Opened, Ended] * (len(told) // 2)
@@ -431,8 +410,7 @@ def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(tmp_path: Path, d
     disk.goes_on.set()
     wait_until(lambda: writer._is_faulty)
     disk.fails = False
-    writer.submit(on_log([chunk(100), CloseLog("x")]))
-    writer.close()
+    end(writer, chunk(100))
     found = all_sequences(tmp_path)
     assert found == sorted(set(found)), "nothing is there twice"
     assert len(found) == 101 - writer.lost
@@ -466,14 +444,8 @@ def test_a_sync_that_fails_before_a_silence_is_seen(tmp_path: Path, writer: LogW
     disk.goes_on.set()
     wait_until(lambda: writer._is_faulty)
     disk.fails = False
-
-    def is_kept() -> bool:
-        file = writer._chains["x"].file
-        return file is not None and file.kept_size == file.size
-
-    wait_until(is_kept)
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    wait_until(partial(is_kept, writer))
+    end(writer)
     assert [type(one) for one in writer.notices()][-2:] == [DiskBack, Ended]
     assert all_sequences(tmp_path) == [1]
 
@@ -492,8 +464,7 @@ def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
         wait_until(lambda: not writer.sizes)
         FaultyFile.error = 0
         wait_until(lambda: bool(writer.sizes))
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     assert all_sequences(tmp_path) == sorted(1000 * number + one for number in range(5) for one in range(2))
     assert logs_in(tmp_path) == [f"x-20270115T0800{second:02}Z.mcap" for second in (0, 2, 4, 6, 8, 10)]
 
@@ -524,9 +495,7 @@ def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
     """A disk takes several syncs in about the time of one; what is written by then a kill does not take."""
-    goes_on = threading.Event()
-    write = FaultyFile.write
-    monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
+    FaultyFile.goes_on.clear()
     for log in range(4):
         opening = OpenLog("x", f"x{log}", WALL_NS)
         writer.submit(on_log([opening, BEGIN[-1], chunk(log), CloseLog("x")], f"x{log}"))
@@ -543,7 +512,7 @@ def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
     monkeypatch.setattr(os, "fsync", sync)
     with writer._changed:
         writer._is_closing = True
-    goes_on.set()
+    FaultyFile.goes_on.set()
     writer.close()
     assert waited == [0] * 4
     assert all_sequences(tmp_path) == [0, 1, 2, 3]
@@ -618,10 +587,9 @@ def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: P
 def test_a_file_that_could_not_be_made_whole_is_counted_until_it_is(tmp_path: Path, writer: LogWriter) -> None:
     """Without room for its end it is a part, which somebody may recover later."""
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: bool(writer.sizes) and not writer._queue)
+    wait_until(partial(is_written, writer))
     FaultyFile.error = errno.ENOSPC
-    writer.submit(on_log([CloseLog("x")]))
-    writer.close()
+    end(writer)
     assert writer.unfinished == 1
     assert all_sequences(tmp_path) == [1]
     assert writer.unfinished == 0
@@ -631,12 +599,9 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
     monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
     """It says so, and what still waits is counted as lost: silence must not look like success."""
-    goes_on = threading.Event()
-    write = FaultyFile.write
-    monkeypatch.setattr(FaultyFile, "write", lambda file, data: goes_on.wait(30) and write(file, data))
+    FaultyFile.goes_on.clear()
     monkeypatch.setattr(log_writer, "END_S", 0.05)
-    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(20)), CloseLog("x")]))
-    writer.close()
+    end(writer, *BEGIN, *(chunk(number) for number in range(20)))
     assert (writer.is_hung, writer.lost) == (True, 20)
-    goes_on.set()
+    FaultyFile.goes_on.set()
     writer._thread.join(30)

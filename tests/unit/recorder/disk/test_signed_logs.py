@@ -21,7 +21,8 @@ from schemas.authority.identity import Identity
 from schemas.authority.proof import GrantRole
 from schemas.messages import Gear
 from tests.support.authority import Fleet, Party
-from tests.support.logs import sealed, small_log
+from tests.support.fakes.recording import failing
+from tests.support.logs import flipped, sealed, small_log
 from tests.support.messages import WALL_NS
 from tests.support.waiting import wait_until
 
@@ -68,9 +69,7 @@ def test_what_a_killed_recorder_left_is_signed_at_the_next_start(tmp_path: Path,
 
 def test_a_damaged_part_is_signed_as_what_was_made_of_it(tmp_path: Path) -> None:
     """The copy of what is good in it."""
-    data = bytearray(small_log())
-    data[data.index(b"\x04\x00\x00\x00zstd") + 30] ^= 4
-    (tmp_path / f"{NAME}.part").write_bytes(data)
+    (tmp_path / f"{NAME}.part").write_bytes(flipped(small_log()))
     assert len(list(recover_leftovers(tmp_path.glob("*.part"), "test", SIGNER))) == 1
     signature_of(tmp_path / NAME)
 
@@ -79,12 +78,8 @@ def test_a_log_without_room_for_its_signature_has_no_name_until_there_is_some(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is called a log in signed mode is signed."""
-
-    def full(*_given: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     with monkeypatch.context() as patch:
-        patch.setattr(files, "write_signature", full)
+        patch.setattr(files, "write_signature", failing(errno.ENOSPC))
         assert not written(tmp_path).exists()
     (part,) = tmp_path.glob("*.part")
     assert len(list(recover_leftovers([part], "test", SIGNER))) == 1

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.encoding.protobuf import LOGGED, compile_encoder, compile_row_encoder, message_class, varint
-from schemas.messages import CanFrame, Gear, GearPosition, Message, RawSample, RobotState
+from schemas.messages import CanFrame, Message, RawSample
 from tests.support.strategies import message_of
 
 CLASSES = {kind: message_class(kind) for kind in LOGGED}
@@ -71,38 +71,6 @@ def test_any_length_is_told(length: int) -> None:
     raw = RawSample(time_ns=1, key="k" * length, encoding="", payload=bytes(length), attachment=b"", reason="")
     parsed: Any = CLASSES[RawSample].FromString(ENCODERS[RawSample](raw))
     assert (parsed.key, parsed.payload) == (raw.key, raw.payload)
-
-
-def test_null_is_absent_and_zero_is_present() -> None:
-    """A reader can tell a speed of 0 from none."""
-    fields: dict[str, Any] = dict.fromkeys(RobotState.__struct_fields__)
-    state = msgspec.convert(
-        {
-            **fields,
-            "time_ns": 1,
-            "sequence": 2,
-            "bus_up": True,
-            "variant": "coarse",
-            "silent": [],
-            "mode": "auto",
-            "gear_position": "park",
-            "braking_status": "released",
-            "parking_status": "applied",
-            "speed_mps": 0.0,
-        },
-        RobotState,
-    )
-    parsed = CLASSES[RobotState].FromString(ENCODERS[RobotState](state))
-    assert parsed.HasField("speed_mps")
-    assert not parsed.HasField("angle_deg")
-
-
-@pytest.mark.parametrize("position", GearPosition)
-def test_every_enumeration_value_has_its_number(position: GearPosition) -> None:
-    """The number is the position in the enumeration."""
-    gear = Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=position)
-    parsed: Any = CLASSES[Gear].FromString(ENCODERS[Gear](gear))
-    assert parsed.gear_position == list(GearPosition).index(position)
 
 
 def test_an_enumeration_too_large_for_one_byte_is_refused() -> None:

@@ -102,26 +102,27 @@ def test_messages_outside_of_chunks_come_one_by_one(use_chunking: bool) -> None:
     assert all(data[one.offset : one.offset + len(one.content)] == one.content for one in loose)
 
 
-def test_damage_in_the_middle_is_passed_over() -> None:
-    """The next piece that proves itself is found again, and all behind it."""
+@pytest.mark.parametrize(
+    ("start", "bytes_"),
+    [(0, bytes(40)), (7, b"\x7f"), (60, b"\xff")],
+    ids=["its head is lost", "its length leads nowhere", "its content is wrong"],
+)
+def test_a_damaged_chunk_costs_its_own_messages_only(start: int, bytes_: bytes) -> None:
+    """The next piece that proves itself is found again, and all behind it; schema and channel are outside."""
     second = chunks(LOG)[1]
-    damaged = bytearray(LOG)
-    damaged[second.offset : second.offset + 40] = bytes(40)
-    found = pieces(bytes(damaged))
-    assert [piece.start_ns for piece in found if isinstance(piece, PackedChunk)] == [100, 300, 400]
-    faults = [piece for piece in found if isinstance(piece, Fault)]
+    place = second.offset + start
+    damaged = LOG[:place] + bytes_ + LOG[place + len(bytes_) :]
+    found = walked(damaged)
+    assert [one.sequence for one in found if isinstance(one, LoggedMessage)] == [3, 4, 5, *range(9, 15)]
+    faults = [one for one in found if isinstance(one, Fault)]
     assert faults[0].offset == second.offset
     assert not any(fault.cuts for fault in faults)
-    assert found[-1] == End()
-
-
-def test_a_length_that_leads_nowhere_is_passed_over() -> None:
-    """A record that would be longer than the file."""
-    second = chunks(LOG)[1]
-    damaged = bytearray(LOG)
-    damaged[second.offset + 7] = 0x7F
-    found = pieces(bytes(damaged), is_verifying=False)
-    assert [piece.start_ns for piece in found if isinstance(piece, PackedChunk)] == [100, 300, 400]
+    for is_verifying in (True, False):
+        starts = [
+            one.start_ns for one in pieces(damaged, is_verifying=is_verifying) if isinstance(one, PackedChunk)
+        ]
+        assert [start_ns for start_ns in starts if start_ns != 200] == [100, 300, 400]
+    assert isinstance(found[-1], End)
 
 
 @pytest.mark.parametrize("name", [b"zstx", b"gzip"])
@@ -163,19 +164,6 @@ def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int, is_verify
     for data in (LOG[:place] + noise + LOG[place + len(noise) :], MAGIC + noise):
         assert isinstance(pieces(data, is_verifying=is_verifying)[-1], End | Fault)
         assert isinstance(walked(data)[-1], End | Fault)
-
-
-def test_a_damaged_chunk_costs_its_own_messages_only() -> None:
-    """The schema and the channel are outside of the chunks."""
-    second = chunks(LOG)[1]
-    damaged = bytearray(LOG)
-    damaged[second.offset + 60] ^= 0xFF
-    found = walked(bytes(damaged))
-    assert [one.sequence for one in found if isinstance(one, LoggedMessage)] == [3, 4, 5, *range(9, 15)]
-    faults = [one for one in found if isinstance(one, Fault)]
-    assert faults[0].offset == second.offset
-    assert not faults[0].cuts
-    assert isinstance(found[-1], End)
 
 
 def test_bytes_behind_the_end_are_a_fault() -> None:

@@ -17,7 +17,7 @@ from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.mcap.writer import LogChannel, McapFile
 from recorder.review.check import check_stream
 from schemas.messages import Gear
-from tests.support.logs import foreign_log, gear_message, own_log, sealed, small_log
+from tests.support.logs import flipped, foreign_log, gear_message, own_log, sealed, small_log
 from tests.support.nights import by_night
 
 Row = tuple[str, str, bytes, int, int, int, bytes]
@@ -138,9 +138,9 @@ def test_a_flipped_bit_is_never_silently_wrong_data(*, is_finished: bool, step: 
     data = LOG if is_finished else LOG[: LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")]
     chooser = random.Random(7)  # noqa: S311 - reproducible, not secret
     for place in range(is_finished, len(data), step):
-        flipped = bytearray(data)
-        flipped[place] ^= 1 << chooser.randrange(8)
-        found, result = repaired(bytes(flipped))
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << chooser.randrange(8)
+        found, result = repaired(bytes(damaged))
         read = rows(result)
         assert [row for row in read if row not in ROWS] == []
         assert len(read) == len(set(read))
@@ -165,14 +165,24 @@ def test_what_is_no_log_holds_nothing(data: bytes) -> None:
     assert (found.messages, found.is_whole) == (0, False)
 
 
-def test_damage_in_the_middle_costs_its_own_chunk() -> None:
-    """The chunks behind it are found again, even where the length of the damaged one is lost."""
-    for place in (ENDS[0] + 1, ENDS[0] + 100):  # its length; its content
-        damaged = bytearray(CHUNKS)
-        damaged[place] ^= 0x40
-        found, result = repaired(bytes(damaged))
-        assert [row[3] for row in rows(result)] == [0, 1, 2, 6, 7, 8, 9, 10, 11]
-        assert found.fault_count == 1
+@pytest.mark.parametrize(
+    ("data", "sequences", "fault_count", "is_torn"),
+    [
+        (flipped(CHUNKS, ENDS[0] + 1, 0x40), [0, 1, 2, *range(6, 12)], 1, False),
+        (flipped(CHUNKS, ENDS[0] + 100, 0x40), [0, 1, 2, *range(6, 12)], 1, False),
+        (CHUNKS[: ENDS[1]] + bytes(5000), list(range(6)), 0, True),
+        (flipped(CHUNKS[: ENDS[1]], ENDS[0] + 100, 1), [0, 1, 2], 0, False),
+    ],
+    ids=["a length in the middle", "a content in the middle", "zeros of a power cut behind", "a last chunk"],
+)
+def test_damage_costs_its_own_chunk(data: bytes, sequences: list[int], fault_count: int, *, is_torn: bool) -> None:
+    """The chunks behind it are found again. A whole chunk that is wrong at the end is worth keeping: not torn."""
+    found, result = repaired(data)
+    assert [row[3] for row in rows(result)] == sequences
+    assert (found.fault_count, found.is_torn or bool(found.fault_count)) == (
+        fault_count,
+        is_torn or bool(fault_count),
+    )
 
 
 def test_a_lost_schema_costs_the_messages_of_its_channels() -> None:
@@ -182,21 +192,6 @@ def test_a_lost_schema_costs_the_messages_of_its_channels() -> None:
     found, result = repaired(LOG.replace(*lost))
     assert rows(result) == [row for row in ROWS if row[1] != "cruiser.CanFrame"]
     assert any("5 messages" in fault for fault in found.faults)
-
-
-def test_zeros_behind_the_data_are_nothing() -> None:
-    """A power cut leaves them where the file's length came to the disk before its data."""
-    found, result = repaired(CHUNKS[: ENDS[1]] + bytes(5000))
-    assert found.is_torn
-    assert len(rows(result)) == 6
-
-
-def test_a_whole_chunk_that_is_wrong_at_the_end_is_more_than_torn() -> None:
-    """It is worth keeping."""
-    damaged = bytearray(CHUNKS[: ENDS[1]])
-    damaged[ENDS[0] + 100] ^= 1
-    found, result = repaired(bytes(damaged))
-    assert (found.fault_count, found.is_torn, len(rows(result))) == (0, False, 3)
 
 
 @pytest.mark.parametrize(

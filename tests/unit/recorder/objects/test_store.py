@@ -112,22 +112,6 @@ def test_what_goes_wrong_is_a_line_with_its_cure(
         assert "\n" not in str(raised.value)
 
 
-def test_a_link_that_breaks_once_costs_one_request_more(
-    place: StoreAddress, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Also in the middle of a range."""
-    objects = ObstoreObjects(place, {})
-    whole, faults = obstore.get, [GenericError("connection reset by peer")]
-
-    def get(*words: object, **options: object) -> object:
-        if faults:
-            raise faults.pop()
-        return whole(*words, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(obstore, "get", get)
-    assert objects.read("a.mcap", 0, 10, "") == DATA[:10]
-
-
 def test_a_place_of_too_many_objects_is_not_listed(place: StoreAddress, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for a bucket of millions."""
     monkeypatch.setattr(stores, "LISTED_MAX", 1)

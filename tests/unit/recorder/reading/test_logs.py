@@ -7,7 +7,7 @@ import pytest
 
 from recorder.reading.logs import Faults, find_logs, look_at
 from schemas.command_line import CommandError
-from tests.support.logs import foreign_log, gears, own_log, saved
+from tests.support.logs import flipped, foreign_log, gears, own_log, saved
 
 
 def log(start_ns: int, count: int = 10) -> bytes:
@@ -28,15 +28,48 @@ def test_files_come_by_their_beginning(tmp_path: Path) -> None:
     assert names([*paths, paths[0]]) == ["b.mcap", "c.mcap", "a.mcap"]
 
 
-def test_of_a_directory_logs_and_parts_are_taken(tmp_path: Path) -> None:
-    """And nothing else that is there."""
+def foreign(first: int, last: int, *, use_chunking: bool = True) -> bytes:
+    """A log of another maker, a message a nanosecond."""
+    return foreign_log(range(first, last), use_chunking=use_chunking)
+
+
+# macOS puts such a file beside each one that it copies onto a stick of another file system.
+RESOURCE_FORK = b"\0\5\x16\7"
+HOLE = own_log([gears(0, 3, 100), gears(4, 6, 140)])
+DIRECTORIES: list[tuple[str, dict[str, bytes], str]] = [
+    ("logs and parts", {"a": log(100), "b.mcap.part": log(200)[:-30]}, "a b.mcap.part"),
+    ("nothing else", {"a": log(100), "b.mcap.damaged": log(300), "c.txt": b"x", "._a": RESOURCE_FORK}, "a"),
+    ("by their beginnings", {"r-1": log(100), "q-1": log(150), "r-2": log(200)}, "r-1 q-1 r-2"),
+    ("an incident that a log covers", {"a": log(100), "b.incident": log(120, 5)}, "a"),
+    ("that two logs cover", {"a": log(100, 6), "b.incident": log(110, 12), "c": log(150)}, "a c"),
+    ("the log begins later", {"a": log(200), "b.incident": log(110, 7)}, "b.incident a"),
+    ("the log ends sooner", {"a": log(100, 3), "b.incident": log(110, 7)}, "a b.incident"),
+    ("a break", {"a": log(100, 3), "b.incident": log(110, 7), "c": log(150)}, "a b.incident c"),
+    ("another incident", {"a.incident": log(100, 3), "b.incident": log(110, 7)}, "a.incident b.incident"),
+    ("a damaged log", {"a": flipped(log(100)), "b.incident": log(120, 5)}, "a b.incident"),
+    ("what the recorder lost", {"a": HOLE, "b.incident": log(120, 5)}, "a b.incident"),
+    ("others' logs cover too", {"all": foreign(5, 10), "b.incident": foreign(6, 9)}, "all"),
+    ("without chunks", {"all": foreign(5, 10, use_chunking=False), "b.incident": foreign(6, 9)}, "all"),
+    ("or do not", {"all": foreign(5, 10), "b.incident": foreign(6, 11)}, "all b.incident"),
+    ("or neither", {"all": foreign(5, 10, use_chunking=False), "b.incident": foreign(6, 11)}, "all b.incident"),
+]
+
+
+@pytest.mark.parametrize(("files", "found"), [row[1:] for row in DIRECTORIES], ids=[row[0] for row in DIRECTORIES])
+def test_what_is_taken_of_a_directory(tmp_path: Path, files: dict[str, bytes], found: str) -> None:
+    """Logs and parts; an incident only where nothing covers all of it, or what would cannot be read."""
+    for name, data in files.items():
+        saved(tmp_path / (name if ".mcap" in name or name.endswith(".txt") else f"{name}.mcap"), data)
+    assert [name.removesuffix(".mcap") for name in names([tmp_path])] == found.split()
+
+
+def test_an_incident_that_is_named_or_asked_for_is_taken(tmp_path: Path) -> None:
+    """Though all of it is in a log."""
     saved(tmp_path / "r-1.mcap", log(100))
-    saved(tmp_path / "r-2.mcap.part", log(200)[:-30])
-    saved(tmp_path / "r-3.mcap.damaged", log(300))
-    saved(tmp_path / "notes.txt", b"hello")
-    # macOS puts such a file beside each one that it copies onto a stick of another file system.
-    saved(tmp_path / "._r-1.mcap", b"\0\5\x16\7")
-    assert names([tmp_path]) == ["r-1.mcap", "r-2.mcap.part"]
+    incident = saved(tmp_path / "r-2.incident.mcap", log(120, 5))
+    assert names([tmp_path]) == ["r-1.mcap"]
+    assert names([tmp_path, incident]) == ["r-1.mcap", "r-2.incident.mcap"]
+    assert names([tmp_path], with_covered=True) == ["r-1.mcap", "r-2.incident.mcap"]
 
 
 @pytest.mark.parametrize(
@@ -56,71 +89,6 @@ def test_the_time_of_a_file_is_told_in_any_state(tmp_path: Path, data: bytes, sp
     found = look_at(saved(tmp_path / "x.mcap", data))
     assert (found.start_ns, found.end_ns) == span
     assert found.bytes == len(data)
-
-
-def test_an_incident_that_logs_cover_is_left_out(tmp_path: Path) -> None:
-    """All of it is in them; named by itself, or asked for, it is taken."""
-    saved(tmp_path / "r-1.mcap", log(100))
-    incident = saved(tmp_path / "r-2.incident.mcap", log(120, 5))
-    assert names([tmp_path]) == ["r-1.mcap"]
-    assert names([tmp_path, incident]) == ["r-1.mcap", "r-2.incident.mcap"]
-    assert names([tmp_path], with_covered=True) == ["r-1.mcap", "r-2.incident.mcap"]
-
-
-@pytest.mark.parametrize(
-    "others",
-    [
-        {"r-1.mcap": (200, 10)},
-        {"r-1.mcap": (100, 3)},
-        {"r-1.mcap": (100, 3), "r-3.mcap": (150, 10)},
-        {"r-1.incident.mcap": (100, 3)},
-    ],
-)
-def test_an_incident_that_is_not_covered_is_taken(tmp_path: Path, others: dict[str, tuple[int, int]]) -> None:
-    """Logs that begin later, end sooner, or have a break."""
-    saved(tmp_path / "r-2.incident.mcap", log(110, 7))
-    for name, given in others.items():
-        saved(tmp_path / name, log(*given))
-    assert "r-2.incident.mcap" in names([tmp_path])
-
-
-def test_an_incident_of_a_log_that_is_damaged_is_taken(tmp_path: Path) -> None:
-    """It holds what cannot be read there any more; and so where the recorder lost something of it."""
-    saved(tmp_path / "r-2.incident.mcap", log(120, 5))
-    path = saved(tmp_path / "r-1.mcap", log(100))
-    assert names([tmp_path]) == ["r-1.mcap"]
-    data = bytearray(log(100))
-    place = data.index(b"zstd") + 40
-    data[place] ^= 0x55
-    saved(path, bytes(data))
-    assert names([tmp_path]) == ["r-1.mcap", "r-2.incident.mcap"]
-    saved(path, own_log([gears(0, 3, 100), gears(4, 6, 140)]))
-    assert names([tmp_path]) == ["r-1.mcap", "r-2.incident.mcap"]
-
-
-@pytest.mark.parametrize("data", [foreign_log(range(5, 10)), foreign_log(range(5, 10), use_chunking=False)])
-def test_other_peoples_logs_cover_too(tmp_path: Path, data: bytes) -> None:
-    """With message indexes or without, and whatever they are called."""
-    saved(tmp_path / "all.mcap", data)
-    saved(tmp_path / "r-2.incident.mcap", foreign_log(range(6, 9)))
-    assert names([tmp_path]) == ["all.mcap"]
-    saved(tmp_path / "r-2.incident.mcap", foreign_log(range(6, 11)))
-    assert names([tmp_path]) == ["all.mcap", "r-2.incident.mcap"]
-
-
-def test_logs_that_follow_each_other_cover_together(tmp_path: Path) -> None:
-    """An incident may reach from one into the next."""
-    saved(tmp_path / "r-2.incident.mcap", log(110, 12))
-    saved(tmp_path / "r-1.mcap", log(100, 6))
-    saved(tmp_path / "r-3.mcap", log(150, 10))
-    assert names([tmp_path]) == ["r-1.mcap", "r-3.mcap"]
-
-
-def test_the_logs_of_two_robots_are_all_taken(tmp_path: Path) -> None:
-    """By their beginnings."""
-    for name, start_ns in (("r-1", 100), ("q-1", 150), ("r-2", 200)):
-        saved(tmp_path / f"{name}.mcap", log(start_ns))
-    assert names([tmp_path]) == ["r-1.mcap", "q-1.mcap", "r-2.mcap"]
 
 
 def test_one_of_several_that_is_none_is_told(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, LogReader, Row, Selection, decoded_rows, read_rows
 from schemas.messages import Drive, Gear
-from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved
+from tests.support.logs import GEAR_TOPIC, flipped, foreign_log, gears, own_log, saved
 
 DRIVE_TOPIC = "fleet/cruiser-1/chassis/drive"
 CHANNELS = [
@@ -77,88 +77,61 @@ def test_rows_of_several_files_come_by_log_time(tmp_path: Path) -> None:
     assert [row.log_ns for row in found] == [*range(100, 150, 5), 900, 910]
 
 
-@pytest.mark.parametrize(
-    ("from_ns", "to_ns", "count"),
-    [(0, END_OF_TIME_NS, 12), (0, 100, 0), (100, 101, 1), (140, 301, 3), (400, 401, 1), (401, END_OF_TIME_NS, 0)],
-)
-def test_a_time_begins_with_its_first_and_ends_before_its_last(
-    tmp_path: Path, from_ns: int, to_ns: int, count: int
-) -> None:
-    """By log time."""
-    found = rows(tmp_path, Selection(from_ns=from_ns, to_ns=to_ns), LOG)
-    assert len(found) == count
-    assert all(from_ns <= row.log_ns < to_ns for row in found)
+GEARS = [*range(100, 150, 10)], [*range(300, 350, 10)]
+ALL = [*GEARS[0], 200, *GEARS[1], 400]
+FIRST = LOG.index(b"zstd")
+DAMAGED = flipped(LOG)
+SECOND = LOG.index(b"zstd", FIRST + 4)
 
 
-def test_only_wanted_topics_come(tmp_path: Path) -> None:
-    """By whatever is known of a topic."""
-    assert {row.topic.name for row in rows(tmp_path, of_subject("chassis/drive"), LOG)} == {DRIVE_TOPIC}
-    assert rows(tmp_path, of_subject("nothing"), LOG) == []
-
-
-def test_a_chunk_without_wanted_topics_is_not_unpacked(tmp_path: Path) -> None:
-    """Damage in it is no matter; of the same file, to who wants the others, it is."""
-    data = bytearray(LOG)
-    data[data.index(b"zstd") + 20] ^= 0xFF
-    assert len(rows(tmp_path, of_subject("chassis/drive"), bytes(data))) == 2
-    faults = Faults()
-    assert len(rows(tmp_path, of_subject("chassis/gear"), bytes(data), faults=faults)) == 5
-    assert len(faults.told) == 1
-    assert "a chunk cannot be read" in faults.told[0]
-
-
-def test_a_chunk_outside_of_the_time_is_not_unpacked(tmp_path: Path) -> None:
-    """Nor is that."""
-    data = bytearray(LOG)
-    data[data.index(b"zstd") + 20] ^= 0xFF
-    assert len(rows(tmp_path, Selection(from_ns=150), bytes(data))) == 7
-
-
-@pytest.mark.parametrize("entries", [[100, 1], [100, 10**6], [100, 2**63]])
-def test_wrong_message_indexes_are_told_and_all_is_read(tmp_path: Path, entries: list[int]) -> None:
-    """The chunk itself is asked then."""
+def indexed(*entries: int) -> bytes:
+    """The log with other message indexes behind its first chunk."""
     good = array("Q", [value for number in range(5) for value in (100 + 10 * number, 0)])
-    start = LOG.index(encode_index(1, good)[:15])
-    wrong = encode_index(1, array("Q", 5 * entries))
-    faults = Faults()
-    found = rows(tmp_path, Selection(), LOG[:start] + wrong + LOG[start + len(wrong) :], faults=faults)
-    assert [row.log_ns for row in found] == [row.log_ns for row in rows(tmp_path, Selection(), LOG)]
-    assert any("the message indexes behind a chunk are wrong" in fault for fault in faults.told)
+    start, wrong = LOG.index(encode_index(1, good)[:15]), encode_index(1, array("Q", 5 * entries))
+    return LOG[:start] + wrong + LOG[start + len(wrong) :]
 
 
-@pytest.mark.parametrize("use_chunking", [True, False])
-@pytest.mark.parametrize("has_end", [True, False])
-def test_channels_that_are_declared_in_chunks_are_known(
-    tmp_path: Path,
-    use_chunking: bool,  # noqa: FBT001 - a parameter
-    has_end: bool,  # noqa: FBT001 - a parameter
+@pytest.mark.parametrize(
+    ("selection", "data", "log_ns", "fault"),
+    [
+        # A time begins with its first and ends before its last.
+        *(
+            (Selection(from_ns=first, to_ns=last), LOG, [one for one in ALL if first <= one < last], "")
+            for first, last in ((0, END_OF_TIME_NS), (0, 100), (100, 101), (140, 301), (400, 401), (401, 10**9))
+        ),
+        (of_subject("chassis/drive"), LOG, [200, 400], ""),
+        (of_subject("nothing"), LOG, [], ""),
+        # A chunk without wanted topics, or outside of the time, is not unpacked: damage in it is no matter.
+        (of_subject("chassis/drive"), DAMAGED, [200, 400], ""),
+        (of_subject("chassis/gear"), DAMAGED, GEARS[1], "a chunk cannot be read"),
+        (Selection(from_ns=150), DAMAGED, ALL[5:], ""),
+        # A record that makes no sense costs itself.
+        (of_subject("chassis/gear"), LOG[: SECOND - 41] + b"\0" + LOG[SECOND - 40 :], GEARS[0] + GEARS[1], " "),
+        # The chunk itself is asked where its indexes are wrong.
+        *(
+            (Selection(), indexed(100, wrong), ALL, "indexes behind a chunk are wrong")
+            for wrong in (1, 10**6, 2**63)
+        ),
+        # Of a lost channel nothing is known but that the message is there.
+        (
+            Selection(),
+            own_log([[*gears(0, 1, 5), (9, 0, 6, b"")]]),
+            [5],
+            "channel 9, which the file does not hold",
+        ),
+        # Channels that are declared in chunks are known, as of the mcap package's writer, also without a summary.
+        *((Selection(), foreign_log(use_chunking=chunks), [*range(10)], "") for chunks in (True, False)),
+        *((Selection(), foreign_log(use_chunking=chunks)[:-30], [*range(10)], " ") for chunks in (True, False)),
+    ],
+)
+def test_what_is_read_of_a_file(
+    tmp_path: Path, selection: Selection, data: bytes, log_ns: list[int], fault: str
 ) -> None:
-    """As the mcap package's writer does; also where the summary is lost."""
-    data = foreign_log(use_chunking=use_chunking)
+    """By topic and by log time, in any state; what cannot be read is told."""
     faults = Faults()
-    found = rows(tmp_path, Selection(), data if has_end else data[:-30], faults=faults)
-    assert [row.log_ns for row in found] == list(range(10))
-    assert {row.topic.name for row in found} == {"/t"}
-    assert bool(faults) != has_end
-
-
-def test_what_is_behind_damage_is_found_again(tmp_path: Path) -> None:
-    """A record that makes no sense costs itself."""
-    data = bytearray(LOG)
-    second = data.index(b"zstd", data.index(b"zstd") + 4)
-    data[second - 41] = 0
-    faults = Faults()
-    found = rows(tmp_path, Selection(), bytes(data), faults=faults)
-    assert [row.log_ns for row in found if row.topic.name == GEAR_TOPIC][-1] == 340
-    assert faults
-
-
-def test_a_message_of_a_lost_channel_is_told(tmp_path: Path) -> None:
-    """Nothing is known of it but that it is there."""
-    faults = Faults()
-    found = rows(tmp_path, Selection(), own_log([[*gears(0, 1, 5), (9, 0, 6, b"")]]), faults=faults)
-    assert len(found) == 1
-    assert any("channel 9, which the file does not hold" in fault for fault in faults.told)
+    assert [row.log_ns for row in rows(tmp_path, selection, data, faults=faults)] == log_ns
+    assert bool(faults) == bool(fault)
+    assert any(fault in one for one in faults.told) == bool(fault)
 
 
 def test_a_file_that_is_gone_meanwhile_costs_itself(tmp_path: Path) -> None:

@@ -90,6 +90,8 @@ def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
     """With the reason."""
     desk = Desk()
     assert desk.ask(Mark()).answer.detail == "nothing has been heard"
+    unread = desk.ask(PayloadFault("no such field")).answer
+    assert (unread.ok, unread.detail) == (False, "no such field")
     desk.receive("a")
     desk.room(has_incident_room=mark.robot == "c")
     answer = desk.ask(mark).answer
@@ -140,12 +142,6 @@ def test_a_disk_that_does_not_answer_keeps_nobody_waiting() -> None:
     assert asked.answer.files == ["a-0.incident.mcap"]
     assert asked.answer.detail.endswith("; the disk has not done it yet")
     desk.orders.tick(2 * REPLY_NS)
-
-
-def test_what_cannot_be_read_is_refused() -> None:
-    """With what is wrong."""
-    answer = Desk().ask(PayloadFault("no such field")).answer
-    assert (answer.ok, answer.detail) == (False, "no such field")
 
 
 REQUESTS = st.sampled_from([Status(), Mark(), Mark("x", "a"), PayloadFault("x")])

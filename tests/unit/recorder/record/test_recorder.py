@@ -49,24 +49,17 @@ def test_each_robot_has_a_log_and_what_is_no_robots_another(bench: RecorderRig) 
     }
 
 
-def test_robots_beyond_the_limit_share_a_log(monkeypatch: pytest.MonkeyPatch, bench: RecorderRig) -> None:
-    """Anybody on the network can make up names."""
-    bench.recorder = Recorder(msgspec.structs.replace(PLAN, log_limit=2))
+@pytest.mark.parametrize("known", [frozenset[str](), frozenset({"cruiser-1"})])
+def test_robots_beyond_the_limit_share_a_log(
+    monkeypatch: pytest.MonkeyPatch, bench: RecorderRig, known: frozenset[str]
+) -> None:
+    """Anybody on the network can make up names. A known robot has its own log, however many came first."""
+    bench.recorder = Recorder(msgspec.structs.replace(PLAN, log_limit=2, known=known))
     monkeypatch.setattr("recorder.record.recorder.OWNED_KEY_LIMIT", 4)
-    for number in range(10):
-        bench.receive(sample_of(gear(0), f"r-{number}"))
+    for robot in (*(f"r-{number}" for number in range(10)), "cruiser-1"):
+        bench.receive(sample_of(gear(0), robot))
         assert len(bench.recorder._by_key) <= 4
-    assert set(bench.logs()) == {"r-0", "r-1", "r-2", OTHERS}
-
-
-def test_a_known_robot_has_its_own_log_however_many_others_came_first(bench: RecorderRig) -> None:
-    """Made-up names must not push it into the log that strangers share."""
-    plan = msgspec.structs.replace(PLAN, log_limit=2, known=frozenset({"cruiser-1"}))
-    bench.recorder = Recorder(plan)
-    for number in range(10):
-        bench.receive(sample_of(gear(0), f"r-{number}"))
-    bench.receive(sample_of(gear(0)))
-    assert set(bench.logs()) == {"r-0", "r-1", "r-2", "cruiser-1", OTHERS}
+    assert set(bench.logs()) == {"r-0", "r-1", "r-2", OTHERS} | known
 
 
 def test_one_log_for_all_if_that_is_wanted() -> None:
@@ -123,16 +116,6 @@ def test_each_file_of_a_robot_is_filed_under_it_by_foxglove(bench: RecorderRig) 
         if name.startswith("cruiser")
     }
     assert devices == {name: [{"deviceName": name}] * 2 for name in ("cruiser-1", "cruiser-2")}
-
-
-def test_a_log_of_several_robots_is_filed_under_none_of_them() -> None:
-    """Not even where the second one came later: the last record counts."""
-    bench = RecorderRig(msgspec.structs.replace(PLAN, per_robot=False))
-    bench.receive(sample_of(gear(0)), sample_of(info()))
-    bench.receive(sample_of(gear(0), "cruiser-2"))
-    bench.close()
-    (files,) = bench.writer.files.values()
-    assert metadata(files[0], "foxglove") == [{"deviceName": "cruiser-1"}, {}]
 
 
 def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: RecorderRig) -> None:
@@ -326,6 +309,7 @@ def test_a_fleet_that_appears_at_once_is_asked_bit_by_bit(bench: RecorderRig) ->
     robots = [f"r-{number}" for number in range(3 * TICK_LOGS)]
     bench.receive(*(sample_of(gear(0), robot) for robot in robots))
     infos = {Query(key_of(GatewayInfo, robot)) for robot in robots}
+    assert bench.recorder.ask(bench.now_ns, 0) == (), "where there is no room no turn is over"
     asked: list[Query] = []
     while not infos <= set(asked):
         queries = [one for one in bench.recorder.ask(bench.now_ns, 7) if isinstance(one, Query)]
@@ -335,13 +319,6 @@ def test_a_fleet_that_appears_at_once_is_asked_bit_by_bit(bench: RecorderRig) ->
     # The first have been silent for long, and nobody was asked anything twice before the last was asked at all.
     assert bench.now_ns > 2 * ANSWER_NS
     assert len(asked) == len(set(asked))
-
-
-def test_where_there_is_no_room_nothing_is_asked(bench: RecorderRig) -> None:
-    """And no robot's turn is over by that."""
-    bench.receive(sample_of(gear(0)))
-    assert bench.recorder.ask(0, 0) == ()
-    assert Query(key_of(GatewayInfo)) in bench.recorder.ask(0, 1)
 
 
 def test_at_the_end_every_log_is_asked_for_its_last_samples(bench: RecorderRig) -> None:

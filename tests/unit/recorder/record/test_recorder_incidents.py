@@ -14,7 +14,6 @@ from tests.support.messages import (
     MS,
     SECOND,
     WALL_NS,
-    FakeSample,
     batch,
     feedback,
     gear,
@@ -98,17 +97,6 @@ def test_incident_and_log_find_each_other_however_late_the_disk_is(bench: Record
     assert [one["file"] for one in metadata(incident, INCIDENT_NAME)] == ["", *(log.name for log in logs)]
     about = {"at_ns": str(WALL_NS), "because": "stop: as it were", "file": incident.name}
     assert [metadata(log, INCIDENT_NAME) for log in logs] == [[about], [about]]
-
-
-def test_an_alarm_is_of_its_kind_and_of_now(bench: RecorderRig) -> None:
-    """What is merely said, what is not asked for, and what a gateway kept of long ago make no incident."""
-    event = sample_of(safety_event(EventKind.STOP))
-    bench.receive(sample_of(gear(0)), FakeSample(event.key, event.encoding, event.payload, is_reply=True))
-    assert bench.recorder.counts[EVENT_KEY].received == 1
-    bench.receive(sample_of(safety_event(EventKind.LEASE)), sample_of(safety_event(EventKind.STOP, Severity.INFO)))
-    assert bench.recorder.incidents == 0
-    bench.receive(event)
-    assert bench.recorder.incidents == 1
 
 
 def test_without_room_for_incidents_there_are_none(bench: RecorderRig) -> None:

@@ -1,5 +1,7 @@
 """Which logs go, and whether there is room."""
 
+import re
+
 import msgspec
 import pytest
 from hypothesis import given
@@ -134,56 +136,128 @@ def test_incidents_have_a_share_of_their_own(
     assert judgement.has_incident_room == (in_budget and above_floor)
 
 
-def log(name: str, size: int, *, is_open: bool = False) -> LogEntry:
-    """A log, whose name is its start."""
-    return LogEntry(name, size, name, is_open=is_open, is_own=is_open)
+LOG = re.compile(r"(?P<robot>.+)@(?P<hour>\d+):(?P<size>\d+)(?P<flags>[+!~]*)")
+
+
+def log(text: str) -> LogEntry:
+    """A log, as robot@hour:size; + it is being written, ! it is an incident, ~ it is safe elsewhere."""
+    match = LOG.fullmatch(text)
+    assert match, text
+    robot, flags, start = match["robot"], match["flags"], f"20270115T{int(match['hour']):02}0000Z"
+    is_open = "+" in flags
+    return LogEntry(
+        f"{robot}@{match['hour']}",
+        int(match["size"]) * SCALE,
+        start,
+        robot=robot,
+        is_incident="!" in flags,
+        is_open=is_open,
+        is_own=is_open,
+        is_safe="~" in flags,
+    )
+
+
+def logs_of(text: str) -> list[LogEntry]:
+    """Several logs."""
+    return [log(one) for one in text.split()]
+
+
+def limits_of(text: str) -> DiskLimits:
+    """Limits as budget/floor, and after a colon the robot that is known and how long its logs are kept."""
+    (budget, floor), (known, keep) = (
+        part.split("/") if part else ("", "0") for part in (text.partition(":")[0], text.partition(":")[2])
+    )
+    known_ones = frozenset({known} - {""})
+    return DiskLimits(int(budget) * SCALE, int(floor) * SCALE, known=known_ones, keep_s=float(keep))
+
+
+def ruling(text: str) -> Judgement:
+    """The logs that go; "full" where there is no room, "crowded" where there is none for incidents, "roll"."""
+    words = {"full", "crowded", "roll"}
+    said = text.split()
+    delete = tuple(word for word in said if word not in words)
+    return Judgement(
+        delete, has_room="full" not in said, has_incident_room="crowded" not in said, roll="roll" in said
+    )
+
+
+RULINGS = """
+the ended one is just enough              | a@1:300 a@2:600+              | 600/0    | a@1
+all of it together is just enough         | a@1:300 a@2:600+              | 0/900    | a@1 roll crowded
+without limits nothing goes               | a@1:1000000                   | 0/0      |
+who takes most gives, others being older  | q@0:50 q@1:50 l@10:300 l@11:300 l@12:300 | 500/0 | l@10 l@11
+an open file counts in a robot's share    | q@0:300 l@10:100 l@11:500+    | 850/0    | l@10
+a stranger's open file is ended first     | c@0:300 c@1:100+ s@10:600+    | 900/0:c/7200 | roll
+a known robot's own last hours go last    | c@0:300 c@1:300 c@2:300+      | 800/0:c/7200 | c@0
+and then its open file is ended           | c@0:300 c@1:600+              | 200/0:c/7200 | c@0 roll
+a stranger's open incident is no log yet  | s@0:600+! c@0:500             | 1000/0:c/0   | c@0 crowded
+incidents take their share                | s@0:300! s@1:300!             | 1000/0   | crowded
+but strangers' where robots are known     | s@0:300! s@1:300!             | 1000/0:c/0   |
+and those go like logs                    | s@0:300! s@1:300! c@0:500     | 1000/0:c/0   | s@0
+the safe one goes first, however young    | a@1:100 a@2:100~ a@3:100      | 200/0    | a@2
+then the oldest of the rest               | a@1:100 a@2:100~ a@3:100      | 100/0    | a@2 a@1
+last hours stay though they are safe      | s@0:100 c@0:100 c@1:100~      | 200/0:c/7200 | s@0
+but go first where nothing else is left   | c@0:100 c@1:100~              | 100/0:c/7200 | c@1
+an incident goes when it is safe and whole| a@1:100!~ a@2:100! a@3:100!~+ | 200/0    | a@1 crowded
+safe incidents leave their room           | a@1:100!~ a@2:100!~           | 300/0    |
+others do not                             | a@1:100! a@2:100!             | 300/0    | crowded
+0 s: the newest of a known robot stays    | c@0:10 c@1:10 c@2:10 c@3:10 c@4:10 s@10:1 s@11:1 | 10/0:c/0    | {0}
+1 s: a log reaches up to the next         | c@0:10 c@1:10 c@2:10 c@3:10 c@4:10 s@10:1 s@11:1 | 20/0:c/1    | {1}
+an hour: the same                         | c@0:10 c@1:10 c@2:10 c@3:10 c@4:10 s@10:1 s@11:1 | 20/0:c/3600 | {1}
+two hours                                 | c@0:10 c@1:10 c@2:10 c@3:10 c@4:10 s@10:1 s@11:1 | 30/0:c/7200 | {2}
+two hours and a second                    | c@0:10 c@1:10 c@2:10 c@3:10 c@4:10 s@10:1 s@11:1 | 40/0:c/7201 | {3}
+""".format(*(" ".join([*(f"c@{hour}" for hour in range(4 - number)), "s@10 s@11"]) for number in range(4)))
+ROWS = [[part.strip() for part in row.split("|")] for row in RULINGS.strip().splitlines()]
+
+
+@pytest.mark.parametrize(("logs", "limits", "expected"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])
+def test_what_goes_and_whether_there_is_room(logs: str, limits: str, expected: str) -> None:
+    """A row each: the logs that there are, the limits, the ruling."""
+    found = judge(logs_of(logs), 0, limits_of(limits), is_full=limits == "0/0")
+    assert found == ruling(expected)
 
 
 def test_what_an_earlier_recorder_left_is_no_reason_to_end_files() -> None:
     """It is not this one's to end: nothing would come of it but many small files."""
     left = LogEntry("1", 5000 * SCALE, "1", is_open=True)
-    judgement = judge([left, log("2", 100 * SCALE)], 0, DiskLimits(budget_bytes=1000 * SCALE), is_full=False)
-    assert judgement == Judgement((), has_room=False, has_incident_room=True, roll=False)
-
-
-@pytest.mark.parametrize(
-    ("open_bytes", "free_bytes", "judgement"),
-    [
-        # What is ended is enough.
-        (99, 6000, Judgement(("1",), has_room=True, has_incident_room=True, roll=False)),
-        # Only with what is being written there would be enough; all that may go goes at once.
-        (950, 6000, Judgement(("1", "2"), has_room=True, has_incident_room=True, roll=True)),
-        # Not even then.
-        (300, 3000, Judgement((), has_room=False, has_incident_room=True, roll=False)),
-        # What is being written is just enough to be worth it, and too little.
-        (80, 4220, Judgement(("1", "2"), has_room=True, has_incident_room=True, roll=True)),
-        (79, 4220, Judgement((), has_room=False, has_incident_room=True, roll=False)),
-    ],
-)
-def test_what_is_being_written_is_ended_when_the_rest_is_not_enough(
-    open_bytes: int, free_bytes: int, judgement: Judgement
-) -> None:
-    """And only then, if it makes a difference."""
-    sizes = {"3": open_bytes, "2": 300, "1": 402}
-    entries = [log(name, size * SCALE, is_open=name == "3") for name, size in sizes.items()]
-    limits = DiskLimits(800 * SCALE, 5000 * SCALE)
-    assert judge(entries, free_bytes * SCALE, limits, is_full=False) == judgement
-
-
-def test_what_is_ended_and_just_enough_ends_nothing_else() -> None:
-    """Nor is a byte too little where all of it together is just enough."""
-    entries = [log("1", 300 * SCALE), log("2", 600 * SCALE, is_open=True)]
-    judgement = judge(entries, 0, DiskLimits(budget_bytes=600 * SCALE), is_full=False)
-    assert (judgement.delete, judgement.roll) == (("1",), False)
-    judgement = judge(entries, 0, DiskLimits(floor_bytes=900 * SCALE), is_full=False)
-    assert (judgement.delete, judgement.roll, judgement.has_room) == (("1",), True, True)
+    assert judge([left, log("a@2:100")], 0, limits_of("1000/0"), is_full=False) == ruling("full")
 
 
 @pytest.mark.parametrize(("more_bytes", "has_room"), [(-1, True), (0, False)])
 def test_incidents_may_fill_their_share_and_no_more(more_bytes: int, *, has_room: bool) -> None:
     """Of the budget; the byte that fills it is the last."""
-    incident = msgspec.structs.replace(log("1", int(INCIDENT_SHARE * 1000 * SCALE) + more_bytes), is_incident=True)
-    assert judge([incident], 0, DiskLimits(budget_bytes=1000 * SCALE), is_full=False).has_incident_room is has_room
+    incident = LogEntry("1", int(INCIDENT_SHARE * 1000 * SCALE) + more_bytes, "1", is_incident=True)
+    assert judge([incident], 0, limits_of("1000/0"), is_full=False).has_incident_room is has_room
+
+
+@pytest.mark.parametrize("starts", [("a", "b"), ("00010101T000000Z", "00010101T003000Z")])
+def test_of_a_known_robot_whose_starts_are_no_times_the_newest_log_stays(starts: tuple[str, str]) -> None:
+    """Anybody can name a file: one that cannot be reckoned with, or an hour before the first year."""
+    own = [LogEntry(start, 100 * SCALE, start, robot="c") for start in starts]
+    judgement = judge([*own, log("s@0:50")], 0, limits_of("150/0:c/3600"), is_full=False)
+    assert judgement.delete == starts[:1]
+
+
+@pytest.mark.parametrize(
+    ("open_size", "free", "expected"),
+    [
+        # What is ended is enough.
+        (99, 6000, "a@1"),
+        # Only with what is being written there would be enough; all that may go goes at once.
+        (950, 6000, "a@1 a@2 roll"),
+        # Not even then.
+        (300, 3000, "full"),
+        # What is being written is just enough to be worth it, and too little.
+        (80, 4220, "a@1 a@2 roll"),
+        (79, 4220, "full"),
+    ],
+)
+def test_what_is_being_written_is_ended_when_the_rest_is_not_enough(
+    open_size: int, free: int, expected: str
+) -> None:
+    """And only then, if it makes a difference."""
+    entries = logs_of(f"a@3:{open_size}+ a@2:300 a@1:402")
+    assert judge(entries, free * SCALE, limits_of("800/5000"), is_full=False) == ruling(expected)
 
 
 @pytest.mark.parametrize(
@@ -206,28 +280,8 @@ def test_to_go_on_takes_more_room_than_not_to_stop(
     has_room: bool,  # noqa: FBT001 - pytest gives it
 ) -> None:
     """Else every byte that somebody frees would begin a file."""
-    entries = [msgspec.structs.replace(log("1", 1000), is_incident=True)]
+    entries = [LogEntry("1", 1000, "1", is_incident=True)]
     assert judge(entries, free_bytes, limits, is_full=is_full).has_room == has_room
-
-
-def test_without_limits_nothing_goes() -> None:
-    """However full the disk is."""
-    entries = [LogEntry("a", 10**12, "20270115T080000Z")]
-    assert judge(entries, 0, DiskLimits(), is_full=True) == Judgement(
-        (), has_room=True, has_incident_room=True, roll=False
-    )
-
-
-def logs_of(robot: str, *sizes: int, hour: int = 0, is_written: bool = False) -> list[LogEntry]:
-    """Logs of a robot, one an hour, the last of which may be being written."""
-    starts = [f"20270115T{hour + number:02}0000Z" for number in range(len(sizes))]
-    entries = [
-        LogEntry(f"{robot}-{start}", size * SCALE, start, robot=robot)
-        for start, size in zip(starts, sizes, strict=True)
-    ]
-    if is_written:
-        entries[-1] = msgspec.structs.replace(entries[-1], is_open=True, is_own=True)
-    return entries
 
 
 def bytes_of(robot: str, entries: list[LogEntry]) -> int:
@@ -236,112 +290,17 @@ def bytes_of(robot: str, entries: list[LogEntry]) -> int:
 
 
 def test_made_up_robots_cost_the_true_one_no_more_than_its_fair_share() -> None:
-    """Its oldest logs go until each robot takes as much; from then on theirs go, too, however new they are."""
-    entries = [*logs_of("cruiser-1", *[100] * 10)]
-    for number in range(9):
-        entries += logs_of(f"spoof-{number}", *[100] * 10, hour=10)
-    judgement = judge(entries, 0, DiskLimits(budget_bytes=1000 * SCALE), is_full=False)
-    left = without(entries, judgement)
+    """Each robot keeps its newest; where robots are known, a thousand made-up names have one share together."""
+    own = [log(f"c@{hour}:100") for hour in range(10)]
+    entries = own + [log(f"s{number}@{hour}:100") for number in range(9) for hour in range(10, 20)]
+    left = without(entries, judge(entries, 0, limits_of("1000/0"), is_full=False))
     robots = {entry.robot for entry in entries}
     assert {robot: bytes_of(robot, left) for robot in robots} == dict.fromkeys(robots, 100)
-    assert [entry.started for entry in left if entry.robot == "cruiser-1"] == ["20270115T090000Z"]
-
-
-def test_the_logs_of_the_robot_that_takes_most_go_although_others_are_older() -> None:
-    """Its oldest first. A robot that was quiet for long keeps what it has."""
-    entries = [*logs_of("quiet", 50, 50), *logs_of("loud", 300, 300, 300, hour=10)]
-    judgement = judge(entries, 0, DiskLimits(budget_bytes=500 * SCALE), is_full=False)
-    assert judgement.delete == ("loud-20270115T100000Z", "loud-20270115T110000Z")
-
-
-def test_what_a_robot_writes_now_counts_in_its_share() -> None:
-    """Its older log goes, before the still older one of a robot that takes less."""
-    entries = [*logs_of("quiet", 300), *logs_of("loud", 100, 500, hour=10, is_written=True)]
-    judgement = judge(entries, 0, DiskLimits(budget_bytes=850 * SCALE), is_full=False)
-    assert judgement.delete == ("loud-20270115T100000Z",)
-
-
-def test_made_up_robots_have_one_share_together_where_robots_are_known() -> None:
-    """A thousand names are worth no more than one."""
-    entries = logs_of("cruiser-1", *[100] * 10)
-    for number in range(1000):
-        entries += logs_of(f"spoof-{number}", 10, hour=10)
-    limits = DiskLimits(budget_bytes=2000 * SCALE, known=frozenset({"cruiser-1"}), keep_s=0)
-    left = without(entries, judge(entries, 0, limits, is_full=False))
-    assert bytes_of("cruiser-1", left) == 1000
+    assert own[-1] in left
+    entries = own + [log(f"s{number}@10:10") for number in range(1000)]
+    left = without(entries, judge(entries, 0, limits_of("2000/0:c/0"), is_full=False))
+    assert bytes_of("c", left) == 1000
     assert used(left) <= 2000 * SCALE
-
-
-@pytest.mark.parametrize("keep_s", [0, 1, 3600, 7200, 7201])
-def test_the_last_hours_of_a_known_robot_stay(keep_s: int) -> None:
-    """Back from where its newest log begins; a log reaches up to the next. What else is there goes before."""
-    entries = [*logs_of("cruiser-1", 10, 10, 10, 10, 10), *logs_of("spoof", 1, 1, hour=10)]
-    limits = DiskLimits(budget_bytes=SCALE, known=frozenset({"cruiser-1"}), keep_s=keep_s)
-    kept = {0: 1, 1: 2, 3600: 2, 7200: 3, 7201: 4}[keep_s]
-    limits = msgspec.structs.replace(limits, budget_bytes=kept * 10 * SCALE)
-    judgement = judge(entries, 0, limits, is_full=False)
-    hours = [name.partition("T")[2][:2] for name in judgement.delete]
-    assert hours == [*(f"{hour:02}" for hour in range(5 - kept)), "10", "11"]
-    assert judgement.has_room
-
-
-@pytest.mark.parametrize("starts", [("a", "b"), ("00010101T000000Z", "00010101T003000Z")])
-def test_of_a_known_robot_whose_starts_are_no_times_the_newest_log_stays(starts: tuple[str, str]) -> None:
-    """Anybody can name a file: one that cannot be reckoned with, or an hour before the first year."""
-    own = [LogEntry(f"cruiser-1-{start}", 100 * SCALE, start, robot="cruiser-1") for start in starts]
-    limits = DiskLimits(budget_bytes=150 * SCALE, known=frozenset({"cruiser-1"}), keep_s=3600)
-    judgement = judge([*own, *logs_of("spoof", 50)], 0, limits, is_full=False)
-    assert judgement.delete == (own[0].name,)
-
-
-def test_what_strangers_write_is_ended_before_the_last_hours_of_a_known_robot_go() -> None:
-    """It may go as soon as it is a whole log."""
-    entries = [*logs_of("cruiser-1", 300, 100, is_written=True), *logs_of("spoof", 600, hour=10, is_written=True)]
-    limits = DiskLimits(budget_bytes=900 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
-    assert judge(entries, 0, limits, is_full=False) == Judgement(
-        (), has_room=True, has_incident_room=True, roll=True
-    )
-
-
-def test_when_nothing_else_is_left_a_known_robot_records_on() -> None:
-    """Its own oldest log goes, even of its last hours: a robot that stops recording loses more."""
-    entries = logs_of("cruiser-1", 300, 300, 300, is_written=True)
-    limits = DiskLimits(budget_bytes=800 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
-    assert judge(entries, 0, limits, is_full=False) == Judgement(
-        ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=True, roll=False
-    )
-
-
-def test_when_even_that_is_not_enough_what_a_known_robot_writes_is_ended() -> None:
-    """So that it may go in its turn: recording goes on."""
-    entries = logs_of("cruiser-1", 300, 600, is_written=True)
-    limits = DiskLimits(budget_bytes=200 * SCALE, known=frozenset({"cruiser-1"}), keep_s=7200)
-    assert judge(entries, 0, limits, is_full=False) == Judgement(
-        ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=True, roll=True
-    )
-
-
-def test_an_incident_of_a_stranger_that_is_being_written_is_no_log_yet() -> None:
-    """It counts as an incident until it is whole: no log is ended for it."""
-    [incident] = [
-        msgspec.structs.replace(entry, is_incident=True) for entry in logs_of("spoof", 600, is_written=True)
-    ]
-    limits = DiskLimits(budget_bytes=1000 * SCALE, known=frozenset({"cruiser-1"}))
-    entries = [incident, *logs_of("cruiser-1", 500)]
-    assert judge(entries, 0, limits, is_full=False) == Judgement(
-        ("cruiser-1-20270115T000000Z",), has_room=True, has_incident_room=False, roll=False
-    )
-
-
-def test_incidents_of_strangers_go_like_logs_where_robots_are_known() -> None:
-    """Else made-up alarms would fill what a known robot's incidents may take, and nothing would ever free it."""
-    incidents = [msgspec.structs.replace(entry, is_incident=True) for entry in logs_of("spoof", 300, 300)]
-    limits = DiskLimits(budget_bytes=1000 * SCALE)
-    assert judge(incidents, 0, limits, is_full=False).has_incident_room is False
-    known = msgspec.structs.replace(limits, known=frozenset({"cruiser-1"}))
-    assert judge(incidents, 0, known, is_full=False).has_incident_room
-    entries = [*incidents, *logs_of("cruiser-1", 500)]
-    assert judge(entries, 0, known, is_full=False).delete == (incidents[0].name,)
 
 
 @given(
@@ -374,44 +333,9 @@ def test_a_recorder_goes_on_for_ever_within_its_limits(
             assert is_within(entries, free_bytes, limits)
 
 
-def test_what_is_safe_elsewhere_goes_first() -> None:
-    """However young it is; then the oldest of the rest."""
-    entries = [
-        LogEntry("old", 100, "20270115T080000Z"),
-        LogEntry("young and safe", 100, "20270115T080002Z", is_safe=True),
-        LogEntry("younger", 100, "20270115T080003Z"),
-    ]
-    assert judge(entries, 0, DiskLimits(budget_bytes=200), is_full=False).delete == ("young and safe",)
-    assert judge(entries, 0, DiskLimits(budget_bytes=100), is_full=False).delete == ("young and safe", "old")
-
-
-def test_the_last_hours_of_a_known_robot_stay_also_where_they_are_safe() -> None:
-    """They are kept to be asked on the robot. When nothing else is left they go, those first that are safe."""
-    limits = DiskLimits(budget_bytes=200, known=frozenset({"a"}), keep_s=7200.0)
-    entries = [
-        LogEntry("stranger", 100, "20270115T080000Z", robot="b"),
-        LogEntry("older", 100, "20270115T080001Z", robot="a"),
-        LogEntry("newest, safe", 100, "20270115T080002Z", robot="a", is_safe=True),
-    ]
-    assert judge(entries, 0, limits, is_full=False).delete == ("stranger",)
-    assert judge(entries[1:], 0, msgspec.structs.replace(limits, budget_bytes=100), is_full=False).delete == (
-        "newest, safe",
-    )
-
-
 @pytest.mark.parametrize(("age_s", "goes"), [(3599.0, False), (3600.0, True)])
 def test_an_incident_that_is_safe_elsewhere_stays_for_a_while(age_s: float, *, goes: bool) -> None:
     """So that somebody can see it there; until then it takes the room of incidents."""
     entry = LogEntry("safe", 100, "20270115T080000Z", is_incident=True, is_safe=True, age_s=age_s)
     judgement = judge([entry], 0, DiskLimits(budget_bytes=50, keep_incidents_s=3600.0), is_full=False)
     assert (judgement.delete == ("safe",), judgement.has_incident_room) == (goes, goes)
-
-
-def test_an_incident_goes_when_it_is_safe_elsewhere_and_leaves_its_room_to_others() -> None:
-    """One that is not safe never does, and one that is being written is not safe whatever a note says."""
-    safe = LogEntry("safe", 100, "20270115T080000Z", is_incident=True, is_safe=True)
-    unsafe = LogEntry("unsafe", 100, "20270115T080000Z", is_incident=True)
-    written = LogEntry("written", 100, "20270115T080000Z", is_incident=True, is_safe=True, is_open=True)
-    assert judge([safe, unsafe, written], 0, DiskLimits(budget_bytes=200), is_full=False).delete == ("safe",)
-    assert judge([safe, safe], 0, DiskLimits(budget_bytes=300), is_full=False).has_incident_room
-    assert not judge([unsafe, unsafe], 0, DiskLimits(budget_bytes=300), is_full=False).has_incident_room

@@ -4,6 +4,7 @@ import json
 import tracemalloc
 from collections.abc import Callable, Sequence
 from enum import Enum
+from functools import partial
 from io import BytesIO
 from itertools import pairwise
 
@@ -163,6 +164,12 @@ def test_whatever_comes_is_kept_in_a_file_that_others_read(samples: list[Receive
         assert 0 <= record.log_time <= 2**63 - 1
 
 
+def with_time(time: object, sample: ReceivedSample) -> ReceivedSample:
+    """A gear message that was published then."""
+    payload = msgspec.msgpack.encode({**msgspec.msgpack.decode(sample.payload), "time_ns": time})
+    return FakeSample(sample.key, sample.encoding, payload)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -171,6 +178,8 @@ def test_whatever_comes_is_kept_in_a_file_that_others_read(samples: list[Receive
         (lambda sample: FakeSample(sample.key, sample.encoding.replace("/1", "/2"), sample.payload), "version 2"),
         (lambda sample: FakeSample(sample.key, "zenoh/bytes", b"", deleted=True), "deleted"),
         (lambda sample: FakeSample(sample.key, sample.encoding, b""), ""),
+        # A time that no log can hold never becomes a publish time.
+        *((partial(with_time, time), "") for time in (-1, 2**63, 2**64 - 1, None, 1.5, "now")),
     ],
 )
 def test_a_broken_sample_of_a_known_key_is_kept_beside_the_good_ones(
@@ -187,17 +196,6 @@ def test_a_broken_sample_of_a_known_key_is_kept_beside_the_good_ones(
         (GEAR_KEY, "cruiser.Gear"),
     ]
     assert reason in read(log.disk.getvalue())[1][3].reason
-
-
-@pytest.mark.parametrize("time", [-1, 2**63, 2**64 - 1, None, 1.5, "now"])
-def test_an_absurd_time_is_kept_raw(time: object) -> None:
-    """A time that no log can hold never becomes a publish time."""
-    log = Log()
-    good = sample_of(gear(0))
-    payload = msgspec.msgpack.encode({**msgspec.to_builtins(gear(0)), "time_ns": time})
-    log.receive(good, FakeSample(good.key, good.encoding, payload))
-    records = read(log.close())
-    assert [schema for _, schema, _, _ in records] == ["cruiser.Gear", "cruiser.RawSample"]
 
 
 def test_a_batch_is_unfolded_into_its_frames() -> None:
@@ -248,20 +246,17 @@ def test_a_batch_of_uneven_columns_is_kept_raw() -> None:
 
 
 def test_the_file_is_opened_by_the_first_sample() -> None:
-    """A recorder that waits leaves no file; the opening comes before all else."""
-    log = Log()
+    """A recorder that waits leaves no file; the opening comes before all else, and a channel once.
+
+    A chunk that went out by size is at risk until it is synced.
+    """
+    log = Log(LogPlan("x", 1, SECOND, "1"))
     assert log.tick(SECOND) == []
     assert log.close() == b""
-    log.receive(sample_of(gear(0)))
-    assert kinds(log.done) == [OpenLog, WriteMetadata, DeclareChannel]
-    assert log.done[0] == OpenLog("cruiser-1", "cruiser-1", WALL_NS)
-
-
-def test_a_channel_is_declared_once_before_its_messages() -> None:
-    """One channel for each key."""
-    log = Log(LogPlan("x", 1, SECOND, "1"))
     log.receive(*(sample_of(gear(number)) for number in range(3)))
     assert kinds(log.done) == [OpenLog, WriteMetadata, DeclareChannel, WriteChunk, WriteChunk, WriteChunk]
+    assert log.done[0] == OpenLog("x", "x", WALL_NS)
+    assert kinds(log.tick(SECOND // 2)) == [SyncLog]
 
 
 @given(st.lists(st.tuples(st.integers(1, 300), st.booleans()), max_size=60))
@@ -305,13 +300,6 @@ def test_a_sync_comes_after_the_chunk_and_only_when_there_is_something() -> None
     assert kinds(log.tick(PLAN.flush_ns // 2 - 1)) == []
     assert kinds(log.tick(PLAN.flush_ns // 2)) == [WriteChunk, SyncLog]
     assert kinds(log.tick(PLAN.flush_ns)) == []
-
-
-def test_full_chunks_that_are_written_early_are_synced_in_time() -> None:
-    """A chunk that went out by size is at risk until it is synced."""
-    log = Log(LogPlan("x", 1, SECOND, "1"))
-    log.receive(sample_of(gear(0)))
-    assert kinds(log.tick(SECOND // 2)) == [SyncLog]
 
 
 def test_a_gateways_answer_is_recorded_described_and_attached() -> None:
@@ -378,15 +366,6 @@ def test_a_robot_has_room_for_a_few_buses(monkeypatch: pytest.MonkeyPatch) -> No
         log.receive(FakeSample(sample.key.replace("can0", bus), sample.encoding, sample.payload))
     topics = [topic for topic, _, _, _ in read(log.close())]
     assert topics == [*(FRAMES_KEY.replace("can0", bus) for bus in ("can0", "can1", "can2")), "@more", FRAMES_KEY]
-
-
-def test_the_answer_of_a_robot_too_many_is_a_sample_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is recorded; the log's metadata holds nothing of it."""
-    monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 1)
-    log = Log()
-    log.receive(sample_of(gear(0)), sample_of(info(), "another"))
-    assert not [one for one in log.done if isinstance(one, WriteAttachment)]
-    assert key_of(GatewayInfo, "another") in {topic for topic, _, _, _ in read(log.close())}
 
 
 GAP = RecordGap(WALL_NS, 3, GEAR_KEY, GapReason.QUEUE, WALL_NS - 5, WALL_NS - 1, 7)

@@ -1,5 +1,7 @@
 """Finished logs to a store that does all that stores do."""
 
+from __future__ import annotations
+
 import asyncio
 import fcntl
 import hashlib
@@ -61,12 +63,17 @@ def plan_of(directory: Path, *, reads_back: bool = True, only_incidents: bool = 
 
 
 def upload(
-    directory: Path, store: LogStore, *, reads_back: bool = True, only_incidents: bool = False
+    directory: Path,
+    store: LogStore,
+    rows: Rows | None = None,
+    *,
+    reads_back: bool = True,
+    only_incidents: bool = False,
 ) -> UploadTotals:
-    """Upload all that is there, as a start of the command does."""
+    """Upload all that is there, as a start of the command does; with its rows, if somebody makes them."""
     with UploadNote(directory) as note:
         plan = plan_of(directory, reads_back=reads_back, only_incidents=only_incidents)
-        uploader = Uploader(plan, store, note, RateLimit(0))
+        uploader = Uploader(plan, store, note, RateLimit(0), rows)
         asyncio.run(uploader.upload_all(lambda: True))
         return uploader.totals
 
@@ -106,6 +113,38 @@ def test_a_log_is_whole_in_the_store_with_a_manifest_and_a_mark(tmp_path: Path, 
     )
     assert (totals.uploaded, totals.bytes, totals.waiting, totals.faults) == (1, len(data), [], {})
     assert safe(tmp_path) == {LOG}
+    store.calls.clear()
+    assert upload(tmp_path, store).uploaded == 0
+    assert store.calls == [], "what is safe is neither sent again nor asked for"
+
+
+@pytest.mark.parametrize(
+    ("name", "only_incidents", "goes_to"),
+    [
+        (f"{LOG}.part", False, None),
+        (f"{LOG}.damaged", False, None),
+        (f"{LOG}.rest", False, None),
+        ("holiday.mcap", False, None),
+        ("notes.txt", False, None),
+        ("catalog.parquet", False, None),
+        (LOG, True, None),
+        (INCIDENT, True, f"cruiser-1/{INCIDENT}"),
+        # Anybody who may write there may call a log as he likes: no name leads out of the store's directory.
+        ("..-20270115T080000Z.mcap", False, "_/..-20270115T080000Z.mcap"),
+    ],
+)
+def test_finished_logs_of_a_recorder_go_and_nothing_else(
+    tmp_path: Path, store: FakeLogStore, name: str, *, only_incidents: bool, goes_to: str | None
+) -> None:
+    """Parts are not whole yet, other makers' logs are somebody else's; where links cost money, incidents alone."""
+    saved(tmp_path / name, log_of()[:-20])
+    totals = upload(tmp_path, store, only_incidents=only_incidents)
+    assert (bool(store.calls), totals.faults) == (goes_to is not None, {})
+    assert store.objects.keys() == ({goes_to, f"{goes_to}.json"} if goes_to else set())
+    if goes_to:
+        # It is cut off: evidence all the same. Of its contents the manifest says nothing.
+        found = msgspec.json.decode(store.objects[f"{goes_to}.json"], type=UploadManifest)
+        assert (found.state, found.messages) == (UploadState.VERIFIED, None)
 
 
 def test_the_recorders_signature_goes_with_its_log(tmp_path: Path, store: FakeLogStore) -> None:
@@ -127,15 +166,6 @@ def test_the_recorders_signature_goes_with_its_log(tmp_path: Path, store: FakeLo
     assert signatures == ["cruiser-1/cruiser-1-20270115T080001Z.mcap.sig"]
 
 
-def test_what_is_safe_is_not_sent_again(tmp_path: Path, store: FakeLogStore) -> None:
-    """Nor is the store asked for it."""
-    saved(tmp_path / LOG, log_of())
-    upload(tmp_path, store)
-    store.calls.clear()
-    assert upload(tmp_path, store).uploaded == 0
-    assert store.calls == []
-
-
 def test_incidents_come_first_and_then_the_oldest(tmp_path: Path, store: FakeLogStore) -> None:
     """Also one that ends while a log is under way."""
     saved(tmp_path / LATER, log_of(1))
@@ -149,32 +179,6 @@ def test_incidents_come_first_and_then_the_oldest(tmp_path: Path, store: FakeLog
     upload(tmp_path, store)
     written = [name for method, name in store.calls if method == "write"]
     assert written == [f"cruiser-1/{name}" for name in (LOG, INCIDENT, LATER)]
-
-
-def test_incidents_alone_leave_logs_where_they_are(tmp_path: Path, store: FakeLogStore) -> None:
-    """For links that cost money."""
-    saved(tmp_path / LOG, log_of())
-    saved(tmp_path / INCIDENT, log_of())
-    upload(tmp_path, store, only_incidents=True)
-    assert safe(tmp_path) == {INCIDENT}
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        f"{LOG}.part",
-        f"{LOG}.damaged",
-        f"{LOG}.rest",
-        "holiday.mcap",
-        "notes.txt",
-        "catalog.parquet",
-    ],
-)
-def test_what_is_no_finished_log_of_a_recorder_stays(tmp_path: Path, store: FakeLogStore, name: str) -> None:
-    """Parts are not whole yet, and logs of other makers are somebody else's."""
-    saved(tmp_path / name, log_of())
-    totals = upload(tmp_path, store)
-    assert (store.calls, totals.faults) == ([], {})
 
 
 def test_a_file_that_only_has_the_name_of_a_log_is_named_and_stays(tmp_path: Path, store: FakeLogStore) -> None:
@@ -204,27 +208,48 @@ def test_a_log_that_somebody_has_in_hand_waits(tmp_path: Path, store: FakeLogSto
     assert upload(tmp_path, store).uploaded == 1
 
 
-def test_a_log_that_is_cut_off_is_evidence_all_the_same(tmp_path: Path, store: FakeLogStore) -> None:
-    """Of its contents the manifest says nothing."""
-    saved(tmp_path / LOG, log_of()[:-20])
-    upload(tmp_path, store)
-    assert (manifest(store, LOG).state, manifest(store, LOG).messages) == (UploadState.VERIFIED, None)
-
-
-def test_a_connection_that_is_lost_in_the_middle_leaves_no_log_and_no_mark(
-    tmp_path: Path, store: FakeLogStore
+@pytest.mark.parametrize(
+    ("knob", "times", "fault"),
+    [
+        ("cuts", 1, "connection reset by peer"),
+        ("spoils", 1, ""),
+        ("spoils", uploading.TRIES, "the store does not hold it as it was sent"),
+    ],
+)
+def test_a_log_that_the_store_loses_or_spoils_is_never_called_safe(
+    tmp_path: Path, store: FakeLogStore, knob: str, times: int, fault: str
 ) -> None:
-    """The next try begins that log again, under the same name."""
-    saved(tmp_path / LOG, log_of())
-    store.cuts = 1
-    totals = upload(tmp_path, store)
-    assert totals.faults == {LOG: "connection reset by peer"}
-    assert f"cruiser-1/{LOG}" not in store.objects
-    assert manifest(store, LOG).state is UploadState.UPLOADING
-    assert safe(tmp_path) == set()
-    assert upload(tmp_path, store).uploaded == 1
-    assert set(store.objects) == {f"cruiser-1/{LOG}", f"cruiser-1/{LOG}.json"}
+    """Neither here nor there; the next log is tried. A later try begins that log again, under the same name."""
+    for name in (LOG, LATER):
+        saved(tmp_path / name, log_of(name == LATER))
+    setattr(store, knob, times)
+    assert upload(tmp_path, store).faults == ({LOG: fault} if fault else {})
+    assert safe(tmp_path) == ({LATER} if fault else {LOG, LATER})
+    assert manifest(store, LOG).state is (UploadState.UPLOADING if fault else UploadState.VERIFIED)
+    upload(tmp_path, store)
+    assert store.objects.keys() == {f"cruiser-1/{name}{end}" for name in (LOG, LATER) for end in ("", ".json")}
+    assert store.objects[f"cruiser-1/{LOG}"] == log_of(0)
     assert manifest(store, LOG).state is UploadState.VERIFIED
+
+
+@pytest.mark.parametrize(
+    ("happens", "fault"),
+    [(lambda path: path.write_bytes(log_of(7)), "was changed while it was read"), (Path.unlink, "")],
+    ids=["it changes", "retention deletes it"],
+)
+def test_a_log_is_sent_whole_or_does_not_appear(
+    tmp_path: Path, store: FakeLogStore, happens: Callable[[Path], object], fault: str
+) -> None:
+    """Its last piece is held back until all of it is what was summed up. One that is gone is no fault."""
+    path = saved(tmp_path / LOG, log_of())
+
+    async def happen(method: str, _name: str) -> None:
+        if method == "write":
+            happens(path)
+
+    store.meanwhile = happen
+    assert upload(tmp_path, store).faults == ({LOG: fault} if fault else {})
+    assert store.objects.get(f"cruiser-1/{LOG}") == (None if fault else log_of())
 
 
 @pytest.mark.parametrize("method", ["look", "read_back", "replace"])
@@ -244,26 +269,6 @@ def test_what_was_broken_off_behind_the_log_is_verified_and_not_sent_again(
     assert upload(tmp_path, store).uploaded == 1
     assert "write" not in {asked for asked, _ in store.calls}
     assert manifest(store, LOG).state is UploadState.VERIFIED
-
-
-def test_a_log_that_the_store_spoils_is_sent_once_more(tmp_path: Path, store: FakeLogStore) -> None:
-    """What the store holds is what the disk held, or it is not said to be."""
-    data = log_of()
-    saved(tmp_path / LOG, data)
-    store.spoils = 1
-    assert upload(tmp_path, store).uploaded == 1
-    assert store.objects[f"cruiser-1/{LOG}"] == data
-
-
-def test_a_log_that_the_store_spoils_each_time_is_never_called_safe(tmp_path: Path, store: FakeLogStore) -> None:
-    """Neither here nor there; the next log is tried."""
-    saved(tmp_path / LOG, log_of())
-    saved(tmp_path / LATER, log_of())
-    store.spoils = uploading.TRIES
-    totals = upload(tmp_path, store)
-    assert totals.faults == {LOG: "the store does not hold it as it was sent"}
-    assert manifest(store, LOG).state is UploadState.UPLOADING
-    assert safe(tmp_path) == {LATER}
 
 
 def test_where_the_stores_checksum_is_that_of_the_log_it_is_enough(tmp_path: Path, store: FakeLogStore) -> None:
@@ -401,19 +406,6 @@ def test_a_second_upload_from_one_directory_is_refused(tmp_path: Path) -> None:
     assert refused.value.code is ExitCode.REFUSED
 
 
-def test_a_log_that_changes_while_it_is_sent_does_not_appear(tmp_path: Path, store: FakeLogStore) -> None:
-    """Its last piece is held back until all of it is what was summed up."""
-    path = saved(tmp_path / LOG, log_of())
-
-    async def change(method: str, _name: str) -> None:
-        if method == "write":
-            path.write_bytes(log_of(7))
-
-    store.meanwhile = change
-    assert upload(tmp_path, store).faults == {LOG: "was changed while it was read"}
-    assert f"cruiser-1/{LOG}" not in store.objects
-
-
 def test_a_log_that_changes_after_it_was_sent_is_not_safe_any_more(tmp_path: Path, store: FakeLogStore) -> None:
     """It was recovered by hand, for one; it goes under another name."""
     path = saved(tmp_path / LOG, log_of())
@@ -421,20 +413,6 @@ def test_a_log_that_changes_after_it_was_sent_is_not_safe_any_more(tmp_path: Pat
     path.write_bytes(log_of(7))
     assert upload(tmp_path, store).uploaded == 1
     assert store.objects[f"cruiser-1/{LOG}".replace(".mcap", "-2.mcap")] == log_of(7)
-
-
-def test_a_log_that_retention_deletes_meanwhile_still_gets_there(tmp_path: Path, store: FakeLogStore) -> None:
-    """One that is gone before it was begun is no fault."""
-    data = log_of()
-    path = saved(tmp_path / LOG, data)
-
-    async def delete(method: str, _name: str) -> None:
-        if method == "write":
-            path.unlink()
-
-    store.meanwhile = delete
-    assert upload(tmp_path, store).faults == {}
-    assert store.objects[f"cruiser-1/{LOG}"] == data
 
 
 def test_a_store_that_is_gone_is_not_asked_for_each_log(tmp_path: Path, store: FakeLogStore) -> None:
@@ -457,13 +435,6 @@ def test_nothing_is_begun_outside_of_the_hours(tmp_path: Path, store: FakeLogSto
         uploader = Uploader(plan_of(tmp_path), store, note, RateLimit(0))
         assert asyncio.run(uploader.upload_all(lambda: False))
     assert (store.calls, uploader.totals.waiting) == ([], [LOG])
-
-
-def test_no_name_leads_out_of_the_stores_directory(tmp_path: Path, store: FakeLogStore) -> None:
-    """Anybody who may write there may call a log as he likes."""
-    saved(tmp_path / "..-20270115T080000Z.mcap", log_of())
-    upload(tmp_path, store)
-    assert set(store.objects) == {"_/..-20270115T080000Z.mcap", "_/..-20270115T080000Z.mcap.json"}
 
 
 @pytest.fixture
@@ -537,21 +508,13 @@ class Rows:
         return b"row of " + path.name.encode()
 
 
-def upload_with_rows(directory: Path, store: LogStore, rows: Rows) -> UploadTotals:
-    """Upload all that is there, each log with its row."""
-    with UploadNote(directory) as note:
-        uploader = Uploader(plan_of(directory), store, note, RateLimit(0), rows)
-        asyncio.run(uploader.upload_all(lambda: True))
-        return uploader.totals
-
-
 def test_a_row_of_the_catalog_lies_beside_each_log_when_all_are_safe(tmp_path: Path, store: FakeLogStore) -> None:
     """Logs go first: a row can be made again from the log."""
     saved(tmp_path / LOG, log_of(2))
     saved(tmp_path / LATER, log_of(3))
     rows = Rows()
     rows.meanwhile = lambda: pytest.fail("a log still waits") if safe(tmp_path) != {LOG, LATER} else None
-    assert upload_with_rows(tmp_path, store, rows).rows == 2
+    assert upload(tmp_path, store, rows).rows == 2
     assert store.objects[f"cruiser-1/{LOG}{ROW_SUFFIX}"] == b"row of " + LOG.encode()
     assert rows.made == [LOG, LATER]
 
@@ -570,7 +533,7 @@ def test_a_row_that_is_being_made_gives_way_to_a_new_log(
             saved(tmp_path / LATER, log_of(3))
 
     rows.meanwhile = save_once
-    assert upload_with_rows(tmp_path, store, rows).rows == 2
+    assert upload(tmp_path, store, rows).rows == 2
     assert rows.made == [LOG, LOG, LATER]
 
 
@@ -582,7 +545,7 @@ def test_a_log_is_safe_without_its_row(
     saved(tmp_path / LOG, log_of())
     rows = Rows()
     rows.fault = fault
-    totals = upload_with_rows(tmp_path, store, rows)
+    totals = upload(tmp_path, store, rows)
     assert (totals.uploaded, totals.rows, totals.faults) == (1, 0, {})
     assert safe(tmp_path) == {LOG}
     assert ("given up" in caplog.text) == isinstance(fault, RowError)
@@ -593,6 +556,6 @@ def test_a_store_that_takes_no_rows_is_asked_a_few_times(tmp_path: Path, store: 
     saved(tmp_path / LOG, log_of())
     store.refused.add(f"cruiser-1/{LOG}{ROW_SUFFIX}")
     rows = Rows()
-    assert upload_with_rows(tmp_path, store, rows).rows == 0
+    assert upload(tmp_path, store, rows).rows == 0
     assert safe(tmp_path) == {LOG}
     assert 1 <= len(rows.made) <= uploading.ROW_TRIES

@@ -1,12 +1,27 @@
 """Who is believed: every wider, older, revoked or foreign grant is refused."""
 
+from collections.abc import Callable
+
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.authority.proof import Grant, GrantRole, StatementFault, chain_text, read_chain
-from schemas.authority.trust import BY_SITE, SAME_AUTHORITY, SMALL_ORDER, HeldGrant, Objection, fits
+from schemas.authority.proof import (
+    STATEMENTS_MAX,
+    TEXT_MAX_BYTES,
+    Grant,
+    GrantRole,
+    Revocations,
+    Rotation,
+    Signed,
+    Statement,
+    StatementFault,
+    body_of,
+    chain_text,
+    read_chain,
+)
+from schemas.authority.trust import BY_SITE, SAME_AUTHORITY, SMALL_ORDER, HeldGrant, Objection, Trust, fits
 from schemas.reasons import Reason
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party
 
@@ -45,14 +60,99 @@ def test_what_a_site_granted_holds_no_more(depth: int) -> None:
     assert not fleet.trust.has_signed(ann.chain)
 
 
-def test_what_the_authority_did_not_sign_is_not_believed() -> None:
-    """Another authority; the standby key, which signs no grants."""
-    fleet, ann = Fleet(), Party("ann")
-    for signer in (Fleet().authority, fleet.standby):
-        signer.grant(ann)
-        assert reason_of(fleet.trust.judge(ann.chain, NOW_S)) is Reason.GRANT_UNKNOWN
-        assert not fleet.trust.has_signed(ann.chain)
-    assert reason_of(fleet.trust.judge([], NOW_S)) is Reason.GRANT_UNKNOWN
+STRANGE = "it is not signed by the authority that is known here"
+
+
+def forged(fleet: Fleet) -> list[Signed]:
+    """A grant with a signature of zeros."""
+    return [msgspec.structs.replace(fleet.operator().chain[0], signature=bytes(64))]
+
+
+@pytest.mark.parametrize(
+    ("chain", "reason", "detail"),
+    [
+        (lambda _: [], Reason.GRANT_UNKNOWN, ""),
+        (lambda fleet: [fleet.authority.revoke(1)], Reason.MALFORMED, "it is no grant"),
+        (lambda _: Fleet().operator().chain, Reason.GRANT_UNKNOWN, STRANGE),
+        (lambda fleet: fleet.standby.grant(Party("ann")), Reason.GRANT_UNKNOWN, STRANGE),
+        (forged, Reason.PROOF_WRONG, "the signature of the grant does not fit"),
+        (
+            lambda fleet: fleet.operator(not_after=NOW_S - 7).chain,
+            Reason.GRANT_EXPIRED,
+            "it ended 2026-11-18 11:06 UTC, and here it is 2026-11-18 11:06 UTC",
+        ),
+        (
+            lambda fleet: fleet.operator(not_before=NOW_S + DAY_S).chain,
+            Reason.GRANT_EXPIRED,
+            "it begins 2026-11-19 11:06 UTC, and here it is 2026-11-18 11:06 UTC",
+        ),
+        (
+            lambda fleet: fleet.operator(not_before=2**53 - 1, not_after=2**53 - 1).chain,
+            Reason.GRANT_EXPIRED,
+            "it begins 9999-12-31 23:59 UTC, and here it is 2026-11-18 11:06 UTC",
+        ),
+    ],
+)
+def test_a_chain_that_does_not_hold(chain: Callable[[Fleet], list[Signed]], reason: Reason, detail: str) -> None:
+    """What is wrong with it, in words."""
+    fleet = Fleet()
+    found = chain(fleet)
+    assert fleet.trust.judge(found, NOW_S) == Objection(reason, detail)
+    assert detail != STRANGE or not fleet.trust.has_signed(found)
+
+
+def changed(outcome: Trust | Objection) -> Trust:
+    """A trust that a statement has changed."""
+    assert isinstance(outcome, Trust), outcome
+    return outcome
+
+
+def test_what_held_once_and_does_not_now() -> None:
+    """By a list, by an epoch, by another authority."""
+    fleet = Fleet()
+    grant = held(fleet.trust.judge(fleet.operator(epoch=2).chain, NOW_S))
+    listed = changed(fleet.trust.revoke(fleet.authority.revoke(8, grant)))
+    assert listed.objection(grant, NOW_S) == Objection(Reason.GRANT_REVOKED, "by list 8")
+    later = changed(fleet.trust.revoke(fleet.authority.revoke(8, epoch=3)))
+    assert later.objection(grant, NOW_S) == Objection(Reason.GRANT_REVOKED, "epoch 2 is over")
+    rotated = changed(fleet.trust.rotate(fleet.standby.rotate(1, Party(), Party())))
+    assert rotated.objection(grant, NOW_S) == Objection(Reason.GRANT_REVOKED, "its authority was replaced")
+
+
+def test_an_epoch_never_falls_under_one_authority() -> None:
+    """A newer list raises it, and never lowers it.
+
+    Another authority begins with an epoch of its own: all that the former one granted has ended with it.
+    """
+    fleet, active, standby = Fleet(), Party(), Party()
+    trust = changed(fleet.trust.revoke(fleet.authority.revoke(1, epoch=5)))
+    trust = changed(trust.revoke(fleet.authority.revoke(2, epoch=4)))
+    assert trust.epoch == 5
+    assert changed(trust.rotate(fleet.standby.rotate(2, active, standby, epoch=1))).epoch == 1
+
+
+def test_lists_and_rotations_that_are_refused() -> None:
+    """Another kind of statement, another signer, an older one or the same again, the authority's own key."""
+    fleet, stranger, active = Fleet(), Party(), Party("active")
+    kept = fleet.standby.rotate(1, fleet.authority, stranger)
+    assert fleet.trust.rotate(kept) == Objection(Reason.MALFORMED, SAME_AUTHORITY)
+    trust = changed(fleet.trust.rotate(fleet.standby.rotate(2, active, fleet.standby)))
+    trust = changed(trust.revoke(active.revoke(3)))
+    grant = fleet.operator().chain[0]
+    malformed, wrong, replayed = Reason.MALFORMED, Reason.PROOF_WRONG, Reason.REPLAYED
+    forged_list = msgspec.structs.replace(active.revoke(4), signature=bytes(64))
+    for refused, reason, detail in (
+        (trust.revoke(grant), malformed, "it is no list of revocations"),
+        (trust.revoke(stranger.revoke(4)), wrong, "the list is not the authority's"),
+        (trust.revoke(fleet.site().revoke(4)), wrong, "the list is not the authority's"),
+        (trust.revoke(forged_list), wrong, "the list is not the authority's"),
+        (trust.revoke(active.revoke(3)), replayed, "list 3 after 3"),
+        (trust.revoke(active.revoke(2)), replayed, "list 2 after 3"),
+        (trust.rotate(grant), malformed, "it is no rotation"),
+        (trust.rotate(stranger.rotate(3, stranger, stranger)), wrong, "it is not signed by the standby key"),
+        (trust.rotate(fleet.standby.rotate(2, stranger, stranger)), replayed, "rotation 2 after 2"),
+    ):
+        assert refused == Objection(reason, detail)
 
 
 @given(place=st.integers(0, 10_000), bit=st.integers(0, 7), part=st.sampled_from(["body", "signature"]))
@@ -99,22 +199,6 @@ def test_a_revoked_grant_ends() -> None:
     assert reason_of(trust.judge(other.chain, NOW_S)) is Reason.NONE
 
 
-def test_a_list_of_revocations_is_the_authoritys_and_newer() -> None:
-    """An older list, the same again and one of anybody else change nothing; an epoch never falls."""
-    fleet = Fleet()
-    trust = fleet.trust.revoke(fleet.authority.revoke(7, epoch=3))
-    assert not isinstance(trust, Objection)
-    assert trust.epoch == 3
-    for serial in (6, 7):
-        assert reason_of(trust.revoke(fleet.authority.revoke(serial))) is Reason.REPLAYED
-    assert reason_of(trust.revoke(fleet.site().revoke(8))) is Reason.PROOF_WRONG
-    forged = msgspec.structs.replace(fleet.authority.revoke(8), signature=bytes(64))
-    assert reason_of(trust.revoke(forged)) is Reason.PROOF_WRONG
-    newer = trust.revoke(fleet.authority.revoke(8))
-    assert not isinstance(newer, Objection)
-    assert newer.epoch == 3
-
-
 def test_the_standby_key_replaces_a_stolen_authority() -> None:
     """All that the old key signed ends; nobody but the standby key can do it."""
     fleet, active, standby = Fleet(), Party("active"), Party("standby")
@@ -153,28 +237,6 @@ def test_a_thief_of_the_authority_bars_nobody_from_the_next_one() -> None:
     assert reason_of(revoked.revoke(fleet.authority.revoke(highest))) is Reason.PROOF_WRONG
 
 
-def test_the_standby_is_replaced_with_the_authority_alone() -> None:
-    """A rotation that keeps the authority's key changes nothing, and says what to do."""
-    fleet = Fleet()
-    rotation = fleet.standby.rotate(1, fleet.authority, Party("standby"))
-    assert fleet.trust.rotate(rotation) == Objection(Reason.MALFORMED, SAME_AUTHORITY)
-
-
-def test_statements_of_another_kind_do_nothing() -> None:
-    """A grant revokes nothing, a list grants nothing."""
-    fleet, ann = Fleet(), Fleet().operator()
-    trust = fleet.trust
-    assert reason_of(trust.revoke(ann.chain[0])) is Reason.MALFORMED
-    assert reason_of(trust.rotate(ann.chain[0])) is Reason.MALFORMED
-    assert reason_of(trust.judge([fleet.authority.revoke(1)], NOW_S)) is Reason.MALFORMED
-
-
-def test_a_chain_is_read_as_it_was_written() -> None:
-    """Comments and blank lines say nothing."""
-    assert read_chain(chain_text(SITE_CHAIN).encode()) == SITE_CHAIN
-    assert read_chain(b"# of Ann\n\n" + chain_text(SITE_CHAIN).encode()) == SITE_CHAIN
-
-
 @given(st.binary(max_size=400))
 def test_whatever_is_no_chain_is_a_fault_and_no_exception(text: bytes) -> None:
     """It comes from anyone."""
@@ -190,23 +252,6 @@ def test_a_damaged_chain_never_raises_nor_holds(place: int, instead: bytes) -> N
     chain = read_chain(damaged)
     if chain != SITE_CHAIN and not isinstance(chain, StatementFault):
         assert isinstance(FLEET.trust.judge(chain, NOW_S), Objection)
-
-
-@pytest.mark.parametrize(
-    ("text", "detail"),
-    [
-        (chain_text(SITE_CHAIN) * 2, "more than 3"),
-        ("x" * 20_000, "longer than"),
-        ('{"kind":"grant"}\n', "pairs"),
-        ('{"kind":"grant"}\ned25519 00 00\n', "not followed by its signature"),
-        (chain_text(SITE_CHAIN).replace('"serial":1', '"serial":1,"only_on_sundays":true'), "only_on_sundays"),
-    ],
-)
-def test_what_is_wrong_with_a_text_is_said(text: str, detail: str) -> None:
-    """A field that is not known is an error: it may restrict."""
-    fault = read_chain(text.encode())
-    assert isinstance(fault, StatementFault)
-    assert detail in fault.detail
 
 
 @pytest.mark.parametrize(
@@ -247,3 +292,71 @@ def test_no_signature_fits_a_key_of_small_order(key: bytes, sign: int) -> None:
     nobodys = b"\x01" + bytes(63)
     found = [fits(key[:31] + bytes([key[31] | sign]), nobodys, bytes([text])) for text in range(64)]
     assert not any(found)
+
+
+def test_texts_that_are_no_chain() -> None:
+    """In words; a field that is not known may restrict. The longest text and chain that are read are read."""
+    line = Fleet().operator().chain[0].text()
+    assert isinstance(read_chain(line.encode() * STATEMENTS_MAX), list)
+    assert isinstance(read_chain(line.encode() + b"\n" * (TEXT_MAX_BYTES - len(line))), list)
+    unsigned = "it is not pairs of lines, a statement and its signature"
+    unknown = line.encode().replace(b'"serial":1', b'"serial":1,"only_on_sundays":true')
+    for text, detail in (
+        (unknown, "Object contains unknown field `only_on_sundays`"),
+        (b"", unsigned),
+        (b"{}\n", unsigned),
+        (b"{}\n{}\n", "a statement is not followed by its signature"),
+        (line.encode() * (STATEMENTS_MAX + 1), f"it has more than {STATEMENTS_MAX} statements"),
+        (b" " * (TEXT_MAX_BYTES + 1), f"it is longer than {TEXT_MAX_BYTES} bytes"),
+    ):
+        assert read_chain(text) == StatementFault(detail)
+    long = line.replace('"kind":"grant"', f'"kind":"{"x" * 400}"')
+    fault = read_chain(long.encode())
+    assert isinstance(fault, StatementFault)
+    assert len(fault.detail) == 200
+
+
+def test_a_chain_is_told_from_its_text() -> None:
+    """Comments and blank lines say nothing."""
+    for text in (chain_text(SITE_CHAIN), f"# ann\n\n{chain_text(SITE_CHAIN)}"):
+        assert read_chain(text.encode()) == SITE_CHAIN
+    assert isinstance(SITE_CHAIN[0].statement, Grant)
+
+
+STATEMENTS = [
+    Grant(
+        serial=1,
+        name="ann",
+        key="00" * 32,
+        role=GrantRole.OPERATOR,
+        robots=["a*"],
+        verbs=["drive"],
+        not_before=0,
+        not_after=1,
+    ),
+    Revocations(serial=1, at=0, grants=["00" * 8], keys=["00" * 32]),
+    Rotation(serial=1, at=0, active="00" * 32, standby="01" * 32),
+]
+
+
+@pytest.mark.parametrize(
+    ("statement", "field"),
+    [
+        (one, name)
+        for one in STATEMENTS
+        for name in one.__struct_fields__
+        if isinstance(getattr(one, name), str | list)
+    ],
+)
+def test_no_text_in_a_statement_has_a_line_end_behind_it(statement: Statement, field: str) -> None:
+    """A key or a name with one would be another than that which was limited, or revoked."""
+    value = getattr(statement, field)
+    changed = msgspec.structs.replace(
+        statement, **{field: f"{value}\n" if isinstance(value, str) else [f"{value[0]}\n"]}
+    )
+    signed = Party().sign(statement)
+    assert not isinstance(read_chain(signed.text().encode()), StatementFault)
+    body = body_of(changed)
+    fault = read_chain(body + signed.text().encode()[len(signed.body) :])
+    assert isinstance(fault, StatementFault)
+    assert "matching regex" in fault.detail

@@ -1,0 +1,20 @@
+"""A peer that the recorder's processes connect to."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.fakes.peer import Peer, free_endpoint
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """Where a test's peer listens."""
+    return free_endpoint()
+
+
+@pytest.fixture
+def peer(endpoint: str) -> Iterator[Peer]:
+    """The robots, or what all others connect to."""
+    with Peer(endpoint) as one:
+        yield one
