@@ -1,6 +1,7 @@
 """The gateway without its surroundings."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import msgspec
 import pytest
@@ -36,6 +37,7 @@ from tests.support.rigs.gateway import GatewayRig, Operator, ready
 from tests.support.strategies import VARIANTS, frames
 
 UP = Links(bus_up=True)
+Kind = TypeVar("Kind", bound=Message)
 
 
 def core(variant: str = "auto") -> Core:
@@ -45,11 +47,11 @@ def core(variant: str = "auto") -> Core:
     return made
 
 
-def read(sample: Sample | None) -> Message:
+def read(sample: Sample | None, kind: type[Kind]) -> Kind:
     """The message of a sample, by the codec."""
     assert sample is not None
     message = codec.decode(BY_NAME[sample.subject], sample.payload)
-    assert isinstance(message, Message), message
+    assert isinstance(message, kind), message
     return message
 
 
@@ -58,13 +60,13 @@ def ticks(made: Core, until_ms: int, from_ms: int = 0) -> dict[str, list[Message
     published: dict[str, list[Message]] = {}
     for at_ms in range(from_ms, until_ms + 1, 10):
         for sample in made.tick(at_ms * MS, WALL_NS + at_ms * MS, 0, CHALLENGE).samples:
-            published.setdefault(sample.subject, []).append(read(sample))
+            published.setdefault(sample.subject, []).append(read(sample, Message))
     return published
 
 
-def health_after(made: Core, at_ms: int = 1000) -> GatewayHealth:
-    """The health at this time."""
-    (health,) = ticks(made, at_ms, at_ms)["gateway/health"]
+def health_after(made: Core, at_ms: int = 1000, from_ms: int | None = None) -> GatewayHealth:
+    """The health at this time; the ticks begin then, or before."""
+    (health,) = ticks(made, at_ms, at_ms if from_ms is None else from_ms)["gateway/health"]
     assert isinstance(health, GatewayHealth)
     return health
 
@@ -95,7 +97,7 @@ def test_each_feedback_frame_becomes_its_sample(variant: Variant) -> None:
     made, feedback = core(variant.value), Feedback(variant)
     for sequence in range(3):
         for frame in feedback.all():
-            message = read(made.receive_frame(frame, 0))
+            message = read(made.receive_frame(frame, 0), Message)
             assert (message.time_ns, message.sequence) == (WALL_NS, sequence)
     subjects = [made.receive_frame(frame, 0) for frame in feedback.all()]
     assert [sample.subject for sample in subjects if sample] == [
@@ -106,11 +108,9 @@ def test_each_feedback_frame_becomes_its_sample(variant: Variant) -> None:
 def test_a_value_arrives_as_it_was_sent() -> None:
     """Gear and speed of the frame are gear and speed of the message."""
     made, feedback = core("fine"), Feedback(Variant.FINE)
-    gear = read(made.receive_frame(feedback.frame("Auto_GearFeedBack", {"GearPosition": "drive"}), 0))
-    drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 1.234}), 0))
-    assert isinstance(gear, Gear)
+    gear = read(made.receive_frame(feedback.frame("Auto_GearFeedBack", {"GearPosition": "drive"}), 0), Gear)
+    drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 1.234}), 0), Drive)
     assert gear.gear_position is GearPosition.DRIVE
-    assert isinstance(drive, Drive)
     assert drive.speed_mps == pytest.approx(1.234)
 
 
@@ -126,8 +126,7 @@ def test_no_speed_is_published_before_its_scale_is_known(variant: Variant) -> No
     assert made.receive_frame(feedback.frame("Auto_GearFeedBack"), 0) is not None
     confirm(made, feedback)
     assert made.variant is variant
-    speed = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0))
-    assert isinstance(speed, Drive)
+    speed = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0), Drive)
     assert speed.speed_mps == pytest.approx(2.0)
 
 
@@ -197,7 +196,7 @@ def test_eight_zero_bytes_do_not_pass_for_a_driving_robot(variant: Variant, name
         assert (row.valid, row.silent) == (0, True)
         return
     assert health.faults.get("undefined_value", 0) == (zeros.fault == "undefined_value")
-    fields = msgspec.to_builtins(read(sample))
+    fields = msgspec.to_builtins(read(sample, Message))
     assert {key: value for key, value in fields.items() if key in zeros.says} == zeros.says
     assert fields.keys() == zeros.says.keys() | {"time_ns", "sequence", "alive_counter"}
 
@@ -209,8 +208,7 @@ def test_zero_bytes_without_end_are_silence(name: str) -> None:
     for at_ms in range(0, 1001, 10):
         made.receive_frame(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8), WALL_NS), at_ms * MS)
         published = made.tick(at_ms * MS, WALL_NS, 0, CHALLENGE).samples
-    state = next(read(sample) for sample in published if sample.subject == "state")
-    assert isinstance(state, RobotState)
+    state = next(read(sample, RobotState) for sample in published if sample.subject == "state")
     assert name in state.silent
 
 
@@ -255,8 +253,7 @@ def test_no_decoder_is_compiled_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> 
     for feedback, variant in ((fine, Variant.FINE), (coarse, Variant.COARSE)):
         confirm(made, feedback)
         assert made.variant is variant
-        drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0))
-        assert isinstance(drive, Drive)
+        drive = read(made.receive_frame(feedback.frame("Auto_DriveFeedBack", {"Speed": 2.0}), 0), Drive)
         assert drive.speed_mps == pytest.approx(2.0)
     made.update_links(Links(bus_up=True, bus_losses=1), 0)
     assert made.variant is Variant.UNKNOWN
@@ -306,14 +303,14 @@ def test_raw_frames_come_in_batches_of_50_ms_in_their_order() -> None:
         made.receive_frame(frame, number * MS)
         for sample in made.tick(number * MS, WALL_NS, 0, CHALLENGE).samples:
             if sample.subject == "can/{bus}/rx":
-                batch = read(sample)
-                assert isinstance(batch, CanFrames)
+                batch = read(sample, CanFrames)
                 assert batch.sequence * 50 <= number
                 received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
     batch = next(
-        read(s) for s in made.tick(150 * MS, WALL_NS, 0, CHALLENGE).samples if s.subject == "can/{bus}/rx"
+        read(s, CanFrames)
+        for s in made.tick(150 * MS, WALL_NS, 0, CHALLENGE).samples
+        if s.subject == "can/{bus}/rx"
     )
-    assert isinstance(batch, CanFrames)
     received += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
     assert received == [(frame.can_id, frame.data, frame.wall_ns) for frame in sent]
 
@@ -455,14 +452,11 @@ def test_error_frames_tell_the_state_of_the_controller_until_the_bus_is_lost() -
     for number, kinds in enumerate((0x00, 0x40, 0x08, 0x100)):
         made.receive_frame(Frame(ERROR | kinds, bytes(8)), 0)
         made.update_links(Links(bus_up=True, bus_drops=number), 0)
-        (health,) = ticks(made, 1000 * number + 1000, 1000 * number + 10)["gateway/health"]
-        assert isinstance(health, GatewayHealth)
+        health = health_after(made, 1000 * number + 1000, 1000 * number + 10)
         states.append((health.controller.value, health.bus_drops))
     assert states == [("unknown", 0), ("bus_off", 1), ("bus_off", 2), ("active", 3)]
     made.update_links(Links(bus_up=True, bus_losses=1), 0)
-    (health,) = ticks(made, 5000, 4010)["gateway/health"]
-    assert isinstance(health, GatewayHealth)
-    assert health.controller is ControllerState.UNKNOWN
+    assert health_after(made, 5000, 4010).controller is ControllerState.UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -504,8 +498,7 @@ class Wire(GatewayRig):
             self.went_out += [(frame.can_id, frame.data, self.wall_ns) for frame in self.out[sent:]]
             for sample in self.samples:
                 if sample.subject == "can/{bus}/tx":
-                    batch = read(sample)
-                    assert isinstance(batch, CanFrames)
+                    batch = read(sample, CanFrames)
                     self.published_frames += zip(batch.can_id, batch.data, batch.frame_time_ns, strict=True)
 
 

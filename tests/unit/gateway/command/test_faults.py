@@ -714,15 +714,21 @@ def test_a_bumper_that_is_hit_at_speed_is_followed_by_so_many_metres(
     assert way_m - 0.04 < rig.chassis.state.x_m - hit_m < way_m
 
 
-@pytest.mark.parametrize("chatter_ms", [20, 40, 80])
-def test_a_bumper_that_bounces_while_the_robot_backs_off_latches_nothing_new(chatter_ms: int) -> None:
-    """Row 'bumper: contact bounce of an acknowledged bumper latches nothing new', and a later hit does."""
+def engaged_at_bumper(side: str) -> tuple[GatewayRig, Operator]:
+    """The bumper is pressed, and was reset: the robot is engaged to back off."""
     rig, operator = ready()
-    rig.fault("bumper front on")
+    rig.fault(f"bumper {side} on")
     rig.run(1)
     operator.take_lease()
     assert operator.reason("reset") is Reason.NONE
     operator.engage()
+    return rig, operator
+
+
+@pytest.mark.parametrize("chatter_ms", [20, 40, 80])
+def test_a_bumper_that_bounces_while_the_robot_backs_off_latches_nothing_new(chatter_ms: int) -> None:
+    """Row 'bumper: contact bounce of an acknowledged bumper latches nothing new', and a later hit does."""
+    rig, operator = engaged_at_bumper("front")
     body, bumper_bit = CAN_IDS["Auto_MileageAndBodyFeedback"], 32
 
     def bounce(frame: Frame) -> Frame:
@@ -960,12 +966,7 @@ def test_a_robot_that_stands_is_held_by_its_parking_brake_and_goes_on_by_a_drive
 @pytest.mark.parametrize(("side", "toward_mps"), [("front", 0.5), ("rear", -0.5)])
 def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps: float) -> None:
     """Row 'bumper: after a deliberate reset only motion away from the hit side until clear'; then a hit is new."""
-    rig, operator = ready()
-    rig.fault(f"bumper {side} on")
-    rig.run(1)
-    operator.take_lease()
-    assert operator.reason("reset") is Reason.NONE
-    operator.engage()
+    rig, operator = engaged_at_bumper(side)
     operator.drive(toward_mps, seconds=1)
     assert rig.speed_mps == 0
     assert rig.decided[-1].bound_by == [Bound.BUMPER]
@@ -982,12 +983,7 @@ def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps:
 
 def test_the_other_bumper_still_stops_a_robot_that_backs_away() -> None:
     """What a reset has acknowledged is the one side only."""
-    rig, operator = ready()
-    rig.fault("bumper front on")
-    rig.run(1)
-    operator.take_lease()
-    operator.reason("reset")
-    operator.engage()
+    rig, operator = engaged_at_bumper("front")
     operator.drive(-0.5, seconds=2)
     rig.fault("bumper rear on")
     operator.drive(-0.5, seconds=0.06)
@@ -997,12 +993,7 @@ def test_the_other_bumper_still_stops_a_robot_that_backs_away() -> None:
 
 def test_both_bumpers_pressed_allow_no_motion() -> None:
     """There is no way that is away."""
-    rig, operator = ready()
-    rig.fault("bumper both on")
-    rig.run(1)
-    operator.take_lease()
-    operator.reason("reset")
-    operator.engage()
+    rig, operator = engaged_at_bumper("both")
     for speed_mps in (0.5, -0.5):
         operator.drive(speed_mps, seconds=1)
         assert rig.speed_mps == 0
@@ -1065,21 +1056,30 @@ def test_another_computer_on_the_bus_stops_the_robot() -> None:
     assert rig.says.stop_reason is Reason.OTHER_COMMANDER
 
 
-@pytest.mark.parametrize(
-    "missing", ["", "Auto_DriveFeedBack", "Auto_WheelSpdFeedback", "Auto_MileageAndBodyFeedback"]
-)
-@pytest.mark.parametrize("speed_mps", [1.0, -1.0])
-def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(missing: str, speed_mps: float) -> None:
-    """Row 'found at start: moving by drive, wheels or pulses, and nobody sending': also with no mode at hand."""
-    rig, _ = driving(speed_mps)
-    found = GatewayRig(now_ns=rig.now_ns)
+def assert_found_moving(
+    speed_mps: float, variant: Variant, silent: tuple[str, ...], seconds: float, configured: str = "auto"
+) -> None:
+    """A gateway that starts beside a robot that moves, without these frames, stops it within this time."""
+    rig, _ = driving(speed_mps, variant=variant)
+    found = GatewayRig(variant, configured=configured, now_ns=rig.now_ns)
     found.chassis = rig.chassis
-    if missing:
-        found.fault(f"silence {missing}")
-    found.run(1.3)
+    for name in silent:
+        found.fault(f"silence {name}")
+    found.run(seconds)
     assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
     found.until(lambda: found.says.state is ArbiterState.STANDBY, 8)
     assert found.speed_mps == 0
+
+
+@pytest.mark.parametrize(
+    "missing", [(), ("Auto_DriveFeedBack",), ("Auto_WheelSpdFeedback",), ("Auto_MileageAndBodyFeedback",)]
+)
+@pytest.mark.parametrize("speed_mps", [1.0, -1.0])
+def test_a_robot_found_moving_is_stopped_whatever_frame_is_missing(
+    missing: tuple[str, ...], speed_mps: float
+) -> None:
+    """Row 'found at start: moving by drive, wheels or pulses, and nobody sending': also with no mode at hand."""
+    assert_found_moving(speed_mps, Variant.COARSE, missing, 1.3)
 
 
 @pytest.mark.parametrize("configured", ["coarse", "fine"])
@@ -1089,29 +1089,14 @@ def test_a_robot_found_moving_is_stopped_whatever_scale_is_configured(
     speed_mps: float, variant: Variant, configured: str
 ) -> None:
     """Row 'found at start: moving by drive': read in the wrong scale it is beyond belief; and no pulses come."""
-    rig, _ = driving(speed_mps, variant=variant)
-    found = GatewayRig(variant, configured=configured, now_ns=rig.now_ns)
-    found.chassis = rig.chassis
-    found.fault("silence Auto_WheelPulseFeedback")
-    found.run(0.3)
-    assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
-    found.until(lambda: found.says.state is ArbiterState.STANDBY, 8)
-    assert found.speed_mps == 0
+    assert_found_moving(speed_mps, variant, ("Auto_WheelPulseFeedback",), 0.3, configured)
 
 
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 @pytest.mark.parametrize("speed_mps", [0.2, -2.0])
 def test_a_robot_found_moving_is_stopped_by_wheels_of_unknown_scale(speed_mps: float, variant: Variant) -> None:
     """Row 'found at start: moving by drive, wheels or pulses': neither of the others comes."""
-    rig, _ = driving(speed_mps, variant=variant)
-    found = GatewayRig(variant, configured="auto", now_ns=rig.now_ns)
-    found.chassis = rig.chassis
-    found.fault("silence Auto_DriveFeedBack")
-    found.fault("silence Auto_WheelPulseFeedback")
-    found.run(0.4)
-    assert found.event_reasons(EventKind.STOP)[:1] == [Reason.FOUND_MOVING]
-    found.until(lambda: found.says.state is ArbiterState.STANDBY, 8)
-    assert found.speed_mps == 0
+    assert_found_moving(speed_mps, variant, ("Auto_DriveFeedBack", "Auto_WheelPulseFeedback"), 0.4)
 
 
 def test_a_robot_that_another_computer_drives_is_left_alone() -> None:

@@ -74,6 +74,21 @@ class Hill(GatewayRig):
         self._furthest_m = sign * self.chassis.state.x_m
         self.rolled_back_m = 0.0
 
+    def drive_until_parked(self, speed_mps: float) -> None:
+        """A stream, until the parking brake is told."""
+        self.operator.drive(speed_mps)
+        while not self.told["Auto_ParkingCmd"]["ParkingRequest"]:
+            self.operator.drive(speed_mps)
+
+    def assert_parked(self) -> None:
+        """It stands under its parking brake."""
+        assert (self.speed_mps, self.chassis.state.parking_status) == (0, ParkingStatus.APPLIED)
+
+    def assert_held_by_motor(self, stood_m: float, most_m: float = STOP_MAX_M) -> None:
+        """It stands near this place, and its motor has it."""
+        assert abs(self.chassis.state.x_m - stood_m) < most_m
+        assert (self.speed_mps, self.says.stop_phase) == (0, StopPhase.MOTOR)
+
     def tick(self, count: int = 1) -> None:
         for _ in range(count):
             super().tick()
@@ -98,8 +113,7 @@ def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
     hill.watch(1.0 if speed_mps > 0 else -1.0)
     hill.operator.drive(0.0, seconds=4.0)
     assert hill.rolled_back_m < RELEASE_MAX_M
-    assert hill.speed_mps == 0
-    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+    hill.assert_parked()
 
 
 @pytest.mark.parametrize(
@@ -127,8 +141,7 @@ def test_a_stop_on_a_slope_ends_parked(
             hill.fault(cause)
     hill.run(8.0)
     assert hill.rolled_back_m < STOP_MAX_M
-    assert hill.speed_mps == 0
-    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+    hill.assert_parked()
     assert hill.says.state is ArbiterState.STANDBY
     if not is_driven:
         return  # Loaded, it does not climb so steep a slope, and was stopped as it set off.
@@ -223,8 +236,7 @@ def test_a_stop_behind_a_brake_that_slips_gives_the_robot_back_to_its_motor(slop
     hill.until(lambda: abs(hill.speed_mps) < 0.01)
     stood_m = hill.chassis.state.x_m
     hill.run(30)
-    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
-    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+    hill.assert_held_by_motor(stood_m)
     assert Reason.BRAKE_SLIPS in hill.says.latched
 
 
@@ -249,8 +261,7 @@ def test_a_robot_that_its_motor_holds_is_not_given_to_its_brake_again(interrupti
         case _:
             hill.put("anyone", "stop", b"")
     hill.run(6)
-    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
-    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+    hill.assert_held_by_motor(stood_m)
 
 
 @pytest.mark.parametrize("what", ["stop", "disengage", "reverse"])
@@ -260,9 +271,7 @@ def test_whatever_is_asked_while_the_brake_slips_the_motor_gets_the_robot_back(w
     hill = Hill(-20.0)
     hill.operator.drive(0.5, seconds=2.0)
     hill.fault("brake 0.2")
-    hill.operator.drive(0.0)
-    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
-        hill.operator.drive(0.0)
+    hill.drive_until_parked(0.0)
     stood_m = hill.chassis.state.x_m
     hill.operator.drive(0.0, seconds=after_ms / 1e3)
     if what == "reverse":
@@ -270,8 +279,7 @@ def test_whatever_is_asked_while_the_brake_slips_the_motor_gets_the_robot_back(w
     else:
         hill.operator.ask(what)
     hill.run(6)
-    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
-    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+    hill.assert_held_by_motor(stood_m)
 
 
 @pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
@@ -285,9 +293,7 @@ def test_who_drives_on_uphill_while_the_brake_slips_does_not_roll_away(
     hill = Hill(slope_deg)
     hill.operator.drive(uphill * 0.5, seconds=2.0)
     hill.fault(f"brake {grip}")
-    hill.operator.drive(0.0)
-    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
-        hill.operator.drive(0.0)
+    hill.drive_until_parked(0.0)
     hill.watch(uphill)
     hill.operator.drive(0.0, seconds=after_ms / 1e3)
     hill.operator.drive(uphill * 0.5, seconds=2.0)
@@ -301,9 +307,7 @@ def test_who_drives_on_downhill_is_braked_where_the_motor_does_not_hold() -> Non
     hill = Hill(-14.0)
     hill.operator.drive(0.5, seconds=2.0)
     hill.fault("brake 0.1")
-    hill.operator.drive(0.0)
-    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
-        hill.operator.drive(0.0)
+    hill.drive_until_parked(0.0)
     hill.operator.drive(0.0, seconds=0.08)
     hill.fault("motor 0.3")
     hill.operator.drive(0.5, seconds=2.5)
@@ -324,8 +328,7 @@ def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(
     stood_m = hill.chassis.state.x_m
     hill.operator.drive(-0.5, seconds=2.0)
     hill.run(4)
-    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
-    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+    hill.assert_held_by_motor(stood_m)
 
 
 @pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
@@ -347,16 +350,14 @@ def test_a_brake_that_fails_in_neutral_gives_the_robot_back(
     stood_m = hill.chassis.state.x_m
     hill.operator.drive(-0.5, seconds=2.0)
     hill.run(4)
-    assert abs(hill.chassis.state.x_m - stood_m) < most_m
-    assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
+    hill.assert_held_by_motor(stood_m, most_m)
 
 
 def test_a_robot_that_is_pushed_before_its_brake_reads_applied_gets_its_brake() -> None:
     """The same: nothing shows that this brake does not hold. It is asked for, and keeps the robot."""
     hill = Hill(0.0, parking_delay_s=0.15)
     hill.operator.drive(0.5, seconds=2.0)
-    while not hill.told["Auto_ParkingCmd"]["ParkingRequest"]:
-        hill.operator.drive(-0.5)
+    hill.drive_until_parked(-0.5)
     for _ in range(8):
         hill.chassis.adopt(speed_mps=0.3, angle_deg=0.0, gear=GearPosition.DRIVE, parked=False)
         hill.operator.drive(-0.5, seconds=0.02)
@@ -454,8 +455,7 @@ def test_a_chassis_that_coasts_in_mode_stop_gets_its_parking_brake(slope_deg: fl
     hill.operator.drive(1.0, seconds=2.5)
     hill.fault("reboot for 200ms")
     hill.run(6.0)
-    assert hill.speed_mps == 0
-    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+    hill.assert_parked()
     assert hill.chassis.state.mode is Mode.STOP
 
 
@@ -504,8 +504,7 @@ def test_a_robot_that_coasts_after_a_takeover_gets_its_parking_brake() -> None:
     hill.chassis._commands.clear()  # it has forgotten what it was told
     hill.fault("transmitter command")
     hill.run(5.0)
-    assert hill.speed_mps == 0
-    assert hill.chassis.state.parking_status is ParkingStatus.APPLIED
+    hill.assert_parked()
 
 
 @pytest.mark.parametrize("lamps", [False, True])
