@@ -101,7 +101,6 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser fault slope 8": Run("ok"),
     "cruiser fault clear": Run("ok"),
     "cruiser review info logs": Run("cruiser-1", ended=("cruiser record -o logs",)),
-    "cruiser review check logs": Run("Auto_DriveFeedBack: frames with a wrong checksum", codes=(1,)),
     "cruiser reset cruiser-1 --json": Run("", first=("cruiser reset cruiser-1",)),
     # A recorder.
     "cruiser record status": Run("messages written", first=("cruiser record -o logs",)),
@@ -112,6 +111,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser review why demo-log --at 16.3": Run("stop"),
     "cruiser review rerun demo-log": Run("different: 0"),
     "cruiser review rerun demo-log --set command.speed_limit_mps=0.4": Run("as it would have been"),
+    "cruiser review check logs": Run("Auto_DriveFeedBack: frames with a wrong checksum", codes=(1,)),
     "cruiser review report demo-log -o report.html": Run("and was stopped"),
     'cruiser review query "SELECT reason, count(*) FROM safety_decision GROUP BY reason" demo-log': Run(
         r"none +\d"
