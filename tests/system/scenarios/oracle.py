@@ -82,7 +82,8 @@ GATHERS_MPS: Final = 0.06
 LEAD_MPS, LEAD_S = 0.5, 0.6
 """So far a rising speed may be ahead of the one that is seen: the greater of this and of so long a ramp."""
 
-RUNAWAY_MPS, RUNAWAY_RISE_MPS, RISE_S = 0.3, 0.08, 0.2
+RUNAWAY_MPS, RUNAWAY_RISE_MPS, RISE_S = 0.3, 0.08, 0.16
+"""The rise is that of 0.2 s, less the two frames by which what is seen may be old at either end."""
 
 ABSURD_MPS: Final = 3.0
 """The chassis drives 8 km/h at the most: what reads more than this is a fault of the reading."""
