@@ -936,7 +936,8 @@ class Oracle:
         """A mileage that stays while the pulses count: its step is a metre, so 3 m must show it."""
         if BODY not in plant.frozen:
             self._frozen_m = None
-        elif self._frozen_m is None or abs(plant.speed_mps) > BELIEVED_MPS:
+        elif self._frozen_m is None or abs(plant.speed_mps) > BELIEVED_MPS or plant.frozen & {DRIVE, WHEELS}:
+            # Where the speeds are frozen too, the metres are those of what is seen.
             self._frozen_m = plant.travelled_m
         elif plant.travelled_m - self._frozen_m > 3.0 and not self._latched and self._is_permitted:
             self._fail("frozen_body_unnoticed", now_s, "3 m driven with a mode and bumpers that are old")
