@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -214,7 +215,8 @@ def stored_logs(
     """
     with needing_store():
         from recorder.cli.stored import find_stored  # noqa: PLC0415 - it needs an extra
-    return find_stored(addresses, settings.upload, faults, stopped)
+    bar = partial(progress_bar, "fetching", stopped=stopped, is_bounded=False)
+    return find_stored(addresses, settings.upload, faults, bar)
 
 
 def cataloged(paths: Sequence[Path]) -> dict[Path, CatalogedLog]:

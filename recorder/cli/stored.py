@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from recorder.cli.asking import progress_bar
 from recorder.disk.log_names import PART_SUFFIX, SUFFIX
 from recorder.objects.address import SCHEMES, Objects, StoreAddress, StoreError, shown_url
 from recorder.objects.cache import LogCache, cache_directory
 from recorder.objects.store import ObstoreObjects
 from recorder.reading.logs import Faults, LogFile, look_at
+from recorder.reading.rows import Progress
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import UploadSettings
 
 
 def find_stored(
-    addresses: Sequence[StoreAddress], upload: UploadSettings, faults: Faults, stopped: Callable[[], bool]
+    addresses: Sequence[StoreAddress],
+    upload: UploadSettings,
+    faults: Faults,
+    progress_of: Callable[[int], AbstractContextManager[Progress]],
 ) -> list[LogFile]:
     """Return copies of the logs at these addresses: single ones, and all of a place.
 
@@ -28,7 +32,7 @@ def find_stored(
         addresses: in object stores.
         upload: whose options are those of the store, if it is one of the same kind.
         faults: takes logs of a place that cannot be read.
-        stopped: turns true at SIGINT.
+        progress_of: shows how much of so many bytes is fetched.
 
     Raises:
         CommandError: there is none, or a store does not answer.
@@ -41,7 +45,7 @@ def find_stored(
     cache = open_cache(upload)
     found = []
     total = sum(size for *_, size in wanted.values())
-    with progress_bar("fetching", total, stopped, is_bounded=False) as progress:
+    with progress_of(total) as progress:
         for address, (objects, place, name, _) in wanted.items():
             try:
                 path = cache.fetch(objects, place, name, progress)
