@@ -68,7 +68,7 @@ class SpeedMeter:
         known_ns: time for which that is known.
         top_mps: the highest believable speed, negative in reverse...
         top_ns: ...and when.
-        gaps: number of times without data for longer than GAP_NS; ``gap_ns`` in all.
+        gaps: number of times without data for longer than GAP_NS, but for long rests; ``gap_ns`` in all.
         begun_ns: the sample with which the newest time without a gap begins.
         last_ns: the newest known sample; None before the first.
     """
@@ -95,7 +95,9 @@ class SpeedMeter:
             return None
         self.last_ns, self._last_mps = time_ns, speed_mps
         if before_ns is None or not 0 < time_ns - before_ns <= GAP_NS:
-            if before_ns is not None:
+            # Between two drives, at rest, a long time without data is no loss.
+            is_rest = max(abs(before_mps), abs(speed_mps)) <= STANDING_MPS
+            if before_ns is not None and not (is_rest and time_ns - before_ns > REST_NS):
                 self.miss(time_ns - before_ns)
             self.begun_ns, self._is_doubted = time_ns, False
             self._top(time_ns, speed_mps)

@@ -38,6 +38,7 @@ from recorder.review.catalog.log_row import (
     read_row,
     row_of,
     summary_crc_of,
+    unreadable,
 )
 from recorder.review.info import CATALOG_NAME, CatalogedLog, LogBrief
 from recorder.upload.finished import ROW_SUFFIX
@@ -309,6 +310,10 @@ class Catalog:
                     found.append(_row(self._directory, one, in_time(one.bytes, progress)))
                 except CommandError as error:
                     faults.add(f"{one.name}: {error}" if error.code is ExitCode.PARTIAL else str(error))
+                    # Leave to read it is given without a change of the file.
+                    if not isinstance(error.__cause__, OSError):
+                        why = str(error).removeprefix(f"{plain(str(self._directory / one.name))} ")
+                        found.append(unreadable(name_in_row(one.name), one.bytes, one.modified_ns, why))
                 self.stale.pop(0)
         finally:
             self._add(found)
@@ -406,8 +411,8 @@ def known_logs(directory: Path) -> dict[Path, CatalogedLog]:
         one = files.get(row["file"])
         if one is None or (one.bytes, one.modified_ns) != (row["bytes"], row["modified_ns"]):
             has_all = False
-        # A part may be written on, and a time that a column cannot hold is not known.
-        elif log.end_ns < NEVER_NS and not one.name.endswith(PART_SUFFIX):
+        # A part may be written on, a time that no column can hold is not known, an unreadable one says so itself.
+        elif log.end_ns < NEVER_NS and not one.name.endswith(PART_SUFFIX) and (row["messages"] or row["is_whole"]):
             path = directory / one.name
             found[path] = _cataloged(row, msgspec.structs.replace(log, path=path))
     if has_all:

@@ -132,7 +132,7 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
         summary_crc: the checksum of the summary at its end; None if it has none.
         start_ns, end_ns: the first and the last log time, both 0 if it holds no message; at most NEVER_NS.
         is_whole: it was closed properly.
-        faults: parts that could not be read; ``damage`` has the first ones in words.
+        faults: parts that could not be read; ``damage`` has the first ones in words, or ``unreadable: ...``.
         robots: those with keys in it; ``names`` also those that its recorder names alone.
         is_incident: it repeats what happened around an incident...
         is_covered: ...and the other logs of the directory hold all of it.
@@ -150,38 +150,38 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     file: str
     bytes: int
     modified_ns: int
-    summary_crc: int | None
-    messages: int
-    start_ns: int
-    end_ns: int
-    is_whole: bool
-    faults: int
-    damage: list[str]
-    is_incident: bool
-    is_covered: bool
-    robots: list[LoggedRobot]
-    names: list[str]
-    distance_m: float
-    moving_s: float
-    top_mps: float
-    operators: list[LoggedDriver]
-    grants: list[LoggedGrant]
-    accepted: int
-    refused: int
-    events: dict[str, int]
-    stops: dict[str, int]
-    ends: dict[str, int]
-    outages: int
-    lost: int | None
-    lost_bus: int | None
-    lost_source: int | None
-    gap_s: float
-    variants: list[str]
-    versions: dict[str, str]
-    settings: list[str]
-    drives: list[LoggedDrive]
-    more_drives: int
-    more_moments: int
+    summary_crc: int | None = None
+    messages: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    is_whole: bool = False
+    faults: int = 0
+    damage: list[str] = []
+    is_incident: bool = False
+    is_covered: bool = False
+    robots: list[LoggedRobot] = []
+    names: list[str] = []
+    distance_m: float = 0.0
+    moving_s: float = 0.0
+    top_mps: float = 0.0
+    operators: list[LoggedDriver] = []
+    grants: list[LoggedGrant] = []
+    accepted: int = 0
+    refused: int = 0
+    events: dict[str, int] = {}
+    stops: dict[str, int] = {}
+    ends: dict[str, int] = {}
+    outages: int = 0
+    lost: int | None = None
+    lost_bus: int | None = None
+    lost_source: int | None = None
+    gap_s: float = 0.0
+    variants: list[str] = []
+    versions: dict[str, str] = {}
+    settings: list[str] = []
+    drives: list[LoggedDrive] = []
+    more_drives: int = 0
+    more_moments: int = 0
     moments: list[LoggedMoment] = []
 
 
@@ -249,6 +249,11 @@ def summarize(
         moments=moments,
         more_moments=sum(robot.more_moments + robot.summary.other_refusals for robot in report.robots),
     )
+
+
+def unreadable(file: str, size: int, modified_ns: int, why: str) -> CatalogRow:
+    """Make the row of a log of which nothing can be read, so that no search tries it again until it changes."""
+    return CatalogRow(file=file, bytes=size, modified_ns=modified_ns, faults=1, damage=[f"unreadable: {why}"])
 
 
 def _bounded(time_ns: int) -> int:

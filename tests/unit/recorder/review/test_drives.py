@@ -69,12 +69,25 @@ def test_distance_and_top_speed(
     assert motion.gaps == 0
 
 
-def test_a_gap_is_not_guessed() -> None:
-    """How long nothing was known is told."""
-    motion = moved([1.0] * 21)
-    assert motion.add(20 * STEP_NS + GAP_NS + 1, 1.0) == 0.0
-    assert (motion.gaps, motion.gap_ns, motion.begun_ns) == (1, GAP_NS + 1, motion.last_ns)
-    assert motion.distance_m == pytest.approx(1.0)
+@pytest.mark.parametrize(
+    ("gap_ns", "speeds_mps", "is_missing"),
+    [
+        (GAP_NS, (1.0, 1.0), False),
+        (GAP_NS + 1, (1.0, 1.0), True),
+        (REST_NS, (0.0, 0.0), True),
+        (REST_NS + 1, (0.0, 0.02), False),
+        (REST_NS + 1, (0.0, 0.03), True),
+        (REST_NS + 1, (-1.0, 0.0), True),
+    ],
+)
+def test_a_gap_is_not_guessed(gap_ns: int, speeds_mps: tuple[float, float], is_missing: bool) -> None:  # noqa: FBT001 - a case
+    """How long nothing was known is told, but for a long rest between drives."""
+    before_mps, behind_mps = speeds_mps
+    motion = moved([before_mps] * 21)
+    step_m = motion.add(20 * STEP_NS + gap_ns, behind_mps)
+    assert (step_m == 0.0) is (gap_ns > GAP_NS or not before_mps)
+    assert (motion.gaps, motion.gap_ns) == ((1, gap_ns) if is_missing else (0, 0))
+    assert (motion.begun_ns == motion.last_ns) is (gap_ns > GAP_NS)
 
 
 def test_what_is_there_twice_adds_nothing() -> None:

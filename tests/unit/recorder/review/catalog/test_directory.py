@@ -207,17 +207,25 @@ def test_a_log_that_is_being_written_has_no_row_and_is_named(tmp_path: Path) -> 
     assert row.damage
 
 
-def test_what_cannot_be_opened_is_a_fault_and_costs_only_itself(tmp_path: Path) -> None:
-    """Each time, for it may be repaired."""
+def test_what_cannot_be_read_has_a_row_and_is_tried_once(tmp_path: Path) -> None:
+    """Until it changes; a file that may not be opened, or is not there, may be at any time."""
     put(tmp_path / "a.mcap", contents()[0])
     put(tmp_path / "b.mcap", b"")
     put(tmp_path / "c.mcap", b"no log at all")
     (tmp_path / "d.mcap").symlink_to(tmp_path / "nowhere")
-    for _ in range(2):
+    for number in range(3):
         faults = Faults()
-        catalog = refreshed(tmp_path, faults=faults)
-        assert [row.file for row in to_rows(catalog.table)] == ["a.mcap"]
-        assert faults.count == 3
+        found = {row.file: row for row in to_rows(refreshed(tmp_path, faults=faults).table)}
+        assert faults.count == (3 if number == 0 else 1)
+        assert {name: row.damage for name, row in found.items()} == {
+            "a.mcap": [],
+            "b.mcap": ["unreadable: is empty"],
+            "c.mcap": ["unreadable: is no MCAP file"],
+        }
+        assert (found["c.mcap"].bytes, found["c.mcap"].faults, found["c.mcap"].is_whole) == (13, 1, False)
+    assert [path.name for path in known_logs(tmp_path)] == ["a.mcap"]
+    put(tmp_path / "b.mcap", contents()[0])
+    assert {row.file for row in rows(tmp_path) if not row.damage} == {"a.mcap", "b.mcap"}
 
 
 def test_names_that_are_no_text_have_rows(tmp_path: Path) -> None:
