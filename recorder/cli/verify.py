@@ -170,10 +170,10 @@ def _when(finding: ProofFinding) -> str:
 def _file(one: SignedFile, names: dict[str, str]) -> str:
     if not one.key:
         return f"{one.file}: NOT SIGNED"
-    by = f"{names.get(one.grant, 'nobody that is known')}, key {key_fingerprint(one.key)}"
-    if one.finding is not None:
-        return f"{one.file}: NOT AS IT WAS SIGNED by {by}"
-    return f"{one.file}: signed by {by}, since it received it"
+    by = f"{names.get(one.grant, 'an unknown signer')}, key {key_fingerprint(one.key)}"
+    return (
+        f"{one.file}: signed by {by}, since it received it" if one.fits else f"{one.file}: NOT AS SIGNED by {by}"
+    )
 
 
 def _grant(one: GrantInfo) -> str:

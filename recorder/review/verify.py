@@ -142,7 +142,7 @@ class _Verification:
         self,
         robot: str,
         logs: Sequence[LogFile],
-        files: Sequence[SignedFile],
+        files: Sequence[tuple[SignedFile, ProofFinding | None]],
         faults: Faults,
         trusts: Sequence[Trust],
         robots: set[str],
@@ -152,7 +152,7 @@ class _Verification:
         self._trusts = trusts
         self._statements = [one for one in file_statements(logs, faults) if one.robot == robot]
         own = {log.path for log in logs_of(robot, logs)}
-        self._files = [(log, file) for log, file in zip(logs, files, strict=True) if log.path in own]
+        self._files = [(log, *file) for log, file in zip(logs, files, strict=True) if log.path in own]
         self._findings: list[ProofFinding] = []
 
     def run(self, progress: Progress) -> RobotProofReport:
@@ -160,23 +160,24 @@ class _Verification:
         for _, message in self._rows((STATEMENT,), lambda _: None):
             if isinstance(message, SignedStatement):
                 self._statements.append(ShownStatement(self._robot, message.time_ns, message.text))
-        signed = [(log, file) for log, file in self._files if file.key]
-        self._statements += [ShownStatement(self._robot, log.start_ns, file.statement) for log, file in signed]
+        self._statements += [
+            ShownStatement(self._robot, log.start_ns, file.statement) for log, file, _ in self._files if file.key
+        ]
         name = self._robot.rpartition("/")[2]
         authority = LogAuthority(name, self._trusts, self._statements)
         self._findings += authority.judge_own()
-        for log, file in self._files:
-            self._findings += filter(None, [file.finding or _judge_recorder(authority, log, file)])
+        for log, file, finding in self._files:
+            self._findings += filter(None, [finding or _judge_recorder(authority, log, file)])
         if not authority.robot_keys:
             what = "the logs do not hold the robot's grant, as in open mode: nothing proves who commanded"
-            self._find(ProofFault.UNPROVEN, what, min((log.start_ns for log, _ in self._files), default=None))
+            self._find(ProofFault.UNPROVEN, what, min((log.start_ns for log, _, _ in self._files), default=None))
         record = self._read_commands(name, authority, progress)
         return RobotProofReport(
             robot=self._robot,
             authorities=[key.hex() for key in authority.roots],
             is_vouched=authority.is_vouched,
             robot_key=authority.robot_keys[-1].hex() if authority.robot_keys else "",
-            files=[file for _, file in self._files],
+            files=[file for _, file, _ in self._files],
             grants=authority.grants,
             holders=record.holders(),
             verbs=sorted(record.verbs, key=lambda one: one.time_ns),

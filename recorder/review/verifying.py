@@ -803,10 +803,10 @@ class SignedFile(msgspec.Struct, frozen=True):
 
     Attributes:
         file: its name.
-        sha256: of all of it, hexadecimal.
-        key: the key that signed it, hexadecimal; empty if none did.
+        sha256: of all of it, hexadecimal; empty if it was not read.
+        key: the key that its signature names, hexadecimal; empty if there is none.
         grant: identifier of that key's grant, hexadecimal; ``statement`` its text, with those of its signers.
-        finding: what is wrong with the signature, or that there is none; None if it fits.
+        fits: the file is what this key signed. If not, a finding of the report says why.
     """
 
     file: str
@@ -814,11 +814,11 @@ class SignedFile(msgspec.Struct, frozen=True):
     key: str = ""
     grant: str = ""
     statement: str = ""
-    finding: ProofFinding | None = None
+    fits: bool = False
 
 
-def prove_file(log: LogFile, faults: Faults, progress: Progress) -> SignedFile:
-    """Hold a file against the signature beside it. Whose the signature is another question.
+def prove_file(log: LogFile, faults: Faults, progress: Progress) -> tuple[SignedFile, ProofFinding | None]:
+    """Compare a file with the signature beside it, and return what is wrong. Whose the signature is, is not asked.
 
     Args:
         log: the file.
@@ -827,7 +827,7 @@ def prove_file(log: LogFile, faults: Faults, progress: Progress) -> SignedFile:
     """
     name = log.path.name
     if log.is_being_written:
-        return SignedFile(name, finding=ProofFinding(ProofFault.UNPROVEN, OPEN))
+        return SignedFile(name), ProofFinding(ProofFault.UNPROVEN, OPEN)
     try:
         data = _beside(log.path)
         digest = hashlib.sha256()
@@ -837,20 +837,20 @@ def prove_file(log: LogFile, faults: Faults, progress: Progress) -> SignedFile:
                 progress(0)
     except OSError as error:
         faults.add(f"{log.name}: {error.strerror or error}")
-        return SignedFile(name, finding=ProofFinding(ProofFault.UNPROVEN, "a file cannot be read"))
+        return SignedFile(name), ProofFinding(ProofFault.UNPROVEN, "a file cannot be read")
     if not data:
-        return SignedFile(name, finding=ProofFinding(ProofFault.UNPROVEN, UNSIGNED))
-    found = LogSignature.read(data)
+        return SignedFile(name), ProofFinding(ProofFault.UNPROVEN, UNSIGNED)
+    sha256, found = digest.hexdigest(), LogSignature.read(data)
     if found is None:
-        what = f"{name}: its signature is in no form that a recorder writes"
-        return SignedFile(name, digest.hexdigest(), finding=ProofFinding(ProofFault.CHANGED, what))
+        what = f"{name}: the signature beside it has an unknown form"
+        return SignedFile(name, sha256), ProofFinding(ProofFault.CHANGED, what)
     finding = None
     if not found.fits:
         finding = ProofFinding(ProofFault.WRONGLY_SIGNED, f"{name}: its signature is not that of the key it names")
-    elif found.sha256 != digest.hexdigest():
+    elif found.sha256 != sha256:
         finding = ProofFinding(ProofFault.CHANGED, f"{name} is not the file that its recorder signed")
-    first = found.chain[0]
-    return SignedFile(name, digest.hexdigest(), found.key.hex(), first.id.hex(), chain_text(found.chain), finding)
+    chain = found.chain
+    return SignedFile(name, sha256, found.key.hex(), chain[0].id.hex(), chain_text(chain), not finding), finding
 
 
 def _beside(path: Path) -> bytes:
