@@ -168,13 +168,10 @@ bench-short: $(STAMP)  ## a little of each bench, to see that it runs; its figur
 	$(BIN)/python -m tests.bench --short
 
 bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB and on 50,000 logs
-	$(BIN)/python -m tests.bench.review_rate
-	$(BIN)/python -m tests.bench.review_rerun
-	$(BIN)/python -m tests.bench.review_find
-	$(BIN)/python -m tests.bench.review_export
+	$(BIN)/python -m tests.bench review rerun find export --review-mb 1000 --minutes 10 --export-rounds 5
 
 bench-recorder: $(STAMP)  ## of these the recorder alone, against other writers, with five minutes of load
-	$(BIN)/python -m tests.bench.recorder_rate --sustain-s 300
+	$(BIN)/python -m tests.bench recorder --recorder-rounds 3 --held-s 10 --sustain-s 300
 
 mutation: .venv-tools/installed  ## mutation testing of the command flow and of the proofs; half an hour
 	$(TOOLS)/mutmut run --max-children 2

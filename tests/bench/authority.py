@@ -1,7 +1,4 @@
-"""CPU time of each step of signed mode, in microseconds: medians of rounds, without I/O and without threads.
-
-Usage: python -m tests.bench.authority
-"""
+"""CPU time of each step of signed mode, in microseconds: medians of rounds, without I/O and without threads."""
 
 from __future__ import annotations
 
@@ -29,11 +26,10 @@ from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME, STATEMENT_REPLY_ENCODING
-from tests.bench.loads import Row, print_table
+from tests.bench.loads import Row
 from tests.support.authority import CHALLENGE, NOW_S, Fleet, Party
 from tests.support.messages import STANDBY
 
-ROUNDS: Final = 15
 STATES_PER_S: Final = 50
 """While the robot is engaged."""
 
@@ -105,7 +101,7 @@ class Parties:
         return lambda: self.admission.admit(raw, self.now_ns)
 
 
-def rows(rounds: int = ROUNDS) -> list[Row]:
+def rows(rounds: int) -> list[Row]:
     """What each step costs."""
     parties = Parties()
     operator, signer = parties.operator, parties.signer
@@ -156,7 +152,3 @@ def rows(rounds: int = ROUNDS) -> list[Row]:
 
 def _us(microseconds: float) -> str:
     return f"{microseconds:.2f} us" if microseconds < 10 else f"{microseconds:.0f} us"
-
-
-if __name__ == "__main__":
-    print_table(rows())

@@ -1,6 +1,6 @@
 """From a put on Zenoh to the frame on the bus: chassis, gateway, and a third on the bus as witness.
 
-Witness and operator are one process, so one clock times both. Usage: python -m tests.bench.command_latency
+Witness and operator are one process, so one clock times both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from gateway.chassis.cruiser.frames import load
 from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings
 from schemas.zenoh_session import close_session, open_session
-from tests.bench.processes import Empty, empty_loop, quantile, start
+from tests.bench.loads import Row, beside
+from tests.bench.processes import empty_loop, quantile, start
 from tests.support.fakes.peer import free_endpoint
 
 ROBOT: Final = "fleet/cruiser-1/"
@@ -50,22 +51,6 @@ def is_left(angle_raw: int) -> bool:
 def is_right(angle_raw: int) -> bool:
     """The other way round."""
     return not is_left(angle_raw)
-
-
-class CommandLatency(msgspec.Struct, frozen=True):
-    """All in microseconds and sorted.
-
-    Attributes:
-        drive_us: from the put of a drive command to the first frame with its angle.
-        stop_us: from the put of a remote stop at 0.5 m/s to the first frame with a lower speed.
-        tick_us: processor time of the command flow in an engaged tick with one drive command in it.
-        empty: of an empty loop while the commands were put.
-    """
-
-    drive_us: list[float]
-    stop_us: list[float]
-    tick_us: list[float]
-    empty: Empty
 
 
 class Witness:
@@ -228,16 +213,30 @@ def on_the_road(*command: str, driver_at: Callable[[str], Driver] = Driver) -> I
         yield Road(driver, witness, endpoint, gateway)
 
 
-def measure(drives: int = 500, stops: int = 20, ticks: int = 3000) -> CommandLatency:
-    """Put so many of each."""
+def rows(drives: int, stops: int, ticks: int) -> list[Row]:
+    """So many of each: from a command's put to its first frame, beside an empty put; the flow's own time."""
     random = Random(0)  # noqa: S311 - to hit every place between two ticks
     with on_the_road() as (driver, witness, *_), empty_loop() as empty:
-        drive_us = drives_us(driver, witness, drives, random)
+        drive_us = sorted(drives_us(driver, witness, drives, random))
         stop_us = [stop_under_way_us(driver, witness, random)]
         for _ in range(stops - 1):
             driver.get_going()
             stop_us.append(stop_under_way_us(driver, witness, random))
-    return CommandLatency(sorted(drive_us), sorted(stop_us), measure_ticks_us(ticks), empty)
+    drive, empty_put, difference = beside(drive_us, empty.put_us, (0.5, 0.99), 0.99)
+    stop, _, stop_difference = beside(sorted(stop_us), empty.put_us, (0.5, 0.99), 0.99)
+    tick_us = measure_ticks_us(ticks)
+    return [
+        ("drive put to first CAN frame, p50 p99", f"{drive}, of {len(drive_us)}", ""),
+        ("  an empty put meanwhile", empty_put, ""),
+        ("  the difference", difference, "under 15 ms"),
+        ("remote stop put to first stop frame, p50 p99", f"{stop}, of {len(stop_us)}", ""),
+        ("  the difference", stop_difference, ""),
+        (
+            "arbiter's tick, engaged, CPU, p50 p99",
+            f"{quantile(tick_us, 0.5):.0f} {quantile(tick_us, 0.99):.0f} us",
+            "",
+        ),
+    ]
 
 
 def drives_us(driver: Driver, witness: Witness, count: int, random: Random) -> list[float]:
@@ -292,16 +291,3 @@ def measure_ticks_us(count: int) -> list[float]:
         rig.tick()
     gc.enable()
     return sorted(spent_us)
-
-
-def main() -> None:
-    """Measure and print."""
-    measured = measure()
-    figures = {"drive": measured.drive_us, "stop": measured.stop_us, "tick": measured.tick_us}
-    for name, values_us in {**figures, "empty put": measured.empty.put_us}.items():
-        shares = ", ".join(f"p{share:g} {quantile(values_us, share / 100):.0f}" for share in (50, 99))
-        print(f"{name}, us ({len(values_us)}): {shares}, max {values_us[-1]:.0f}")
-
-
-if __name__ == "__main__":
-    main()

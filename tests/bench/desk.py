@@ -1,13 +1,10 @@
 """The desk: from a pointer in a real browser to the frame on the bus, and what many robots and browsers cost.
 
 Chromium's clock and the witness's on the bus are the same machine's.
-
-Usage: python -m tests.bench.desk [--robots N --browsers N], these for the crowd alone
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import threading
@@ -18,11 +15,10 @@ from itertools import pairwise
 from random import Random
 from typing import Final
 
-import msgspec
 from playwright.sync_api import Browser, Page
 
 from tests.bench.command_latency import DRIVE_ID, Road, Witness, on_the_road
-from tests.bench.loads import Row, print_table
+from tests.bench.loads import Row
 from tests.bench.processes import quantile
 from tests.support.desk_client import DeskClient
 from tests.support.processes.desk import chromium, hold_pad, is_driven, take_control, wait_ready
@@ -30,9 +26,6 @@ from tests.support.processes.gateway import Running
 from tests.support.processes.robots import name_of, robots
 from tests.support.processes.usage import cpu_s, rss_bytes
 
-PRESSES: Final = 50
-KILLS: Final = 5
-CROWD_S: Final = 20.0
 ROBOTS: Final = 200
 BROWSERS: Final = 10
 HELD_S: Final = 0.4
@@ -55,38 +48,12 @@ FRAMES: Final = """(seconds) => new Promise((resolve) => {
 })"""
 
 
-class DeskLatency(msgspec.Struct, frozen=True):
-    """All in milliseconds and sorted.
+def latency(presses: int, kills: int) -> tuple[list[float], list[float], list[float]]:
+    """Press and let go again and again, then kill the browser that drives.
 
-    Attributes:
-        down_ms: from the pointer's press to the first frame with a speed, of a robot that was driven a moment ago.
-        up_ms: from its release to the first frame with a lower speed.
-        dead_ms: from the death of the browser's process to the same.
+    Returns ms, from the pointer's press to the first frame with a speed, of a robot that was driven a moment ago;
+    from its release to the first frame with a lower speed; from the death of the browser's process to the same.
     """
-
-    down_ms: list[float]
-    up_ms: list[float]
-    dead_ms: list[float]
-
-
-class Crowd(msgspec.Struct, frozen=True):
-    """What many robots and browsers cost.
-
-    Attributes:
-        cpu: the desk's process, share of a core, with the browsers and all robots moving.
-        memory_mb: resident.
-        page_bytes: over the wire, for the first look at the page.
-        frame_ms: between two frames of the overview in Chromium, sorted.
-    """
-
-    cpu: float
-    memory_mb: float
-    page_bytes: int
-    frame_ms: list[float]
-
-
-def latency(presses: int = PRESSES, kills: int = KILLS) -> DeskLatency:
-    """Press and let go again and again, then kill the browser that drives."""
     random = Random(1)  # noqa: S311 - places between two ticks
     down_ms: list[float] = []
     up_ms: list[float] = []
@@ -107,17 +74,21 @@ def latency(presses: int = PRESSES, kills: int = KILLS) -> DeskLatency:
                 up_ms.append(pressed[1])
         page.close()
         dead_ms = [_kill(browser, _page(browser, address), road) for _ in range(kills)]
-    return DeskLatency(sorted(down_ms), sorted(up_ms), sorted(dead_ms))
+    return sorted(down_ms), sorted(up_ms), sorted(dead_ms)
 
 
-def crowd(seconds: float = CROWD_S, count: int = ROBOTS, browsers: int = BROWSERS) -> Crowd:
-    """Many robots, and light browsers that each look at one of them."""
+def crowd(seconds: float) -> tuple[float, float, int, list[float]]:
+    """Many robots, and light browsers that each look at one of them.
+
+    Returns the share of a core that the desk takes, its memory in MB, the bytes over the wire of the first look at
+    the page, and the ms between two frames of the overview in Chromium.
+    """
     with ExitStack() as stack:
-        endpoint = stack.enter_context(robots(count))
+        endpoint = stack.enter_context(robots(ROBOTS))
         desk = stack.enter_context(Running("desk", "--listen", "127.0.0.1:0", "--connect", endpoint))
         address = desk.wait_says(r"desk: (http://\S+/)")[1]
         ended = threading.Event()
-        readers = [threading.Thread(target=_read, args=(address, name_of(one), ended)) for one in range(browsers)]
+        readers = [threading.Thread(target=_read, args=(address, name_of(one), ended)) for one in range(BROWSERS)]
         for reader in readers:
             reader.start()
         try:
@@ -135,34 +106,26 @@ def crowd(seconds: float = CROWD_S, count: int = ROBOTS, browsers: int = BROWSER
         network.send("Network.enable")
         network.on("Network.loadingFinished", lambda event: sizes.append(int(event["encodedDataLength"])))
         page.goto(address)
-        page.locator("tr[data-robot]").nth(count - 1).wait_for()
+        page.locator("tr[data-robot]").nth(ROBOTS - 1).wait_for()
         times = page.evaluate(FRAMES, seconds)
-    frame_ms = sorted(now - then for then, now in pairwise(times))
-    return Crowd(cpu, memory_mb, sum(sizes), frame_ms)
+    return cpu, memory_mb, sum(sizes), sorted(now - then for then, now in pairwise(times))
 
 
-def rows(presses: int = PRESSES, kills: int = KILLS, seconds: float = CROWD_S) -> list[Row]:
+def rows(presses: int, kills: int, seconds: float) -> list[Row]:
     """All of it."""
-    timed = latency(presses, kills)
+    down_ms, up_ms, dead_ms = latency(presses, kills)
+    cpu, memory_mb, page_bytes, frame_ms = crowd(seconds)
     return [
-        (f"desk: pointer down to first frame that moves, p50 p99, of {presses}", _ms(timed.down_ms), "p99 60 ms"),
-        ("  pointer up to first slower frame, p50 p99", _ms(timed.up_ms), "60 ms"),
-        (f"  browser killed to first slower frame, p50 p99, of {kills}", _ms(timed.dead_ms), "300 ms and a tick"),
-        *crowd_rows(seconds),
-    ]
-
-
-def crowd_rows(seconds: float = CROWD_S, count: int = ROBOTS, browsers: int = BROWSERS) -> list[Row]:
-    """What the crowd costs."""
-    crowded = crowd(seconds, count, browsers)
-    return [
+        (f"desk: pointer down to first frame that moves, p50 p99, of {presses}", _ms(down_ms), "p99 60 ms"),
+        ("  pointer up to first slower frame, p50 p99", _ms(up_ms), "60 ms"),
+        (f"  browser killed to first slower frame, p50 p99, of {kills}", _ms(dead_ms), "300 ms and a tick"),
         (
-            f"  CPU of the desk, {count} robots that move, {browsers} browsers",
-            f"{100 * crowded.cpu:.1f} % of a core, {crowded.memory_mb:.0f} MB",
+            f"  CPU of the desk, {ROBOTS} robots that move, {BROWSERS} browsers",
+            f"{100 * cpu:.1f} % of a core, {memory_mb:.0f} MB",
             "under 50 %",
         ),
-        (f"  frames of the page with {count} robots, p50 p99", _ms(crowded.frame_ms), ""),
-        ("  the page over the wire", f"{crowded.page_bytes / 1000:.0f} kB", "under 300 kB"),
+        (f"  frames of the page with {ROBOTS} robots, p50 p99", _ms(frame_ms), ""),
+        ("  the page over the wire", f"{page_bytes / 1000:.0f} kB", "under 300 kB"),
     ]
 
 
@@ -236,16 +199,3 @@ def _read(address: str, robot: str, ended: threading.Event) -> None:
 
 def _ms(values: list[float]) -> str:
     return f"{quantile(values, 0.5):.1f} {quantile(values, 0.99):.1f} ms"
-
-
-def main() -> None:
-    """Measure, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robots", type=int, help="the crowd alone, of so many")
-    parser.add_argument("--browsers", type=int, default=BROWSERS)
-    arguments = parser.parse_args()
-    print_table(rows() if arguments.robots is None else crowd_rows(CROWD_S, arguments.robots, arguments.browsers))
-
-
-if __name__ == "__main__":
-    main()

@@ -6,14 +6,10 @@ they answer no query. What a link that breaks afterwards loses counts as lost. T
 recorders of the same, or of another that is linked with it. ``ZENOHD`` names Zenoh's own router, as
 ``make zenohd`` builds it; without it ours runs, which is the same code behind Python. Bytes on the links are read
 with ``ss`` (iproute2), where there is one.
-
-Usage: python -m tests.bench.fleet [--robots N...] [--routers N] [--shards N] [--seconds N] [--profile P]
-       python -m tests.bench.fleet --growth docs/pictures/fleet_growth.svg [--seconds N]
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -24,7 +20,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from statistics import linear_regression
 from tempfile import TemporaryDirectory
@@ -33,10 +28,8 @@ from typing import Any, Final
 import msgspec
 
 from schemas.command_line import ExitCode
-from schemas.settings import FULL, OPERATOR, PROFILES, THIN
-from tests.bench.loads import Row, print_table
-from tests.bench.origin import heading
-from tests.bench.plot import Chart, Line, draw, ticks
+from schemas.settings import FULL, OPERATOR, THIN
+from tests.bench.loads import Row
 from tests.bench.recorder_load import Fed
 from tests.bench.recorder_run import answer, await_ready, go_on, started
 from tests.support.fakes.peer import free_endpoint
@@ -210,14 +203,15 @@ def rows_of(run: FleetRun) -> list[Row]:
     ]
 
 
-def growth(seconds: float) -> list[FleetRun]:
-    """More and more robots of each profile, through one router and through two."""
-    return [
+def growth_rows(seconds: float) -> list[Row]:
+    """More and more robots of each profile, through one router and through two; straight lines through them."""
+    runs = [
         measure(robots, routers, SHARDS, seconds, profile)
         for profile, numbers in GROWTH.items()
         for routers in (1, 2)
         for robots in numbers
     ]
+    return [row for run in runs for row in rows_of(run)] + formulas(runs)
 
 
 CORES: Final = {"one router": ("routers", 1), "two routers": ("routers", 2), "recorders": ("recorders", 1)}
@@ -243,31 +237,6 @@ def formulas(runs: list[FleetRun]) -> list[Row]:
             text = f"{line.intercept:.0f} + {line.slope:.2f} N MB"
             found.append((f"N {profile} robots: memory of {who}", text, ""))
     return found
-
-
-def picture(runs: list[FleetRun]) -> str:
-    """What grows with the robots: of each profile processor time and memory, and bytes on the link."""
-
-    def chart(x_title: str, y_title: str, lines: list[Line], legend_x: float = 0.25) -> Chart:
-        points = [point for line in lines for point in line.points]
-        x_ticks, y_ticks = ticks(max(x for x, _, _ in points)), ticks(max(y for _, y, _ in points))
-        return Chart(x_title, y_title, x_ticks, y_ticks, lines, legend_x=legend_x)
-
-    def line(name: str, ones: list[FleetRun], figure: Callable[[FleetRun], float]) -> Line:
-        return Line(name, [(run.robots, figure(run), False) for run in ones])
-
-    charts, sent = [], []
-    for profile in GROWTH:
-        robots, ones = f"robots, profile {profile}", _of(runs, 1, profile)
-        cores = [
-            line(name, _of(runs, routers, profile), partial(FleetRun.percent, who=who))
-            for name, (who, routers) in CORES.items()
-        ]
-        memory = [line(who, ones, partial(FleetRun.megabytes, who=who)) for who in ("routers", "recorders")]
-        charts.append(chart(robots, "processor time, % of a core", cores))
-        charts.append(chart(robots, "memory of a router, and of two recorders, MB", memory))
-        sent.append(line(profile, ones, lambda run: sum(run.sent_bytes["robots"]) / run.seconds / 1e6))
-    return draw(*charts, chart("robots", "sent by all robots, MB/s", sent, legend_x=1))
 
 
 @contextmanager
@@ -303,29 +272,3 @@ def _end(recorder: subprocess.Popen[str]) -> dict[str, Any]:
     account: dict[str, Any] = json.loads(recorder.stdout.read())
     assert recorder.wait() in {ExitCode.OK, ExitCode.PARTIAL}
     return account
-
-
-def main() -> None:
-    """Measure, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robots", type=int, nargs="+", default=[10, 20])
-    parser.add_argument("--routers", type=int, choices=(1, 2), default=2)
-    parser.add_argument("--shards", type=int, default=SHARDS)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--profile", choices=PROFILES, default=FULL, help="how much leaves each robot")
-    parser.add_argument(
-        "--growth", type=Path, metavar="FILE", help="measure what grows with robots; draw it as SVG"
-    )
-    arguments = parser.parse_args()
-    print(heading([], arguments.seconds).replace("tests.bench", f"tests.bench.fleet {' '.join(sys.argv[1:])}", 1))
-    if arguments.growth is None:
-        numbers, routers, shards = arguments.robots, arguments.routers, arguments.shards
-        print_table(rows(numbers, routers, shards, arguments.seconds, arguments.profile))
-        return
-    runs = growth(arguments.seconds)
-    print_table([row for run in runs for row in rows_of(run)] + formulas(runs))
-    arguments.growth.write_text(picture(runs), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

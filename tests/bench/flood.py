@@ -1,7 +1,4 @@
-"""20,000 puts a second on ``drive`` for three seconds, by somebody without the lease, while another one drives.
-
-Usage: python -m tests.bench.flood
-"""
+"""20,000 puts a second on ``drive`` for three seconds, by somebody without the lease, while another one drives."""
 
 from __future__ import annotations
 
@@ -20,35 +17,17 @@ import zenoh
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import close_session, open_session
 from tests.bench.command_latency import SPEED_MPS, on_the_road, stop_under_way_us
-from tests.bench.processes import Empty, empty_loop, quantile
+from tests.bench.loads import Row, beside
+from tests.bench.processes import empty_loop
 
 PUTS_PER_S: Final = 20_000
 SECONDS: Final = 3.0
 BURSTS_PER_S: Final = 500
-HEALTH: Final = "fleet/cruiser-1/gateway/health"
 KEY: Final = "fleet/cruiser-1/@cmd/stranger/drive"
 
 
-class Flooded(msgspec.Struct, frozen=True):
-    """What a flood does.
-
-    Attributes:
-        puts_per_s: the slowest flood that was really put.
-        dropped: how many the gateway dropped unread, and so got.
-        late_us: of every tick of the gateway, the quiet ones between two floods too, sorted.
-        stop_us: from the put of a remote stop under the flood to the first frame with a lower speed, sorted.
-        empty: of an empty loop meanwhile.
-    """
-
-    puts_per_s: float
-    dropped: int
-    late_us: list[float]
-    stop_us: list[float]
-    empty: Empty
-
-
-def measure(floods: int = 10) -> Flooded:
-    """So many floods, with one remote stop in the midst of each."""
+def rows(floods: int) -> list[Row]:
+    """So many floods, with one remote stop in the midst of each; every tick of the gateway, the quiet ones too."""
     random = Random(0)  # noqa: S311 - to hit every place between two ticks
     stop_us: list[float] = []
     rates: list[float] = []
@@ -56,7 +35,6 @@ def measure(floods: int = 10) -> Flooded:
         probe = Path(folder) / "probe.json"
         command = ("-m", "tests.bench.gateway_probe", str(probe))
         with on_the_road(*command) as (driver, witness, endpoint, _), empty_loop() as empty:
-            healths = driver.session.declare_subscriber(HEALTH, zenoh.handlers.RingChannel(1))
             for _ in range(floods):
                 driver.get_going()
                 words = [sys.executable, "-m", "tests.bench.flood", endpoint]
@@ -69,10 +47,17 @@ def measure(floods: int = 10) -> Flooded:
                         time.sleep(0.02)
                     stop_us.append(stop_under_way_us(driver, witness, random))
                     rates.append(float(flood.stdout.readline()))
-            dropped = msgspec.msgpack.decode(healths.recv().payload.to_bytes())["inbox_drops"]
         measured = json.loads(probe.read_text(encoding="utf-8"))
     late_us = sorted(late_ns / 1000 for late_ns in measured["late_ns"])
-    return Flooded(min(rates), dropped, late_us, sorted(stop_us), empty)
+    late, empty_late, difference = beside(late_us, empty.lateness_us, (0.5, 0.99, 1), 1)
+    stop, empty_put, _ = beside(sorted(stop_us), empty.put_us, (0.5, 1), 1)
+    return [
+        (f"flood of {min(rates):.0f} puts/s: tick lateness, p50 p99 max", late, ""),
+        ("  an empty loop of its priority meanwhile", empty_late, ""),
+        ("  the difference", difference, "20 ms"),
+        ("  remote stop put to first stop frame, p50 max", stop, "100 ms"),
+        ("  an empty put meanwhile", empty_put, ""),
+    ]
 
 
 def flood(endpoint: str) -> None:
@@ -93,17 +78,5 @@ def flood(endpoint: str) -> None:
     close_session(session)
 
 
-def main() -> None:
-    """Measure and print."""
-    measured = measure()
-    late_us, stop_us = measured.late_us, measured.stop_us
-    print(f"flood of {measured.puts_per_s:.0f} puts/s and more, {measured.dropped} dropped unread")
-    print(f"lateness of {len(late_us)} ticks, us: p99 {quantile(late_us, 0.99):.0f}, worst {late_us[-1]:.0f}")
-    print(f"{len(stop_us)} stops, us: p50 {quantile(stop_us, 0.5):.0f}, p99 {quantile(stop_us, 0.99):.0f}")
-
-
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        flood(sys.argv[1])
-    else:
-        main()
+    flood(sys.argv[1])

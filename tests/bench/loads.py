@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
 from tests.bench.processes import NOMINAL_FRAMES_PER_S, Load, quantile, run_load
 
-SATURATED_FRAMES_PER_S = 7500
+SATURATED_FRAMES_PER_S: Final = 7500
 LOADS = (("nominal", NOMINAL_FRAMES_PER_S, 2), ("saturated 1 Mbit/s", SATURATED_FRAMES_PER_S, 5))
 """Name, frames/s, and the goal for the lateness of its ticks in ms."""
 
@@ -12,13 +17,37 @@ Row = tuple[str, str, str]
 """Figure, what was measured, goal."""
 
 
-def load_rows(seconds: float, vcan: str = "") -> list[Row]:
+def rows(seconds: float, vcan: str = "") -> list[Row]:
     """Both loads, on a SocketCAN interface or on the socketcand protocol."""
     return [
         row
         for name, frames_per_s, goal_ms in LOADS
         for row in _rows(f"{name} on {vcan}" if vcan else name, run_load(frames_per_s, seconds, vcan), goal_ms)
     ]
+
+
+def vcan_rows(seconds: float) -> list[Row]:
+    """The loads once more on a vcan, where the kernel has one and we may make it; in user-mode Linux it has."""
+    with _vcan() as interface:
+        return rows(seconds, interface) if interface else [("loads of a vcan", "no vcan here", "")]
+
+
+@contextmanager
+def _vcan() -> Iterator[str]:
+    name = "vcan-bench"
+    made = _ip("link", "add", name, "type", "vcan") and _ip("link", "set", name, "up")
+    try:
+        yield name if made else ""
+    finally:
+        if made:
+            _ip("link", "delete", name)
+
+
+def _ip(*words: str) -> bool:
+    try:
+        return subprocess.run(["ip", *words], capture_output=True, check=False).returncode == 0  # noqa: S607
+    except FileNotFoundError:
+        return False
 
 
 def print_table(rows: list[Row]) -> None:

@@ -1,11 +1,7 @@
-"""kill -9 of a recorder at random instants: what each kill cost, after the next start has recovered its log.
-
-Usage: python -m tests.bench.recorder_kills [--kills N]. Not a test of time: machines differ.
-"""
+"""kill -9 of a recorder at random instants: what each kill cost, after the next start has recovered its log."""
 
 from __future__ import annotations
 
-import argparse
 import random
 import signal
 import tempfile
@@ -22,6 +18,7 @@ from mcap.reader import make_reader
 from recorder.disk.keeper import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from schemas.messages import Gear
+from tests.bench.loads import Row
 from tests.bench.processes import quantile, start
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.messages import gear, key_of, sample_of
@@ -133,19 +130,14 @@ def _count(directory: Path, ends: list[tuple[int, int]], left: int) -> Kills:
     )
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+def rows(kills: int) -> list[Row]:
+    """What so many kills cost."""
     with tempfile.TemporaryDirectory() as folder:
-        kills = measure(arguments.kills, Path(folder), arguments.seed)
-    figures = " ".join(f"{quantile(kills.lost_ms, share):.0f}" for share in (0.5, 0.99, 1))
-    print(f"{len(kills.lost_ms)} kills, {kills.sent} messages sent while a recorder was there")
-    print(f"lost before the kill, p50 p99 max: {figures} ms; messages, most: {kills.lost[-1]}")
-    print(f"holes {kills.holes}, doubled {kills.doubled}, not whole {len(kills.not_whole)}, left {kills.left}")
-
-
-if __name__ == "__main__":
-    main()
+        cost = measure(kills, Path(folder))
+    lost = " ".join(f"{quantile(cost.lost_ms, share):.0f}" for share in (0.5, 0.99, 1))
+    whole = f"{cost.holes}, {cost.doubled}, {len(cost.not_whole)}"
+    return [
+        (f"{kills} kills of a recorder: lost before each, p50 p99 max", f"{lost} ms", ""),
+        ("  messages, most, of all sent", f"{cost.lost[-1]}, {cost.sent}", ""),
+        ("  holes, doubled, not whole", whole, "0, 0, 0"),
+    ]

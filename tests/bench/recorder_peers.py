@@ -3,10 +3,8 @@
 Each takes samples from a ring channel as the recorder does, decodes them, and writes one protobuf record for each,
 one for each raw frame of a batch:
 
-- ``protobuf``: msgpack, the protobuf package's classes, the Writer of mcap-protobuf-support: as its manual has it
 - ``plain``: the recorder's own decoding and transcoding, the Writer of mcap
 - ``foxglove``: the same, the writer of foxglove-sdk, which is compiled
-- ``payload``: the Writer of mcap, given the MessagePack payloads as they are: no viewer can plot them
 
 None counts losses, syncs the disk, asks for what it missed, or keeps what it does not know.
 
@@ -18,26 +16,20 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
-from enum import Enum
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-import msgpack
 import zenoh
 from mcap.writer import Writer
-from mcap_protobuf.writer import Writer as ProtobufWriter
-from msgspec import inspect
 
 from recorder.encoding.protobuf import (
     compile_encoder,
     compile_row_encoder,
     descriptor_set,
-    fields,
-    message_class,
     schema_name,
 )
 from schemas import codec, keys
@@ -48,8 +40,6 @@ from schemas.subjects import Subject
 from schemas.zenoh_session import close_session, open_session
 
 IDLE_S: Final = 0.005
-
-KINDS: Final = ("payload", "protobuf", "plain", "foxglove")
 
 Write = Callable[[str, bytes, int], None]
 """Takes a sample: its key, its payload, the time of receipt."""
@@ -156,82 +146,7 @@ def foxglove(stack: ExitStack, path: Path) -> Write:
     return write_transcoded(channel)
 
 
-def payload(stack: ExitStack, path: Path) -> Write:
-    """The Writer of mcap and the payloads as they came."""
-    writer = Writer(stack.enter_context(path.open("wb")))
-    writer.start()
-    stack.callback(writer.finish)
-    channels: dict[str, int] = {}
-
-    def write(key: str, data: bytes, log_ns: int) -> None:
-        channel_id = channels.get(key)
-        if channel_id is None:
-            channel_id = channels[key] = writer.register_channel(key, "msgpack", 0)
-        writer.add_message(channel_id, log_ns, data, log_ns)
-
-    return write
-
-
-def protobuf(stack: ExitStack, path: Path) -> Write:
-    """The Writer of mcap-protobuf-support, and messages of the protobuf package's classes."""
-    writer = stack.enter_context(ProtobufWriter(stack.enter_context(path.open("wb"))))
-    routes: dict[str, tuple[Any, dict[str, dict[str, int]], bool]] = {}
-    make_class = cache(message_class)
-
-    def write(key: str, data: bytes, log_ns: int) -> None:
-        route = routes.get(key)
-        if route is None:
-            subject = _subject(key)
-            kind = CanFrame if subject.type is CanFrames else subject.type
-            route = routes[key] = (make_class(kind), _enumerations(kind), subject.type is CanFrames)
-        make, enumerations, is_batch = route
-        values = msgpack.unpackb(data)
-        if is_batch:
-            for message in _frames(values, make):
-                writer.write_message(key, message, log_ns, message.time_ns, values["sequence"])
-            return
-        for name, numbers in enumerations.items():
-            value = values[name]
-            values[name] = [numbers[one] for one in value] if isinstance(value, list) else numbers[value]
-        writer.write_message(key, make(**values), log_ns, values["time_ns"], values["sequence"])
-
-    return write
-
-
-def _frames(values: dict[str, Any], make: Any) -> list[Any]:  # noqa: ANN401 - classes of the protobuf package
-    columns = (values[name] for name in ("frame_time_ns", "can_id", "fd_flags", "length", "data"))
-    return [
-        make(
-            time_ns=time_ns,
-            bus=values["bus"],
-            identifier=word & IDENTIFIER_MASK,
-            is_extended=word & EXTENDED != 0,
-            is_fd=flags & FD != 0,
-            dlc=length,
-            data=data,
-        )
-        for time_ns, word, flags, length, data in zip(*columns, strict=True)
-    ]
-
-
-def _enumerations(kind: type) -> dict[str, dict[str, int]]:
-    """For each field that is an enumeration, or a list of one, the protobuf number of each value."""
-    found: dict[str, dict[str, int]] = {}
-    for name, _, field_type in fields(kind):
-        if isinstance(field_type, inspect.ListType):
-            field_type = field_type.item_type  # noqa: PLW2901 - what the list is of
-        if isinstance(field_type, inspect.EnumType):
-            members: Sequence[Enum] = list(field_type.cls)
-            found[name] = {member.value: number for number, member in enumerate(members)}
-    return found
-
-
-WRITERS: Final[dict[str, Callable[[ExitStack, Path], Write]]] = {
-    "payload": payload,
-    "protobuf": protobuf,
-    "plain": plain,
-    "foxglove": foxglove,
-}
+WRITERS: Final[dict[str, Callable[[ExitStack, Path], Write]]] = {"plain": plain, "foxglove": foxglove}
 
 
 def main(kind: str, endpoint: str, path: Path, queue_samples: int) -> None:

@@ -11,32 +11,24 @@ write. None may lose anything. Counted are records of a log, a raw CAN frame bei
 
 Then robots at their own pace, ever more, with the queue that the recorder has by itself: how many it holds without
 loss, at most one core, and without falling behind; and how its memory does at 60 % of that.
-
-Usage: python -m tests.bench.recorder_rate [--rounds N] [--seconds N] [--sustain-s N]. Not a test: machines differ.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from statistics import fmean, linear_regression, median
 from typing import Final
 
 import msgspec
 
-from tests.bench.loads import Row, print_table
+from tests.bench.loads import Row
 from tests.bench.recorder_load import TICKS_PER_S, make_script
-from tests.bench.recorder_peers import KINDS, has_foxglove
-from tests.bench.recorder_run import AS_IT_CAME, OURS, Run, run
+from tests.bench.recorder_peers import WRITERS, has_foxglove
+from tests.bench.recorder_run import OURS, Run, run
 
 ROBOTS: Final = 10
 FAST_S: Final = 40
 """What these robots say in so many seconds is a round."""
-
-ROUNDS: Final = 3
-
-HELD_S: Final = 10.0
-"""How long robots have to be held."""
 
 HELD_LAG_S: Final = 0.5
 """Whoever ends later than this behind the load did not hold it; whoever began a tick so late was no load."""
@@ -47,9 +39,7 @@ SUSTAIN_SHARE: Final = 0.6
 
 NAMES: Final = {
     "plain": "mcap Writer, same decoding and transcoding",
-    "protobuf": "mcap-protobuf-support's Writer",
     "foxglove": "foxglove-sdk, same decoding and transcoding",
-    AS_IT_CAME: "mcap Writer, MessagePack as it came",
 }
 FROM_QUEUE: Final = "records/s from a full queue"
 GOALS: Final = {"plain": "3 x", "foxglove": "level"}
@@ -64,7 +54,7 @@ class Held(msgspec.Struct, frozen=True):
 
 def compare(rounds: int) -> dict[str, list[Run]]:
     """Feed each receiver once a round, ours first or last in turns; what each showed."""
-    receivers = [OURS, *(kind for kind in KINDS if kind != "foxglove" or has_foxglove())]
+    receivers = [OURS, *(kind for kind in WRITERS if kind != "foxglove" or has_foxglove())]
     runs: dict[str, list[Run]] = {receiver: [] for receiver in receivers}
     for number in range(rounds):
         for receiver in receivers if number % 2 == 0 else reversed(receivers):
@@ -130,50 +120,22 @@ def _compared(runs: dict[str, list[Run]]) -> list[Row]:
         *_figure(runs, "records/s, the load meanwhile", lambda one: one.loaded_per_s, "{:,.0f}/s", is_rate=True),
         *_figure(runs, "CPU for a record, all of it", lambda one: one.cpu_us, "{:.1f} us"),
         *_figure(runs, "bytes of a record in the log", lambda one: one.bytes / one.written, "{:.1f}"),
-        *_figure(
-            runs,
-            "samples/s from a full queue",
-            lambda one: one.per_s / one.written * one.fed.samples,
-            "{:,.0f}/s",
-            is_rate=True,
-            peers=(AS_IT_CAME,),
-        ),
     ]
 
 
 def _figure(
-    runs: dict[str, list[Run]],
-    what: str,
-    measure: Callable[[Run], float],
-    form: str,
-    *,
-    is_rate: bool = False,
-    peers: tuple[str, ...] = ("plain", "protobuf", "foxglove"),
+    runs: dict[str, list[Run]], what: str, measure: Callable[[Run], float], form: str, *, is_rate: bool = False
 ) -> list[Row]:
     ours = [measure(one) for one in runs[OURS]]
     table: list[Row] = [(f"recorder: {what}", form.format(median(ours)), "")]
-    for peer in peers:
+    for peer, name in NAMES.items():
         if peer not in runs:
-            table.append((f"  {NAMES[peer]}", "not installed", ""))
+            table.append((f"  {name}", "not installed", ""))
             continue
         theirs = [measure(one) for one in runs[peer]]
         ratio = median(
             (mine / other) if is_rate else (other / mine) for mine, other in zip(ours, theirs, strict=True)
         )
-        goal = GOALS.get(peer, "") if what == FROM_QUEUE else ""
-        table.append((f"  {NAMES[peer]}", f"{form.format(median(theirs))}, {ratio:.2f} x", goal))
+        goal = GOALS[peer] if what == FROM_QUEUE else ""
+        table.append((f"  {name}", f"{form.format(median(theirs))}, {ratio:.2f} x", goal))
     return table
-
-
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=ROUNDS, help="of the comparison (default 3)")
-    parser.add_argument("--seconds", type=float, default=HELD_S, help="of each load of robots (default 10)")
-    parser.add_argument("--sustain-s", type=float, default=20.0, help="of the long run (default 20; 0: none)")
-    arguments = parser.parse_args()
-    print_table(rows(arguments.rounds, arguments.seconds, arguments.sustain_s))
-
-
-if __name__ == "__main__":
-    main()

@@ -31,9 +31,6 @@ from tests.support.processes.usage import cpu_s, rss_bytes
 OURS: Final = "recorder"
 """The receiver that is ``cruiser record``; the others are those of ``recorder_peers``."""
 
-AS_IT_CAME: Final = "payload"
-"""The one of them that writes a record for each sample, also for a batch of raw frames."""
-
 QUEUE_SAMPLES: Final = 1_000_000
 QUEUE_BYTES: Final = 4_000_000_000
 """What may wait at a receiver that is fed faster than it writes: all."""
@@ -102,7 +99,7 @@ def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
     """Feed a receiver once.
 
     Args:
-        receiver: OURS or one of ``recorder_peers.KINDS``.
+        receiver: OURS or one of ``recorder_peers.WRITERS``.
         robots: how many speak.
         ticks: of 10 ms each.
         is_paced: at the robots' pace, and with the queue that a recorder has by itself; else as fast as it is
@@ -140,7 +137,7 @@ def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
     return Run(
         fed=fed,
         written=written,
-        lost=(fed.samples if receiver == AS_IT_CAME else fed.records) - written,
+        lost=fed.records - written,
         cpu_s=usage.ru_utime + usage.ru_stime - begin_s,
         wall_s=(fed.end_ns - fed.begin_ns) / 1e9 + lag_s,
         lag_s=lag_s,

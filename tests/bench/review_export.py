@@ -3,16 +3,10 @@
 The peer is what a user would write first: `mcap` reads, `mcap-protobuf-support` decodes, `pyarrow` builds tables
 of the same columns and writes them with the same compression. Both take the same log, in turns. The log is a drive
 as the gateway's core tells it (see `recorder_load`), written by the recorder's own log.
-
-Usage: python -m tests.bench.review_export [--messages N] [--rounds N] [--keep DIR]
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import subprocess
-import sys
 import tempfile
 import time
 from operator import attrgetter
@@ -20,7 +14,6 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 from mcap.reader import make_reader
@@ -31,41 +24,19 @@ from recorder.reading.logs import Faults, find_logs
 from recorder.record.actions import LogAction
 from recorder.record.robot_log import LogContext, LogPlan, RobotLog
 from recorder.review.columns import TIME_TYPE
-from recorder.review.export import COMPRESSION, COMPRESSION_LEVEL, ExportRange, export_dataset, read_manifest
+from recorder.review.export import COMPRESSION, COMPRESSION_LEVEL, ExportRange, export_dataset
 from schemas import keys
 from schemas.settings import TICK_NS
 from schemas.subjects import BY_NAME
+from tests.bench.loads import Row
 from tests.bench.recorder_load import _SEQUENCE_KEY, _STAMP, _TIME_KEY, BUS, ROOT, SLOTS, make_script
+from tests.bench.review_rate import ask
 from tests.support.frames import WALL_NS
 from tests.support.messages import FakeSample
 
-MESSAGES: Final = 500_000
-ROUNDS: Final = 5
 GOAL_PER_S: Final = 1_000_000
 PEER_ROWS: Final = 100_000
 """Rows that the peer gathers before it makes a table of them."""
-
-Row = tuple[str, str, str]
-
-
-class ExportRate(msgspec.Struct, frozen=True):
-    """Medians of the rounds; the ratios are those of each round.
-
-    Attributes:
-        ours_cpu_us: processor time of a message, all threads.
-        peak_mb: of the process that exported, and nothing else.
-    """
-
-    messages: int
-    log_bytes: int
-    dataset_bytes: int
-    ours_per_s: float
-    ours_cpu_us: float
-    peer_per_s: float
-    peer_cpu_us: float
-    ratio: float
-    cpu_ratio: float
-    peak_mb: float
 
 
 def write_log(path: Path, messages: int, robot: str = "cruiser-1") -> int:
@@ -193,88 +164,35 @@ def export_peer(log: Path, directory: Path) -> int:
     return count
 
 
-def own_peak_mb() -> float:
-    """The peak memory of this process; what ``getrusage`` says begins with that of the process before it."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM:")) / 1024
-
-
-def peak_mb(log: Path, directory: Path) -> float:
-    """The peak memory of a process that exports the log."""
-    words = [sys.executable, "-m", "tests.bench.review_export", "--once", str(log), "--keep", str(directory)]
-    out = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-    return float(json.loads(out))
-
-
-def measure(messages: int = MESSAGES, rounds: int = ROUNDS) -> ExportRate:
-    """Measure both in turns."""
+def rows(messages: int, rounds: int) -> list[Row]:
+    """Both in turns; medians of the rounds, and the ratios are those of each round."""
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         log = root / "drive.mcap"
         count = write_log(log, messages)
         export_ours(log, root / "warm")
-        rates = []
+        rounds_s = []
         for number in range(rounds):
             pair = []
             for run, word in ((export_ours, "ours"), (export_peer, "peer")):
                 begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
                 assert run(log, root / f"{word}-{number}") == count
-                pair += [
-                    count / (time.perf_counter() - begin_s),
-                    (time.process_time() - begin_cpu_s) / count * 1e6,
-                ]
-            rates.append(pair)
-        manifest = read_manifest(root / "warm")
-        assert manifest is not None
-        return ExportRate(
-            messages=count,
-            log_bytes=log.stat().st_size,
-            dataset_bytes=sum(part.bytes for part in manifest.files),
-            ours_per_s=median(row[0] for row in rates),
-            ours_cpu_us=median(row[1] for row in rates),
-            peer_per_s=median(row[2] for row in rates),
-            peer_cpu_us=median(row[3] for row in rates),
-            ratio=median(row[0] / row[2] for row in rates),
-            cpu_ratio=median(row[3] / row[1] for row in rates),
-            peak_mb=peak_mb(log, root / "once"),
-        )
-
-
-def rows(messages: int = MESSAGES, rounds: int = ROUNDS) -> list[Row]:
-    """The figures, as rows of the bench's table."""
-    rate = measure(messages, rounds)
+                pair += [time.perf_counter() - begin_s, time.process_time() - begin_cpu_s]
+            rounds_s.append(pair)
+        alone = ask(["export", str(log), "--out", str(root / "alone")])
+    ours_s, ours_cpu_s, peer_s, peer_cpu_s = (median(column) for column in zip(*rounds_s, strict=True))
+    ratio, cpu_ratio = (median(one[place + 2] / one[place] for one in rounds_s) for place in (0, 1))
     return [
         (
-            f"export of {rate.messages} messages to Parquet",
-            f"{rate.ours_per_s / 1e6:.2f} million messages/s, {rate.ours_cpu_us:.2f} us CPU",
+            f"export of {count} messages to Parquet",
+            f"{count / ours_s / 1e6:.2f} million messages/s, {ours_cpu_s / count * 1e6:.2f} us CPU",
             f"{GOAL_PER_S / 1e6:g} million",
         ),
         (
             "  by mcap, mcap-protobuf-support, pyarrow",
-            f"{rate.peer_per_s / 1e6:.3f} million messages/s, {rate.peer_cpu_us:.1f} us CPU",
+            f"{count / peer_s / 1e6:.3f} million messages/s, {peer_cpu_s / count * 1e6:.1f} us CPU",
             "",
         ),
-        ("  ratio, and of CPU", f"{rate.ratio:.0f} x, {rate.cpu_ratio:.0f} x", ""),
-        ("  peak memory", f"{rate.peak_mb:.0f} MB", "300 MB"),
-        ("  log and dataset", f"{rate.log_bytes / 1e6:.1f} MB, {rate.dataset_bytes / 1e6:.1f} MB", ""),
+        ("  ratio, and of CPU", f"{ratio:.0f} x, {cpu_ratio:.0f} x", ""),
+        ("  peak memory of the command", f"{alone.peak_mb:.0f} MB", "300 MB"),
     ]
-
-
-def main() -> None:
-    """Measure, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--messages", type=int, default=MESSAGES)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--once", type=Path, metavar="LOG", help="export this one, print the peak memory in MB")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="where that goes")
-    arguments = parser.parse_args()
-    if arguments.once is not None:
-        export_ours(arguments.once, arguments.keep)
-        print(own_peak_mb())
-        return
-    for figure, measured, goal in rows(arguments.messages, arguments.rounds):
-        print(f"{figure:45}  {measured:44}  {goal}")
-
-
-if __name__ == "__main__":
-    main()

@@ -2,13 +2,10 @@
 
 The catalog is made up, a few stops in each log; the logs are empty files of the lengths and times that it names.
 So all of them are compared, and none is opened.
-
-Usage: python -m tests.bench.review_find [--logs N]. Not a test: machines differ.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -25,11 +22,10 @@ from recorder.review.catalog.find import SEARCHES, FindConditions, find
 from recorder.review.catalog.log_row import LoggedRobot
 from recorder.review.info import CATALOG_NAME
 from schemas.reasons import Reason
-from tests.bench.loads import Row, print_table
+from tests.bench.loads import Row
 from tests.support.catalog import DRIVE, STOP, row
 from tests.support.messages import SECOND, WALL_NS
 
-LOGS: Final = 50_000
 ROBOTS: Final = 200
 MOMENTS: Final = 12
 HOUR_NS: Final = 3600 * SECOND
@@ -47,14 +43,7 @@ ASKED: Final = {
 """Each question as a search and its conditions, and as flags."""
 
 
-def main() -> None:
-    """Measure, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--logs", type=int, default=LOGS, help=f"in the directory (default {LOGS})")
-    print_table(rows(parser.parse_args().logs))
-
-
-def rows(logs: int = LOGS) -> list[Row]:
+def rows(logs: int) -> list[Row]:
     """The table of the search."""
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
@@ -131,7 +120,3 @@ def ask_as_process(directory: Path, search: str, flags: Sequence[str]) -> float:
     words = [str(CRUISER), "review", "find", search, str(directory), *flags, "--json"]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - begun_s
-
-
-if __name__ == "__main__":
-    main()

@@ -2,13 +2,10 @@
 
 The log is a minute in which much happens (two operators, faults, stops), written again and again behind itself,
 each time a minute later. Each question is a process of its own.
-
-Usage: python -m tests.bench.review_rate [--megabytes N]. Not a test: machines differ.
 """
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -26,10 +23,9 @@ from recorder.reading.logs import Faults, look_at
 from recorder.reading.rows import Row as LogRow
 from recorder.reading.rows import Selection, read_rows
 from schemas.messages import Variant
-from tests.bench.loads import Row, print_table
+from tests.bench.loads import Row
 from tests.support.rigs.day import MINUTE_TICKS, Day
 
-MEGABYTES: Final = 1000
 CHUNK_BYTES: Final = 1 << 20
 MINUTE_NS: Final = 60_000_000_000
 LAG_NS: Final = 1_000_000
@@ -50,14 +46,6 @@ class Asked(msgspec.Struct, frozen=True):
     seconds: float
     cpu_s: float
     peak_mb: float
-
-
-def main() -> None:
-    """Measure everything and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--megabytes", type=int, default=MEGABYTES, help=f"of the log (default {MEGABYTES})")
-    arguments = parser.parse_args()
-    print_table(rows(arguments.megabytes))
 
 
 def rows(megabytes: int) -> list[Row]:
@@ -162,7 +150,3 @@ def _write(file: McapFile, builder: ChunkBuilder) -> None:
     chunk = builder.seal()
     if chunk is not None:
         file.write_chunk(chunk)
-
-
-if __name__ == "__main__":
-    main()

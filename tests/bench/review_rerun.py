@@ -1,36 +1,20 @@
 """The speed at which a log is run again, reading and comparing included, in one process.
 
 Wall time says what somebody waits, and depends on what else the machine does; processor time much less so.
-
-Usage: python -m tests.bench.review_rerun [--minutes N] [--robot driven|alternating|standing]
-
-Not a test: machines differ.
 """
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from schemas.messages import Variant
-from tests.bench.loads import Row, print_table
+from tests.bench.loads import Row
 from tests.bench.review_rate import LAG_NS, Asked, ask
 from tests.support.rigs.day import Day
 from tests.support.rigs.gateway import Operator
-
-MINUTES: Final = 10
-
-
-def main() -> None:
-    """Measure, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=MINUTES, help=f"that run again (default {MINUTES})")
-    parser.add_argument("--robot", choices=DRIVES, action="append", help="of this alone; may be given again")
-    arguments = parser.parse_args()
-    print_table(rows(arguments.minutes, arguments.robot or list(DRIVES)))
 
 
 def rows(minutes: float, robots: Sequence[str]) -> list[Row]:
@@ -89,7 +73,3 @@ def standing(minutes: float) -> bytes:
 
 
 DRIVES: Final = {"driven": driven, "alternating": alternating, "standing": standing}
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,4 @@
-"""From a put on Zenoh to the frame on the bus in signed mode, beside open mode: in turns, on one machine.
-
-Usage: python -m tests.bench.signed_latency
-"""
+"""From a put on Zenoh to the frame on the bus in signed mode, beside open mode: in turns, on one machine."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ from pathlib import Path
 from random import Random
 from statistics import median
 from tempfile import mkdtemp
-from typing import Final
 from unittest.mock import patch
 
 import msgspec
@@ -22,14 +18,10 @@ from gateway.zenoh.client import received_of
 from schemas.authority.proof import GrantRole
 from schemas.decisions import LeaseReply
 from tests.bench.command_latency import COMMAND, Driver, drives_us, on_the_road, until
-from tests.bench.loads import Row, print_table
+from tests.bench.loads import Row
 from tests.bench.processes import quantile
 from tests.support.authority import DAY_S, Fleet, Party
 from tests.support.provisioned import provision
-
-TURNS: Final = 6
-DRIVES: Final = 250
-"""In each turn of each mode."""
 
 ROOT, ROBOT, NAME = "fleet", "cruiser-1", "bench"
 
@@ -91,7 +83,7 @@ class Keys:
         return SignedDriver(endpoint, proof)
 
 
-def measure(turns: int = TURNS, drives: int = DRIVES) -> list[tuple[list[float], list[float]]]:
+def measure(turns: int, drives: int) -> list[tuple[list[float], list[float]]]:
     """Of each turn, open and signed: microseconds from put to frame, sorted. They begin alternately."""
     found: list[tuple[list[float], list[float]]] = []
     with tempfile.TemporaryDirectory() as directory:
@@ -102,21 +94,15 @@ def measure(turns: int = TURNS, drives: int = DRIVES) -> list[tuple[list[float],
                 command = ("-m", "gateway", "gateway", "--config", str(keys.configuration)) if is_signed else ()
                 road = on_the_road(*command, driver_at=keys.driver if is_signed else Driver)
                 # What a robot knows of the authority has to be kept somewhere.
-                with (
-                    patch.dict(os.environ, CRUISER_GATEWAY_STATE_DIR=mkdtemp(dir=directory)),
-                    road as (
-                        driver,
-                        witness,
-                        *_,
-                    ),
-                ):
+                own = patch.dict(os.environ, CRUISER_GATEWAY_STATE_DIR=mkdtemp(dir=directory))
+                with own, road as (driver, witness, *_):
                     # The same places between two ticks in both.
                     pair[is_signed] = sorted(drives_us(driver, witness, drives, Random(turn)))  # noqa: S311
             found.append((pair[False], pair[True]))
     return found
 
 
-def rows(turns: int = TURNS, drives: int = DRIVES) -> list[Row]:
+def rows(turns: int, drives: int) -> list[Row]:
     """Both modes, and what signed mode adds."""
     measured = measure(turns, drives)
     opened, signed = (sorted(one for pair in measured for one in pair[mode]) for mode in (0, 1))
@@ -138,7 +124,3 @@ def rows(turns: int = TURNS, drives: int = DRIVES) -> list[Row]:
 
 def _ms(values_us: list[float]) -> str:
     return f"{quantile(values_us, 0.5) / 1000:.2f} {quantile(values_us, 0.99) / 1000:.2f} ms, of {len(values_us)}"
-
-
-if __name__ == "__main__":
-    print_table(rows())

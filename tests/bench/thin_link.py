@@ -2,15 +2,12 @@
 
 Chassis and gateway are processes; the router, the link and an operator with the product's library are this one.
 Beside the operator somebody subscribes to everything, as a recorder does.
-Usage: python -m tests.bench.thin_link [--seconds N]
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -25,17 +22,15 @@ from gateway.client.refusal import Refused, Stopped, Unreachable
 from gateway.client.robot import Lease, Robot
 from gateway.zenoh.client import open_local_router
 from schemas.configuration import TomlSource, merge
-from schemas.settings import PROFILES, Settings, ZenohSettings
+from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_session import close_session, open_session
 from tests.bench.command_latency import DRIVE_ID, SPEED_RAW, Witness
-from tests.bench.loads import Row, print_table
-from tests.bench.origin import heading
+from tests.bench.loads import Row
 from tests.bench.processes import quantile, start
 from tests.support.fakes.peer import free_endpoint
 from tests.support.links import LINKS, LinkProfile
 from tests.support.processes.paced_link import PacedLink, paced_link
 
-SECONDS: Final = 20.0
 SETTLED_S: Final = 3.0
 WIDE: Final = LinkProfile("wide", 0.0005)
 WIDE_BYTES_PER_S: Final = 1e9
@@ -167,18 +162,3 @@ def _scene(profile: str, link: LinkProfile, bytes_per_s: float) -> Iterator[tupl
         stack.callback(witness.close)
         text = f'[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
         yield carried, merge(TomlSource("", text), {}, {}), witness
-
-
-def main() -> None:
-    """Measure, and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="standing, and driven, of each (20)")
-    arguments = parser.parse_args()
-    print(
-        heading(sys.argv[1:], arguments.seconds).replace("tests.bench ", "tests.bench.thin_link ", 1), flush=True
-    )
-    print_table(rows(tuple(PROFILES), arguments.seconds))
-
-
-if __name__ == "__main__":
-    main()

@@ -262,7 +262,7 @@ def test_files_are_ended_by_time_and_by_size(tmp_path: Path) -> None:
 def test_recorders_killed_at_random_instants_lose_but_the_last_moment(tmp_path: Path) -> None:
     """Each next start makes whole what the one before left: no holes, nothing twice, and no log without its end.
 
-    How much the last moment is, the bench measures (tests.bench.recorder_kills).
+    How much the last moment is, the bench measures (``python -m tests.bench kills``).
     """
     kills = recorder_kills.measure(4, tmp_path)
     assert (kills.holes, kills.doubled, kills.not_whole) == (0, 0, [])
