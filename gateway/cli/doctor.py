@@ -36,11 +36,12 @@ from gateway.host.looks import (
     was_shut_down,
 )
 from gateway.host.self_test import find_hole
-from gateway.provisioning.key_files import directory_of, role_of
+from gateway.provisioning.key_files import role_of
 from gateway.telemetry.samples import Received, TokenChange
 from gateway.zenoh.client import FleetListener, PendingQuery
 from schemas.arguments import add_zenoh_arguments, seconds
 from schemas.authority.identity import KEY_FILE
+from schemas.authority.key_files import directory_of
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.configuration import SETTINGS, TomlSource, merge
 from schemas.decisions import SafetyState

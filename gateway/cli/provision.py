@@ -49,7 +49,6 @@ from gateway.provisioning.key_files import (
     KeyStore,
     Passphrase,
     check_kinds,
-    directory_of,
     naming,
     read_input,
     write_public,
@@ -58,6 +57,7 @@ from gateway.telemetry.samples import Received
 from gateway.zenoh.operator import StatementPort
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
 from schemas.authority.identity import AUTHORITY_FILE
+from schemas.authority.key_files import directory_of
 from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation, Signed, chain_text
 from schemas.authority.trust import AuthorityKeys, in_utc, key_fingerprint, keys_fingerprint
 from schemas.codec import PAYLOAD_ERRORS

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from gateway.cli.shut_out import check_session_files
-from gateway.provisioning.key_files import directory_of
 from gateway.zenoh.client import open_router
 from schemas.arguments import ending_after, seconds
+from schemas.authority.key_files import directory_of
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 from schemas.zenoh_session import close_session

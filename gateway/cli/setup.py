@@ -41,11 +41,11 @@ from gateway.provisioning.key_files import (
     CertificateError,
     KeyStore,
     expires_s,
-    find,
     read_certificates,
     replace_whole,
 )
 from schemas.arguments import robot_name
+from schemas.authority.key_files import find
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.configuration import write_key, write_value
 from schemas.settings import STANDSTILL_MPS, CanSettings, Settings

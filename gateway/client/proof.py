@@ -23,12 +23,13 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from gateway.authority.enrolment import TLS_KEY_FILE
 from gateway.authority.operator_proof import KnownRobots, OperatorProof, ViewerProof, new_lease_key, new_question
 from gateway.authority.session import SILENT, Unmet
-from gateway.provisioning.key_files import check_tls_files, directory_of, read_identity, read_trust
+from gateway.provisioning.key_files import check_tls_files
 from gateway.telemetry.samples import Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.authority.identity import KEY_FILE
+from schemas.authority.key_files import directory_of, read_identity, read_trust
 from schemas.authority.trust import Objection
 from schemas.command_line import CommandError
 from schemas.decisions import LeaseReply

@@ -29,8 +29,9 @@ from gateway.core import Core
 from gateway.doctor.facts import BusReport, CanInterface, Credential, LogDisk, ServiceUnit
 from gateway.host.notes import StopNote
 from gateway.host.signed_mode import AuthorityNote
-from gateway.provisioning.key_files import certificate_ends_s, check_tls_files, directory_of, read_identity
+from gateway.provisioning.key_files import certificate_ends_s, check_tls_files
 from gateway.telemetry.health import Links
+from schemas.authority.key_files import directory_of, read_identity
 from schemas.authority.trust import Objection
 from schemas.codec import Sample, decode
 from schemas.command_line import CommandError, plain

@@ -24,9 +24,10 @@ import msgspec
 import zenoh
 
 from gateway.authority.enrolment import SHUT_OUT_FILE, TLS_KEY_FILE, TransportRole
-from gateway.provisioning.key_files import check_shut_out, directory_of
+from gateway.provisioning.key_files import check_shut_out
 from gateway.zenoh.client import PendingQuery, SessionOwner
 from schemas import keys
+from schemas.authority.key_files import directory_of
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME

@@ -27,8 +27,9 @@ from gateway.authority.robot_authority import Kept, RobotAuthority, TimeFloor, r
 from gateway.authority.session import RobotSigner
 from gateway.core import Core
 from gateway.host.notes import state_directory, write_whole
-from gateway.provisioning.key_files import certificate_ends_s, directory_of, read_identity
+from gateway.provisioning.key_files import certificate_ends_s
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE
+from schemas.authority.key_files import directory_of, read_identity
 from schemas.authority.proof import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
 from schemas.command_line import CommandError, ExitCode, check_regular

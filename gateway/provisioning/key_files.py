@@ -11,10 +11,7 @@ The directory of keys, certificates and grants: what is secret is its owner's al
 
 Everything that is wrong is one line that names the file and the cure.
 
-The keys and grants of this machine: the files that ``cruiser provision`` made, read and checked.
-
-A private key is its owner's alone: a file that others may read is refused. Everything that is wrong is one line
-that names the file and the cure.
+The files that are read alike by all: ``schemas.authority.key_files``.
 """
 
 from __future__ import annotations
@@ -52,23 +49,12 @@ from cryptography.x509 import Certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from gateway.authority.enrolment import CA_FILE, LISTENING, SHUT_OUT_FILE, TLS_KEY_FILE, TransportRole
-from schemas.authority import identity
-from schemas.authority.identity import (
-    AUTHORITY_FILE,
-    GRANT_FILE,
-    INSTALLED,
-    KEY_FILE,
-    FoundFile,
-    Identity,
-    check_owner,
-    not_found,
-    remade,
-    renewed,
-)
+from schemas.authority.identity import AUTHORITY_FILE, INSTALLED, check_owner, remade, renewed
+from schemas.authority.key_files import certificate_role, find
 from schemas.authority.proof import Signed, StatementFault, read_chain
-from schemas.authority.trust import Trust, fingerprint
+from schemas.authority.trust import fingerprint
 from schemas.command_line import CommandError, ExitCode, check_regular, plain
-from schemas.settings import AuthoritySettings, ZenohSettings
+from schemas.settings import ZenohSettings
 
 LEAF_DAYS: Final = 30
 """Life of a node's certificate."""
@@ -216,12 +202,6 @@ def names_of(certificate: x509.Certificate) -> list[str]:
     return _names(found)
 
 
-def common_name_of(certificate: x509.Certificate) -> str:
-    """The common name of a certificate: the role of its holder. Empty if it has none."""
-    commons = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(commons[0].value) if commons else ""
-
-
 def _request(text: str) -> x509.CertificateSigningRequest:
     try:
         request = x509.load_pem_x509_csr(text.encode())
@@ -334,8 +314,6 @@ def _pem(made: x509.Certificate | x509.CertificateSigningRequest) -> str:
 
 PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey
 _T = TypeVar("_T")
-
-FILE_MAX_BYTES: Final = 4_000_000
 
 STANDBY_FILE: Final = "standby.pub"
 
@@ -549,24 +527,6 @@ class KeyStore:
             raise CommandError(f"{shown} can be written by others; chmod 700 {shown}", ExitCode.USAGE)
 
 
-def find(path: Path, cure: str = "") -> FoundFile:
-    """A file, which is not large, with what it takes to judge whose it is.
-
-    Raises:
-        CommandError: it is missing, too large, no regular file, or cannot be read.
-    """
-    try:
-        check_regular(path, path.stat().st_mode)
-        with path.open("rb") as file:
-            status = os.fstat(file.fileno())
-            content = file.read(FILE_MAX_BYTES + 1)
-    except OSError as error:
-        raise not_found(path, error, cure) from error
-    if len(content) > FILE_MAX_BYTES:
-        raise CommandError(f"{plain(str(path))} is too large to be what it should be", ExitCode.USAGE)
-    return FoundFile(path, content, status.st_mode, status.st_uid in {0, os.geteuid()})
-
-
 def read_input(path: Path, cure: str = "") -> bytes:
     """The content of a file.
 
@@ -629,37 +589,6 @@ def _write(path: Path, text: str, mode: int, *, replace: bool) -> None:
         replace_whole(path, text, mode)
     except OSError as error:
         raise CommandError(f"{shown} cannot be written: {error.strerror}") from error
-
-
-def directory_of(settings: AuthoritySettings) -> Path:
-    """The directory that the settings name; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
-    return Path(identity.directory_of(settings, os.environ, Path.home()))
-
-
-def read_identity(directory: Path, who: str) -> Identity:
-    """Read the key and the grant of somebody, and check that they belong together.
-
-    Args:
-        directory: their place.
-        who: ``robot``, ``operator``, ``recorder``: the files' name.
-
-    Raises:
-        CommandError: a file is missing, unreadable, readable for others, or not what it should be.
-    """
-    key = find(directory / KEY_FILE.format(who=who), identity.made(who))
-    grant, authority = (
-        find(directory / name.format(who=who), identity.installed(who)) for name in (GRANT_FILE, AUTHORITY_FILE)
-    )
-    return identity.identity_of(key, grant, authority, who)
-
-
-def read_trust(directory: Path, who: str = "viewer") -> Trust:
-    """Read the keys of the fleet's authority, as somebody in this role has them.
-
-    Raises:
-        CommandError: the file is missing, unreadable or damaged.
-    """
-    return identity.trust_of(find(directory / AUTHORITY_FILE, identity.installed(who)), who)
 
 
 ENDS: Final = ("connect", "listen")
@@ -789,7 +718,7 @@ def role_of(file: Path) -> str:
         tls = tls_entries(file)
         names = (tls.get(f"{end}_certificate") for end in ENDS)
         certificate = next((name for name in names if isinstance(name, str)), "")
-        return common_name_of(_read(Path(certificate), "")[0]) if certificate else ""
+        return certificate_role(Path(certificate)) if certificate else ""
     except CommandError:
         return ""
 

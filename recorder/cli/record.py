@@ -27,7 +27,6 @@ from recorder.cli import remote
 from recorder.cli.remote import check_recording
 from recorder.disk.files import LogDirectory
 from recorder.disk.keeper import DiskKeeper, LeftoverThread
-from recorder.disk.key_files import granted_name, has_key, read_identity, read_trust
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
 from recorder.loop import Recorded, RecorderLoop
 from recorder.record.recorder import HealthReport, Recorder, RecorderPlan, SampleInbox
@@ -37,7 +36,8 @@ from recorder.zenoh.remote_control import RemoteControl, host_name
 from recorder.zenoh.source import RING_SAMPLE_BYTES, ShardedSource, ZenohSource, shard_of
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.authority.identity import made
+from schemas.authority.identity import KEY_FILE, made
+from schemas.authority.key_files import directory_of, granted_name, read_identity, read_trust
 from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import EventKind
 from schemas.settings import ROBOT_LIMIT, AuthoritySettings, Settings
@@ -46,7 +46,11 @@ from schemas.settings import ROBOT_LIMIT, AuthoritySettings, Settings
 def own_name(settings: Settings) -> str:
     """Return the name that is set; else that of the recorder's grant, in signed mode; else the host's."""
     is_signed = settings.authority.mode == "signed"
-    return settings.recorder.name or (is_signed and granted_name(settings.authority, "recorder")) or host_name()
+    return (
+        settings.recorder.name
+        or (is_signed and granted_name(directory_of(settings.authority), "recorder"))
+        or host_name()
+    )
 
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
@@ -197,10 +201,11 @@ def signer_of(settings: AuthoritySettings) -> LogSigner | None:
     """
     if settings.mode != "signed":
         return None
-    if not has_key(settings, "recorder"):
+    directory = directory_of(settings)
+    if not (directory / KEY_FILE.format(who="recorder")).exists():
         sys.stderr.write(f"record: the logs are not signed: {made('recorder')}\n")
         return None
-    return LogSigner(read_identity(settings, "recorder"))
+    return LogSigner(read_identity(directory, "recorder"))
 
 
 def with_shard_lease(settings: Settings) -> Settings:
@@ -244,7 +249,9 @@ def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], rel
             alarms=frozenset(map(EventKind, recorder.incident_events)),
             before_ns=round(recorder.incident_before_s * 1e9),
             after_ns=round(recorder.incident_after_s * 1e9),
-            trust=read_trust(settings.authority, "recorder") if settings.authority.mode == "signed" else None,
+            trust=read_trust(directory_of(settings.authority), "recorder")
+            if settings.authority.mode == "signed"
+            else None,
         ),
         ring_bytes=min(recorder.incident_ring_bytes, recorder.budget_bytes // BUDGET_RINGS or sys.maxsize),
         sample_max_bytes=recorder.sample_max_bytes,

@@ -17,10 +17,10 @@ from typing import Final
 
 import msgspec
 
-from recorder.disk.key_files import certificate_role
 from recorder.zenoh.remote_control import RecorderClient
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
+from schemas.authority.key_files import certificate_role
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.keys import login_operator
 from schemas.recording import Mark, RecorderHealth, RecorderReply, Status

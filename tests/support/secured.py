@@ -19,7 +19,12 @@ from gateway.authority.enrolment import (
     tls_configuration,
     zenoh_configuration,
 )
-from gateway.provisioning.key_files import issue, new_authority, new_key, new_request
+from gateway.provisioning.key_files import (
+    issue,
+    new_authority,
+    new_key,
+    new_request,
+)
 
 ROOT = "fleet"
 

@@ -18,7 +18,7 @@ from gateway.cli import provision
 from gateway.cli.configuration_file import load_settings
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
-from gateway.provisioning.key_files import read_identity
+from schemas.authority.key_files import read_identity
 from schemas.authority.proof import TEXT_MAX_BYTES
 from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason

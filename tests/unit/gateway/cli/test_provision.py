@@ -16,7 +16,8 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from gateway.authority.enrolment import EnrolmentRole, bundle_text, new_request, read_request
 from gateway.provisioning.issuer import Issuer, Wanted, ask_again
-from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates, read_identity
+from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates
+from schemas.authority.key_files import read_identity
 from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation, Signed
 from schemas.authority.trust import HeldGrant, Objection, Trust, key_fingerprint, keys_fingerprint
 from schemas.command_line import CommandError, ExitCode
