@@ -213,10 +213,6 @@ def _has_errors(facts: Facts, health: GatewayHealth) -> bool:
 _TROUBLED: Final = {"BUS-OFF", "ERROR-PASSIVE", "ERROR-WARNING"}
 
 
-def _interface_missing(facts: Facts) -> Iterable[Detail]:
-    return _found(not _interface(facts).is_present, facts.settings.can.channel)
-
-
 def _interface_down(facts: Facts) -> Iterable[Detail]:
     interface = _interface(facts)
     virtual = "ip link set CHANNEL up" if interface.is_virtual else ""
@@ -227,10 +223,6 @@ def _other_bus(facts: Facts) -> Iterable[Detail]:
     can = facts.settings.can
     text = f"{can.interface} {can.channel}, and not {facts.bus_of_settings}"
     return _found(bool(facts.bus_of_settings), text)
-
-
-def _bus_unreachable(facts: Facts) -> Iterable[Detail]:
-    return _found(bool(detail := _bus_detail(facts)), detail)
 
 
 def _bit_rate(facts: Facts) -> Iterable[Detail]:
@@ -295,22 +287,10 @@ def _queue_long(facts: Facts) -> Iterable[Detail]:
     return _found(is_real and frames > QUEUE_MAX_FRAMES, f"{frames} frames, not {QUEUE_MAX_FRAMES}")
 
 
-def _no_restart(facts: Facts) -> Iterable[Detail]:
-    return _found(_interface(facts).restart_ms == 0)
-
-
 def _bus_commanded(facts: Facts) -> bool:
     """Somebody commands the bus, and no gateway of this name does."""
     by_another = facts.zenoh.safety is not None and Reason.OTHER_COMMANDER in facts.zenoh.safety.blocked_by
     return by_another or (facts.bus is not None and facts.bus.is_commanded)
-
-
-def _other_commander(facts: Facts) -> Iterable[Detail]:
-    return _found(_bus_commanded(facts), facts.settings.can.channel)
-
-
-def _two_gateways(facts: Facts) -> Iterable[Detail]:
-    return _found(facts.claims > 1, f"{facts.claims} on {facts.settings.can.channel}")
 
 
 def _two_of_one_name(facts: Facts) -> Iterable[Detail]:
@@ -343,10 +323,6 @@ def _gateway_hangs(facts: Facts) -> Iterable[Detail]:
     return _found(hangs, facts.settings.robot.name)
 
 
-def _unasked(facts: Facts) -> Iterable[Detail]:
-    return _found(facts.zenoh.is_blind and not facts.zenoh.why_not)
-
-
 def _service_failed(facts: Facts) -> Iterable[Detail]:
     for unit in facts.units:
         if unit.state != "active":
@@ -373,10 +349,6 @@ RESULTS: Final = {
     "exit-code": " (it gave up)",
 }
 """systemd's words for the end of a service, for people."""
-
-
-def _not_shut_down(facts: Facts) -> Iterable[Detail]:
-    return _found(facts.was_shut_down is False, f"before {_utc(facts.booted_s)}")
 
 
 def _realtime(facts: Facts) -> Iterable[Detail]:
@@ -416,10 +388,6 @@ def _reasons(reasons: Iterable[Reason], facts: Facts) -> Iterator[Detail]:
         yield Detail(f"{text.means}{f' ({detail})' if detail else ''}", text.cure, reason.value)
 
 
-def _latched(facts: Facts) -> Iterable[Detail]:
-    return () if facts.zenoh.safety is None else _reasons(facts.zenoh.safety.latched, facts)
-
-
 def _blocked(facts: Facts) -> Iterable[Detail]:
     safety = facts.zenoh.safety
     if safety is None:
@@ -434,10 +402,6 @@ def _blocked(facts: Facts) -> Iterable[Detail]:
 def _clock_behind(facts: Facts) -> Iterable[Detail]:
     text = f"it says {_utc(facts.now_s)}, and it is {_utc(facts.earliest_s)} at least"
     return _found(facts.now_s < facts.earliest_s, text)
-
-
-def _unsynchronised(facts: Facts) -> Iterable[Detail]:
-    return _found(facts.is_synchronised is False)
 
 
 def _clock_differs(facts: Facts) -> Iterable[Detail]:
@@ -460,22 +424,6 @@ def _split(text: str) -> Detail:
     return Detail("", cure, what)
 
 
-def _credentials(facts: Facts) -> Iterable[Detail]:
-    return [_split(one.problem) for one in facts.credentials if one.problem]
-
-
-def _credentials_end(facts: Facts) -> Iterable[Detail]:
-    return [_split(one.warning) for one in facts.credentials if one.warning and not one.problem]
-
-
-def _hole(facts: Facts) -> Iterable[Detail]:
-    return [_split(facts.hole)] if facts.hole else []
-
-
-def _shut(facts: Facts) -> Iterable[Detail]:
-    return _found(facts.hole == "")
-
-
 def _unsigned(facts: Facts) -> Iterable[Detail]:
     wanted = facts.settings.authority.mode == "signed"
     return _found(wanted and not facts.credentials, facts.settings.robot.name)
@@ -484,10 +432,6 @@ def _unsigned(facts: Facts) -> Iterable[Detail]:
 def _disk_unusable(facts: Facts) -> Iterable[Detail]:
     disk = facts.disk
     return _found(disk is not None and bool(disk.why_not) and not disk.is_read_only, disk.why_not if disk else "")
-
-
-def _disk_read_only(facts: Facts) -> Iterable[Detail]:
-    return _found(facts.disk is not None and facts.disk.is_read_only, facts.disk.directory if facts.disk else "")
 
 
 def _disk_full(facts: Facts) -> Iterable[Detail]:
@@ -512,10 +456,6 @@ def _mb(size: int) -> str:
 
 
 # The recorder.
-
-
-def _recorder_missing(facts: Facts) -> Iterable[Detail]:
-    return _found(facts.zenoh.health is not None and not facts.zenoh.recorders, facts.zenoh.place)
 
 
 def _recorder_stopped(facts: Facts) -> Iterable[Detail]:
@@ -567,7 +507,7 @@ CHECKS: Final = (
         "the CAN interface",
         "the interface is not there",
         "plug the adapter in, or name another: can.channel; 'ip link' lists them",
-        _interface_missing,
+        lambda facts: _found(not _interface(facts).is_present, facts.settings.can.channel),
     ),
     Check("interface_down", "the CAN interface", "the interface is down", _UP, _interface_down),
     Check(
@@ -575,7 +515,7 @@ CHECKS: Final = (
         "the CAN bus",
         "the bus cannot be opened",
         "look at can.interface and can.channel, and at what has the interface",
-        _bus_unreachable,
+        lambda facts: _found(bool(detail := _bus_detail(facts)), detail),
     ),
     Check(
         "bit_rate",
@@ -631,14 +571,14 @@ CHECKS: Final = (
         "command frames",
         "another computer commands the chassis",
         "end the other one: a chassis takes commands from one alone",
-        _other_commander,
+        lambda facts: _found(_bus_commanded(facts), facts.settings.can.channel),
     ),
     Check(
         "two_gateways",
         "gateways of this machine",
         "more than one gateway commands the bus",
         "end one, or give it gateway.listen_only",
-        _two_gateways,
+        lambda facts: _found(facts.claims > 1, f"{facts.claims} on {facts.settings.can.channel}"),
     ),
     Check(
         "two_of_one_name",
@@ -659,7 +599,7 @@ CHECKS: Final = (
         "the CAN interface",
         "a controller that has gone off the bus does not come back by itself",
         "ip link set CHANNEL type can restart-ms 100, while it is down",
-        _no_restart,
+        lambda facts: _found(_interface(facts).restart_ms == 0),
     ),
     Check(
         "router_unreachable",
@@ -687,14 +627,14 @@ CHECKS: Final = (
         "Zenoh",
         "nothing here may ask the gateway: a robot's own certificate sees no telemetry",
         "install a recorder's or a viewer's beside it ('cruiser provision recorder'), or name one: --zenoh-config",
-        _unasked,
+        lambda facts: _found(facts.zenoh.is_blind and not facts.zenoh.why_not),
     ),
     Check(
         "not_shut_down",
         "the journal of the run before",
         "the computer lost its power, or was reset, without being shut down",
         "look at the battery and the supply; the recorder mends the log that it was writing",
-        _not_shut_down,
+        lambda facts: _found(facts.was_shut_down is False, f"before {_utc(facts.booted_s)}"),
         is_note=True,
     ),
     Check(
@@ -727,7 +667,13 @@ CHECKS: Final = (
         _memory,
     ),
     Check("unguarded", "safety/state", "no second process watches the gateway", "wait a second", _unguarded),
-    Check("latched", "safety/state", "what has to be reset", "'cruiser reset ROBOT'", _latched),
+    Check(
+        "latched",
+        "safety/state",
+        "what has to be reset",
+        "'cruiser reset ROBOT'",
+        lambda facts: () if facts.zenoh.safety is None else _reasons(facts.zenoh.safety.latched, facts),
+    ),
     Check("blocked", "safety/state", "why nobody can engage the robot", "'cruiser why ROBOT'", _blocked),
     Check(
         "clock_behind",
@@ -749,7 +695,7 @@ CHECKS: Final = (
         "the kernel's clock",
         "no time server keeps the clock",
         "let chrony or systemd-timesyncd run, and reach a server: 'timedatectl'",
-        _unsynchronised,
+        lambda facts: _found(facts.is_synchronised is False),
         is_note=True,
     ),
     Check(
@@ -771,14 +717,14 @@ CHECKS: Final = (
         "keys, certificates, grants",
         "a file is missing, wrong, over, or others can read it",
         "'cruiser provision renew robot' asks for another",
-        _credentials,
+        lambda facts: [_split(one.problem) for one in facts.credentials if one.problem],
     ),
     Check(
         "credentials_end",
         "keys, certificates, grants",
         "a certificate or a grant ends soon",
         "'cruiser provision renew robot' asks for another",
-        _credentials_end,
+        lambda facts: [_split(one.warning) for one in facts.credentials if one.warning and not one.problem],
         is_note=True,
     ),
     Check(
@@ -786,14 +732,14 @@ CHECKS: Final = (
         "the router, with --intrude",
         "a certificate without any right is not shut out",
         "install router.json5 at the router again, and start it from that",
-        _hole,
+        lambda facts: [_split(facts.hole)] if facts.hole else [],
     ),
     Check(
         "shut_out",
         "the router, with --intrude",
         "a certificate without any right can neither send, see nor answer",
         "nothing to do",
-        _shut,
+        lambda facts: _found(facts.hole == ""),
         is_note=True,
     ),
     Check(
@@ -808,7 +754,9 @@ CHECKS: Final = (
         "the disk of the logs",
         "the file system is mounted read-only",
         "look at the disk ('dmesg'), then mount it anew",
-        _disk_read_only,
+        lambda facts: _found(
+            facts.disk is not None and facts.disk.is_read_only, facts.disk.directory if facts.disk else ""
+        ),
     ),
     Check(
         "disk_full",
@@ -830,7 +778,7 @@ CHECKS: Final = (
         "recorders' health",
         "nobody records",
         "'systemctl start cruiser-recorder', or 'cruiser record'",
-        _recorder_missing,
+        lambda facts: _found(facts.zenoh.health is not None and not facts.zenoh.recorders, facts.zenoh.place),
     ),
     Check(
         "recorder_stopped",

@@ -3,6 +3,8 @@
 import os
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -11,12 +13,14 @@ import zenoh
 from zenoh import ext
 
 from gateway.chassis.port import ChassisState
+from gateway.client.robot import Lease, Robot
 from gateway.command.flow import CommandFlow
 from gateway.command.rulings import RawRequest
 from schemas import codec, keys
 from schemas.codec import Sample
 from schemas.decisions import ArbiterState, Decision, SafetyEvent, SafetyState
 from schemas.messages import GatewayHealth, GearPosition, Message, Mode, ParkingStatus, RobotState
+from schemas.reasons import Reason
 from schemas.settings import TICK_NS, CommandSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, BY_TYPE, BY_VERB
 from schemas.zenoh_session import close_session, open_session
@@ -33,6 +37,11 @@ _SIGN = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 def message_of(sample: Sample) -> Message | codec.PayloadFault:
     """Read a sample."""
     return codec.decode(BY_NAME[sample.subject], sample.payload)
+
+
+def settings_for(endpoint: str) -> Settings:
+    """Settings that connect there."""
+    return Settings(zenoh=ZenohSettings(connect=[endpoint]))
 
 
 @dataclass(repr=False)
@@ -100,6 +109,28 @@ class FakeRobot:
         self._thread.join()
         self._waiting.clear()
         close_session(self._session)
+
+    @property
+    def there(self) -> Settings:
+        """Settings that connect to it."""
+        return settings_for(self.listen)
+
+    def seen_by(self, operator: str = "first") -> Robot:
+        """The robot as this operator sees it."""
+        return Robot.connect(self.name, operator, self.there, timeout_s=20)
+
+    @contextmanager
+    def engaged(self) -> Iterator[tuple[Robot, Lease]]:
+        """First has the lease of an engaged robot whose brake is released."""
+        with self.seen_by() as robot, robot.lease() as lease:
+            lease.engage()
+            lease.unpark()
+            yield robot, lease
+
+    @property
+    def latched(self) -> set[Reason]:
+        """What must be reset."""
+        return set(self.flow.arbiter.latches.details)
 
     @property
     def state(self) -> ArbiterState:

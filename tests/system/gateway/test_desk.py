@@ -581,27 +581,6 @@ def test_no_other_page_gets_in(scene: DeskScene) -> None:
         assert ask(scene.address, path).status == 404
 
 
-def test_beyond_this_machine_it_wants_a_certificate() -> None:
-    """One clear line, before anything is opened."""
-    refused = run(["desk", "--listen", "0.0.0.0:0", "--seconds", "1"])
-    assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.USAGE, 1)
-    assert "--certificate" in refused.stderr
-
-
-def test_a_taken_port_and_a_wrong_certificate_are_one_clear_line(tmp_path: Path) -> None:
-    """Which names them."""
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        where = f"127.0.0.1:{taken.getsockname()[1]}"
-        refused = run(["desk", "--listen", where, "--seconds", "1"])
-    assert refused.returncode == ExitCode.UNREACHABLE
-    assert where in refused.stderr
-    (tmp_path / "desk.pem").write_text("none")
-    words = ["--certificate", str(tmp_path / "desk.pem"), "--key", str(tmp_path / "desk.key")]
-    refused = run(["desk", "--listen", "127.0.0.1:0", "--seconds", "1", *words])
-    assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.USAGE, 1)
-    assert "desk.pem" in refused.stderr
-
-
 @pytest.mark.parametrize(
     ("text", "key"),
     [

@@ -18,13 +18,12 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from gateway.cli.desk_logs import QUESTIONS_AT_ONCE
-from schemas.command_line import ExitCode
 from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.drives import HOSTILE, drive_messages, write_messages
 from tests.support.messages import event
 from tests.support.nights import every_value
 from tests.support.processes.desk import chromium, desk_scene, drive, is_driven, open_robot
-from tests.support.processes.gateway import Running, run
+from tests.support.processes.gateway import Running
 from tests.support.rigs.scenarios import front_bumper, recorded
 from tests.support.waiting import wait_until
 from tests.system.recorder.cli.review.test_memory import bomb, tiny, zeros
@@ -298,18 +297,3 @@ def test_a_driven_robot_notices_no_question_about_logs(tmp_path: Path, running_b
 
 def _figures(ages: list[int]) -> str:
     return f"p50 {sorted(ages)[len(ages) // 2]}, worst {max(ages)}, of {len(ages)}"
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--logs", "missing", "--logs-only"], "missing is no directory"),
-        (["--logs", ".", "--viewer", "javascript:alert(1)"], "no address of a viewer"),
-        (["--logs-only"], "--logs-only needs --logs DIR"),
-    ],
-)
-def test_what_cannot_be_served_is_one_clear_line(words: list[str], said: str) -> None:
-    """Before anything is listened on."""
-    done = run(["desk", *words])
-    assert done.returncode == ExitCode.USAGE
-    assert said in done.stderr.splitlines()[-1]

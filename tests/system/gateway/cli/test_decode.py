@@ -51,15 +51,6 @@ def test_a_file_is_read_in_the_variant_that_is_asked_for(tmp_path: Path) -> None
     assert speeds == [pytest.approx(1.0), pytest.approx(0.025)]
 
 
-@pytest.mark.parametrize("name", ["missing.log", "."])
-def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path: Path, name: str) -> None:
-    """A missing file and a directory end in one line and exit code 2."""
-    code, records, errors = decode("", "--variant", "coarse", str(tmp_path / name))
-    assert (code, records) == (2, [])
-    assert errors.startswith("cruiser decode: cannot read")
-    assert errors.count("\n") == 1
-
-
 def test_a_reader_that_goes_away_ends_it_quietly(tmp_path: Path) -> None:
     """As with '| head': no traceback, although most of the output has nowhere to go."""
     log = tmp_path / "long.log"
@@ -94,10 +85,3 @@ def test_each_line_comes_out_as_soon_as_it_went_in_and_a_signal_ends_the_wait() 
         os.kill(process.pid, signal.SIGTERM)
         assert process.wait(60) == 0
         assert process.stderr.read() == b""
-
-
-def test_the_help_shows_an_example() -> None:
-    """--help names the variants and shows a command line."""
-    done = subprocess.run([*COMMAND, "--help"], capture_output=True, check=True, timeout=60)
-    assert b"example:" in done.stdout
-    assert b"candump -L can0 | cruiser decode" in done.stdout

@@ -221,17 +221,3 @@ def test_a_child_that_did_only_a_part_has_a_result() -> None:
         assert out is not None
         wait_until(lambda: bool(select.select([out], [], [], 0)[0]))
         assert json.loads(child.end())["fault"]["kind"] == "not_candump"
-
-
-@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "x", "19"])
-def test_a_wrong_time_is_a_matter_of_usage(seconds: str) -> None:
-    """Nothing starts."""
-    assert run(["demo", "--seconds", seconds]).returncode == 2
-
-
-def test_a_directory_that_cannot_be_written_is_one_clear_line() -> None:
-    """What the recorder says is passed on, with its exit code."""
-    done = run(["demo", "--out", "/proc/nowhere"])
-    assert done.returncode == 1
-    assert len([line for line in done.stderr.splitlines() if line.startswith("cruiser")]) == 1
-    assert "/proc/nowhere" in done.stderr

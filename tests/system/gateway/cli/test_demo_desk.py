@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,12 +12,12 @@ from urllib.request import urlopen
 import pytest
 
 from gateway.client.robot import Robot
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError
 from schemas.settings import Settings, ZenohSettings
 from tests.support.desk_client import DeskClient
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
-from tests.support.processes.gateway import Running, run
+from tests.support.processes.gateway import Running
 from tests.support.processes.holding import hold
 from tests.support.waiting import wait_until
 
@@ -147,28 +146,3 @@ def test_the_demo_shows_a_fleet_on_the_desk_and_opens_the_browser(
         # The terminal is closed.
         end(demo, signal.SIGHUP)
     assert list(out.glob("**/*.mcap"))
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--robots", "0"], "no whole number from 1 to 64"),
-        (["--endpoint", "tcp/0.0.0.0:0"], "can be reached from other machines"),
-        (["--endpoint", "here"], "here"),
-    ],
-)
-def test_what_cannot_be_is_one_clear_line(words: list[str], said: str) -> None:
-    """Before anything is started: virtual robots have no keys, and are for this machine alone."""
-    refused = run(["demo", "--desk", "--no-browser", *words])
-    assert refused.returncode == ExitCode.USAGE
-    assert said in refused.stderr.splitlines()[-1]
-
-
-@pytest.mark.usefixtures("beside_foreign_modules")
-def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
-    """Which names it; no robot is left behind."""
-    endpoint = free_endpoint()
-    with socket.create_server(("127.0.0.1", int(endpoint.rpartition(":")[2]))):
-        refused = run(["demo", "--desk", "--no-browser", "--robots", "1", "--endpoint", endpoint])
-    assert refused.returncode == ExitCode.UNREACHABLE
-    assert endpoint.partition("/")[2] in refused.stderr.splitlines()[-1]

@@ -232,22 +232,6 @@ def test_faults_are_counted_by_kind_and_never_published_as_data() -> None:
         assert "fleet/cruiser-1/chassis/gear" not in listener.latest
 
 
-def test_a_missing_bus_is_one_clear_line() -> None:
-    """No server, no device: exit code 4 and one line that says what to do."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = run(["gateway", "--interface", "socketcand", "--channel", address, "--listen", free_endpoint()])
-    assert done.returncode == 4
-    says = (
-        f"socketcand {address}: no server there: [Errno 111] Connection refused (--wait-for-bus starts without it)"
-    )
-    assert done.stderr.splitlines() == [f"cruiser gateway: {says}"]
-    done = run(["gateway", "--channel", "nosuchcan", "--listen", free_endpoint()])
-    assert done.returncode == 4
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_a_gateway_may_wait_for_its_bus() -> None:
     """With --wait-for-bus it starts, says that the bus is down, and goes on when the chassis appears."""
     endpoint = free_endpoint()
@@ -258,33 +242,6 @@ def test_a_gateway_may_wait_for_its_bus() -> None:
         listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
         with chassis(listen=address):
             listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
-
-
-def test_an_endpoint_that_is_taken_is_one_clear_line() -> None:
-    """A chosen endpoint that something else holds: exit code 4, one line, no traceback."""
-    with chassis() as (_, address), socket.create_server(("127.0.0.1", 0)) as taken:
-        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        done = run(["gateway", "--interface", "socketcand", "--channel", address, "--listen", endpoint])
-    assert done.returncode == 4
-    (line,) = done.stderr.splitlines()
-    assert "Address already in use" in line
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--interface", "nosuch"], "nosuch"),
-        (["--interface", "socketcand", "--channel", "x"], "HOST:PORT"),
-        (["--variant", "rough"], "variant"),
-        (["--robot", "Cruiser 1"], "robot.name"),
-    ],
-)
-def test_a_wrong_flag_is_one_clear_line(words: list[str], says: str) -> None:
-    """Exit code 2, and the line names what is wrong."""
-    done = run(["gateway", "--listen", free_endpoint(), *words])
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
-    assert says in done.stderr
 
 
 DECISION = "fleet/cruiser-1/safety/decision"

@@ -141,13 +141,6 @@ def test_blindly_is_better_than_not_at_all() -> None:
         wait_until(listener.stands)
 
 
-def test_no_bus_is_one_clear_line() -> None:
-    """Exit code 4."""
-    done = halt("127.0.0.1:1")
-    assert done.returncode == 4
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_it_asks_for_the_priority_of_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is too busy for a gateway, which therefore ended, is too busy for it as well."""
     asked: list[int] = []

@@ -12,7 +12,6 @@ from schemas.settings import RobotSettings, Settings, ZenohSettings
 from tests.support.commands import run_command
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.gateway import FakeGateway, speech
-from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, STANDBY, STATE
 from tests.support.processes.tcp_proxy import TcpProxy
 from tests.support.waiting import StopWhen, nothing
@@ -133,14 +132,6 @@ def test_a_node_without_robots_is_a_failure(capsys: Capture) -> None:
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err == f"no robot is connected at {gateway.listen}\n"
-
-
-def test_nobody_there_is_unreachable() -> None:
-    """No Zenoh node answers: exit code 4, and the line says where it was looked for."""
-    endpoint = free_endpoint()
-    with pytest.raises(CommandError, match=f"no Zenoh node answered within 0.5 s at {endpoint}") as caught:
-        list_robots(endpoint, "--timeout", "0.5")
-    assert caught.value.code is ExitCode.UNREACHABLE
 
 
 def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(capsys: Capture) -> None:

@@ -43,23 +43,6 @@ def test_the_help_names_every_command() -> None:
     assert all(f"  {name} " in done.stdout for name in COMMANDS)
 
 
-def test_a_misspelt_command_is_told_the_nearest() -> None:
-    """A command that does not exist is a usage error that names the nearest one."""
-    done = cruiser("wach")
-    assert done.returncode == 2
-    assert done.stderr == "cruiser: there is no command 'wach'; did you mean 'watch'?\n"
-
-
-@pytest.mark.parametrize("command", ["decode", "list", "watch"])
-def test_a_wrong_configuration_stops_any_command_with_one_line(command: str) -> None:
-    """A configuration file that is not there ends in one line and exit code 2, whichever the command."""
-    done = cruiser(command, "--config", "/nowhere/robot.toml")
-    assert done.returncode == 2
-    assert done.stderr == (
-        f"cruiser {command}: cannot read the configuration file '/nowhere/robot.toml': no such file or directory\n"
-    )
-
-
 @pytest.mark.parametrize(
     ("redirection", "code", "says"),
     [(">&-", 0, ""), ("2>&-", 0, ""), (">/dev/full", 1, "No space left on device"), ("| true", 0, "")],

@@ -20,7 +20,7 @@ from gateway.cli.metrics_server import MetricsServer
 from gateway.metrics import FleetMetrics
 from gateway.provisioning.key_files import expires_s, read_certificates
 from gateway.zenoh.client import open_router
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError
 from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_session import close_session
 from tests.support.commands import run_command
@@ -152,17 +152,6 @@ def test_as_a_process_it_ends_when_it_is_told_to() -> None:
         address = running.wait_says(r"metrics: (http://127\.0\.0\.1:\d+/metrics), robots at tcp/")[1]
         assert scrape(address)["cruiser_exporter_connected", "", ""] == 0
         assert running.stop() == 0
-
-
-def test_an_address_that_is_taken_is_named() -> None:
-    """In one line, and exit code 4."""
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(
-            CommandError, match=f"cannot listen on 127.0.0.1:{port}: Address already in use"
-        ) as error:
-            MetricsServer(fleet(), "127.0.0.1", port)
-    assert error.value.code is ExitCode.UNREACHABLE
 
 
 def test_that_others_can_ask_is_said(caplog: pytest.LogCaptureFixture) -> None:

@@ -130,36 +130,6 @@ def test_seconds_end_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("flags", "code", "words"),
-    [
-        (["--listen", "nonsense"], ExitCode.USAGE, "HOST:PORT"),
-        (["--listen", "256.256.256.256:1"], ExitCode.UNREACHABLE, "cannot listen"),
-        (["--listen", "a..b:1"], ExitCode.UNREACHABLE, "cannot listen"),
-        (["--fault", "3s bumpr front on"], ExitCode.USAGE, "did you mean 'bumper'"),
-        (["--listen", "127.0.0.1:0", "--interface", "virtual"], ExitCode.USAGE, "exclude"),
-        (["--channel", "x"], ExitCode.USAGE, "--interface"),
-        (["--interface", "socketcand", "--channel", "127.0.0.1:9"], ExitCode.UNREACHABLE, "no bus"),
-    ],
-)
-def test_an_error_is_one_line_and_a_code(
-    flags: list[str], code: ExitCode, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """No traceback; the words say what to change."""
-    assert in_process("sim", *flags) == code
-    errors = capsys.readouterr().err
-    assert errors.startswith("cruiser sim: ")
-    assert words in errors
-    assert errors.count("\n") == 1
-
-
-def test_an_occupied_port_is_unreachable(running: Served, capsys: pytest.CaptureFixture[str]) -> None:
-    """The line names the address and the reason."""
-    address = f"{running.host}:{running.port}"
-    assert in_process("sim", "--listen", address) == ExitCode.UNREACHABLE
-    assert capsys.readouterr().err == f"cruiser sim: cannot listen on {address}: Address already in use\n"
-
-
 def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.CaptureFixture[str]) -> None:
     """The answer is on stdout, the effect on the bus."""
     place = f"{running.host}:{running.port}"
@@ -168,14 +138,6 @@ def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.Captur
     assert capsys.readouterr().out == "ok: transmitter remote\nok: sticks -0.5 -10\n"
     with running.bus() as bus:
         receive(bus, lambda message: message.arbitration_id == 0x18C4D1EF and message.data[1] == 2)
-
-
-def test_no_chassis_is_unreachable(capsys: pytest.CaptureFixture[str]) -> None:
-    """Nobody listens there."""
-    assert in_process("fault", "--sim", "a..b:9", "clear") == ExitCode.UNREACHABLE
-    assert capsys.readouterr().err.startswith("cruiser fault: no virtual chassis at a..b:9: ")
-    assert in_process("fault", "--sim", "127.0.0.1:9", "clear") == ExitCode.UNREACHABLE
-    assert capsys.readouterr().err.startswith("cruiser fault: no virtual chassis at 127.0.0.1:9: ")
 
 
 @pytest.mark.parametrize(

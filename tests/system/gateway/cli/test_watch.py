@@ -130,23 +130,6 @@ def test_a_robot_that_does_not_appear_is_unreachable() -> None:
     assert caught.value.code is ExitCode.UNREACHABLE
 
 
-@pytest.mark.parametrize("words", [[], ["cruiser-1"]])
-def test_nobody_there_is_unreachable(words: list[str]) -> None:
-    """No Zenoh node answers: exit code 4, and the line says where it was looked for."""
-    endpoint = free_endpoint()
-    with pytest.raises(CommandError, match=f"no Zenoh node answered within 0.5 s at {endpoint}") as caught:
-        watch(endpoint, *words, "--timeout", "0.5", stopped=StopWhen(lambda: False))
-    assert caught.value.code is ExitCode.UNREACHABLE
-
-
-def test_a_name_that_no_robot_can_have_is_a_usage_error() -> None:
-    """A wildcard of Zenoh's or a capital letter is not sent out as a key."""
-    for name in ("cruiser-$*", "Cruiser-1"):
-        with pytest.raises(CommandError, match="cannot be a robot") as caught:
-            watch(free_endpoint(), name, stopped=StopWhen(lambda: False))
-        assert caught.value.code is ExitCode.USAGE
-
-
 def test_some_robots_are_shown_by_a_pattern(capsys: Capture) -> None:
     """In the order of their numbers, after a line on all of them; others are not heard."""
     output = Output(capsys)

@@ -1,51 +1,30 @@
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
 from gateway.client.link import PERIOD_S
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
-from gateway.client.robot import Lease, Robot
+from gateway.client.robot import Robot
 from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason, cure_of
 from schemas.requests import Light, Role
-from schemas.settings import Settings, ZenohSettings
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
-from tests.support.fakes.robot import FakeRobot
+from tests.support.fakes.robot import FakeRobot, settings_for
 from tests.support.messages import STATE
 from tests.support.waiting import nothing, wait_until
 
 
-def connected(fake: FakeRobot, operator: str = "first") -> Robot:
-    """A robot as this operator sees it."""
-    return Robot.connect(fake.name, operator, settings_for(fake.listen), timeout_s=20)
-
-
-def settings_for(endpoint: str) -> Settings:
-    """Settings that connect there."""
-    return Settings(zenoh=ZenohSettings(connect=[endpoint]))
-
-
-@contextmanager
-def engaged(fake: FakeRobot) -> Iterator[tuple[Robot, Lease]]:
-    """First has the lease of an engaged robot whose brake is released."""
-    with connected(fake) as robot, robot.lease() as lease:
-        lease.engage()
-        lease.unpark()
-        yield robot, lease
-
-
 def test_the_age_of_the_commands_is_known() -> None:
-    """``robot.link_age_s``, the limit from it, and the deadman that was asked for."""
-    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+    """``robot.link_age_s``, the limit from it, and the deadman and the limit that were asked for."""
+    with FakeRobot() as fake, fake.seen_by() as robot, robot.lease() as lease:
         assert robot.link_age_s is None
-        lease.engage(deadman_s=0.9)
+        lease.engage(deadman_s=0.9, speed_limit_mps=0.3)
+        assert robot.state().state.speed_limit_mps == 0.3
         assert robot.wait_for(lambda state: state.link_age_s is not None, 5)
         age_s = robot.link_age_s
         assert age_s is not None
@@ -56,7 +35,7 @@ def test_the_age_of_the_commands_is_known() -> None:
 
 def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
     """Acquire, engage, drive, disengage: no command of the stream is refused from engaging on."""
-    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+    with FakeRobot() as fake, fake.engaged() as (robot, lease):
         wait_until(lambda: fake.speed_mps == 0.5, lambda: lease.drive(0.5, angle_deg=5.0))
         assert {one.requested_speed_mps for one in fake.refused("drive")} <= {0.0}, "before engage was received"
         first = fake.accepted("drive")[0].tick
@@ -75,14 +54,14 @@ def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
 )
 def test_each_way_to_turn_reaches_the_robot(turn: dict[str, float], angle_deg: float) -> None:
     """Straight on, an angle, a curvature and a yaw rate are asked for as the bicycle model says."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
+    with FakeRobot() as fake, fake.engaged() as (_, lease):
         wait_until(lambda: fake.accepted("drive")[-1].requested_speed_mps == 0.5, lambda: lease.drive(0.5, **turn))
         assert fake.accepted("drive")[-1].requested_angle_deg == pytest.approx(angle_deg, abs=0.001)
 
 
 def test_a_program_that_hangs_stands_and_stays_engaged(caplog: pytest.LogCaptureFixture) -> None:
     """A set point that is not renewed becomes zero speed, with a note; the stream itself goes on."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
+    with FakeRobot() as fake, fake.engaged() as (_, lease):
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
         wait_until(lambda: fake.speed_mps == 0.0)
         assert fake.state is ArbiterState.ENGAGED
@@ -90,27 +69,23 @@ def test_a_program_that_hangs_stands_and_stays_engaged(caplog: pytest.LogCapture
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
 
 
-def test_an_engaged_robot_that_is_not_driven_stays_engaged() -> None:
-    """Zero speed is sent for longer than the deadman and the lease would last without it."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
-        begun = len(fake.accepted("drive"))
-        wait_until(lambda: len(fake.accepted("drive")) > begun + 120)
-        assert fake.state is ArbiterState.ENGAGED
-        assert lease.is_engaged
-        assert fake.accepted("renew") == []
-
-
-def test_a_lease_without_a_drive_is_renewed() -> None:
-    """It outlives its time by several renewals."""
-    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+def test_a_lease_is_renewed_until_the_stream_renews_it() -> None:
+    """It outlives its time by several renewals; then zero speed is sent for longer than deadman and lease last."""
+    with FakeRobot() as fake, fake.seen_by() as robot, robot.lease() as lease:
         wait_until(lambda: len(fake.accepted("renew")) >= 6)
         lease.check()
         assert fake.accepted("drive") == []
+        lease.engage()
+        renewed, begun = len(fake.accepted("renew")), len(fake.accepted("drive"))
+        wait_until(lambda: len(fake.accepted("drive")) > begun + 120)
+        assert fake.state is ArbiterState.ENGAGED
+        assert lease.is_engaged
+        assert len(fake.accepted("renew")) == renewed
 
 
 def test_the_end_of_the_block_gives_the_lease_back_and_stops_the_robot() -> None:
     """Also when the body fails, and its error is not hidden."""
-    with FakeRobot() as fake, connected(fake) as robot:
+    with FakeRobot() as fake, fake.seen_by() as robot:
         with pytest.raises(ZeroDivisionError), robot.lease() as lease:  # noqa: PT012 - what happens is the point
             lease.engage()
             lease.unpark()
@@ -124,7 +99,7 @@ def test_the_end_of_the_block_gives_the_lease_back_and_stops_the_robot() -> None
 
 def test_a_stop_ends_the_stream_and_is_told_with_its_reason() -> None:
     """The next call says why; drive commands cease; a reset and engage bring it back, at zero speed."""
-    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+    with FakeRobot() as fake, fake.engaged() as (robot, lease):
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
         fake.front_bumper = True
         wait_until(lambda: not lease.is_engaged)
@@ -142,19 +117,9 @@ def test_a_stop_ends_the_stream_and_is_told_with_its_reason() -> None:
         assert fake.speed_mps == 0.0
 
 
-def test_the_hand_transmitter_ends_the_stream() -> None:
-    """A takeover is told like a stop."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
-        fake.mode = Mode.REMOTE
-        wait_until(lambda: not lease.is_engaged)
-        with pytest.raises(Stopped) as caught:
-            lease.drive(1.0)
-        assert caught.value.reason is Reason.HAND_TRANSMITTER
-
-
 def test_a_lease_that_is_taken_is_told_to_who_loses_it() -> None:
     """Who lost it can do nothing more with it; the robot was stopped."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease), connected(fake, "second") as theirs:
+    with FakeRobot() as fake, fake.engaged() as (_, lease), fake.seen_by("second") as theirs:
         with pytest.raises(Refused) as refusal, theirs.lease():
             pass
         assert refusal.value.reason is Reason.LEASE_HELD
@@ -172,9 +137,9 @@ def test_a_lease_that_was_lost_unseen_is_told_by_its_renewal() -> None:
     """The same operator took it elsewhere: safety/state names no other holder, but renew is refused."""
     with (
         FakeRobot() as fake,
-        connected(fake) as robot,
+        fake.seen_by() as robot,
         robot.lease() as lease,
-        connected(fake) as other,
+        fake.seen_by() as other,
         other.take(),
     ):
 
@@ -190,7 +155,7 @@ def test_a_lease_that_was_lost_unseen_is_told_by_its_renewal() -> None:
 
 def test_what_is_refused_says_why_and_what_would_cure_it() -> None:
     """Reason, detail and cure of the reply are in the exception; as an error of a command it exits with 5."""
-    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
+    with FakeRobot() as fake, fake.seen_by() as robot, robot.lease() as lease:
         with pytest.raises(Refused) as caught:
             lease.park()
         assert caught.value.reason is Reason.NOT_ENGAGED
@@ -205,7 +170,7 @@ def test_what_is_refused_says_why_and_what_would_cure_it() -> None:
 
 def test_park_may_follow_at_once_when_zero_is_asked_for() -> None:
     """The zero is in the stream, the question is not: it waits until the robot has heard the zero."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
+    with FakeRobot() as fake, fake.engaged() as (_, lease):
         for _ in range(5):
             wait_until(lambda: fake.speed_mps == 0.3, lambda: lease.drive(0.3))
             lease.drive(0.0)
@@ -221,7 +186,7 @@ def test_park_may_follow_at_once_when_zero_is_asked_for() -> None:
 
 def test_every_verb_of_the_lease_does_its_part() -> None:
     """Park, unpark, light, horn and odometer are accepted while engaged; engaging twice is refused here."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
+    with FakeRobot() as fake, fake.engaged() as (_, lease):
         lease.light(headlamp=True, left=True)
         lease.horn(on=True)
         lease.horn(on=False)
@@ -232,27 +197,13 @@ def test_every_verb_of_the_lease_does_its_part() -> None:
             lease.engage()
         assert caught.value.reason is Reason.ALREADY_ENGAGED
         assert lease.is_engaged
-        for verb, times in {
-            "light": 1,
-            "horn": 2,
-            "park": 1,
-            "unpark": 2,
-            "clear_odometer": 1,
-            "engage": 1,
-        }.items():
-            assert len(fake.accepted(verb)) == times
-
-
-def test_a_lower_speed_limit_holds_until_disengaged() -> None:
-    """engage(speed_limit_mps) is the limit in force."""
-    with FakeRobot() as fake, connected(fake) as robot, robot.lease() as lease:
-        lease.engage(speed_limit_mps=0.3)
-        assert robot.state().state.speed_limit_mps == 0.3
+        counts = {"light": 1, "horn": 2, "park": 1, "unpark": 2, "clear_odometer": 1, "engage": 1}
+        assert {verb: len(fake.accepted(verb)) for verb in counts} == counts
 
 
 def test_what_returns_is_done_and_what_follows_is_taken() -> None:
     """Unless nobody waits: then a stop sequence is under way, and the next request lets it end."""
-    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+    with FakeRobot() as fake, fake.engaged() as (robot, lease):
         lease.disengage(wait=False)
         with pytest.raises(Refused, match="stopping"):
             lease.engage(wait=False)
@@ -278,7 +229,7 @@ def test_what_returns_is_done_and_what_follows_is_taken() -> None:
 
 def test_what_is_latched_after_a_reset_was_asked_for_is_not_reset() -> None:
     """The reset waits for the end of a stop, and nobody has seen what comes meanwhile."""
-    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+    with FakeRobot() as fake, fake.engaged() as (robot, lease):
         robot.stop(30, wait=False)
         latch = threading.Timer(0.1, fake.flow.arbiter.engagement.latch, (Reason.OVERSPEED, "", fake.now_ns))
         latch.start()
@@ -286,30 +237,32 @@ def test_what_is_latched_after_a_reset_was_asked_for_is_not_reset() -> None:
             lease.reset()
         latch.join()
         assert caught.value.reason is Reason.OVERSPEED
-        assert set(fake.flow.arbiter.latches.details) == {Reason.REMOTE_STOP, Reason.OVERSPEED}
+        assert fake.latched == {Reason.REMOTE_STOP, Reason.OVERSPEED}
 
 
-def test_the_remote_stop_needs_no_lease() -> None:
-    """From anyone, at once, and the robot is latched; it is sent as puts as well."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease), connected(fake, "second") as theirs:
+def test_the_remote_stop_needs_no_lease_and_a_takeover_is_told_like_a_stop() -> None:
+    """From anyone, at once, also as puts. What is not carried out is never ok alone."""
+    with FakeRobot() as fake, fake.engaged() as (_, lease), fake.seen_by("second") as theirs:
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
         theirs.stop(30)
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
+        assert Reason.REMOTE_STOP in fake.latched
         wait_until(lambda: not lease.is_engaged)
         assert fake.puts.count("stop") > 1
-
-
-def test_a_remote_stop_that_cannot_be_carried_out_is_an_error() -> None:
-    """Row 'a stop that cannot be carried out: never ok alone': latched, and the text says what the robot does."""
-    with FakeRobot(mode=Mode.REMOTE) as fake, connected(fake) as robot:
+        lease.reset("second")
+        lease.engage()
+        fake.mode = Mode.REMOTE
+        wait_until(lambda: not lease.is_engaged)
+        with pytest.raises(Stopped) as caught:
+            lease.drive(1.0)
+        assert caught.value.reason is Reason.HAND_TRANSMITTER
         with pytest.raises(Refused, match=r"is not stopped.*hand_transmitter.*the robot stands"):
-            robot.stop(30)
-        assert Reason.REMOTE_STOP in fake.flow.arbiter.latches.details
+            theirs.stop(30)
+        assert Reason.REMOTE_STOP in fake.latched
 
 
 def test_state_has_an_age_and_an_end() -> None:
     """The newest safety/state is given while it is fresh; a robot that falls silent is out of reach."""
-    with FakeRobot() as fake, engaged(fake) as (robot, lease):
+    with FakeRobot() as fake, fake.engaged() as (robot, lease):
         assert 0 <= robot.state().age_s <= 1
         assert robot.state().state.lease_holder == "first"
         fake.mute = True
@@ -331,25 +284,21 @@ def test_state_has_an_age_and_an_end() -> None:
 def test_events_are_heard_those_of_before_too() -> None:
     """Each event once, in order."""
     with FakeRobot() as fake:
-        with connected(fake) as robot, robot.lease():
+        with fake.seen_by() as robot, robot.lease():
             pass
-        with connected(fake, "second") as robot:
+        with fake.seen_by("second") as robot:
             texts: list[str] = []
             wait_until(lambda: len(texts) >= 2, lambda: texts.extend(event.text for event in robot.events()))
             assert texts == ["first has acquired the lease as operator", "first gave the lease back"]
             assert robot.events() == []
 
 
-def test_who_does_not_answer_is_unreachable() -> None:
-    """A robot that is heard but answers nothing: the question ends with what was not answered."""
-    with FakeRobot() as fake, connected(fake) as robot:
+def test_a_robot_that_is_not_there_is_unreachable() -> None:
+    """No node, a node without the robot, a gateway without an arbiter, and one that answers nothing."""
+    with FakeRobot() as fake, fake.seen_by() as robot:
         fake.deaf = True
         with pytest.raises(Unreachable, match="did not answer acquire"), robot.lease():
             pass
-
-
-def test_a_robot_that_is_not_there_is_unreachable() -> None:
-    """No node, a node without the robot, and a gateway without an arbiter are told apart."""
     endpoint = free_endpoint()
     with pytest.raises(Unreachable, match="no Zenoh node answered"):
         Robot.connect("cruiser-1", "first", settings_for(endpoint), timeout_s=0.2)
@@ -378,7 +327,7 @@ def test_a_name_that_cannot_be_is_one_clear_error() -> None:
 
 def test_a_lease_outside_its_block_is_an_error_of_the_program() -> None:
     """Neither before nor after, and no two at a time."""
-    with FakeRobot() as fake, connected(fake) as robot:
+    with FakeRobot() as fake, fake.seen_by() as robot:
         lease = robot.lease()
         with pytest.raises(ValueError, match="within its with statement"):
             lease.drive(1.0)
@@ -390,7 +339,7 @@ def test_a_lease_outside_its_block_is_an_error_of_the_program() -> None:
 
 def test_a_link_that_stalls_ends_in_a_stop_not_in_a_resumption() -> None:
     """Set points of before are not driven when the robot is heard again."""
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
+    with FakeRobot() as fake, fake.engaged() as (_, lease):
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0, hold_s=2.0))
         fake.mute = True
         wait_until(lambda: fake.state is not ArbiterState.ENGAGED)
@@ -404,7 +353,7 @@ def test_a_link_that_stalls_ends_in_a_stop_not_in_a_resumption() -> None:
 def test_the_stream_has_the_rate_of_the_contract() -> None:
     """At least 20 commands a second, by the robot's clock, and at most 50 a second, by the sender's."""
     begun_s = time.monotonic()
-    with FakeRobot() as fake, engaged(fake) as (_, lease):
+    with FakeRobot() as fake, fake.engaged() as (_, lease):
         wait_until(lambda: len(fake.accepted("drive")) > 60, lambda: lease.drive(0.1))
         drives = [one for one in list(fake.decisions) if one.request == "drive"]
         elapsed_s = time.monotonic() - begun_s

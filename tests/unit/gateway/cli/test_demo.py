@@ -4,18 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli import demo
 from gateway.cli.child import fresh
 from gateway.cli.demo import describe
 from schemas.command_line import CommandError
-from tests.support.commands import run_command
-
-
-@pytest.mark.parametrize("text", ["5", "1e6"])
-def test_its_length_is_bounded(text: str) -> None:
-    """The line says what it should be. A fleet and its desk may be shown for any time."""
-    with pytest.raises(CommandError, match="must be from 20 to 86400"):
-        run_command(demo, "--seconds", text, stopped=lambda: True)
 
 
 def test_a_viewer_is_given_the_path_of_a_topic_in_the_log() -> None:

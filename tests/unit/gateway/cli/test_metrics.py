@@ -24,14 +24,6 @@ def test_it_listens_on_this_machine_unless_asked(words: list[str], address: tupl
     assert parsed(metrics, *words).listen == address
 
 
-@pytest.mark.parametrize("text", ["9747", "localhost:9747", "127.0.0.1:", "127.0.0.1:65536", "127.0.0.1:-1", ""])
-def test_what_is_no_address_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """With an example of one."""
-    with pytest.raises(SystemExit):
-        parsed(metrics, "--listen", text)
-    assert "is not an address and a port, such as 0.0.0.0:9747" in capsys.readouterr().err
-
-
 def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     """The product does not need it otherwise."""
     for name in [name for name in sys.modules if name.startswith("prometheus_client")]:

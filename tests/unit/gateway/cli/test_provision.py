@@ -498,29 +498,6 @@ def test_nothing_is_written_through_a_link(fleet: ProvisionedFleet, tmp_path: Pa
 # What is wrong.
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("robot", "Cruiser 1"), "'Cruiser 1' cannot be a name"),
-        (("router", "\u00fc.example"), "'\\xfc.example' cannot be a name"),
-        (("robot", "cruiser_1"), "one name, of the form"),
-        (("operator", "ann/bea"), "ann/bea"),
-        (("viewer", "x" * 65), "x" * 65),
-        (("renew", "robot"), "robot.grant is not there; 'cruiser provision install' writes it"),
-        (("renew", "viewer"), "viewer-tls.pem is not there; 'cruiser provision install' writes it"),
-        (("sign", "no.request"), "no.request is not there"),
-        (("install", "no.bundle"), "no.bundle is not there"),
-        (("authority", "--standby", "no.pub", "--router", ENDPOINT), "'cruiser provision standby' makes it"),
-        (("rotate", "no.json"), "no.json is not there"),
-        (("revoke",), "what is to be revoked?"),
-        (("revoke", "ann"), "no authority's key is in"),
-    ],
-)
-def test_what_is_missing_or_misspelt_is_one_line(words: tuple[str, ...], says: str) -> None:
-    """It names what is wrong, and what makes what is missing."""
-    assert says in refused(*words)
-
-
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "router.example:7447", "tls/router.example", ""])
 def test_an_endpoint_without_tls_is_refused(fleet: ProvisionedFleet, endpoint: str) -> None:
     """Before any key is made."""
@@ -647,29 +624,6 @@ def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -
     request = fleet.request("viewer", "hall")
     text = refused("sign", request, "--directory", fleet.authority, "--speed-limit", "1", "--override")
     assert text == "--override, --speed-limit: nothing of that is for a viewer"
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--verbs", "drive,fly"),
-        ("--role", "robot"),
-        ("--speed-limit", "0"),
-        ("--speed-limit", "101"),
-        ("--robots", "Depot"),
-        ("--hours", "0"),
-        ("--days", "4000"),
-    ],
-)
-def test_what_cannot_be_granted_is_refused_as_usage(
-    fleet: ProvisionedFleet, words: tuple[str, str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Before anything is read."""
-    with pytest.raises(SystemExit, match="2"):
-        run("sign", "some.request", "--directory", fleet.authority, *words)
-    said = capsys.readouterr().err
-    assert words[0] in said
-    assert "seconds" not in said
 
 
 def test_certificates_end_after_thirty_days(fleet: ProvisionedFleet) -> None:
