@@ -49,10 +49,7 @@ class Measure(msgspec.Struct, frozen=True):
 
     Attributes:
         name: as PromQL has it.
-        field: of the message.
-        about: its help.
         label: besides those that say of whom it is; empty if there is none.
-        divisor: of the field's value, for base units.
     """
 
     name: str
@@ -282,7 +279,6 @@ class _Group(msgspec.Struct):
 
     Attributes:
         prefix: of the metrics that say whether they are there.
-        label: of their names.
         kinds: the classes of their messages; the first is the health, without which they count as silent.
     """
 
@@ -306,7 +302,6 @@ class FleetMetrics:
     """The samples of a fleet as metric families.
 
     Attributes:
-        linked: this end is connected to Zenoh.
         certificate_ends_s: when its own certificate ends, seconds since 1970; None if it has none.
     """
 
@@ -324,7 +319,6 @@ class FleetMetrics:
         """Take in a sample or a change of a token. What is nobody's is ignored; what cannot be read is counted.
 
         Args:
-            heard: what arrived.
             since_ns: when was looked for arrivals before this time, monotonic: what waited while this process was
                 held up may be as old as that.
             wall_s: now, seconds since 1970.

@@ -101,10 +101,7 @@ class AccessRow(msgspec.Struct, frozen=True):
     """A row of the table: what nodes of these roles send to the router, or receive from it.
 
     Attributes:
-        id: its name.
-        roles: of the nodes.
         flow: ingress is what the router receives from them, egress what they receive from it.
-        messages: kinds of messages, in Zenoh's words.
         keys: key expressions; a message passes if one of them includes all of its own.
     """
 
@@ -119,7 +116,6 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
     """All that may be said between the router and any node.
 
     Args:
-        root: first chunks of every key.
         robot: the name of the robot whose own file it is for: it speaks, and is spoken to, under this name alone,
             but for a stop or a statement that is for all robots. The router does not know robots' names.
     """
@@ -207,11 +203,7 @@ def zenoh_configuration(
     """The Zenoh configuration of a node, to be written as JSON, which is JSON5.
 
     Args:
-        role: of the node.
-        root: first chunks of every key.
-        directory: the place of its certificate and key.
         endpoints: where a router listens; for any other node, where the routers are.
-        robot: a robot's name.
 
     Raises:
         ValueError: an endpoint is of a protocol without certificates, or there is none.
@@ -291,7 +283,6 @@ def _access_control(rows: list[AccessRow], at_the_other_end: tuple[TransportRole
     """Zenoh's form of the rows. Every subject has names: one without would be everybody.
 
     Args:
-        rows: of the table.
         at_the_other_end: of the links; empty for the router, at whose other ends are the roles of the rows.
     """
     rules: list[Json] = [
@@ -421,8 +412,6 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """A request to be let in.
 
     Attributes:
-        version: of this form.
-        role: as what.
         names: of the robot, the person, or the hosts; the first one is the name in a grant.
         csr: request for a certificate, PEM; empty in a browser's, which connects with its desk's.
         key: for the grant, Ed25519; none where none is wanted.
@@ -446,12 +435,7 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class FleetPlace(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The place of a fleet on Zenoh: the content of ``fleet.json``.
-
-    Attributes:
-        root: first chunks of every key.
-        routers: endpoints of its routers.
-    """
+    """The place of a fleet on Zenoh: the content of ``fleet.json``."""
 
     root: Annotated[str, Meta(pattern=rf"^{ROOT_PATTERN}\Z")]
     routers: Annotated[list[Endpoint], Meta(min_length=1, max_length=16)]
@@ -461,9 +445,6 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """The answer to an enrolment: certificates, keys of the authority and a grant.
 
     Attributes:
-        role, name: of the request.
-        authority: the fleet's.
-        fleet: its place on Zenoh.
         certificate: for the TLS key, and of who signed it, PEM; empty where none was asked for.
         shut_out: the same of the role ``nothing``, by which a robot tests its network; empty for all others.
         ca: the network's authority, PEM.
@@ -497,14 +478,9 @@ def new_request(
     """A request, proven by each of its keys.
 
     Args:
-        role: as what.
         names: see ``EnrolmentRequest``.
-        csr: the request for a certificate.
         private: the key that the grant is to be for.
         tls: the key of ``csr``.
-
-    Raises:
-        EnrolmentError: a name is not of its form.
     """
     key = None if private is None else private.public_key().public_bytes_raw().hex()
     request = EnrolmentRequest(version=REQUEST_VERSION, role=role, names=names, csr=csr, key=key)
@@ -518,11 +494,7 @@ def new_request(
 
 
 def read_request(text: bytes) -> EnrolmentRequest:
-    """A request, both of its proofs checked.
-
-    Raises:
-        EnrolmentError: it is none, or a proof is wrong.
-    """
+    """A request, both of its proofs checked."""
     request = _decoded(text, EnrolmentRequest, "request")
     if request.version != REQUEST_VERSION:
         raise EnrolmentError(
@@ -580,11 +552,7 @@ def read_bundle(text: bytes, now_s: int) -> Bundle:
     """A bundle whose maker, and whose grant, were held against the authority that it names itself.
 
     Args:
-        text: the two lines.
         now_s: seconds since 1970.
-
-    Raises:
-        EnrolmentError: it is none, was changed, or is nobody's who may make one.
     """
     body, _, proof = text.rstrip(b"\n").partition(b"\n")
     match = _PROOF.fullmatch(proof)
@@ -607,11 +575,7 @@ def read_bundle(text: bytes, now_s: int) -> Bundle:
 
 
 def chain_of(text: bytes) -> list[Signed]:
-    """The statements of a file: of a statement's own, or the grant in a bundle.
-
-    Raises:
-        EnrolmentError: it holds none.
-    """
+    """The statements of a file: of a statement's own, or the grant in a bundle."""
     chain = read_chain(text)
     if not isinstance(chain, StatementFault):
         return chain
@@ -633,8 +597,6 @@ def authority_fingerprint(authority: AuthorityKeys, fleet: FleetPlace, ca: str) 
     """The fingerprint of an authority, which covers all that a machine takes over of it.
 
     Args:
-        authority: its keys.
-        fleet: the fleet's place on Zenoh.
         ca: the network's authority, PEM, as it stands in the file.
     """
     keys = (bytes.fromhex(authority.active), bytes.fromhex(authority.standby))

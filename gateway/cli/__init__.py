@@ -1,1 +1,4 @@
-"""The command ``cruiser``."""
+"""The command ``cruiser``.
+
+What a person can put right ends a command as a ``CommandError``: one line and an exit code, which ``main`` prints.
+"""

@@ -33,8 +33,6 @@ class Child:
     It ends when this process is gone, also by SIGKILL.
 
     Args:
-        name: of the command.
-        words: its arguments.
         environment: all of its environment. Where it names no settings file, none is meant.
     """
 
@@ -84,11 +82,7 @@ class Child:
                 stream.close()
 
     def wait_ready(self) -> str:
-        """Its first line.
-
-        Raises:
-            CommandError: it ended instead, or says nothing.
-        """
+        """Its first line."""
         if not self._spoke.wait(READY_TIMEOUT_S):
             raise CommandError(f"{self._name} does not get ready")
         line = self._said[0] if self._said else ""
@@ -123,11 +117,7 @@ class Child:
                 raise CommandError(f"{self._name} has ended") from error
 
     def end(self) -> str:
-        """Ask it to stop. Returns its stdout.
-
-        Raises:
-            CommandError: it ended before, or does not end.
-        """
+        """Ask it to stop. Returns its stdout."""
         self.check()
         self._process.terminate()
         try:
@@ -150,11 +140,7 @@ class Child:
 
 
 def address_of(chassis: Child) -> str:
-    """Return HOST:PORT of a virtual chassis that was started on a free port.
-
-    Raises:
-        CommandError: it does not report its address.
-    """
+    """Return HOST:PORT of a virtual chassis that was started on a free port."""
     ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
     if ready is None:
         raise CommandError("the virtual chassis does not say where it is")
@@ -170,11 +156,7 @@ def free_port() -> int:
 
 
 def fresh(directory: Path) -> Path:
-    """The first of DIR, DIR-2, DIR-3 and so on that holds nothing yet.
-
-    Raises:
-        CommandError: it cannot be looked at.
-    """
+    """The first of DIR, DIR-2, DIR-3 and so on that holds nothing yet."""
 
     def candidates() -> Iterator[Path]:
         yield directory

@@ -40,9 +40,7 @@ def settings_file(
     """Return the settings file of a command; None for none.
 
     Args:
-        command: its name.
         path: the value of ``--config``.
-        environ: environment variables.
         action: of ``record``, by which somebody asks a recorder.
     """
     if path is not None:
@@ -58,11 +56,7 @@ def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[s
 
     Args:
         path: the TOML file; if None, the one that the environment names; if it names none, no file.
-        environ: environment variables.
         flags: values by dotted key, such as ``can.channel``.
-
-    Raises:
-        CommandError: the file, or the Zenoh file that it names, cannot be read, or a key or a value is wrong.
     """
     if path == "":
         # As with --config "$FILE" where FILE is not set: a robot must not start with settings that nobody meant.
@@ -81,12 +75,6 @@ def unread_file(command: str, path: str | None, environ: Mapping[str, str], sett
 
     It is looked for in the working directory and in that of the keys. Empty if there is none, and where the lack
     of a file (``CRUISER_CONFIG=``), the mode, or for all but a gateway the place to connect to is stated.
-
-    Args:
-        command: its name.
-        path: the file that was read.
-        environ: environment variables.
-        settings: those in force.
     """
     stated = {CONFIG_VARIABLE, SETTINGS["authority.mode"].variable} & environ.keys()
     is_placed = command != "gateway" and not settings.zenoh.given.isdisjoint({"connect", "config"})

@@ -171,11 +171,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Decode until the input ends. Exit code 3 if a line was not candump's.
-
-    Raises:
-        CommandError: the file cannot be read.
-    """
+    """Decode until the input ends. Exit code 3 if a line was not candump's."""
     decoder = FrameDecoder(frames.load(_variant(settings)))
     all_read = True
     source = _open(arguments.file)

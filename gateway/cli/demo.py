@@ -82,11 +82,7 @@ def add_desk_arguments(parser: argparse._ArgumentGroup) -> None:
 
 
 def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
-    """Run until it is stopped.
-
-    Raises:
-        CommandError: a part of it does not start, or ends by itself.
-    """
+    """Run until it is stopped."""
     endpoint = arguments.endpoint or with_port(DEFAULT_ENDPOINT, _port(split_endpoint(DEFAULT_ENDPOINT)[2]))
     listen = shown_address(*(arguments.listen or (HOST, _port(DESK_PORT))))
     configuration = [] if arguments.config is None else ["--config", arguments.config]
@@ -132,11 +128,7 @@ class VirtualRobot:
     """A chassis and its gateway, with its guard. Another gateway takes the place of one that died.
 
     Args:
-        name: of the robot.
-        configuration: words that name the configuration.
         endpoint: where it is met.
-        state: the directory of what outlives its gateway.
-        stack: ends its processes.
     """
 
     def __init__(
@@ -165,11 +157,7 @@ class VirtualRobot:
         self.gateway = self._stack.enter_context(Child("gateway", words, environment=self._environment))
 
     def tend(self, tell: Callable[[str], None]) -> None:
-        """Start another gateway where one has died, and tell of it, and of the guard's work.
-
-        Raises:
-            CommandError: the chassis has ended, or the gateway dies again and again.
-        """
+        """Start another gateway where one has died, and tell of it, and of the guard's work."""
         self.chassis.check()
         if self.gateway.is_over:
             if self._begun > BEGUN_MAX:
@@ -271,11 +259,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the demo that was asked for.
-
-    Raises:
-        CommandError: a part of it does not start, ends by itself, or does not do what it should.
-    """
+    """Run the demo that was asked for."""
     if arguments.desk:
         return run_desk(arguments, stopped)
     length_s = 30.0 if arguments.seconds is None else arguments.seconds
@@ -325,9 +309,6 @@ def _record(
     """Run chassis, gateway, recorder and operators; return the log.
 
     All of them read the configuration that the demo was given; only the places where they meet are the demo's own.
-
-    Raises:
-        CommandError: one of them does not do what it should; it names the log.
     """
     robot = settings.robot
     endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -364,10 +345,7 @@ class Play:
     """Two operators drive a robot through the arbiter's work; whatever happens is printed, with its time.
 
     Args:
-        settings: of the robot and of Zenoh.
         words: of a command that reaches the robot; the last is its endpoint.
-        children: the chassis first.
-        stopped: the demo is to end.
     """
 
     def __init__(
@@ -383,11 +361,7 @@ class Play:
         self._seen = self._connect(OBSERVER)
 
     def run(self, eight_s: float) -> None:
-        """Play all of it.
-
-        Raises:
-            CommandError: it is to end, or the robot does something else than it should.
-        """
+        """Play all of it."""
         with self._seen:
             try:
                 self._act(FIRST, partial(self._eight, eight_s))
@@ -473,11 +447,7 @@ class Play:
         self._go_on(seconds, partial(lease.drive, speed_mps, angle_deg=angle_deg))
 
     def _go_on(self, seconds: float, renew: Callable[[], None] = lambda: None) -> None:
-        """Let time pass, and print what happens.
-
-        Raises:
-            CommandError: the demo is to end, or a process of it has ended.
-        """
+        """Let time pass, and print what happens."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             if self._stopped():

@@ -85,11 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Serve the desk until it is stopped.
-
-    Raises:
-        CommandError: a package is missing, the address is taken or needs a certificate, or no Zenoh node answers.
-    """
+    """Serve the desk until it is stopped."""
     try:
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
         from gateway.cli.desk_server import Hub, make_app, make_logs_app, serve  # noqa: PLC0415 - needs the extra 'desk'
@@ -137,11 +133,7 @@ def _tell(text: str) -> None:
 
 
 def _site(text: str) -> tuple[str, str]:
-    """A site, and the pattern of its robots' names.
-
-    Raises:
-        CommandError: it is none.
-    """
+    """A site, and the pattern of its robots' names."""
     site, _, pattern = text.rpartition("=")
     if not (site.strip() and pattern.strip()):
         raise CommandError(f"desk.sites: {text!a} is not SITE=PATTERN, as 'hall 1=cruiser-1*'", ExitCode.USAGE)
@@ -149,11 +141,7 @@ def _site(text: str) -> tuple[str, str]:
 
 
 def _address(listen: str) -> tuple[str, int]:
-    """The address to listen on.
-
-    Raises:
-        CommandError: it is none.
-    """
+    """The address to listen on."""
     try:
         return listen_address(listen)
     except argparse.ArgumentTypeError as error:
@@ -161,11 +149,7 @@ def _address(listen: str) -> tuple[str, int]:
 
 
 def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
-    """The files of the certificate and its key; None where browsers come from this machine alone.
-
-    Raises:
-        CommandError: one of them is missing where it is needed, or cannot be used.
-    """
+    """The files of the certificate and its key; None where browsers come from this machine alone."""
     try:
         return usable_certificate(settings.certificate, settings.key, host)
     except CommandError as error:
@@ -173,11 +157,7 @@ def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens.
-
-    Raises:
-        CommandError: the address is taken, or not one of this machine.
-    """
+    """Return a socket that listens."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)
@@ -187,11 +167,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
 
 def usable_certificate(chain: Path | str | None, key: Path | str | None, host: str) -> tuple[Path, Path] | None:
-    """Return the files of the certificate and its key; None where browsers come from this machine alone.
-
-    Raises:
-        CommandError: one of them is missing where it is needed, or cannot be used.
-    """
+    """Return the files of the certificate and its key; None where browsers come from this machine alone."""
     files = certificate_files(chain, key, host, "browsers")
     if files is None:
         return None

@@ -52,7 +52,6 @@ class JobDone(msgspec.Struct, frozen=True):
 
     Attributes:
         code: its exit code; None if it was given up, or could not be started.
-        output: its stdout.
         fault: the end of its stderr, or the reason that there is no answer.
     """
 
@@ -66,11 +65,7 @@ class JobsBusyError(Exception):
 
 
 class Jobs:
-    """Runs a few questions at a time; the others wait, in a line that is not endless.
-
-    Args:
-        at_a_time: processes that run at once.
-    """
+    """Runs a few questions at a time; the others wait, in a line that is not endless."""
 
     def __init__(self, at_a_time: int = 1) -> None:
         self._turns = asyncio.Semaphore(at_a_time)
@@ -194,7 +189,6 @@ class Viewer(msgspec.Struct, frozen=True):
     """A program in the browser that opens a log by its address.
 
     Attributes:
-        name: its host, for people.
         origin: of its pages, as browsers say it.
     """
 
@@ -204,11 +198,7 @@ class Viewer(msgspec.Struct, frozen=True):
 
 
 def viewer(text: str) -> Viewer:
-    """Return the viewer at this address.
-
-    Raises:
-        CommandError: it is no address of a web page.
-    """
+    """Return the viewer at this address."""
     try:
         parts = urlsplit(text)
         port = parts.port
@@ -234,18 +224,13 @@ class DeskLogs:
     """A directory of logs, and the viewers whose pages may read them.
 
     Attributes:
-        directory: of the logs.
         scratch: a directory of its own, which goes at the end.
         jobs: the line in which questions about one log wait.
     """
 
     @classmethod
     def open(cls, directory: str, viewers: Sequence[str] = ()) -> Self:
-        """Return the logs of this directory, which ``desk.logs`` names.
-
-        Raises:
-            CommandError: it is no directory, or may not be read; or a viewer's address is none.
-        """
+        """Return the logs of this directory, which ``desk.logs`` names."""
         return cls(_readable_directory(directory).absolute(), [viewer(one) for one in viewers])
 
     def __init__(self, directory: Path, viewers: Sequence[Viewer] = ()) -> None:
@@ -417,11 +402,7 @@ def _last_line(text: str) -> str:
 
 
 def _readable_directory(directory: str) -> Path:
-    """Return the path of a directory that may be read.
-
-    Raises:
-        CommandError: it is no directory, or may not be read.
-    """
+    """Return the path of a directory that may be read."""
     if not os.path.isdir(directory):  # noqa: PTH112 - Path raises where a directory above may not be read
         raise CommandError(f"{directory} is no directory (desk.logs)", ExitCode.USAGE)
     if not os.access(directory, os.R_OK | os.X_OK):

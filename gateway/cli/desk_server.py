@@ -114,12 +114,7 @@ FULL: Final = "Too many pages of this address are open here. Close one, and try 
 
 
 class Door:
-    """Takes connections in for an ASGI server, and is its outermost application.
-
-    Args:
-        app: the application inside.
-        listening: the socket, bound.
-    """
+    """Takes connections in for an ASGI server, and is its outermost application."""
 
     def __init__(self, app: ASGIApp, listening: socket.socket) -> None:
         self._app = app
@@ -138,7 +133,6 @@ class Door:
 
         Args:
             make_protocol: makes a protocol of the server, with what it puts into the state of its scopes.
-            context: with it connections are TLS.
         """
         self._make_protocol = make_protocol
         self._context = context
@@ -293,7 +287,6 @@ class _Connection(asyncio.BufferedProtocol):
     """One connection: what it says waits here, and goes on to the server's protocol in portions.
 
     Attributes:
-        peer: whose it is.
         inner: the server's protocol: of HTTP, and after it of a WebSocket.
     """
 
@@ -497,13 +490,9 @@ class Browser:
     """One browser that is connected.
 
     Attributes:
-        outbox: what waits to be sent to it.
-        ready: set when something does.
         questions: those under way, by the browser's own numbers.
-        replies: how many came to each of them.
         stops: robots that it has stopped, as long as the outcome is looked for.
         is_new_look: it has not got the last minutes of the robot that it looks at.
-        looked_ns: when it got some last.
     """
 
     def __init__(self) -> None:
@@ -774,7 +763,6 @@ def make_app(hub: Hub, hosts: Sequence[str], logs: DeskLogs | None = None) -> St
 
     Args:
         hub: where browsers are let in.
-        hosts: names under which the desk is reached.
         logs: those that browsers may read, if any.
     """
 
@@ -848,7 +836,6 @@ def _make_site(routes: Sequence[BaseRoute], hosts: Sequence[str]) -> Starlette:
     """Make an application: its routes, and below them the files of the page.
 
     Args:
-        routes: those that come first.
         hosts: names under which it is reached. A request with another Host header is refused: it comes from a page
             whose name was made to point here (DNS rebinding).
     """
@@ -862,12 +849,7 @@ def _make_site(routes: Sequence[BaseRoute], hosts: Sequence[str]) -> Starlette:
 
 
 def _is_own(scheme: str, headers: Headers) -> bool:
-    """Return True if the page that asks comes from this very server. Browsers say so truly, and always.
-
-    Args:
-        scheme: of the request, http or https.
-        headers: of the request.
-    """
+    """Return True if the page that asks comes from this very server. Browsers say so truly, and always."""
     return headers.get("origin") == f"{scheme}://{headers.get('host')}"
 
 

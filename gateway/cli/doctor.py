@@ -104,11 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Say what is wrong. Exit code 0 if nothing is, or nothing that has to be done.
-
-    Raises:
-        CommandError: a setting cannot be used at all.
-    """
+    """Say what is wrong. Exit code 0 if nothing is, or nothing that has to be done."""
     if getattr(arguments, "zenoh.config") is None and SETTINGS["zenoh.config"].variable not in os.environ:
         _check_role(settings)
     names_bus = (getattr(arguments, "can.interface"), getattr(arguments, "can.channel")) != (None, None)
@@ -130,11 +126,7 @@ def _tried(settings: Settings) -> str:
 
 
 def _check_role(settings: Settings) -> None:
-    """Check that the settings are not those of somebody who looks and drives: the findings would be a robot's.
-
-    Raises:
-        CommandError: they are.
-    """
+    """Check that the settings are not those of somebody who looks and drives: the findings would be a robot's."""
     role = role_of(Path(settings.zenoh.config)) if settings.zenoh.config else ""
     if role in OTHER_ROLES and not (directory_of(settings.authority) / KEY_FILE.format(who="robot")).exists():
         raise CommandError(
@@ -159,13 +151,7 @@ def look(
     """Look at everything.
 
     Args:
-        settings: of the robot.
-        timeout_s: for answers on Zenoh.
-        stopped: ends the waiting.
         follows_gateway: look at the bus of the gateway that runs, if that is another than the settings'.
-
-    Raises:
-        CommandError: a setting cannot be used at all.
     """
     now_s = time.time()
     zenoh = ask(settings, timeout_s, stopped)

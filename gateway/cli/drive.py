@@ -230,10 +230,7 @@ class Cockpit(msgspec.Struct, frozen=True):
     """All that is shown.
 
     Attributes:
-        lease: its number.
-        speed_mps, angle_deg: the target of a held key.
         wish: the motion that the held key asks for.
-        message: the last one for the person.
     """
 
     robot: str
@@ -346,11 +343,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Drive. Exit code 1 if the robot was stopped, or did not move; 3 if a script's drive was ended early.
-
-    Raises:
-        CommandError: it is refused, is stopped, does not come to rest, or does not answer.
-    """
+    """Drive. Exit code 1 if the robot was stopped, or did not move; 3 if a script's drive was ended early."""
     by_script = arguments.seconds is not None
     if by_script and arguments.speed is None:
         raise CommandError("--seconds wants --speed too", ExitCode.USAGE)
@@ -422,11 +415,7 @@ class _Keys:
         self._is_leaving = False
 
     def drive(self, stopped: Callable[[], bool]) -> None:
-        """Drive until the person leaves, and bring the robot to rest.
-
-        Raises:
-            CommandError: the lease is lost, the robot is not heard any more, or was not seen to come to rest.
-        """
+        """Drive until the person leaves, and bring the robot to rest."""
         # On the other screen, as in 'cruiser watch': nobody reads an old view as the present one.
         with (
             Live(console=Console(), auto_refresh=False, screen=True) as live,

@@ -184,12 +184,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _join(
     settings: Settings, signed: SignedMode | None
 ) -> tuple[ZenohNode | LateNode, CommandInbox | LateInbox | None, ZenohPlace]:
-    """Open the gateway's sessions. A client whose router is away, or lets it in no more, joins later.
-
-    Raises:
-        CommandError: a setting is wrong, or somebody else has the robot's name; or, where others connect to this
-            gateway, a certificate or a key is wrong.
-    """
+    """Open the gateway's sessions. A client whose router is away, or lets it in no more, joins later."""
     try:
         (node, inbox), place = _open_sessions(settings, signed)
     except SessionError as error:

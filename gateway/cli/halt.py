@@ -94,12 +94,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 class HaltSequence:
-    """One halt: listen, judge, send.
-
-    Attributes:
-        outcome: its end, in words.
-        frames: number of frames sent.
-    """
+    """One halt: listen, judge, send."""
 
     def __init__(
         self, bus: Bus, settings: Settings, stopped: Callable[[], bool], wait_ns: int = HALT_YIELD_NS

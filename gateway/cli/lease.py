@@ -41,11 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show the holder of the lease, or hold it until interrupted.
-
-    Raises:
-        CommandError: it is refused or lost, or nobody answers.
-    """
+    """Show the holder of the lease, or hold it until interrupted."""
     with connect(arguments, settings, stopped) as robot:
         if arguments.hold or arguments.take or arguments.override or arguments.engage:
             with wanted_lease(robot, arguments) as lease:

@@ -80,9 +80,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """List the robots, several after a line on all of them.
 
     Exit code 0 if there are any, 1 if there are none, 3 if one is lost or not all may be in the list.
-
-    Raises:
-        CommandError: no Zenoh node answers, or it does not say in time who is connected.
     """
     where = place(settings.zenoh)
     expected = Expected(settings)
@@ -121,11 +118,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def check_role(config: str) -> None:
-    """Check that the certificate of a Zenoh file is not of a role that sees no robot.
-
-    Raises:
-        CommandError: it is.
-    """
+    """Check that the certificate of a Zenoh file is not of a role that sees no robot."""
     from gateway.provisioning.key_files import role_of  # noqa: PLC0415 - only where nobody is seen
 
     if (role := role_of(Path(config))) in BLIND_ROLES:
@@ -176,11 +169,7 @@ class Expected:
 
 
 class _Search:
-    """Looks for robots until all have sent their state and health and no other appears.
-
-    Attributes:
-        linked: a Zenoh node is connected.
-    """
+    """Looks for robots until all have sent their state and health and no other appears."""
 
     def __init__(self, listener: RobotListener, root: str, expected: Iterable[str]) -> None:
         self.linked = False

@@ -40,11 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Serve the metrics until it is stopped.
-
-    Raises:
-        CommandError: a package is missing, the address is taken, a certificate is wrong, or no Zenoh node answers.
-    """
+    """Serve the metrics until it is stopped."""
     try:
         from gateway.cli.metrics_server import MetricsServer  # noqa: PLC0415 - needs the extra 'metrics'
         from gateway.metrics import FleetMetrics  # noqa: PLC0415 - the same

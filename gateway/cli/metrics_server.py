@@ -42,11 +42,7 @@ class MetricsServer(Collector):
 
         Args:
             metrics: the served ones; from here on this server's alone.
-            host: an IP address.
             port: 0 is a free one.
-
-        Raises:
-            CommandError: the address is taken, or not one of this machine.
         """
         self._metrics = metrics
         self._lock = threading.Lock()

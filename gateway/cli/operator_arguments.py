@@ -63,11 +63,7 @@ def wanted_lease(robot: Robot, arguments: argparse.Namespace) -> Lease:
 
 
 def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> Robot:
-    """Connect as the arguments say. Who names a robot that is not there learns which are.
-
-    Raises:
-        CommandError: see ``Robot.connect``.
-    """
+    """Connect as the arguments say. Who names a robot that is not there learns which are."""
     try:
         return Robot.connect(arguments.robot, arguments.operator or "", settings, arguments.timeout, stopped)
     except Unreachable as error:
@@ -117,11 +113,7 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
 
 
 def come_to_rest(lease: Lease, robot: Robot) -> None:
-    """Disengage, if the robot is engaged, and wait until its stop sequence has ended.
-
-    Raises:
-        CommandError: it has not.
-    """
+    """Disengage, if the robot is engaged, and wait until its stop sequence has ended."""
     if lease.is_engaged:
         lease.disengage(wait=False)
     robot.wait_for_rest()

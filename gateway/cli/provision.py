@@ -116,11 +116,7 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
 
     Args:
         arguments: as ``add_grant_arguments`` declares them.
-        request: the applicant's.
         last: the last grant to the same key; None if there was none.
-
-    Raises:
-        CommandError: a flag does not fit the applicant's role.
     """
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
     if request.role is not EnrolmentRole.OPERATOR and set(given) - _FOR_ALL:
@@ -225,11 +221,7 @@ class _Answer(msgspec.Struct, frozen=True):
 
 
 def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
-    """Show robots a statement, once or again and again.
-
-    Raises:
-        CommandError: the file holds no statement, or Zenoh cannot be opened.
-    """
+    """Show robots a statement, once or again and again."""
     file = Path(arguments.statement)
     try:
         chain = chain_of(read_input(file))
@@ -462,11 +454,7 @@ def _add_statements(add: Add) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> int:
-    """Do it.
-
-    Raises:
-        CommandError: a file is missing or wrong, or something may not be done.
-    """
+    """Do it."""
     passphrase = Passphrase(
         getattr(arguments, "passphrase_file", None), is_wanted=not getattr(arguments, "no_passphrase", False)
     )

@@ -39,11 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Reset the robot.
-
-    Raises:
-        CommandError: it is refused, or nobody answers.
-    """
+    """Reset the robot."""
     with connect(arguments, settings, stopped) as robot:
         if arguments.lease is not None:
             cleared = robot.reset(arguments.lease, arguments.of, wait=arguments.wait)

@@ -48,11 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Route until it is stopped.
-
-    Raises:
-        CommandError: the file is missing or wrong, or an endpoint cannot be used.
-    """
+    """Route until it is stopped."""
     file = Path(settings.zenoh.config) if settings.zenoh.config else directory_of(settings.authority) / FILE
     if not file.is_file():
         raise CommandError(f"{plain(str(file))} is not there; 'cruiser provision router' makes it", ExitCode.USAGE)

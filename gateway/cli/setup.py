@@ -100,11 +100,9 @@ class Answers(msgspec.Struct, frozen=True):
     """Answers of the person or the flags, and findings.
 
     Attributes:
-        name: the robot's.
         root: first chunks of every key; empty leaves the settings' own.
         interface, channel, bitrate: the bus; 0 bit/s is one that has no bit rate, such as vcan.
         routers: Zenoh endpoints; none keeps the robot to its own machine, or to what its Zenoh file says.
-        keys: services that have a certificate.
         has_network_file: systemd-networkd has a file for the interface already: a drop-in says the bit rate.
         free_bytes: of the disk of the logs, with what the logs take.
     """
@@ -284,11 +282,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Set the robot up. The exit code is that of the examination at the end.
-
-    Raises:
-        CommandError: something is wrong: nothing was written yet, or the text says what could not be.
-    """
+    """Set the robot up. The exit code is that of the examination at the end."""
     del settings  # Those of the file that is to be written count, not those of who asks.
     if arguments.config is not None:
         raise CommandError(f"the settings go to {CONFIGURATION}, and --config names no other", ExitCode.USAGE)
@@ -325,11 +319,7 @@ class Machine:
         return self._root / name.lstrip("/")
 
     def write(self, name: str, text: str) -> None:
-        """Write a file that all may read, whole or not at all. What was there before is kept beside it.
-
-        Raises:
-            CommandError: it cannot be written.
-        """
+        """Write a file that all may read, whole or not at all. What was there before is kept beside it."""
         path = self.path(name)
         try:
             before = path.read_text("utf-8") if path.exists() else None
@@ -429,11 +419,7 @@ def _answers(
 
 
 def _ask(prompt: str, default: str, check: Callable[[str], object]) -> str:
-    """The person's answer.
-
-    Raises:
-        CommandError: there is nobody to ask.
-    """
+    """The person's answer."""
     if not sys.stdin.isatty():
         raise CommandError("there is no terminal to ask: --defaults asks nothing", ExitCode.USAGE)
     while True:
@@ -463,11 +449,7 @@ def _interface(machine: Machine, interface: str, channel: str) -> CanInterface |
 def _refuse_where_driven(
     machine: Machine, answers: Answers, before: Settings, stopped: Callable[[], bool]
 ) -> None:
-    """Listen to the bus as it is: services are started again, and a bit rate changed, only where nobody drives.
-
-    Raises:
-        CommandError: the robot moves, or somebody commands it.
-    """
+    """Listen to the bus as it is: services are started again, and a bit rate changed, only where nobody drives."""
     can = msgspec.structs.replace(
         before.can, interface=answers.interface, channel=answers.channel, bitrate=answers.bitrate
     )
@@ -494,11 +476,7 @@ def _refuse_where_driven(
 
 
 def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
-    """The bundles that were named, by their files.
-
-    Raises:
-        CommandError: one is none, is somebody else's file, or its certificate is over.
-    """
+    """The bundles that were named, by their files."""
     bundles = {}
     for file in map(Path, files):
         name = plain(str(file))
@@ -523,11 +501,7 @@ def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
 
 
 def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path, Bundle]) -> None:
-    """Have the authority of bundles compared where it is not known here.
-
-    Raises:
-        CommandError: it is another than was given, or nobody has compared it.
-    """
+    """Have the authority of bundles compared where it is not known here."""
     fresh = []
     for file, bundle in bundles.items():
         if arguments.fingerprint not in {None, bundle.fingerprint}:
@@ -546,11 +520,7 @@ def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path
 
 
 def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> None:
-    """Install a bundle where its service has its keys, as its user.
-
-    Raises:
-        CommandError: it does not fit the keys there, or cannot be written.
-    """
+    """Install a bundle where its service has its keys, as its user."""
     service, name = SERVICE_OF[bundle.role], plain(str(file))
     directory = machine.path(f"{KEYS}/{service}")
     try:

@@ -70,8 +70,6 @@ def has_waited(error: CommandError, zenoh: ZenohSettings, ends: Callable[[], boo
     """Wait until a session opens that did not, or until the end.
 
     Args:
-        error: why it did not.
-        zenoh: the settings of the session.
         ends: turns true when the service is stopped.
 
     Returns:

@@ -210,11 +210,7 @@ def live(
 
     Args:
         chassis: powered up at the clock's monotonic time.
-        link: the bus.
         stopped: turns true when the run should end.
-        clock: the time.
-        lines: faults, one a line.
-        answer: receives the result of each of them.
         seconds: ends the run by itself after this time.
     """
     summary = SimSummary()

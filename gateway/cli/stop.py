@@ -54,9 +54,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Stop. Exit code 0 if all that are there are seen to stop, 3 if one is not, 4 if all are silent.
 
     It is 3 too where an answer cannot be verified, and where nobody knows whether those are all.
-
-    Raises:
-        CommandError: nobody answered, no session opens, or the arguments are wrong.
     """
     if bool(arguments.robots) is arguments.all:
         raise CommandError("name a robot, or give --all", ExitCode.USAGE)

@@ -30,7 +30,6 @@ class VerbCommand(msgspec.Struct, frozen=True):
     """A command that asks an engaged robot for one thing.
 
     Attributes:
-        EXAMPLE: for its help.
         request: from its arguments and the number of the lease.
         add_flags: declares those that it alone has.
         lasts: its effect ends when the robot is disengaged, so there is something to keep.
@@ -56,11 +55,7 @@ class VerbCommand(msgspec.Struct, frozen=True):
         self.add_flags(parser)
 
     def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-        """Ask the robot, and keep it engaged where that is what lasts.
-
-        Raises:
-            CommandError: it is refused, or nobody answers.
-        """
+        """Ask the robot, and keep it engaged where that is what lasts."""
         with connect(arguments, settings, stopped) as robot:
             if arguments.lease is not None:
                 self._ask(robot, arguments, arguments.lease)

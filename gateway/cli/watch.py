@@ -60,11 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show the robots' messages until interrupted.
-
-    Raises:
-        CommandError: no Zenoh node answers, or the robot does not appear.
-    """
+    """Show the robots' messages until interrupted."""
     robot: str = arguments.robot
     if robot and re.fullmatch(ROBOTS_PATTERN, robot) is None:
         raise CommandError(f"{plain(robot)!r} cannot be a robot: its name is {ROBOTS_PATTERN}", ExitCode.USAGE)

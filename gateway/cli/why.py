@@ -52,9 +52,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
     A robot that is reached and not met, in signed mode, is asked all the same: its own keys may be what is wrong.
     What it says then is not verified, and the exit code is 1.
-
-    Raises:
-        CommandError: nothing is received from the robot.
     """
     try:
         with connect(arguments, settings, stopped) as robot:

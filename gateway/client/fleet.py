@@ -73,7 +73,6 @@ class SampleRead(msgspec.Struct, frozen=True, gc=False):
     """A sample of a robot or a recorder.
 
     Attributes:
-        parts: of its key.
         message: what it says, or why that cannot be read.
         unknown: what in it a newer version says and this one does not know.
     """
@@ -100,11 +99,7 @@ def read_sample(received: Received) -> SampleRead | None:
 
 
 class NewerWords:
-    """Words and fields of a newer version that this one does not know: each counted, and logged once.
-
-    Attributes:
-        counts: samples by what is unknown in them.
-    """
+    """Words and fields of a newer version that this one does not know: each counted, and logged once."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -171,9 +166,7 @@ class RobotStatus(msgspec.Struct, frozen=True):
         connected: its liveliness token is there. That is no proof of health.
         state: the last state; null if it is too old, or if there was none.
         state_age_s: time since the last state arrived; null if there was none.
-        health: the last health, with the same rule.
         unreadable: why the last sample that could not be read could not; empty if all could.
-        linked: this end is connected to Zenoh.
         newer: what a newer version says and this one does not know; empty if nothing.
         safety: the last of the arbiter's states, with the same rule; null where there is no arbiter.
     """
@@ -222,8 +215,6 @@ class Source:
     """The last samples of a robot or a recorder.
 
     Attributes:
-        connected: its liveliness token is there.
-        heard_ns: when anything of it arrived last.
         unreadable: why the last sample could not be read; empty if it could.
         newer: what a newer version says and this one does not know.
     """
@@ -288,7 +279,6 @@ class Sources:
         """Return the names of those that are there or were there, as people order them.
 
         Args:
-            now_ns: the time.
             forgets: asked of each that may be forgotten. One that is lost stays until somebody has seen it, or
                 until another was refused.
         """

@@ -117,7 +117,6 @@ class DriveStream:
     between others that contradict it.
 
     Attributes:
-        lease: its number.
         is_shared: commands of somebody else were accepted under the lease. It has to be given back: so the robot
             stops.
         ending: why nothing is sent any more; None while all is well, or nobody engaged.
@@ -319,8 +318,6 @@ class Sighting(msgspec.Struct, frozen=True):
     """The newest that was heard of the robot.
 
     Attributes:
-        state: what its arbiter says.
-        age_s: time since it was heard.
         chassis: what its chassis does; None if that was not heard lately.
         health: how its gateway was when it last said so; None if it has not.
     """
@@ -335,8 +332,6 @@ class RobotLink:
     """A robot's link: what is heard of it, and what is sent to it.
 
     Attributes:
-        robot: its name.
-        commands: the session for commands.
         heard: the lock of everything here, notified when something was heard.
         unreadable: why the last sample that could not be read could not; empty if all could.
     """

@@ -231,8 +231,6 @@ class StopProof:
 
         Args:
             robots: the trusted robots; the signer itself, if there is one. Or why no robot can be verified.
-            root: first chunks of every key.
-            signer: the operator's key and grant.
             may_stop_all: the certificate lets its holder stop all robots at once.
         """
         self.name = "" if signer is None else signer.name

@@ -95,7 +95,6 @@ def event_line(event: SafetyEvent, now_ns: int) -> str:
     """An event and how long ago it was; or, where the robot's clock was set back since, its time.
 
     Args:
-        event: the event to put in words.
         now_ns: by the robot's clock, which need not be this machine's.
     """
     ago_s = (now_ns - event.time_ns) / 1e9
@@ -143,8 +142,6 @@ class RobotError(CommandError):
     """The robot does not do what was requested.
 
     Attributes:
-        reason: why, one enumeration for all of it.
-        detail: the reason in words, with figures.
         cure: the way to make it succeed, by the library's methods.
     """
 

@@ -52,12 +52,7 @@ ROLL_POLL_S: Final = 0.02
 
 
 class RollCall:
-    """Asks again and again who is connected. On a busy network robots answer later than they follow each other.
-
-    Attributes:
-        robots: those that answered.
-        is_answered: everybody who is linked has answered.
-    """
+    """Asks again and again who is connected. On a busy network robots answer later than they follow each other."""
 
     def __init__(self, port: CommandPort | RobotListener, root: str) -> None:
         self.robots: set[str] = set()
@@ -132,11 +127,7 @@ REST_S: Final = 8.0
 
 
 class NotSentError(CommandError):
-    """No session opened, so nothing was sent, and no robot is stopped.
-
-    Attributes:
-        cause: the reason.
-    """
+    """No session opened, so nothing was sent, and no robot is stopped."""
 
     def __init__(self, cause: CommandError) -> None:
         super().__init__(f"no stop was sent: {cause}", cause.code)
@@ -148,7 +139,6 @@ class Unverified(msgspec.Struct, frozen=True):
 
     Attributes:
         stops: all answers are that it stops, and all that was received of it shows that it stands, latched.
-        says: the answers, and the states, in words.
         why: the reason for which they cannot be verified.
         cure: the way to make it succeed; empty if ``why`` has it.
     """
@@ -220,9 +210,7 @@ def stop_from_here(
 
     Args:
         settings: where the robots are, and in signed mode where keys and grant are.
-        robot: its name, or a pattern of names.
         operator: who stops; if empty, the name of the grant, or else the login name.
-        timeout_s: how long to wait.
         stopped: gives up when it turns true.
         told: with it the end of the stop sequences is waited for too.
 
@@ -295,11 +283,6 @@ def stop(
     """Stop a robot, or several; returns once all stand or cannot be stopped, or after the timeout.
 
     Args:
-        port: to the robot, or to all.
-        root: of the keys.
-        robot: its name, or a pattern of names.
-        timeout_s: how long to wait.
-        look: at what the robots publish.
         stopped: gives up when it turns true.
         doubt: why an answer that the port does not accept cannot be verified.
 

@@ -214,12 +214,7 @@ _EVENT: Final = f"/{BY_TYPE[SafetyEvent].name}"
 
 
 class FleetView:
-    """All robots and recorders under a root, and their last minutes; those that came first, if there are too many.
-
-    Attributes:
-        histories: the last minutes of each robot.
-        is_full: there are more than are shown.
-    """
+    """All robots and recorders under a root, or the first of too many, and their last minutes."""
 
     def __init__(self, root: str, sites: Sequence[tuple[str, str]] = ()) -> None:
         """Look at the keys below a root; a robot belongs to the first site whose pattern its name matches."""

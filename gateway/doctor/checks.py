@@ -85,11 +85,8 @@ class Check(msgspec.Struct, frozen=True):
     """A row.
 
     Attributes:
-        name: of the finding.
-        about: what is looked at.
         means: what was found, if anything was.
         cure: what cures it. ROBOT, CHANNEL and BITRATE stand for the robot's.
-        look: finds it.
         is_note: the robot works all the same: it is said, and changes no exit code.
     """
 
@@ -102,14 +99,7 @@ class Check(msgspec.Struct, frozen=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
-    """A finding, in words.
-
-    Attributes:
-        check: the name of the check.
-        text: what is wrong, in one line.
-        cure: what cures it.
-        is_note: the robot works all the same.
-    """
+    """A finding, in words."""
 
     check: str
     text: str

@@ -26,7 +26,6 @@ class CanInterface(msgspec.Struct, frozen=True):
         bitrate: bit/s; None if it has none, or if nobody could be asked.
         controller: the controller's state in the kernel's words, such as BUS-OFF; empty if it is not known.
         restart_ms: time after which a controller that is off the bus comes back; None if it is not known.
-        queue_frames: its transmit queue (txqueuelen).
     """
 
     is_present: bool = False
@@ -61,13 +60,9 @@ class ZenohReport(msgspec.Struct, frozen=True):
         place: where it was connected to, in words.
         why_not: why nothing is connected there; empty if something is.
         is_blind: it was asked with the robot's own certificate, which sees no telemetry.
-        is_named: the robot's liveliness token is there.
-        gateways: gateways that answer to the robot's name.
         health, safety, state: the newest of the robot; None if there was none.
-        ahead_s: the robot's clock against this machine's.
         clock_moved_s: so far somebody has set the robot's clock since its gateway started; below zero: back.
         settings: those of the one gateway that answers; None if they are not known.
-        recorders: the newest of each recorder.
     """
 
     place: str = ""
@@ -89,7 +84,6 @@ class ServiceUnit(msgspec.Struct, frozen=True):
 
     Attributes:
         name: such as ``cruiser-gateway.service``.
-        state: such as active, failed, inactive.
         result: why it ended last, in systemd's word; success if it did not fail, or if that is forgotten.
         restarts: how often systemd has started it again since it was started by hand or at boot.
         locked_bytes: memory that its process has locked; None if it has no process.
@@ -108,10 +102,7 @@ class LogDisk(msgspec.Struct, frozen=True):
     """The file system of the logs.
 
     Attributes:
-        directory: of the logs.
         why_not: why it cannot be written to; empty if it can.
-        is_read_only: it is mounted so.
-        free_bytes, size_bytes: of the file system.
         used_bytes: by the logs.
     """
 
@@ -127,7 +118,6 @@ class Credential(msgspec.Struct, frozen=True):
     """A certificate with its key, or a grant.
 
     Attributes:
-        name: what it is, and where.
         problem: what is wrong with it, with its cure, in one line; empty if nothing is.
         warning: that it ends soon; the same.
         ends_s: when it ends, seconds since 1970; None if that is not known.
@@ -143,8 +133,6 @@ class Facts(msgspec.Struct, frozen=True):
     """All that is judged.
 
     Attributes:
-        settings: those of the robot.
-        version: of this program.
         now_s: this machine's clock, seconds since 1970.
         earliest_s: a time that is past for certain: when this was installed, or the newest that the authority
             said.
@@ -159,10 +147,7 @@ class Facts(msgspec.Struct, frozen=True):
         interface: the CAN interface; None where the bus is none of the kernel's.
         claims: gateways of this machine that command the bus.
         bus: what was received of it; None if it was not listened to, because a gateway reports it.
-        zenoh: what was received there.
         disk: that of the logs; None where no recorder is to run on this machine.
-        units: those of systemd's that are installed.
-        credentials: those that are installed.
     """
 
     settings: Settings
@@ -202,7 +187,6 @@ class Way(NamedTuple):
     """The way that a robot goes on at its highest speed, on level ground.
 
     Attributes:
-        event: why it stops.
         notice_m: until that is noticed.
         notice_setting: what makes this shorter if it is lowered; empty if none does.
         stop_m: from there until it stands, with the lag of the virtual chassis's drive.
@@ -225,9 +209,7 @@ class Reach(NamedTuple):
     """All of them.
 
     Attributes:
-        speed_mps: the highest speed that the settings allow.
         speed_setting: the one that bounds it.
-        ways: those from this speed.
     """
 
     speed_mps: float

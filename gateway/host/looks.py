@@ -128,9 +128,6 @@ def listen(
 
     Where the chassis is heard and a frame that is needed is not, it is listened for three: on a busy computer
     frames come late.
-
-    Raises:
-        CommandError: the settings name an interface that python-can does not have.
     """
     try:
         bus = opener(settings)

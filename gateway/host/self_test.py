@@ -150,11 +150,7 @@ class Intruder(SessionOwner):
         """Connect to an endpoint.
 
         Args:
-            settings: the gateway's.
-            endpoint: a router's, or one of its own.
             certificate: of the role ``nothing``.
-            key: the certificate's.
-            wires: the subscribers that would notice them.
 
         Raises:
             CommandError: there is nobody, or the certificate is not accepted.
@@ -203,11 +199,8 @@ def intrude(
     """Try everything at an endpoint, with a certificate that has no right.
 
     Args:
-        settings: the gateway's.
         endpoint: a router's, or one of the gateway's own.
         certificate: of the role ``nothing``.
-        key: the certificate's.
-        session: one that has the robot's own certificate.
         pause: waits for so many seconds.
     """
     wires = Tripwires(settings, session)

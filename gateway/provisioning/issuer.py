@@ -72,11 +72,7 @@ SHARED: Final = (AUTHORITY_FILE, CA_FILE, FLEET_FILE)
 
 
 def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace: bool) -> EnrolmentRequest:
-    """Make the keys of a machine or a person. Returns the request to be let in.
-
-    Raises:
-        CommandError: keys are there already and not to be replaced, or a name is not of its form.
-    """
+    """Make the keys of a machine or a person. Returns the request to be let in."""
     wrong = next((name for name in names if re.fullmatch(NAME_PATTERN, name) is None), None)
     if wrong is not None:
         raise CommandError(f"{wrong!a} cannot be a name: it is not of the form {NAME_PATTERN}", ExitCode.USAGE)
@@ -96,11 +92,7 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
 
 
 def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
-    """The names under which somebody was let in here: of the grant, or else of the certificate.
-
-    Raises:
-        CommandError: the grant or the certificate is missing or wrong.
-    """
+    """The names under which somebody was let in here: of the grant, or else of the certificate."""
     if role.is_granted:
         try:
             return [_granted_name(store, role)]
@@ -127,11 +119,7 @@ def _certified_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
 
 
 def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> EnrolmentRequest:
-    """A request with the keys that are there.
-
-    Raises:
-        CommandError: a key is missing or wrong.
-    """
+    """A request with the keys that are there."""
     cure = remade(role.value)
     tls = store.p256(tls_key_name(role), cure)
     private = store.ed25519(KEY_FILE.format(who=role.value), cure) if role.is_granted else None
@@ -142,7 +130,6 @@ class Installed(msgspec.Struct, frozen=True):
     """The result of an installation.
 
     Attributes:
-        files: names of the files.
         certificate_until_s: seconds since 1970.
     """
 
@@ -154,14 +141,9 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
     """Write what a bundle holds, if it is for the keys that are here.
 
     Args:
-        store: the place of the keys.
         bundle: was checked against the authority that it names.
-        replace: over what is there.
         is_compared: somebody compared the authority's fingerprint. Without that no other authority takes the
             place of the one that is here, whoever carried the bundle.
-
-    Raises:
-        CommandError: it is for other keys, of another authority, or something is there already.
     """
     role, who = bundle.role, bundle.role.value
     until_s = _check_certificate(store, bundle)
@@ -320,12 +302,7 @@ _AUTHORITY_CURE: Final = "'cruiser provision authority' makes it"
 
 
 class Serials(msgspec.Struct, frozen=True):
-    """The last numbers that were given. They never go back.
-
-    Attributes:
-        grant, revocations, rotation: of statements of each kind.
-        epoch: of new grants.
-    """
+    """The last numbers that were given. They never go back."""
 
     grant: int = 0
     revocations: int = 0
@@ -368,8 +345,6 @@ class Wanted(msgspec.Struct, frozen=True):
     """The terms of a grant to be issued.
 
     Attributes:
-        verbs, robots, override, speed_limit_mps: as in a grant.
-        role: of a person.
         lasts_s: seconds.
     """
 
@@ -382,11 +357,7 @@ class Wanted(msgspec.Struct, frozen=True):
 
 
 class Issuer:
-    """An authority with its keys.
-
-    Attributes:
-        store: the place of its files.
-    """
+    """An authority with its keys."""
 
     def __init__(self, store: KeyStore, private: Ed25519PrivateKey) -> None:
         self.store = store
@@ -394,11 +365,7 @@ class Issuer:
 
     @classmethod
     def open(cls, store: KeyStore) -> Self:
-        """The authority whose keys are here.
-
-        Raises:
-            CommandError: they are not here, or a file of it is wrong.
-        """
+        """The authority whose keys are here."""
         if not store.has(AUTHORITY_KEY):
             raise CommandError(
                 f"no authority's key is in {store.directory}: --directory says where it is", ExitCode.USAGE
@@ -426,11 +393,7 @@ class Issuer:
         return authority_fingerprint(self.authority, self.fleet, self.ca)
 
     def sign(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> tuple[bytes, Grant | None]:
-        """Let somebody in. Returns the bundle and the grant that is in it.
-
-        Raises:
-            CommandError: the request contradicts itself, or is of a key that was revoked.
-        """
+        """Let somebody in. Returns the bundle and the grant that is in it."""
         name, role = request.names[0], request.role
         applicant = read_request(request.csr) if request.csr else None
         if applicant and (applicant.role != role.value or sorted(applicant.names) != sorted(request.names)):
@@ -486,9 +449,6 @@ class Issuer:
         """Return who else was let in under the name of a request, or by its key; empty if nobody was.
 
         A key that was revoked is nobody's. A key and a name that were let in together are no others.
-
-        Raises:
-            CommandError: a file of the authority is damaged, or the request for a certificate is.
         """
         role, name, holder = request.role.value, request.names[0], _holder(request)
         revoked = set(map(bytes.fromhex, self._revoked().keys))
@@ -504,11 +464,7 @@ class Issuer:
         return ""
 
     def issued(self) -> list[Issued]:
-        """Everybody who was let in, the first one first.
-
-        Raises:
-            CommandError: the file is damaged.
-        """
+        """Everybody who was let in, the first one first."""
         if not self.store.has(ISSUED_FILE):
             return []
         lines = self.store.read(ISSUED_FILE, "").splitlines()
@@ -519,11 +475,7 @@ class Issuer:
             raise CommandError(f"{path} is damaged: {error}", ExitCode.USAGE) from error
 
     def revoke(self, keys: list[str], grants: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
-        """A new list of all that is revoked: what was, and this. With a raised epoch the list begins anew.
-
-        Raises:
-            CommandError: a file is missing or damaged, or the list is longer than a robot takes.
-        """
+        """A new list of all that is revoked: what was, and this. With a raised epoch the list begins anew."""
         before, serials = self._revoked(), serials_of(self.store)
         path = self.store.path(REVOCATIONS_FILE)
         if serials.revocations > before.serial and not raise_epoch:
@@ -596,11 +548,7 @@ class Issuer:
 
 
 def make_standby(store: KeyStore, *, replace: bool) -> str:
-    """Make the standby key of an authority. Returns its public half, hexadecimal.
-
-    Raises:
-        CommandError: it is there already.
-    """
+    """Make the standby key of an authority. Returns its public half, hexadecimal."""
     private = Ed25519PrivateKey.generate()
     public = private.public_key().public_bytes_raw().hex()
     files = {STANDBY_KEY: store.pem(private, is_protected=True), STANDBY_FILE: f"{public}\n"}
@@ -614,14 +562,8 @@ def make_authority(
     """Make the authority of a fleet, and that of its network.
 
     Args:
-        store: the place for its files.
         standby: public half of the standby key, hexadecimal.
-        fleet: the fleet's place on Zenoh.
         now_s: seconds since 1970.
-        replace: over what is there.
-
-    Raises:
-        CommandError: it is there already.
     """
     private, ca = Ed25519PrivateKey.generate(), new_key()
     authority = AuthorityKeys(private.public_key().public_bytes_raw().hex(), standby)
@@ -645,11 +587,7 @@ def _holder(request: EnrolmentRequest) -> bytes:
 
 
 def rotate(store: KeyStore, authority: AuthorityKeys, now_s: int) -> Signed:
-    """A rotation to another authority, signed by the standby key.
-
-    Raises:
-        CommandError: the standby key is not here.
-    """
+    """A rotation to another authority, signed by the standby key."""
     private = store.ed25519(STANDBY_KEY, "'cruiser provision standby' makes it")
     serials = serials_of(store)
     serial = max(serials.rotation, now_s) + 1
@@ -666,20 +604,12 @@ def state(private: Ed25519PrivateKey, statement: Statement) -> Signed:
 
 
 def serials_of(store: KeyStore) -> Serials:
-    """The last numbers that were given.
-
-    Raises:
-        CommandError: the file is damaged.
-    """
+    """The last numbers that were given."""
     if not store.has(SERIALS_FILE):
         return Serials()
     return store.read_as(SERIALS_FILE, Serials, "numbers must not go back: restore it from a copy")
 
 
 def save_serials(store: KeyStore, serials: Serials) -> None:
-    """Keep the numbers.
-
-    Raises:
-        CommandError: they cannot be written.
-    """
+    """Keep the numbers."""
     store.write({SERIALS_FILE: msgspec.json.encode(serials).decode() + "\n"}, replace=True)

@@ -80,13 +80,7 @@ class CertificateError(CommandError):
 
 
 class Applicant(msgspec.Struct, frozen=True):
-    """The applicant in a certificate request whose signature was verified.
-
-    Attributes:
-        role: the common name.
-        names: of hosts or of the node.
-        key: fingerprint of the key.
-    """
+    """The applicant in a certificate request whose signature was verified."""
 
     role: str
     names: list[str]
@@ -112,11 +106,7 @@ def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]
 
 
 def read_request(text: str) -> Applicant:
-    """Return the applicant of a certificate request.
-
-    Raises:
-        CertificateError: it is no request, or not signed by its own key.
-    """
+    """Return the applicant of a certificate request."""
     return _applicant(_request(text))
 
 
@@ -125,13 +115,8 @@ def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCur
 
     Args:
         text: the request. Its names and its key are taken over; what else it wants is not.
-        role: that of the node.
         certificates: of the authority that signs first; while two count, that of the former one too.
-        key: of the authority that signs.
         now_s: seconds since 1970.
-
-    Raises:
-        CertificateError: the request, or the authority's certificate, cannot be used.
     """
     request, authority = _request(text), read_certificates(certificates)[0]
     usage = [_SERVER, _CLIENT] if role in LISTENING else [_CLIENT]
@@ -145,11 +130,7 @@ def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCur
 
 
 def read_certificates(text: str) -> list[x509.Certificate]:
-    """The certificates of a PEM file, at least one.
-
-    Raises:
-        CertificateError: there is none, or one is damaged.
-    """
+    """The certificates of a PEM file, at least one."""
     try:
         return x509.load_pem_x509_certificates(text.encode())
     except (ValueError, UnsupportedAlgorithm) as error:
@@ -162,12 +143,7 @@ def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool
 
 
 def is_issued(chain: Sequence[x509.Certificate], roots: Sequence[x509.Certificate]) -> bool:
-    """Return True if each certificate is signed by the next one, and the last by a root (RFC 5280, 6.1).
-
-    Args:
-        chain: of a node, its own first.
-        roots: of the network's authorities.
-    """
+    """Return True if each certificate is signed by the next one, and the last by a root (RFC 5280, 6.1)."""
     above = [one for one in chain[1:] if one not in roots]
     return all(
         any(_is_signer(signer, one) for signer in signers)
@@ -322,12 +298,7 @@ PUBLIC: Final = frozenset({STANDBY_FILE, AUTHORITY_FILE, CA_FILE})
 
 
 class Passphrase:
-    """The source of the keys' passphrase: a file, or the terminal, asked once.
-
-    Args:
-        file: its first line is the passphrase.
-        is_wanted: new keys are to have one.
-    """
+    """The source of the keys' passphrase: a file, or the terminal, asked once."""
 
     def __init__(self, file: str | None = None, *, is_wanted: bool = True) -> None:
         self._file = file
@@ -335,11 +306,7 @@ class Passphrase:
         self._known: bytes | None = None
 
     def new(self) -> KeySerializationEncryption:
-        """Return the encryption for new keys.
-
-        Raises:
-            CommandError: there is nobody to ask, or two answers differ.
-        """
+        """Return the encryption for new keys."""
         if not self._is_wanted:
             return NoEncryption()
         if self._known is None:
@@ -352,11 +319,7 @@ class Passphrase:
         return BestAvailableEncryption(self._known)
 
     def of(self, path: Path) -> bytes:
-        """That of a key that has one.
-
-        Raises:
-            CommandError: there is nobody to ask.
-        """
+        """That of a key that has one."""
         if self._known is None:
             self._known = self._read() if self._file else self._ask(f"passphrase of {path.name}: ")
         return self._known
@@ -380,11 +343,7 @@ class Passphrase:
 
 
 class KeyStore:
-    """A directory that is its owner's alone.
-
-    Attributes:
-        directory: its place.
-    """
+    """A directory that is its owner's alone."""
 
     def __init__(self, directory: Path, passphrase: Passphrase | None = None) -> None:
         self.directory = directory
@@ -404,12 +363,7 @@ class KeyStore:
         """Write files, all of them or none that is there already.
 
         Args:
-            files: texts by name.
-            replace: over what is there.
             cure: the advice if a file is there already.
-
-        Raises:
-            CommandError: a file is there already, or cannot be written.
         """
         present = [name for name in files if self.has(name)]
         if present and not replace:
@@ -424,11 +378,7 @@ class KeyStore:
             write(self.path(name), text, replace=replace)
 
     def append(self, name: str, line: str) -> None:
-        """Add a line to a file.
-
-        Raises:
-            CommandError: it cannot be written.
-        """
+        """Add a line to a file."""
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
         try:
             with os.fdopen(os.open(self.path(name), flags, 0o600), "w", encoding="utf-8") as file:
@@ -440,20 +390,12 @@ class KeyStore:
         """The content of a file.
 
         Args:
-            name: of the file.
             cure: the command that makes it, if it is missing.
-
-        Raises:
-            CommandError: it is missing or cannot be read.
         """
         return read_input(self.path(name), cure)
 
     def read_as(self, name: str, kind: type[_T], cure: str) -> _T:
-        """A JSON file.
-
-        Raises:
-            CommandError: it is missing, cannot be read, or is not what it should be.
-        """
+        """A JSON file."""
         try:
             return msgspec.json.decode(self.read(name, cure), type=kind)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -462,11 +404,7 @@ class KeyStore:
             ) from error
 
     def chain(self, name: str, cure: str) -> list[Signed]:
-        """A file of statements.
-
-        Raises:
-            CommandError: it is missing, or holds none.
-        """
+        """A file of statements."""
         chain = read_chain(self.read(name, cure))
         if isinstance(chain, StatementFault):
             raise CommandError(
@@ -475,31 +413,19 @@ class KeyStore:
         return chain
 
     def pem(self, private: PrivateKey, *, is_protected: bool) -> str:
-        """A private key as a file holds it, under the passphrase if it is to be protected.
-
-        Raises:
-            CommandError: there is no passphrase.
-        """
+        """A private key as a file holds it, under the passphrase if it is to be protected."""
         encryption = self._passphrase.new() if is_protected else NoEncryption()
         return private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption).decode()
 
     def ed25519(self, name: str, cure: str) -> Ed25519PrivateKey:
-        """A key that signs statements and requests.
-
-        Raises:
-            CommandError: it is missing, others may read it, or it is another kind of key.
-        """
+        """A key that signs statements and requests."""
         key = self._key(name, cure)
         if not isinstance(key, Ed25519PrivateKey):
             raise self._other_kind(name, cure)
         return key
 
     def p256(self, name: str, cure: str) -> EllipticCurvePrivateKey:
-        """A key of a certificate.
-
-        Raises:
-            CommandError: see ``ed25519``.
-        """
+        """A key of a certificate."""
         key = self._key(name, cure)
         if not isinstance(key, EllipticCurvePrivateKey):
             raise self._other_kind(name, cure)
@@ -528,11 +454,7 @@ class KeyStore:
 
 
 def read_input(path: Path, cure: str = "") -> bytes:
-    """The content of a file.
-
-    Raises:
-        CommandError: see ``find``.
-    """
+    """The content of a file."""
     return find(path, cure).content
 
 
@@ -564,20 +486,12 @@ def replace_whole(path: Path, text: str, mode: int) -> None:
 
 
 def write_private(path: Path, text: str, *, replace: bool) -> None:
-    """Write a file that is its owner's alone: whole, or not at all; through no link.
-
-    Raises:
-        CommandError: see ``write_public``.
-    """
+    """Write a file that is its owner's alone: whole, or not at all; through no link."""
     _write(path, text, 0o600, replace=replace)
 
 
 def write_public(path: Path, text: str, *, replace: bool) -> None:
-    """Write a file that is given to others, for everybody to read: whole, or not at all; through no link.
-
-    Raises:
-        CommandError: it is there already and not to be replaced, or cannot be written.
-    """
+    """Write a file that is given to others, for everybody to read: whole, or not at all; through no link."""
     _write(path, text, 0o644, replace=replace)
 
 
@@ -606,9 +520,6 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
 
     Returns:
         A warning that a certificate ends soon; empty if none does.
-
-    Raises:
-        CommandError: a file is missing, wrong, or over.
     """
     cure = renewed(who)
     tls = tls_entries(file)
@@ -639,11 +550,7 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
 
 
 def check_kinds(file: Path) -> None:
-    """Check that a Zenoh file, and each that it names, is a regular file: Zenoh would wait for a FIFO for ever.
-
-    Raises:
-        CommandError: one is not. Nothing is said of one that is missing: Zenoh does.
-    """
+    """Check that a Zenoh file, and each that it names, is a regular file: Zenoh would wait for a FIFO for ever."""
     for path in (file, *tls_files(file)):
         with suppress(OSError, ValueError):
             check_regular(path, path.stat().st_mode)
@@ -727,11 +634,7 @@ def check_shut_out(directory: Path, now_s: float) -> None:
     """Hold the certificate with which a robot tests its network against its key and the time.
 
     Args:
-        directory: of the robot's keys.
         now_s: seconds since 1970.
-
-    Raises:
-        CommandError: it is missing, wrong, or over.
     """
     cure = "'cruiser provision renew robot' asks for it"
     path = directory / SHUT_OUT_FILE

@@ -98,7 +98,6 @@ class MessageFault(msgspec.Struct, frozen=True):
     Attributes:
         message: its name in the DBC, or ALL_MESSAGES.
         number: for SKIP the step of the counter, for DROP every how manieth frame is lost.
-        ended: the fault ends.
     """
 
     disturbance: Disturbance
@@ -154,11 +153,7 @@ class Firmware(msgspec.Struct, frozen=True):
 
 
 class Condition(msgspec.Struct, frozen=True):
-    """A number in ``Conditions`` has another value.
-
-    Attributes:
-        field: its name there.
-    """
+    """A number in ``Conditions`` has another value."""
 
     field: str
     value: float

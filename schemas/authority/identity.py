@@ -79,9 +79,6 @@ def identity_of(key: FoundFile, grant: FoundFile, authority: FoundFile, who: str
         grant: the grant, with those of its signers.
         authority: the fleet's authority.
         who: ``robot``, ``operator``, ``recorder``: the files' name.
-
-    Raises:
-        CommandError: one is readable for others, not what it should be, or of another authority than the others.
     """
     private, shown = private_key(key, remade(who)), plain(str(grant.path))
     chain = read_chain(grant.content)
@@ -104,11 +101,7 @@ def identity_of(key: FoundFile, grant: FoundFile, authority: FoundFile, who: str
 
 
 def trust_of(authority: FoundFile, who: str) -> Trust:
-    """The trust that begins with the fleet's authority, as a file has it.
-
-    Raises:
-        CommandError: the file is no authority's.
-    """
+    """The trust that begins with the fleet's authority, as a file has it."""
     try:
         return msgspec.json.decode(authority.content, type=AuthorityKeys).trust
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -117,11 +110,7 @@ def trust_of(authority: FoundFile, who: str) -> Trust:
 
 
 def private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
-    """The private key that a file holds.
-
-    Raises:
-        CommandError: it is none, or others can read it.
-    """
+    """The private key that a file holds."""
     check_owner(file)
     try:
         key = load_pem_private_key(file.content, None)
@@ -136,11 +125,7 @@ def private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
 
 
 def check_owner(file: FoundFile) -> None:
-    """Check that a private key is its owner's alone.
-
-    Raises:
-        CommandError: others can read it, or it is somebody else's.
-    """
+    """Check that a private key is its owner's alone."""
     shown = plain(str(file.path))
     if file.mode & OTHERS:
         raise CommandError(f"{shown} can be read by others; chmod 600 {shown}", ExitCode.USAGE)

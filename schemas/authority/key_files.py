@@ -28,11 +28,7 @@ def directory_of(settings: AuthoritySettings) -> Path:
 
 
 def find(path: Path, cure: str = "") -> FoundFile:
-    """A file, which is not large, with what it takes to judge whose it is.
-
-    Raises:
-        CommandError: it is missing, too large, no regular file, or cannot be read.
-    """
+    """A file, which is not large, with what it takes to judge whose it is."""
     try:
         check_regular(path, path.stat().st_mode)
         with path.open("rb") as file:
@@ -51,9 +47,6 @@ def read_identity(directory: Path, who: str) -> Identity:
     Args:
         directory: their place.
         who: ``robot``, ``operator``, ``recorder``: the files' name.
-
-    Raises:
-        CommandError: a file is missing, unreadable, readable for others, or not what it should be.
     """
     key = find(directory / KEY_FILE.format(who=who), identity.made(who))
     grant, authority = (
@@ -63,11 +56,7 @@ def read_identity(directory: Path, who: str) -> Identity:
 
 
 def read_trust(directory: Path, who: str = "viewer") -> Trust:
-    """Read the keys of the fleet's authority, as this role has them.
-
-    Raises:
-        CommandError: the file is missing, unreadable or damaged.
-    """
+    """Read the keys of the fleet's authority, as this role has them."""
     return identity.trust_of(find(directory / AUTHORITY_FILE, identity.installed(who)), who)
 
 
