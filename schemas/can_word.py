@@ -69,7 +69,6 @@ class UnseenRounds:
         """A frame that ends a gap, or comes while one is not judged yet.
 
         Args:
-            time_ns: when it came.
             elapsed_ns: since the frame before it.
             steps: of the counter since then; across a gap from 1 to 16.
         """

@@ -46,10 +46,8 @@ def encoding_fault(encoding: str, known: str, receiver: str, sender: str) -> str
     """Describe what is wrong with an encoding that is not the known one, and who is to be upgraded.
 
     Args:
-        encoding: as it came.
         known: the one that this version knows.
         receiver: who knows it: ``the gateway``.
-        sender: who sent the other.
     """
     theirs, ours = _ENCODING.fullmatch(encoding), _ENCODING.fullmatch(known)
     if theirs is None or ours is None or theirs["schema"] != ours["schema"]:
@@ -128,7 +126,6 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
     """A payload to publish under a subject.
 
     Attributes:
-        subject: the subject's name in the subject table.
         payload: MessagePack.
     """
 

@@ -111,11 +111,7 @@ def check_regular(path: PurePath, mode: int) -> None:
     """Check that what is to be read is a regular file, before it is opened.
 
     Args:
-        path: its place.
         mode: type and permissions, as of ``stat``.
-
-    Raises:
-        CommandError: it is a directory, a FIFO, a socket or a device.
     """
     if kind := other_kind(mode):
         raise CommandError(f"{plain(str(path))} is {kind}, and has to be a regular file", ExitCode.USAGE)
@@ -229,12 +225,6 @@ def certificate_files(
 
     Args:
         chain: the certificate's file, as it was given, if it was.
-        key: its key's.
-        host: the IP address that is listened on.
-        who: the clients, in words.
-
-    Raises:
-        CommandError: one of them is missing where it is needed.
     """
     if not chain and not key:
         if ipaddress.ip_address(host).is_loopback:

@@ -311,9 +311,6 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
         toml: the file, if there is one.
         environ: all environment variables; only those of ours are looked at.
         flags: values by dotted key; a text is read as in the environment, anything else taken as it is.
-
-    Raises:
-        CommandError: a key or a value is wrong.
     """
     values: dict[str, object] = {}
     sources = (
@@ -503,11 +500,7 @@ def _pairs(items: list[str], given: object) -> object:
 
 
 def _checked(given: Given) -> object:
-    """The value, if it is right.
-
-    Raises:
-        CommandError: it is not.
-    """
+    """The value, if it is right."""
     setting, value = given.setting, given.value
     problem = _bad_text(value)
     if problem:

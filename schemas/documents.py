@@ -70,10 +70,6 @@ class UnknownPartError(Exception):
 def rewrite(text: str, parts: Mapping[str, Part]) -> str:
     """The document with every generated part current; one without markers is returned as it is.
 
-    Args:
-        text: the document.
-        parts: the parts by their names.
-
     Raises:
         UnknownPartError: a marker names no part.
     """

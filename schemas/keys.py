@@ -133,7 +133,6 @@ def of_recorder(root: str, recorder: str, rest: str = "") -> str:
     """The key of a recorder, or of its subject, its command or its liveliness token; ALL is any recorder.
 
     Args:
-        root: the first chunks.
         recorder: its name, of the form of a robot's.
         rest: what follows; nothing for the liveliness token.
 
@@ -192,10 +191,7 @@ def command(root: str, robot: str, operator: str, verb: str) -> str:
     """The key of a verb, whatever the verb is; ALL may stand for robot, operator and verb.
 
     Args:
-        root: the first chunks.
         robot: its name, or the chunk of several (``chunk_of``).
-        operator: who commands.
-        verb: what.
 
     Raises:
         ValueError: a part is not of its form.

@@ -23,7 +23,6 @@ class RateLimit:
 
     Args:
         per_s: the rate; 0 is no limit.
-        burst_s: the pause that may be caught up.
     """
 
     def __init__(self, per_s: float, burst_s: float = BURST_S) -> None:
@@ -93,9 +92,6 @@ class Peers(Generic[Connection]):
 
     Where there is no room, a new one takes the place of the oldest that asks for nothing: of its own peer, or of
     the peer that has the most. So no connections without a request keep anybody out.
-
-    Args:
-        most: connections of all peers.
     """
 
     def __init__(self, most: int) -> None:
@@ -160,11 +156,7 @@ class Peers(Generic[Connection]):
 
 
 class SocketFrames:
-    """Where the frames of a WebSocket begin and end, by their heads (RFC 6455, 5.2).
-
-    Attributes:
-        pieces: of the message that has not ended.
-    """
+    """Where the frames of a WebSocket begin and end, by their heads (RFC 6455, 5.2)."""
 
     def __init__(self) -> None:
         self._head = bytearray()

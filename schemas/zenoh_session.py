@@ -125,7 +125,6 @@ def said(settings: ZenohSettings, of_file: Callable[[str], Json]) -> ZenohChoice
     """Return a session's mode and endpoints; a client listens on nothing.
 
     Args:
-        settings: of the session.
         of_file: the file's own value at a path; None if it sets none. Zenoh's start value, which listens on every
             address, does not count.
     """
@@ -148,7 +147,6 @@ def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
     """Return True if the first connected node is a router. False if none connects in half a second.
 
     Args:
-        connected: which nodes are.
         pause: waits for so many seconds.
     """
     for _ in range(ROUTER_LOOKS):
@@ -248,13 +246,8 @@ def open_session(
     Args:
         settings: their own ``connect`` and ``listen`` are not read here.
         connect: endpoints to connect to; those of the Zenoh configuration file if it is empty.
-        listen: endpoints to listen on, and no others.
         own: values of this kind of session, by path, where the file sets none.
         changes: values by path, over all else.
-
-    Raises:
-        CommandError: an endpoint or the configuration file is wrong, the client finds nobody to connect to, or an
-            endpoint to listen on is taken.
     """
     config = _configuration(settings, connect, listen, own)
     enter(config, changes or {})
@@ -268,9 +261,6 @@ def join(
 
     A Zenoh router passes nothing from one peer to another (measured with 1.10.2): a session that listens on
     nothing and finds a router becomes its client, unless the settings say which mode it is to be.
-
-    Raises:
-        CommandError: see ``open_session``.
     """
     endpoints, choice = client_endpoints(settings), said_of(settings)
     session = open_session(settings, endpoints, listen, own=own)
@@ -286,7 +276,6 @@ def open_configured(config: zenoh.Config, file: str = "") -> zenoh.Session:
     """Open a session with a configuration that is complete.
 
     Args:
-        config: of the session.
         file: the Zenoh file that it was read from; empty without one.
 
     Raises:
@@ -312,11 +301,7 @@ def is_connected(session: zenoh.Session) -> bool:
 
 
 def base_configuration(file: str) -> zenoh.Config:
-    """Read the user's Zenoh file; Zenoh's own start values without one.
-
-    Raises:
-        CommandError: the file is wrong.
-    """
+    """Read the user's Zenoh file; Zenoh's own start values without one."""
     if not file:
         return zenoh.Config()
     try:
@@ -328,11 +313,7 @@ def base_configuration(file: str) -> zenoh.Config:
 
 
 def enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
-    """Set values of a configuration, by path.
-
-    Raises:
-        CommandError: Zenoh takes one of them not.
-    """
+    """Set values of a configuration, by path."""
     for path, value in entries.items():
         try:
             config.insert_json5(path, json.dumps(value))
@@ -344,30 +325,18 @@ def enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
 
 
 def of_file(settings: ZenohSettings, path: str) -> Json:
-    """Return what the configuration file says at a path; None if it is nothing, or Zenoh's own start value.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
+    """Return what the configuration file says at a path; None if it is nothing, or Zenoh's own start value."""
     return _said_at(base_configuration(settings.config), path)
 
 
 def said_of(settings: ZenohSettings) -> ZenohChoice:
-    """Return a session's mode and endpoints, from the settings or else from the Zenoh configuration file.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
+    """Return a session's mode and endpoints, from the settings or else from the Zenoh configuration file."""
     config = base_configuration(settings.config)
     return said(settings, lambda path: _said_at(config, path))
 
 
 def client_endpoints(settings: ZenohSettings) -> list[str]:
-    """Return where a session connects that only talks to robots, or only listens to them.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
+    """Return where a session connects that only talks to robots, or only listens to them."""
     return said_of(settings).connect or [DEFAULT_ENDPOINT]
 
 
@@ -377,21 +346,13 @@ def place(settings: ZenohSettings) -> str:
 
 
 def is_allowed(settings: ZenohSettings, endpoint: str) -> bool:
-    """Return True if the protocols that the configuration file allows include that of this endpoint.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
+    """Return True if the protocols that the configuration file allows include that of this endpoint."""
     protocols = of_file(settings, PROTOCOLS)
     return not isinstance(protocols, list) or endpoint.partition("/")[0] in protocols
 
 
 def lease_in_force_ms(settings: ZenohSettings) -> int:
-    """The lease of a session of these settings, which the configuration file may say.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
+    """The lease of a session of these settings, which the configuration file may say."""
     return int(json.loads(_configuration(settings, [], []).get_json(LEASE)))
 
 
@@ -399,9 +360,6 @@ def local_port(settings: ZenohSettings) -> list[str]:
     """A free port of this machine's loopback address, for others on it, where nothing is said of listening.
 
     None for a client, for who connects to another machine, and where the protocols do not allow it.
-
-    Raises:
-        CommandError: the settings are wrong.
     """
     is_local = all(map(is_loopback, client_endpoints(settings)))
     if said_of(settings).mode == "client" or not is_local or not is_allowed(settings, ANY_LOCAL_PORT):
@@ -410,11 +368,7 @@ def local_port(settings: ZenohSettings) -> list[str]:
 
 
 def with_free_ports(listen: list[str]) -> list[str]:
-    """The endpoints, with a port that is free in place of 0, so that it can be told and connected to.
-
-    Raises:
-        CommandError: an address is not one of this machine.
-    """
+    """The endpoints, with a port that is free in place of 0, so that it can be told and connected to."""
     return [_with_free_port(one) if ":0" in one else one for one in listen]
 
 

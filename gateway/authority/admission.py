@@ -73,7 +73,6 @@ class GivenLease(msgspec.Struct, frozen=True):
     """A lease as it was given.
 
     Attributes:
-        id: its number.
         holder: the grant under which it was asked for.
         tags: of its drive commands; None if the holder sent no public key that can be used, so that nobody drives.
     """
@@ -87,7 +86,6 @@ class SignedAdmission:
     """Judges the proofs of requests.
 
     Attributes:
-        trust: the authority, as it is known now.
         lease: the last one that was given; None before the first.
         now_s: the time by which grants are judged, seconds since 1970; it is kept from outside.
         challenge_age_ns: the age of a challenge, or why it is not known.
@@ -105,10 +103,7 @@ class SignedAdmission:
 
         Args:
             settings: where the robot's name and root are.
-            trust: the authority.
-            signer: signs what the robot says.
             challenge_age_ns: the age of a challenge, or why it is not known.
-            new_private_key: draws the robot's key for one lease.
         """
         self.trust = trust
         self.lease: GivenLease | None = None
@@ -365,7 +360,6 @@ class StatementSieve(Generic[_Item]):
 
         Args:
             admission: knows the authority's keys, the newest serials, and the grants that were verified.
-            sample: draws so many of a list.
         """
         self._admission = admission
         self._sample = sample

@@ -62,7 +62,6 @@ class _Known(msgspec.Struct):
     """A robot that was met.
 
     Attributes:
-        key: its public key.
         boot: the run that it is in, by its newest reply to a question of ours.
         newest: the sequence of the newest sample that was believed, by subject.
         is_other_run_seen: it has signed a sample of another run: it was restarted, or somebody repeats an old one.
@@ -87,8 +86,6 @@ class KnownRobots:
         """No robot is met yet.
 
         Args:
-            trust: the fleet's authority.
-            root: first chunks of every key expression.
             now_s: the time, seconds since 1970.
         """
         self._trust = trust
@@ -112,8 +109,6 @@ class KnownRobots:
         """A robot's reply to the statement. Returns why it is no robot of this fleet, or refuses the grant.
 
         Args:
-            robot: its name.
-            received: the reply.
             question: the attachment of the query, drawn for it (``new_question``).
         """
         now_s = self._now_s()
@@ -237,10 +232,6 @@ class OperatorProof(KnownRobots):
         """No robot is met yet.
 
         Args:
-            private: the operator's key.
-            chain: its grant, and those of its signers.
-            trust: the fleet's authority.
-            root: first chunks of every key expression.
             now_s: the time, seconds since 1970.
             nonce: random bytes, so many.
         """
@@ -258,10 +249,7 @@ class OperatorProof(KnownRobots):
         """The attachment of a verb.
 
         Args:
-            robot: its name.
-            verb: the requested one.
             payload: the bytes that are sent.
-            challenge: the newest one that the robot published.
         """
         proof = RequestProof(self._grant, challenge, self._nonce(NONCE_BYTES))
         key = keys.command(self._root, robot, self.name, verb)
@@ -275,10 +263,8 @@ class OperatorProof(KnownRobots):
         """Agree with the robot on the key of a lease; False if its reply has no key.
 
         Args:
-            robot: its name.
             private: the key whose public half was in the request.
             reply: the robot's, which was verified.
-            attachment: the reply's.
         """
         proof = RobotProof.read(attachment)
         if proof is None or reply.public_key is None:

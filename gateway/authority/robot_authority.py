@@ -101,9 +101,6 @@ class NameProof:
         """For the robot that the settings name.
 
         Args:
-            settings: the robot's name and root.
-            signer: the robot's.
-            admission: knows the authority.
             own: the chain of the robot's own grant, as it is now.
         """
         self._robot = settings.robot.name
@@ -120,8 +117,6 @@ class NameProof:
         """Return True if an answer is of a gateway with this robot's key, or with a grant for its name.
 
         Args:
-            payload: the answer's.
-            attachment: the answer's.
             question: the attachment of the query, drawn for it (``new_name_question``).
             now_s: seconds since 1970.
         """
@@ -187,7 +182,6 @@ def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
 
     Args:
         provisioned: the trust that begins with the keys that are installed now.
-        kept: the state that was saved last.
     """
     since = provisioned if kept.since is None else kept.since.trust
     trust = trust_of(since, kept)
@@ -234,10 +228,8 @@ class AuthorityEffects(msgspec.Struct):
     """Actions of one tick.
 
     Attributes:
-        samples: to be published.
         bars: why nobody may engage, if that has changed.
         ended: why the holder's grant does not hold any more.
-        kept: to be saved.
     """
 
     samples: list[Sample]
@@ -250,9 +242,6 @@ class RobotAuthority:
     """The authority, as a robot knows it.
 
     Attributes:
-        admission: judges requests, signs replies.
-        signer: signs states and replies.
-        name_proof: answers for the robot's name.
         self_test: the flaw of the gateway's own files or endpoints; empty if there is none.
         unsaved: why what was taken over could not be saved; empty if it was.
     """
@@ -269,12 +258,7 @@ class RobotAuthority:
         """As it was kept.
 
         Args:
-            settings: the robot's name.
             admission: judges requests; its trust is replaced as statements come.
-            signer: the robot's.
-            floor: the time.
-            own: the chain of the robot's own grant.
-            kept: the state that was saved last.
         """
         self.admission = admission
         self.signer = signer

@@ -40,11 +40,8 @@ def lease_key(private: X25519PrivateKey, other: bytes, boot: bytes, lease: int, 
     """The key of a lease, 32 bytes, the same on both sides; None if the other side's public key is none.
 
     Args:
-        private: of this side.
         other: the public key of the other side, 32 bytes.
         boot: of the gateway's run, 8 bytes.
-        lease: the lease's number.
-        expression: the key expression of its drive commands.
     """
     try:
         shared = private.exchange(X25519PublicKey.from_public_bytes(other))
@@ -59,14 +56,7 @@ class DriveTags:
     """Makes and checks the tags of one lease: of its drive commands, and of its holder's verbs."""
 
     def __init__(self, key: bytes, lease: int, expression: str, encoding: str) -> None:
-        """For the commands of one lease.
-
-        Args:
-            key: of the lease.
-            lease: its number.
-            expression: the key expression of its drive commands.
-            encoding: theirs.
-        """
+        """For the commands of one lease."""
         # All before the payload is the same in each command, so the state of the hash after it is kept.
         before = DriveProof(lease).signed(expression, encoding, b"")[:-_LENGTH_BYTES]
         self.lease = lease
@@ -113,7 +103,6 @@ class RobotSigner:
         """Sign for one run.
 
         Args:
-            private: the robot's key.
             boot: random, 8 bytes.
         """
         self.boot = boot
@@ -143,9 +132,6 @@ class Unmet(msgspec.Struct, frozen=True):
     """The reason why a robot is not met.
 
     Attributes:
-        reason: an enumeration.
-        text: the reason in words, with dates.
-        cure: the way to make it succeed.
         is_refusal: the robot is believed, and refuses the grant that it was shown.
     """
 
@@ -183,7 +169,6 @@ def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust, no
     """Return why the robot whose reply has this chain is not believed.
 
     Args:
-        objection: to the reply.
         chain: the robot's own grant, and those of its signers; empty if it cannot be read.
         trust: the fleet's authority, as it is known here.
         now_s: by this computer's clock, seconds since 1970.
@@ -213,8 +198,6 @@ def not_taken(objection: Objection, cure: str, chain: Sequence[Signed], now_s: i
     """Return why a robot that is believed refuses the grant that it was shown.
 
     Args:
-        objection: the robot's, in its reply.
-        cure: the robot's.
         chain: the grant, and those of its signers; empty if none was shown.
         now_s: by this computer's clock, seconds since 1970.
     """

@@ -57,11 +57,7 @@ _READ_BYTES: Final = 4096
 
 
 class SocketcandBus(can.BusABC):
-    """A bus that a server shows over TCP.
-
-    Attributes:
-        stream: the connection.
-    """
+    """A bus that a server shows over TCP."""
 
     def __init__(self, host: str, port: int, channel: str) -> None:
         """Connect, and open the bus.

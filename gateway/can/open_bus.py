@@ -44,7 +44,6 @@ def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
     """Open the bus of the settings.
 
     Args:
-        settings: the bus's interface and channel.
         identifiers: with their flags; where the kernel can choose, it hands over no others. If none, all.
 
     Raises:
@@ -166,11 +165,6 @@ class ReconnectingBus:
 
     Opening may take seconds, and so may closing a lost one: neither happens on the caller's thread. While the bus
     is away ``receive`` waits its time and returns None.
-
-    Attributes:
-        is_up: the bus is open.
-        detail: why it is not, for people.
-        losses: number of times that it was lost.
     """
 
     def __init__(

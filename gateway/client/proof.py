@@ -121,11 +121,7 @@ def robot_of(received: Received, root: str) -> str:
 
 
 def operator_proof(settings: Settings) -> OperatorProof | ViewerProof | None:
-    """The operator's key and grant, in signed mode; of a viewer's or a desk's machine what verifies robots.
-
-    Raises:
-        CommandError: a file is missing or wrong; the text names it, and the cure.
-    """
+    """The operator's key and grant, in signed mode; of a viewer's or a desk's machine what verifies robots."""
     if settings.authority.mode != "signed":
         return None
     directory = directory_of(settings.authority)

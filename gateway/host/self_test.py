@@ -71,11 +71,7 @@ class Attempt(msgspec.Struct, frozen=True):
 
 
 def access_of(settings: ZenohSettings) -> tuple[dict[str, Json], dict[str, Json]]:
-    """The access control and the TLS of a gateway's sessions, as Zenoh reads them.
-
-    Raises:
-        CommandError: the configuration file is wrong.
-    """
+    """The access control and the TLS of a gateway's sessions, as Zenoh reads them."""
     config = base_configuration(settings.config)
     access, tls = (msgspec.json.decode(config.get_json(path)) for path in (ACCESS, TLS))
     return access, tls
@@ -151,9 +147,6 @@ class Intruder(SessionOwner):
 
         Args:
             certificate: of the role ``nothing``.
-
-        Raises:
-            CommandError: there is nobody, or the certificate is not accepted.
         """
         changes: dict[str, Json] = {
             MODE: "client",
@@ -329,9 +322,6 @@ def find_hole(settings: Settings, pause: Callable[[float], object] = time.sleep)
 
     Returns:
         What was not denied, with the cure; empty if all was.
-
-    Raises:
-        CommandError: it cannot be tried: a file is missing or wrong, or no router answers.
     """
     directory, zenoh = directory_of(settings.authority), settings.zenoh
     check_shut_out(directory, time.time())

@@ -129,11 +129,7 @@ class SignedMode:
     """
 
     def __init__(self, settings: Settings, core: Core) -> None:
-        """Read the keys.
-
-        Raises:
-            CommandError: a file is missing or wrong; the text names it, and the cure.
-        """
+        """Read the keys."""
         directory = directory_of(settings.authority)
         identity = read_identity(directory, "robot")
         self.certificate_ends_s = certificate_ends_s(settings.zenoh)

@@ -73,9 +73,7 @@ class PendingQuery:
     ring channel loses what is in it when the query ends.
 
     Attributes:
-        handler: to be given to the query.
         rejected: replies that are not of whom they should be; to be taken out by whoever wants them.
-        is_over: no further reply will come.
         timed_out: it ended before everybody who was asked had answered.
     """
 
@@ -151,7 +149,6 @@ def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterat
     """The samples that wait in a ring. They end, however fast more come.
 
     Args:
-        try_recv: the ring's.
         waiting: how many it has room for. Where so many are found, others may have been lost.
     """
     for _ in range(waiting):
@@ -194,7 +191,6 @@ class RobotListener(SessionOwner):
         """Subscribe on a session, which the listener then owns.
 
         Args:
-            session: an open session.
             robot: where the root is.
             name: the robot, or several by ``*``; empty for all of them.
         """
@@ -216,11 +212,7 @@ class RobotListener(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, name: str = "") -> Self:
-        """Open a session to where the settings say, and listen.
-
-        Raises:
-            CommandError: see ``zenoh_session``.
-        """
+        """Open a session to where the settings say, and listen."""
         return cls(join(settings.zenoh), settings.robot, name)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
@@ -291,11 +283,7 @@ def open_router(file: Path, listen: list[str]) -> tuple[zenoh.Session, list[str]
     """Open a session that routes. Returns it, and the endpoints that it listens on.
 
     Args:
-        file: a Zenoh configuration.
         listen: endpoints to listen on instead of those of the file; those of the file if it is empty.
-
-    Raises:
-        CommandError: the file is wrong, or names no endpoint to listen on, or one that cannot be used.
     """
     config = base_configuration(str(file))
     if json.loads(config.get_json(MODE)) != ROUTER:
@@ -312,11 +300,7 @@ def open_router(file: Path, listen: list[str]) -> tuple[zenoh.Session, list[str]
 
 
 def open_local_router(endpoint: str) -> zenoh.Session:
-    """Open a router for this machine alone: without keys, for virtual robots.
-
-    Raises:
-        CommandError: the endpoint can be reached from other machines, is taken, or is none.
-    """
+    """Open a router for this machine alone: without keys, for virtual robots."""
     if not is_loopback(endpoint):
         # Behind a router a gateway does not see who commands it, and from where.
         raise CommandError(

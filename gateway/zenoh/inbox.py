@@ -86,7 +86,6 @@ class CommandInbox:
         """Subscribe on a session, which the inbox then owns.
 
         Args:
-            session: an open session.
             settings: where the robot's name and root are.
             is_proven: does a request come from the lease's holder, by verb, payload and attachment? None where
                 nothing is signed.
@@ -272,9 +271,6 @@ def open_inbox(
 
     It connects where that one does, and to that one where it listens: who connects there reaches this session too.
     A client reaches it through that one; a peer is told of it, and connects to it.
-
-    Raises:
-        CommandError: an endpoint cannot be used.
     """
     own = [own_endpoint(endpoint) for endpoint in place.listen]
     try:
@@ -313,11 +309,7 @@ Joined = tuple[ZenohNode, CommandInbox | None]
 
 
 class LateInbox:
-    """Where requests will wait; none come yet.
-
-    Attributes:
-        inbox: the real one, once there is one.
-    """
+    """Where requests will wait; none come yet."""
 
     def __init__(self) -> None:
         self.inbox: CommandInbox | None = None
@@ -357,7 +349,6 @@ class LateNode:
         Args:
             join: opens the sessions, once; raises CommandError where it cannot.
             inbox: is given the inbox; None for a gateway that only listens.
-            cause: why the first attempt has failed.
         """
         self._join = join
         self._inbox = inbox

@@ -178,8 +178,6 @@ class ZenohNode:
     """A gateway's place on Zenoh. Nothing here raises or blocks once it is open.
 
     Attributes:
-        failures: samples that Zenoh did not take.
-        replier: sends the replies to queries.
         warning: a fact about its start that a person should know; empty if there is none.
     """
 
@@ -193,8 +191,6 @@ class ZenohNode:
         """Declare everything on a session, which the node then owns.
 
         Args:
-            session: an open session.
-            settings: for the robot's name and root.
             signer: signs the arbiter's state; None where nothing is signed.
             name_proof: answers for the robot's name; None where nothing is signed.
         """
@@ -326,8 +322,6 @@ class ZenohPlace(msgspec.Struct, frozen=True):
     """The endpoints of a gateway on Zenoh.
 
     Attributes:
-        node: the telemetry session's identifier.
-        connect: endpoints that its sessions connect to.
         listen: endpoints that its session for telemetry listens on; empty if it only dials out.
         command_listen: endpoints that its session for commands listens on.
         is_client: its sessions are clients, which listen on nothing.
@@ -362,10 +356,6 @@ def open_node(
         settings: the robot's name, and where it is reached.
         signer: signs the arbiter's state; None where nothing is signed.
         name_proof: answers for the robot's name, and judges who else does; None where nothing is signed.
-
-    Raises:
-        CommandError: an endpoint is taken by something that is not Zenoh, or cannot be used; or a gateway of the
-            same name is there, and answers.
     """
     session, place = _open_session(settings)
     try:

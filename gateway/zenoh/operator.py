@@ -47,12 +47,7 @@ class Prover(Protocol):
 
 
 class CommandPort(SessionOwner):
-    """Sends an operator's commands to one robot, or stops to several: the chunk of their keys. Owns its session.
-
-    Attributes:
-        operator: whose they are.
-        prover: proves the commands, in signed mode.
-    """
+    """Sends the commands of an operator to one robot, or stops to several by a pattern. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str, operator: str) -> None:
         """Use a session that nothing else uses.
@@ -78,11 +73,7 @@ class CommandPort(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, robot: str, operator: str) -> Self:
-        """Open a session to where the settings say.
-
-        Raises:
-            CommandError: see ``zenoh_session``; or a part of the keys is not of its form.
-        """
+        """Open a session to where the settings say."""
         session = join(settings.zenoh)
         try:
             return cls(session, settings.robot.root, robot, operator)
@@ -109,11 +100,7 @@ class CommandPort(SessionOwner):
             log.debug("Zenoh did not take %s: %s", verb, error)
 
     def begin(self, verb: str, payload: bytes, timeout_s: float) -> PendingQuery:
-        """Ask, and come back for the replies later.
-
-        Raises:
-            CommandError: the session is closed.
-        """
+        """Ask, and come back for the replies later."""
         prover = self.prover
         if prover is None:
             return self.query(self._keys[verb], PendingQuery(), payload, BY_VERB[verb].encoding, b"", timeout_s)
@@ -129,20 +116,14 @@ class CommandPort(SessionOwner):
         """Show a statement of the authority, and come back for the replies later.
 
         Args:
-            statement: text.
             question: the attachment, drawn for this query: the replies' signatures cover it.
-            timeout_s: the longest wait for replies.
         """
         return self.query(self._authority, PendingQuery(), statement, "text/plain", question, timeout_s)
 
     def query(
         self, key: str, question: PendingQuery, payload: bytes, encoding: str, attachment: bytes, timeout_s: float
     ) -> PendingQuery:
-        """Ask under a key of one's own; the replies are the question's.
-
-        Raises:
-            CommandError: the session is closed.
-        """
+        """Ask under a key of one's own; the replies are the question's."""
         try:
             self._session.get(
                 key,
@@ -160,11 +141,7 @@ class CommandPort(SessionOwner):
         return question
 
     def ask(self, verb: str, payload: bytes, timeout_s: float) -> list[Received]:
-        """Ask, and wait for all replies; after the first, others have ``FURTHER_S`` to come.
-
-        Raises:
-            CommandError: the session is closed.
-        """
+        """Ask, and wait for all replies; after the first, others have ``FURTHER_S`` to come."""
         return self.begin(verb, payload, timeout_s).wait(timeout_s)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
@@ -201,11 +178,7 @@ class SafetyListener(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, robot: str) -> Self:
-        """Open a session to where the settings say, and listen.
-
-        Raises:
-            CommandError: see ``zenoh_session``; or a part of the keys is not of its form.
-        """
+        """Open a session to where the settings say, and listen."""
         session = join(settings.zenoh)
         try:
             return cls(session, settings.robot.root, robot)
@@ -231,22 +204,13 @@ class StatementPort(SessionOwner):
     """The session that sends statements to robots and receives their answers."""
 
     def __init__(self, session: zenoh.Session, root: str) -> None:
-        """Use a session, which the port then owns.
-
-        Args:
-            session: an open session.
-            root: first chunks of every key.
-        """
+        """Use a session, which the port then owns."""
         super().__init__(session)
         self._root = root
 
     @classmethod
     def open(cls, settings: Settings) -> Self:
-        """Open a session to where the settings say.
-
-        Raises:
-            CommandError: see ``zenoh_session``.
-        """
+        """Open a session to where the settings say."""
         return cls(join(settings.zenoh), settings.robot.root)
 
     def robots(self, timeout_s: float) -> list[str]:
@@ -259,13 +223,7 @@ class StatementPort(SessionOwner):
         """Show a robot a statement, again and again until it answers. Returns its answer; None if none comes.
 
         Args:
-            robot: its name.
-            text: the statement.
             question: the attachment, drawn for this question: the answer's signature covers it.
-            timeout_s: the longest wait for it.
-
-        Raises:
-            CommandError: the session is closed.
         """
         deadline_s = time.monotonic() + timeout_s
         while (left_s := deadline_s - time.monotonic()) > 0:

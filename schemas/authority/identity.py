@@ -45,8 +45,6 @@ class FoundFile(msgspec.Struct, frozen=True):
     """A file as it was found.
 
     Attributes:
-        path: its place.
-        content: all of it.
         mode: type and permissions, as of ``stat``.
         is_own: it belongs to who reads it, or to root.
     """
@@ -58,13 +56,7 @@ class FoundFile(msgspec.Struct, frozen=True):
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """The private key, grant and authority of this machine, or of the person at it.
-
-    Attributes:
-        private: the private key.
-        chain: the grant, and those of its signers.
-        trust: the fleet's authority.
-    """
+    """The private key, grant and authority of this machine, or of the person at it."""
 
     private: Ed25519PrivateKey
     chain: list[Signed]
@@ -75,9 +67,6 @@ def identity_of(key: FoundFile, grant: FoundFile, authority: FoundFile, who: str
     """Read the key and the grant of somebody, and check that they belong together.
 
     Args:
-        key: the private key.
-        grant: the grant, with those of its signers.
-        authority: the fleet's authority.
         who: ``robot``, ``operator``, ``recorder``: the files' name.
     """
     private, shown = private_key(key, remade(who)), plain(str(grant.path))
@@ -170,10 +159,6 @@ def prove_request(
     """The attachment of a request, signed.
 
     Args:
-        private: the sender's key.
-        proof: grant, challenge and nonce.
-        key: the key expression to which it goes.
-        encoding: the table's for its verb.
         payload: the bytes that are sent.
     """
     signature = private.sign(proof.signed(key, encoding, payload))

@@ -64,14 +64,7 @@ class Objection(msgspec.Struct, frozen=True):
 
 
 class HeldGrant(msgspec.Struct, frozen=True):
-    """A grant whose signature was verified.
-
-    Attributes:
-        id: the grant's identifier.
-        grant: itself.
-        key: the holder's public key.
-        signed: the grant as it was shown.
-    """
+    """A grant whose signature was verified."""
 
     id: bytes
     grant: Grant
@@ -83,11 +76,9 @@ class Trust(msgspec.Struct, frozen=True):
     """The authority as it is known here. It is replaced by a newer one, never changed.
 
     Attributes:
-        active: the key that signs grants and revocations.
         standby: the key that signs nothing but revocations and a rotation.
         rotation: the serial of the last rotation; 0 before the first.
         list_serial: that of the newest list of revocations; 0 before the first.
-        revoked: identifiers of grants, and keys.
         epoch: no grant of a lower one counts. It never falls under one authority.
     """
 
@@ -102,7 +93,6 @@ class Trust(msgspec.Struct, frozen=True):
         """The grant that begins a chain, if it holds.
 
         Args:
-            chain: the grant.
             now_s: seconds since 1970.
         """
         if not chain:

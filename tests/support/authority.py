@@ -168,7 +168,6 @@ class AuthorityBench:
         return self._bars
 
     def takes(self, *signed: Signed | str) -> None:
-        """Show these; each is taken over."""
         for one in signed:
             assert self.show(one if isinstance(one, str) else one.text()).ok
 
@@ -178,7 +177,6 @@ class AuthorityBench:
 
     @property
     def own(self) -> str:
-        """The robot's own grant, as text."""
         return chain_text(self.robot.chain)
 
     def regrant(self, by: Party | None = None, **changes: Any) -> str:  # noqa: ANN401 - fields of a grant

@@ -78,8 +78,6 @@ def fleet(*heard: Received | TokenChange, now_ns: int = START_NS) -> FleetMetric
 
 
 def exposition(metrics: FleetMetrics, now_ns: int = START_NS) -> str:
-    """What Prometheus reads."""
-
     class Served(Collector):
         def collect(self) -> Iterator[Metric]:
             return metrics.families(now_ns)

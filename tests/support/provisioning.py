@@ -58,7 +58,6 @@ class ProvisionedFleet:
 
     @property
     def fingerprint(self) -> str:
-        """What people compare of the authority."""
         return Issuer.open(KeyStore(self.authority)).fingerprint
 
     def request(self, role: str, name: str, place: str = "") -> Path:
@@ -79,7 +78,6 @@ class ProvisionedFleet:
         return self.place / name
 
     def grant(self, name: str, role: str = "operator") -> Grant:
-        """What somebody is granted."""
         statement = chain(self.place / name / f"{role}.grant")[0].statement
         assert isinstance(statement, Grant)
         return statement
@@ -93,5 +91,4 @@ def chain(file: Path) -> list[Signed]:
 
 
 def bundle_of(file: Path) -> Bundle:
-    """A bundle, unchecked."""
     return msgspec.json.decode(file.read_bytes().partition(b"\n")[0], type=Bundle)

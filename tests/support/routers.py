@@ -81,7 +81,6 @@ class WatchedRouter:
             raise
 
     def close(self) -> None:
-        """End both."""
         self.session.close()
         if self._zenohd is not None:
             assert self._zenohd.process.poll() is None, "the router has ended by itself"

@@ -101,6 +101,5 @@ def _driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
 
 
 def speed_of(robot: Robot) -> float:
-    """The measured speed, m/s."""
     seen = robot.state().chassis
     return 0.0 if seen is None or seen.speed_mps is None else seen.speed_mps

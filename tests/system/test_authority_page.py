@@ -127,7 +127,6 @@ class Page:
         wait_until(has_said)
 
     def end(self, process: subprocess.Popen[str]) -> None:
-        """Ctrl-C: it ends well."""
         process.send_signal(signal.SIGINT)
         assert process.wait(TIMEOUT_S) == 0
 

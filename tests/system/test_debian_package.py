@@ -64,7 +64,6 @@ class Machine:
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Machine:
-    """One whose robot stands."""
     return Machine(tmp_path)
 
 

@@ -51,16 +51,13 @@ class Neighbour:
         self._samples = self.session.declare_subscriber("**", zenoh.handlers.FifoChannel(1_000_000))
 
     def listen(self) -> None:
-        """Take what has come."""
         while (sample := self._samples.try_recv()) is not None:
             self.read.append((str(sample.key_expr), sample.payload.to_bytes()))
 
     def of(self, subject: str) -> list[bytes]:
-        """The payloads of a subject."""
         return [payload for key, payload in self.read if key == f"{ROOT}/{ROBOT}/{subject}"]
 
     def decisions(self) -> list[Decision]:
-        """All that was decided."""
         return [DECISION.decode(payload) for payload in self.of("safety/decision")]
 
     def numbers(self) -> set[int]:

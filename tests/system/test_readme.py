@@ -249,7 +249,6 @@ class Newcomer:
             self.end(name)
 
     def end(self, name: str) -> None:
-        """Ctrl-C."""
         what, terminal = self._running.pop(name)
         terminal.process.send_signal(signal.SIGINT)
         assert terminal.wait() == what.code, (name, terminal.shows)

@@ -132,7 +132,6 @@ class Rotation:
         self.gateway.wait_says("stopped: ")
 
     def has_said(self, words: str) -> bool:
-        """Has the gateway said this?"""
         return any(words in line for line in list(self.gateway.said))
 
 

@@ -61,7 +61,6 @@ class Fleet(ProvisionedFleet):
         return self.place / "ann" / "operator.toml"
 
     def router(self) -> AbstractContextManager[None]:
-        """Its router."""
         return router_process(self.router_file)
 
     @contextmanager
@@ -75,16 +74,13 @@ class Fleet(ProvisionedFleet):
 
     @contextmanager
     def running(self) -> Iterator[Running]:
-        """Router and gateway."""
         with self.router(), self.gateway() as running:
             yield running
 
     def connect(self) -> Robot:
-        """The operator's library."""
         return Robot.connect(ROBOT, settings=load_settings(str(self.operator_file), {}, {}), timeout_s=10.0)
 
     def why(self) -> str:
-        """What ``cruiser why`` says."""
         return run(["why", ROBOT, "--config", str(self.operator_file)]).stdout
 
     def engages(self) -> None:
@@ -95,7 +91,6 @@ class Fleet(ProvisionedFleet):
                 lease.engage()
 
     def refuses(self) -> None:
-        """Nobody engages the robot."""
         with self.connect() as robot:
             wait_until(lambda: set(robot.state().state.blocked_by) <= REFUSING)
             with robot.lease() as lease, pytest.raises(Refused) as refused:
@@ -116,24 +111,20 @@ def waits(robot: Robot) -> None:
 
 
 def change(file: Path, damage: Damage) -> None:
-    """Change a Zenoh file."""
     said = json.loads(file.read_text("utf-8"))
     damage(said)
     file.write_text(json.dumps(said), "utf-8")
 
 
 def switched_off(said: Any) -> None:  # noqa: ANN401 - JSON
-    """Zenoh asks nobody."""
     said["access_control"]["enabled"] = False
 
 
 def allowing(said: Any) -> None:  # noqa: ANN401 - JSON
-    """What is in no rule passes."""
     said["access_control"]["default_permission"] = "allow"
 
 
 def without_names(said: Any) -> None:  # noqa: ANN401 - JSON
-    """Every subject is everybody."""
     for subject in said["access_control"]["subjects"]:
         del subject["cert_common_names"]
 

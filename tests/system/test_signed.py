@@ -57,7 +57,6 @@ def stranger(site: Site) -> Iterator[zenoh.Session]:
 
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
-    """A fleet of this test."""
     return Site(tmp_path)
 
 

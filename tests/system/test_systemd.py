@@ -35,7 +35,6 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def analyze(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """systemd-analyze, on the tree."""
     program = shutil.which("systemd-analyze") or ""
     return subprocess.run([program, *words, f"--root={root}", *UNITS], capture_output=True, text=True, check=False)
 

@@ -82,7 +82,6 @@ class Witness:
         self._thread.start()
 
     def close(self) -> None:
-        """Leave the bus."""
         self._ends.set()
         self._thread.join()
         self._bus.close()
@@ -131,7 +130,6 @@ def running(site: SecuredSite) -> Iterator[tuple[Running, Witness]]:
 
 @pytest.fixture
 def site(tmp_path: Path) -> SecuredSite:
-    """The fleet of this test."""
     return SecuredSite(tmp_path)
 
 

@@ -56,11 +56,9 @@ class FakeGateway:
         self._session.put(key, codec.encode(message), encoding=encoding or subject.encoding)
 
     def say_raw(self, name: str, payload: bytes, encoding: str) -> None:
-        """Publish bytes under a subject's name."""
         self._session.put(f"{ROOT}/{self.robot}/{name}", payload, encoding=encoding)
 
     def peers(self) -> list[Any]:
-        """Who is connected."""
         return list(self._session.info.peers_zid())
 
 

@@ -35,12 +35,10 @@ _SIGN = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
 
 def message_of(sample: Sample) -> Message | codec.PayloadFault:
-    """Read a sample."""
     return codec.decode(BY_NAME[sample.subject], sample.payload)
 
 
 def settings_for(endpoint: str) -> Settings:
-    """Settings that connect there."""
     return Settings(zenoh=ZenohSettings(connect=[endpoint]))
 
 
@@ -112,7 +110,6 @@ class FakeRobot:
 
     @property
     def there(self) -> Settings:
-        """Settings that connect to it."""
         return settings_for(self.listen)
 
     def seen_by(self, operator: str = "first") -> Robot:
@@ -129,12 +126,10 @@ class FakeRobot:
 
     @property
     def latched(self) -> set[Reason]:
-        """What must be reset."""
         return set(self.flow.arbiter.latches.details)
 
     @property
     def state(self) -> ArbiterState:
-        """The arbiter's."""
         return self.flow.arbiter.state
 
     @property
@@ -149,15 +144,12 @@ class FakeRobot:
         return told.angle_deg if told is not None else 0.0
 
     def has_heard(self, puts: int) -> bool:
-        """So many puts have come."""
         return len(self.puts) >= puts
 
     def accepted(self, verb: str) -> list[Decision]:
-        """The decisions that accepted this verb."""
         return [one for one in list(self.decisions) if one.request == verb and one.verdict.value == "accepted"]
 
     def refused(self, verb: str) -> list[Decision]:
-        """The decisions that refused it."""
         return [one for one in list(self.decisions) if one.request == verb and one.verdict.value == "refused"]
 
     def _run(self) -> None:

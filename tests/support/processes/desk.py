@@ -128,7 +128,6 @@ def is_ready(page: Page) -> bool:
 
 
 def wait_ready(page: Page) -> None:
-    """Wait until it says so."""
     page.locator(".band .word", has_text="ready").wait_for()
 
 
@@ -161,7 +160,6 @@ def is_engaged(page: Page) -> bool:
 
 
 def is_driven(page: Page) -> bool:
-    """This page drives the robot."""
     return page.locator(".robot.driving").count() > 0
 
 
@@ -198,5 +196,4 @@ def drive(scene: DeskScene, page: Page, key: str = "", forward: float = 0.8) -> 
 
 
 def texts(page: Page, selector: str) -> Sequence[str]:
-    """What stands in these elements."""
     return page.locator(selector).all_text_contents()

@@ -48,7 +48,6 @@ class Forked:
         return self._process.exitcode
 
     def poll(self) -> int | None:
-        """The exit code so far."""
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
@@ -84,11 +83,9 @@ class Forked:
             os.kill(self.pid, number)
 
     def terminate(self) -> None:
-        """Ask it to end."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """End it at once."""
         self.send_signal(signal.SIGKILL)
 
 

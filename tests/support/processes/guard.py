@@ -41,7 +41,6 @@ class Burst(msgspec.Struct):
 
     @property
     def names(self) -> list[str]:
-        """What they are."""
         return [COMMANDS[frame.can_id] for frame in self.frames]
 
 
@@ -63,7 +62,6 @@ class Listener:
         self._thread.start()
 
     def close(self) -> None:
-        """Hear no more."""
         self._ended.set()
         self._thread.join()
         self._bus.close()
@@ -73,11 +71,9 @@ class Listener:
         return self.view.mode(time.monotonic_ns())
 
     def stands(self) -> bool:
-        """The robot stands."""
         return self.view.stands(Variant.COARSE, time.monotonic_ns())
 
     def speed_mps(self) -> float:
-        """What the chassis says."""
         return self.view.speed_mps(Variant.COARSE, time.monotonic_ns())
 
     def by_guard(self) -> list[Burst]:
@@ -122,7 +118,6 @@ class Watched:
 
     @property
     def guard(self) -> int:
-        """The guard's process."""
         wait_until(lambda: bool(self._values("guard")))
         return int(self._values("guard")[0])
 
@@ -131,7 +126,6 @@ class Watched:
         wait_until(lambda: line in self.said)
 
     def send_signal(self, number: signal.Signals) -> None:
-        """To the stand-in."""
         self.process.send_signal(number)
 
     def guard_lives(self) -> bool:
@@ -143,7 +137,6 @@ class Watched:
         return status.rpartition(")")[2].split()[0] != "Z"
 
     def wait_guard_gone(self) -> None:
-        """Wait until the guard has left."""
         wait_until(lambda: not self.guard_lives())
 
     @property

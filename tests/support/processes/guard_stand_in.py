@@ -47,7 +47,6 @@ class StandIn:
         self.is_ended |= number == signal.SIGTERM
 
     def run(self) -> None:
-        """Until SIGTERM."""
         bus = ReconnectingBus(lambda: open_bus(self.settings.can), open_bus(self.settings.can))
         guard = start_guard(self.settings)
         assert isinstance(guard, GuardProcess)

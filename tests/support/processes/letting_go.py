@@ -10,7 +10,6 @@ from playwright.sync_api import Page
 
 
 def let_go_of_the_pointer(page: Page) -> None:
-    """The finger is lifted."""
     page.mouse.up()
 
 
@@ -22,28 +21,23 @@ def cancel_the_pointer(page: Page) -> None:
 
 
 def lose_the_capture(page: Page) -> None:
-    """Something else takes the pointer."""
     page.locator(".pad").evaluate("pad => pad.releasePointerCapture(1)")
 
 
 def lose_the_focus(page: Page) -> None:
-    """Another window comes to the front."""
     page.evaluate("dispatchEvent(new Event('blur'))")
 
 
 def hide_the_page(page: Page) -> None:
-    """Another tab is shown."""
     page.evaluate("Object.defineProperty(document, 'hidden', {value: true})")
     page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
 
 
 def leave_for_the_overview(page: Page) -> None:
-    """Whoever drives looks at something else."""
     page.evaluate("location.hash = '#/'")
 
 
 def close_the_page(page: Page) -> None:
-    """The tab is closed."""
     page.close()
 
 

@@ -21,7 +21,6 @@ SPEED_MPS = 0.6
 
 
 def token_key(operator: str) -> str:
-    """Where its liveliness token is."""
     return f"operators/{operator}"
 
 

@@ -56,11 +56,9 @@ class Process:
         return self._process.wait(), out, err
 
     def signal(self, number: int) -> None:
-        """Send a signal."""
         self._process.send_signal(number)
 
     def kill(self) -> None:
-        """Without a chance to do anything."""
         self.end(signal.SIGKILL)
 
     @property
@@ -113,7 +111,6 @@ def link(peer: Peer, directory: Path) -> None:
 
 
 def counts(found: LogInfo) -> dict[str, int]:
-    """Messages by topic."""
     return {channel.topic: channel.messages for channel in found.channels}
 
 
@@ -133,7 +130,6 @@ def readable(directory: Path) -> Iterator[LogInfo]:
 
 
 def whole(directory: Path) -> list[Path]:
-    """The logs that are ended."""
     return sorted(directory.glob("*.mcap"))
 
 
@@ -163,15 +159,12 @@ class Told:
         return self._messages
 
     def healths(self, recorder: str = "bench") -> list[RecorderHealth]:
-        """How a recorder was, each second."""
         return [one for name, one in self._take() if name == recorder and isinstance(one, RecorderHealth)]
 
     def events(self, kind: RecorderEventKind) -> list[RecorderEvent]:
-        """What happened."""
         return [one for _, one in self._take() if isinstance(one, RecorderEvent) and one.kind is kind]
 
     def gaps(self) -> list[RecordGap]:
-        """What is not in the logs."""
         return [one for _, one in self._take() if isinstance(one, RecordGap)]
 
     def wait_for_health(self, recorder: str = "bench") -> RecorderHealth:

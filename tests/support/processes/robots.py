@@ -37,7 +37,6 @@ ROUNDS = 40
 
 
 def name_of(number: int) -> str:
-    """A robot's name."""
     return f"robot-{number:04}"
 
 

@@ -29,26 +29,22 @@ class Served:
         self.thread = threading.Thread(target=self.serve)
 
     def end(self) -> None:
-        """The server goes away."""
         self.stop.set()
         self.thread.join(DEADLINE_S)
         self.server.close()
 
     def serve(self) -> None:
-        """Runs until ``stop`` is set."""
         self.summary = live(
             self.chassis, self.server, self.stop.is_set, clock=SimClock(), lines=TypedLines(-1), answer=print
         )
 
     @contextmanager
     def bus(self) -> Iterator[can.BusABC]:
-        """A client of python-can's own."""
         with can.Bus(interface="socketcand", host=self.host, port=self.port, channel="can0") as bus:
             yield bus
 
     @contextmanager
     def raw(self) -> Iterator[socket.socket]:
-        """A client that has been greeted."""
         with socket.create_connection((self.host, self.port), DEADLINE_S) as connection:
             assert connection.recv(64) == b"< hi >"
             yield connection

@@ -42,7 +42,6 @@ class TcpProxy:
         self._stalled.set()
 
     def close(self) -> None:
-        """Cut the connection."""
         self._ended.set()
         self._thread.join()
         self._server.close()

@@ -144,7 +144,6 @@ class ArbiterRig:
         return self.send("drive", msgspec.msgpack.encode(asked | fields), handle=0)
 
     def engage(self) -> None:
-        """Acquire, engage, unpark."""
         self.ask("acquire")
         self.ask("engage")
         self.tick(count=2)
@@ -152,7 +151,6 @@ class ArbiterRig:
         self.ask("unpark")
 
     def drive_for(self, ticks: int, speed_mps: float) -> None:
-        """A stream."""
         for _ in range(ticks):
             self.drive(speed_mps)
 
@@ -183,7 +181,6 @@ class ArbiterRig:
         return ruling
 
     def told(self, kind: EventKind) -> list[Event]:
-        """The events of a kind."""
         return [event for event in self.events if event.kind is kind]
 
 

@@ -38,7 +38,6 @@ class ChassisRig:
         self.seen: dict[str, dict[str, Value]] = {}
 
     def send(self, name: str, **values: Value) -> None:
-        """One command frame."""
         self.chassis.receive(self.encoder.encode(name, values, 0), self.now_ns)
 
     def command(
@@ -52,7 +51,6 @@ class ChassisRig:
         self.send("Auto_ParkingCmd", Enable=True, ParkingRequest=others.get("park", False))
 
     def fault(self, text: str) -> None:
-        """Cause a fault now."""
         self.chassis.inject(fault_line(text), self.now_ns)
 
     def run(self, seconds: float) -> list[Frame]:
@@ -76,5 +74,4 @@ class ChassisRig:
 
     @property
     def speed_mps(self) -> float:
-        """How fast it really is."""
         return self.chassis.state.speed_mps

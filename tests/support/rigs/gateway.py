@@ -122,7 +122,6 @@ class GatewayRig:
 
     @property
     def says(self) -> SafetyState:
-        """The newest safety/state."""
         assert self.state is not None
         return self.state
 
@@ -168,14 +167,12 @@ class GatewayRig:
         return self._handles
 
     def tick(self, count: int = 1) -> None:
-        """Ten milliseconds pass, so many times."""
         for _ in range(count):
             self.now_ns += TICK + self.late_ns
             self.wall_ns += TICK + self.late_ns
             self._tick(self.late_ns)
 
     def run(self, seconds: float) -> None:
-        """Time passes."""
         self.tick(round(seconds * 100))
 
     def until(self, holds: Callable[[], bool], seconds: float = 5.0) -> None:
@@ -187,7 +184,6 @@ class GatewayRig:
         assert holds(), f"not within {seconds} s: {self.state}"
 
     def ruled(self) -> Reason:
-        """The reason of the last decision."""
         return self.decided[-1].reason
 
     def event_reasons(self, kind: decisions.EventKind) -> list[Reason]:
@@ -349,7 +345,6 @@ class Operator:
         self.sequence = 0
 
     def ask(self, verb: str, **fields: object) -> int:
-        """Send a query."""
         if verb not in {"acquire", "take", "stop"}:
             fields = {"lease": self.lease, **fields}
         if verb == "engage":
@@ -395,7 +390,6 @@ class Operator:
             self.rig.tick(2)
 
     def engage(self, **fields: object) -> None:
-        """Acquire, engage and unpark."""
         if not self.lease:
             assert self.take_lease() is Reason.NONE
         handle = self.ask("engage", **fields)

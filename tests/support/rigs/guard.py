@@ -81,7 +81,6 @@ class GuardRig:
         self.run(seconds)
 
     def play(self, *steps: "Step") -> None:
-        """Take these steps."""
         for step in steps:
             match step:
                 case float():
@@ -97,12 +96,10 @@ class GuardRig:
                     step(self)
 
     def set_mark(self) -> None:
-        """Count from now on."""
         self.mark = (len(self.sent), len(self.by_loop))
         self.fastest_mps = 0.0
 
     def run(self, seconds: float) -> None:
-        """Let time pass."""
         for _ in range(round(seconds * S / GUARD_POLL_NS)):
             self.now_ns += GUARD_POLL_NS
             self._chassis()

@@ -51,7 +51,6 @@ class RecorderRig:
         return WALL_NS + self.now_ns
 
     def receive(self, *samples: ReceivedSample) -> None:
-        """They come now."""
         self.writer.apply(self.recorder.receive(map(self._now, samples), self.now_ns))
 
     def _now(self, sample: ReceivedSample) -> ReceivedSample:
@@ -63,7 +62,6 @@ class RecorderRig:
         self.writer.apply(self.recorder.ask(self.now_ns))
 
     def run(self, span_ns: int) -> None:
-        """Let time go by."""
         end_ns = self.now_ns + span_ns
         while self.now_ns < end_ns:
             self.now_ns = min(end_ns, self.now_ns + 10 * MS)
@@ -71,7 +69,6 @@ class RecorderRig:
             self.notice()
 
     def notice(self) -> None:
-        """What became of the files."""
         while self.writer.notices:
             notice = self.writer.notices.pop(0)
             self.writer.apply(self.recorder.receive_notice(notice, self.now_ns, self.wall_ns))

@@ -35,12 +35,10 @@ def _linked(links: Links, seconds: float = 0.3) -> RecordedRig:
 
 
 def front_bumper() -> RecordedRig:
-    """The front bumper is hit."""
     return _faulted("bumper front on for 700ms")
 
 
 def rear_bumper() -> RecordedRig:
-    """The rear bumper is hit."""
     return _faulted("bumper rear on for 700ms")
 
 
@@ -106,7 +104,6 @@ def lease_released() -> RecordedRig:
 
 
 def disengaged() -> RecordedRig:
-    """The holder disengages."""
     rig, operator = RecordedRig.driving()
     operator.reason("disengage")
     rig.rest()
@@ -142,7 +139,6 @@ def hand_transmitter() -> RecordedRig:
 
 
 def one_silent_frame() -> RecordedRig:
-    """One feedback frame stays away."""
     return _faulted("silence Auto_GearFeedBack for 500ms", 0.4)
 
 
@@ -152,12 +148,10 @@ def slow_silent_frame() -> RecordedRig:
 
 
 def checksums() -> RecordedRig:
-    """Five frames with a wrong checksum."""
     return _faulted("checksum Auto_DriveFeedBack for 5 frames")
 
 
 def stuck_counter() -> RecordedRig:
-    """A counter that does not rise."""
     return _faulted("stuck Auto_SteeringFeedBack for 8 frames")
 
 
@@ -167,7 +161,6 @@ def wrong_scale() -> RecordedRig:
 
 
 def other_commander() -> RecordedRig:
-    """Another computer sends drive commands."""
     return _faulted("foreign 18C4D3D0 every 10ms for 200ms")
 
 
@@ -181,7 +174,6 @@ def bus_lost() -> RecordedRig:
 
 
 def guard_lost() -> RecordedRig:
-    """No guard watches any more."""
     return _linked(Links(bus_up=True, guarded=False, realtime=True))
 
 

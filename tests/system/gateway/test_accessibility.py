@@ -54,7 +54,6 @@ def overview(page: Page, address: str) -> None:
 
 
 def wall(page: Page, address: str) -> None:
-    """The same as tiles."""
     page.goto(f"{address}#/wall")
     page.locator(".tile[data-robot=telemetry]").wait_for()
 

@@ -89,7 +89,6 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(directory: Path) -> Iterator[str]:
-    """A desk of these logs."""
     with served(directory) as address:
         yield address
 
@@ -207,7 +206,6 @@ def home(page: Page, address: str) -> None:
 
 
 def stops(page: Page, address: str) -> None:
-    """A stop, explained."""
     page.goto(f"{address}logs.html#/logs?search=stops")
     page.locator(".links button").first.click()
     page.locator(".reason dl").first.wait_for()

@@ -18,7 +18,6 @@ ROOT = Path(__file__).parents[3]
 
 
 def alerts() -> list[str]:
-    """The alerts, in their order."""
     return re.findall(r"^ +- alert: (\w+)$", RULES.read_text("utf-8"), flags=re.MULTILINE)
 
 

@@ -29,7 +29,6 @@ def section(name: str) -> dict[str, str]:
 
 @pytest.fixture
 def service() -> dict[str, str]:
-    """The gateway's."""
     return section("cruiser-gateway.service")
 
 

@@ -20,7 +20,6 @@ OPTIONS = st.dictionaries(
 def merged(
     text: str = "", environ: dict[str, str] | None = None, flags: dict[str, object] | None = None
 ) -> Settings:
-    """The settings that these sources give."""
     return merge(TomlSource("robot.toml", text), environ or {}, flags or {})
 
 

@@ -14,7 +14,6 @@ STATEMENTS = r"VERSION|NS_|BS_|BU_|BO_| SG_|CM_|BA_DEF_|BA_DEF_DEF_|BA_|VAL_"
 
 
 def text_of(file: str) -> str:
-    """The text of a DBC."""
     return resources.files("schemas").joinpath(file).read_text(encoding="ascii")
 
 

@@ -148,7 +148,6 @@ class Nodes:
         return [1] * self._routers if self.looks >= self._after else []
 
     def pause(self, seconds: float) -> None:
-        """Time passes."""
         assert seconds > 0
         self.looks += 1
 

@@ -30,7 +30,6 @@ LINE = b"< frame 18C4D1EF 1.000000 0000000000000000 >"
 
 @pytest.fixture
 def running() -> Iterator[Served]:
-    """A served chassis."""
     with served() as chassis:
         yield chassis
 
@@ -44,7 +43,6 @@ def server() -> Iterator[SocketcandServer]:
 
 
 def no_faults(_text: str) -> str:
-    """Takes every fault."""
     return ""
 
 
@@ -161,7 +159,6 @@ class Reader:
         self.lines: list[bytes] = []
 
     def read(self) -> None:
-        """Reads what is there."""
         with contextlib.suppress(BlockingIOError):
             *lines, self._rest = (self._rest + self._client.recv(1 << 20)).split(b">")
             self.lines += lines

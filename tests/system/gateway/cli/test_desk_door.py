@@ -33,20 +33,17 @@ REPLY = b"\x82\x05hello"
 
 
 async def echo(link: WebSocket) -> None:
-    """Send back what comes."""
     await link.accept()
     while (message := await link.receive())["type"] != "websocket.disconnect":
         await link.send_bytes(message["bytes"])
 
 
 async def body(request: Request) -> PlainTextResponse:
-    """Say how long a body was."""
     return PlainTextResponse(str(len(await request.body())))
 
 
 @pytest.fixture
 def port() -> Iterator[int]:
-    """A server."""
     routes = [
         WebSocketRoute("/link", echo),
         Route("/hello", lambda _request: PlainTextResponse("hello")),

@@ -17,7 +17,6 @@ ELSEWHERE = {"realtime", "clock_unsynchronised"}
 
 @pytest.fixture
 def bus() -> Iterator[str]:
-    """A virtual chassis; where it is."""
     with chassis() as (_, address):
         yield address
 
@@ -34,7 +33,6 @@ def examine(address: str, *words: str, interface: str = "socketcand") -> tuple[i
 
 
 def fault(address: str, *words: str) -> None:
-    """Cause a fault in the chassis."""
     assert run(["fault", "--sim", address, *words]).returncode == 0
 
 

@@ -52,7 +52,6 @@ class Listener:
         self.encodings: dict[str, str] = {}
 
     def hear(self) -> None:
-        """Take what has come."""
         while (sample := self._subscriber.try_recv()) is not None:
             key = str(sample.key_expr)
             self.latest[key] = msgpack.unpackb(sample.payload.to_bytes())
@@ -82,7 +81,6 @@ class Listener:
         raise AssertionError("nobody replied")
 
     def accepts(self, verb: str, **fields: object) -> bool:
-        """The verb is accepted."""
         return bool(self.ask(verb, **fields)["ok"])
 
     def stop(self, robot: str) -> None:
@@ -570,5 +568,4 @@ class FakeGuard(NoGuard):
         return GuardView(is_watching=self.is_watching)
 
     def close(self) -> None:
-        """Remember it."""
         self.is_closed = True

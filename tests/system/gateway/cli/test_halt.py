@@ -20,7 +20,6 @@ from tests.support.waiting import wait_until
 
 
 def halt(address: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """Halt the robot."""
     return run(["halt", "--interface", "socketcand", "--channel", address, *words])
 
 

@@ -25,7 +25,6 @@ EVERY = ("tcp/127.0.0.1:{}", "tcp/0.0.0.0:{}", "tcp/[::]:{}")
 
 
 def port_of(endpoint: str) -> int:
-    """The endpoint's port."""
     return int(endpoint.rpartition(":")[2])
 
 

@@ -89,7 +89,6 @@ def processes() -> Iterator[ExitStack]:
 
 @pytest.fixture
 def bus(processes: ExitStack) -> str:
-    """A virtual chassis; where it is."""
     return processes.enter_context(chassis())[1]
 
 
@@ -105,12 +104,10 @@ def systemd(processes: ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def set_up(machine: Machine, *words: str) -> ExitCode:
-    """Run the command."""
     return setup.set_up(parsed(setup, *words), machine, lambda: False)
 
 
 def of(bus: str) -> list[str]:
-    """Flags that name the bus."""
     return ["--defaults", "--interface", "socketcand", "--channel", bus]
 
 

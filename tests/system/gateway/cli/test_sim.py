@@ -54,7 +54,6 @@ def bus_at(place: str) -> can.BusABC:
 
 @pytest.fixture
 def running() -> Iterator[Served]:
-    """A served chassis."""
     with served() as chassis:
         yield chassis
 

@@ -132,7 +132,6 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
 
 
 def tell(fleet: Fleet, *words: str, where: str = "ann") -> int:
-    """Run one of the two actions."""
     return run(*words, "--connect", fleet.endpoint, "--directory", fleet.place / where, "--timeout", "2")
 
 

@@ -80,7 +80,6 @@ class Driver:
         return press
 
     def wait_shows(self, text: str) -> None:
-        """Wait until this was drawn."""
         wait_until(lambda: text.encode() in self.seen)
 
     def hang_up(self) -> None:
@@ -91,7 +90,6 @@ class Driver:
         self._master = -1
 
     def modes(self) -> list[object]:
-        """How the terminal is set."""
         return termios.tcgetattr(self._slave)
 
     def _look(self) -> None:

@@ -91,7 +91,6 @@ def test_drive_says_what_the_limits_leave_of_what_is_asked(capsys: Capture) -> N
 
 
 def hit(fake: FakeRobot) -> None:
-    """Press its front bumper."""
     fake.front_bumper = True
 
 
@@ -101,7 +100,6 @@ def loosen(fake: FakeRobot) -> None:
 
 
 def vanish(fake: FakeRobot) -> None:
-    """Neither hear nor say anything more."""
     fake.mute = fake.deaf = True
 
 

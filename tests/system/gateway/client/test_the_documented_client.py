@@ -18,7 +18,6 @@ LINES_MAX = 39
 
 
 def documented() -> str:
-    """The program's text."""
     section = PAGE.read_text(encoding="utf-8").partition("### A whole client\n")[2].partition("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("    ") or not line]
     return textwrap.dedent("\n".join(lines)).strip()

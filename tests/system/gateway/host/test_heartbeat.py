@@ -14,7 +14,6 @@ from gateway.host.guard_main import Heartbeat
 
 @pytest.fixture
 def heartbeat() -> Iterator[Heartbeat]:
-    """Fresh memory."""
     memory = Heartbeat.create()
     yield memory
     memory.close()

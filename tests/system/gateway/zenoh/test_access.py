@@ -145,7 +145,6 @@ def observe(secured: Secured, arrivals: Arrivals) -> list[Any]:
 
 
 def undeclare(declared: list[Any]) -> None:
-    """Leave nothing behind."""
     for one in declared:
         one.undeclare()
 

@@ -27,7 +27,6 @@ TOKEN = TokenChange("fleet/cruiser-1/gateway", present=True)
 
 
 def settings_for(*endpoints: str) -> Settings:
-    """Settings that connect to these endpoints."""
     return Settings(zenoh=ZenohSettings(connect=list(endpoints)))
 
 

@@ -60,7 +60,6 @@ class Bench:
         self.inbox.close()
 
     def drain(self, holder: str = "", lease: int = 0, after: int = -1) -> None:
-        """A tick."""
         self.got += self.inbox.drain(holder, lease, after)
 
     def wait_for(self, count: int) -> list[RawRequest]:
@@ -75,7 +74,6 @@ class Bench:
             wait_until(lambda: probe.try_recv() is not None, lambda: self.ask_nowhere(key))
 
     def ask_nowhere(self, key: str) -> None:
-        """A query whose replies nobody reads."""
         self.asker.get(key, zenoh.handlers.RingChannel(1), timeout=5)
 
     def ask(self, key: str, payload: bytes = b"", encoding: str | None = None) -> Any:  # noqa: ANN401 - Zenoh's own handler
@@ -83,7 +81,6 @@ class Bench:
         return self.asker.get(key, payload=payload, encoding=encoding, timeout=5)
 
     def answer(self, requests: list[RawRequest], payload: bytes = b"yes") -> None:
-        """Reply to each."""
         for request in requests:
             self.inbox.reply(PendingReply(request.handle, request.verb, payload))
 

@@ -106,7 +106,6 @@ class Surrounded:
 
 @pytest.fixture
 def surrounded(tmp_path: Path) -> Surrounded:
-    """A network of this test."""
     return Surrounded(tmp_path)
 
 

@@ -27,12 +27,10 @@ CAUSE = "nobody answers"
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Attempts follow each other closely."""
     monkeypatch.setattr(late_node, "AGAIN_S", 0.01)
 
 
 def info() -> bytes:
-    """The payload of ``gateway/info``."""
     return b"\x80"
 
 
@@ -98,7 +96,6 @@ class Sessions:
         self.closed: list[str] = []
 
     def pair(self) -> Joined:
-        """A node and its inbox."""
         return cast("ZenohNode", _Closing(self.closed, "node")), cast(
             "CommandInbox", _Closing(self.closed, "inbox")
         )

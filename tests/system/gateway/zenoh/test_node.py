@@ -42,7 +42,6 @@ def watcher(default_endpoint: str) -> Iterator[zenoh.Session]:
 
 
 def settings(name: str) -> Settings:
-    """The settings of a robot."""
     return Settings(robot=RobotSettings(name=name))
 
 

@@ -20,7 +20,6 @@ VOLLEYS, VOLLEY = 40, 5
 
 
 def settings_for(endpoint: str) -> Settings:
-    """Settings that connect there."""
     return Settings(zenoh=ZenohSettings(connect=[endpoint]))
 
 

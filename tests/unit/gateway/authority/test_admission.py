@@ -45,12 +45,10 @@ MS: Final = 1_000_000
 
 
 def key_of(operator: str, verb: str, robot: str = ROBOT) -> str:
-    """The key expression of a verb."""
     return keys.command(ROOT, robot, operator, verb)
 
 
 def encode(said: Request | LeaseReply) -> bytes:
-    """Its payload."""
     return msgspec.msgpack.encode(said)
 
 
@@ -107,7 +105,6 @@ class Door:
         return self.raw(name, verb, sent, party.prove(**(signed | changes)))
 
     def ask(self, party: Party, verb: str, sent: bytes = b"", **changes: Any) -> Credentials:  # noqa: ANN401 - what is signed
-        """What becomes of such a verb."""
         return self.admit(self.sign(party, verb, sent, **changes))
 
     def reasons(self, raws: list[RawRequest]) -> list[Reason]:

@@ -82,7 +82,6 @@ def asked(
     private: Ed25519PrivateKey | None,
     tls: ec.EllipticCurvePrivateKey = TLS,
 ) -> EnrolmentRequest:
-    """A request with a certificate."""
     return new_request(role, names, new_csr(tls, role.value, names or ["nobody"]), private, tls)
 
 

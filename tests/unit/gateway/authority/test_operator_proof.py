@@ -41,7 +41,6 @@ class Pair:
         return OperatorProof(self.ann.private, self.ann.chain, self.bench.fleet.trust, "fleet", lambda: NOW_S)
 
     def meet(self, question: bytes = QUESTION) -> Objection | None:
-        """The robot answers this question."""
         return self.proof.meet("cruiser-1", self.shown(question), question)
 
     def believes(self, received: Received, **changes: Any) -> bool:  # noqa: ANN401 - what arrives
@@ -74,7 +73,6 @@ class Pair:
         return Received(key, known.encoding, payload, signer.publication(key, known.encoding, payload))
 
     def restart(self, boot: bytes) -> None:
-        """The robot's gateway begins another run."""
         self.robot.signer = RobotSigner(self.bench.robot.private, boot)
 
     def ask(self, verb: str, payload: bytes, said: bytes = b"") -> tuple[Credentials, Received, bytes]:

@@ -32,7 +32,6 @@ def signed_statements(effects: AuthorityEffects) -> list[SignedStatement]:
 
 
 def statements(effects: AuthorityEffects) -> list[str]:
-    """Their texts."""
     return [one.text for one in signed_statements(effects)]
 
 
@@ -203,7 +202,6 @@ def learnt(fleet: Fleet, new: Fleet) -> Kept:
 
 
 def since(fleet: Fleet) -> Kept:
-    """Nothing was learnt yet."""
     resumed = resume(fleet.trust, Kept())
     assert not isinstance(resumed, Objection)
     assert resumed[0] == fleet.trust

@@ -103,19 +103,16 @@ class FakePythonCan:
 
 @pytest.fixture
 def below() -> Iterator[FakePythonCan]:
-    """Below the bus."""
     fake = FakePythonCan()
     yield fake
     fake.socket.close()
 
 
 def opened(below: FakePythonCan, *identifiers: int) -> SocketCanBus:
-    """A bus on it."""
     return SocketCanBus(below, identifiers)  # type: ignore[arg-type] # it has what is used
 
 
 def error(number: int) -> OSError:
-    """As the system raises it."""
     return OSError(number, os.strerror(number))
 
 

@@ -43,7 +43,6 @@ class Scene:
         self.hub.step(self.now_ns)
 
     def say(self, browser: Browser, **message: object) -> None:
-        """A browser says this."""
         self.hub.receive(browser, msgspec.msgpack.encode(message))
 
 

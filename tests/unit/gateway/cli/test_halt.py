@@ -32,7 +32,6 @@ class CommandedBus:
         self._waiting: list[Frame] = []
 
     def monotonic_ns(self) -> int:
-        """The clock."""
         return self.now_ns
 
     def receive(self, timeout_s: float) -> Frame | None:
@@ -48,7 +47,6 @@ class CommandedBus:
         return None
 
     def send(self, _frame: Frame) -> None:
-        """Note when."""
         self.sent_ns.append(self.now_ns)
 
     def close(self) -> None:

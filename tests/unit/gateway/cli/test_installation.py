@@ -33,7 +33,6 @@ ELSEWHERE = Answers("depot-3", "", "socketcand", "127.0.0.1:29536", 0)
 
 
 def settings(text: str) -> Settings:
-    """What the services read of it."""
     return merge(TomlSource("cruiser.toml", text), {}, {})
 
 

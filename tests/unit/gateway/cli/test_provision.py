@@ -58,7 +58,6 @@ def revoked(fleet: ProvisionedFleet, *words: str | Path) -> Signed:
 
 
 def said(signed: Signed) -> Revocations:
-    """What is in it."""
     assert isinstance(signed.statement, Revocations)
     return signed.statement
 

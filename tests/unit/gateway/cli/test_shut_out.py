@@ -59,7 +59,6 @@ class World:
         return self.pauses >= self.ends_after
 
     def waits(self, error: CommandError) -> bool:
-        """Wait as a service does."""
         return has_waited(error, ZenohSettings(mode="client", connect=[ENDPOINT]), self.ends)
 
 

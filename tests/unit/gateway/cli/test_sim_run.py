@@ -82,7 +82,6 @@ class Bench:
         self.answers: list[str] = []
 
     def run(self, seconds: float | None = None, stopped: Callable[[], bool] = lambda: False) -> SimSummary:
-        """Live."""
         return live(
             self.chassis,
             self.link,

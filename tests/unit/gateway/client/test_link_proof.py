@@ -79,7 +79,6 @@ class Scene:
 
 @pytest.fixture
 def scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
-    """Of this test."""
     return Scene(monkeypatch)
 
 

@@ -50,7 +50,6 @@ def drawn(renderable: RenderableType, width: int = 200) -> str:
 
 
 def listed(report: RobotStatus) -> str:
-    """A report in the list."""
     return "\n".join(fleet.list_lines([report]))
 
 

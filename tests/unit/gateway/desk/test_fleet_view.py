@@ -23,7 +23,6 @@ class Scene:
         self.recorders: list[RecorderRow] | None = None
 
     def say(self, *messages: Message) -> None:
-        """A robot, or a recorder, publishes."""
         for message in messages:
             self.view.receive(received(message))
 

@@ -23,7 +23,6 @@ AUTO = msgspec.structs.replace(STATE, mode=Mode.AUTO, bus_up=True, speed_mps=0.0
 
 
 def report(state: RobotState | None, safety: SafetyState | None) -> RobotStatus:
-    """A robot that is connected."""
     return RobotStatus("cruiser-1", True, state, 0.05, HEALTH, 0.5, "", True, safety)  # noqa: FBT003 - as declared
 
 

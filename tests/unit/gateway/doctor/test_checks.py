@@ -73,22 +73,18 @@ DEAD = replace(WELL_HEALTH, feedback=SILENT, frames_per_s=0.0, variant=Variant.U
 
 
 def zenoh(**changes: object) -> Facts:
-    """With something else on Zenoh."""
     return replace(WELL, zenoh=replace(WELL.zenoh, **changes))
 
 
 def health(**changes: object) -> Facts:
-    """With another health of the gateway."""
     return zenoh(health=replace(WELL_HEALTH, **changes))
 
 
 def safety(**changes: object) -> Facts:
-    """With another state of the arbiter."""
     return zenoh(safety=replace(STANDBY, **changes))
 
 
 def interface(**changes: object) -> Facts:
-    """With another interface."""
     assert WELL.interface is not None
     return replace(WELL, interface=replace(WELL.interface, **changes))
 
@@ -99,13 +95,11 @@ def listened(report: BusReport, **changes: object) -> Facts:
 
 
 def disk(**changes: object) -> Facts:
-    """With another disk."""
     assert WELL.disk is not None
     return replace(WELL, disk=replace(WELL.disk, **changes))
 
 
 def dead(**changes: object) -> GatewayHealth:
-    """Of a bus without the chassis."""
     return replace(DEAD, **changes)
 
 

@@ -99,7 +99,6 @@ def test_the_note_of_a_stop_is_read_where_it_is(tmp_path: Path) -> None:
 
 
 def a_file_system(flag: int = 0, free: int = 100) -> SimpleNamespace:
-    """As the kernel describes it."""
     return SimpleNamespace(f_flag=flag, f_bavail=free, f_blocks=1000, f_frsize=4096)
 
 

@@ -15,7 +15,6 @@ BEGUN = "guard: the gateway is gone, last heartbeat 51 ms ago: stopping the robo
 
 @pytest.fixture
 def note(tmp_path: Path) -> StopNote:
-    """None is there yet."""
     return StopNote(tmp_path / "fleet.cruiser-1.guard-stop")
 
 

@@ -37,13 +37,11 @@ class World:
         return None
 
     def send(self, frames: list[Frame]) -> int:
-        """Takes all."""
         self.order.append("frames")
         self.sent += frames
         return len(frames)
 
     def read_beat(self) -> Beat:
-        """Always the same."""
         return self.beat
 
     def write_status(self, status: GuardStatus) -> None:
@@ -51,15 +49,12 @@ class World:
         self.order.append("sending" if status.is_sending else "watching")
 
     def parent_lives(self) -> bool:
-        """Until all frames were received."""
         return bool(self.frames)
 
     def asked_to_end(self) -> bool:
-        """Never."""
         return False
 
     def say(self, line: str) -> None:
-        """Remembers it."""
         self.said.append(line)
         if line.startswith("done"):
             self.order.append("done")

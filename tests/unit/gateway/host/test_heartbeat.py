@@ -42,7 +42,6 @@ STATUSES = st.builds(
 
 @pytest.fixture
 def heartbeat() -> Iterator[Heartbeat]:
-    """Fresh memory."""
     memory = Heartbeat.create()
     yield memory
     memory.close()

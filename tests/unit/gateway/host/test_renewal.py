@@ -20,7 +20,6 @@ class Robot:
         self.settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(self.files)))
 
     def renew(self) -> None:
-        """As docs/authority.md says."""
         request = self.fleet.place / "again.request"
         run("renew", "robot", "--directory", self.files, "-o", request)
         run("install", self.fleet.sign(request), "--directory", self.files, "--replace")
@@ -34,7 +33,6 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Robot:
 
 
 def looks(renewal: Renewal, number: int = 3) -> list[bool]:
-    """What so many looks say."""
     return [renewal.look() for _ in range(number)]
 
 

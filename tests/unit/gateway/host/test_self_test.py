@@ -110,7 +110,6 @@ class Attempts:
 
 @pytest.fixture
 def network(monkeypatch: pytest.MonkeyPatch) -> Attempts:
-    """One that is sound."""
     found = Attempts()
     monkeypatch.setattr(self_test, "open_session", lambda *_, **__: None)
     monkeypatch.setattr(self_test, "close_session", lambda _: None)

@@ -27,7 +27,6 @@ from tests.support.waiting import wait_until
 
 @pytest.fixture
 def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ProvisionedFleet:
-    """With one robot."""
     monkeypatch.chdir(tmp_path)
     found = ProvisionedFleet(tmp_path)
     found.let_in("robot", "cruiser-1", "--days", "20")
@@ -43,7 +42,6 @@ def started(fleet: ProvisionedFleet, name: str = "cruiser-1") -> str:
 
 
 def settings_of(fleet: ProvisionedFleet, name: str = "cruiser-1") -> Settings:
-    """The robot's."""
     directory = str(fleet.place / "cruiser-1")
     return Settings(
         robot=RobotSettings(name=name), authority=AuthoritySettings(mode="signed", directory=directory)

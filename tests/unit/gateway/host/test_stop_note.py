@@ -20,7 +20,6 @@ def note(tmp_path: Path) -> StopNote:
 
 
 def path_of(note: StopNote) -> Path:
-    """Where it is."""
     assert note.path is not None
     return note.path
 

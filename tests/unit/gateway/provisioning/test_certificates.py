@@ -132,12 +132,10 @@ def router_of(place: Path) -> Path:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    """That of this test's."""
     return router_of(tmp_path)
 
 
 def ends_s(file: Path) -> int:
-    """When the router's certificate ends."""
     return expires_s(read_certificates(file.with_name("router-tls.pem").read_text())[0])
 
 

@@ -31,12 +31,10 @@ def file(name: str, content: bytes) -> FoundFile:
 
 
 def grant_of(party: Party) -> FoundFile:
-    """A grant's file."""
     return file("operator.grant", chain_text(party.chain).encode())
 
 
 def authority_of(fleet: Fleet) -> FoundFile:
-    """An authority's file."""
     keys = {"active": fleet.authority.key.hex(), "standby": fleet.standby.key.hex()}
     return file("authority.json", msgspec.json.encode(keys))
 
