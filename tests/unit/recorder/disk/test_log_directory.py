@@ -3,7 +3,6 @@
 import errno
 import os
 import resource
-import shutil
 import stat
 import threading
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from mcap.reader import make_reader
 
 from recorder.disk import files
 from recorder.disk.files import LogDirectory, PartFile, Prologue, lock, safe_name
-from recorder.disk.keeper import RecoveryOutcome, read_entries, recover
+from recorder.disk.keeper import read_entries
 from recorder.encoding.protobuf import descriptor_set
 from recorder.mcap.writer import LogChannel
 from recorder.reading.rows import file_name
@@ -141,18 +140,6 @@ def test_a_directory_that_is_not_writable_is_one_clear_error(
         LogDirectory(tmp_path)
 
 
-def test_a_vanished_directory_is_one_clear_error(tmp_path: Path) -> None:
-    """At opening and at closing; what it was in is not made again: its disk may be unmounted."""
-    directory = LogDirectory(tmp_path / "disk" / "logs")
-    log = directory.open("x", WALL_NS, "test")
-    shutil.rmtree(tmp_path / "disk")
-    with pytest.raises(CommandError, match="No such file"):
-        directory.open("x", WALL_NS, "test")
-    with pytest.raises(CommandError, match="removed the log"):
-        log.write(CloseLog("x"))
-    log.salvage()
-
-
 def fill(log: PartFile) -> int:
     """Write until the disk takes no more; the number of chunks that it took."""
     number = 0
@@ -237,59 +224,6 @@ def test_a_part_that_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.Monkey
     log.write(chunk(1))
     log.write(CloseLog("x"))
     assert sequences(log.path) == [1]
-
-
-def test_a_log_that_was_removed_is_not_written_in_silence(tmp_path: Path) -> None:
-    """The disk takes the bytes of a file without a name; nobody will ever read them, so that is an error."""
-    log = opened(tmp_path)
-    log.write(chunk(1))
-    log.write(SyncLog("x"))
-    (tmp_path / f"{STEM}.mcap.part").unlink()
-
-    def is_told() -> bool:
-        try:
-            log.write(chunk(2))
-            log.write(SyncLog("x"))
-        except CommandError as error:
-            return "removed the log" in str(error)
-        return False
-
-    wait_until(is_told)
-    log.salvage()
-    assert logs_in(tmp_path) == []
-    assert not log.is_kept
-
-
-def test_a_failed_sync_is_told_by_the_next_write(tmp_path: Path, disk: SlowDisk) -> None:
-    """The writer does not wait for the disk. The file is cut back to what was kept, and can be made whole."""
-    log = opened(tmp_path)
-    log.write(chunk(1))
-    log.write(SyncLog("x"))
-
-    def is_kept() -> bool:
-        log.write(SyncLog("x"))
-        return log.has_synced
-
-    wait_until(is_kept)
-    kept_size = log.kept_size
-    log.write(chunk(2))
-    disk.fails = True
-
-    def is_told() -> bool:
-        try:
-            log.write(SyncLog("x"))
-        except CommandError as error:
-            return "Input/output error" in str(error)
-        return False
-
-    wait_until(is_told)
-    assert log.is_doubtful
-    log.salvage()
-    disk.fails = False
-    part = tmp_path / f"{STEM}.mcap.part"
-    assert part.stat().st_size == kept_size < log.size
-    assert recover(part, "test").outcome is RecoveryOutcome.RECOVERED
-    assert sequences(tmp_path / f"{STEM}.mcap") == [1]
 
 
 def test_a_slow_sync_holds_up_no_write(tmp_path: Path, disk: SlowDisk) -> None:
@@ -445,14 +379,3 @@ def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
             directory.open("x", WALL_NS, "test")
     with (tmp_path / "x-20270115T080000Z.mcap.part").open("rb") as left:
         assert lock(left.fileno()), "nobody holds it any more"
-
-
-def test_an_incident_is_called_one(tmp_path: Path) -> None:
-    """While it is written and when it is whole; the second of one second too."""
-    directory = LogDirectory(tmp_path)
-    logs = [directory.open("cruiser-1", WALL_NS, "test", is_incident=True) for _ in range(2)]
-    assert logs_in(tmp_path) == [f"{STEM}.incident-2.mcap.part", f"{STEM}.incident.mcap.part"]
-    for log in logs:
-        log.write(CloseLog("x"))
-    assert [log.name for log in logs] == [f"{STEM}.incident.mcap", f"{STEM}.incident-2.mcap"]
-    assert logs_in(tmp_path) == sorted(log.name for log in logs)

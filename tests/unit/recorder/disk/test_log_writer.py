@@ -6,10 +6,11 @@ import shutil
 import stat
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from io import FileIO
 from pathlib import Path
+from typing import Final
 
 import msgspec
 import pytest
@@ -125,13 +126,93 @@ def names(path: Path) -> list[str]:
     return [one.name for one in found.metadata] + [one.name for one in found.attachments]
 
 
-def test_actions_become_a_file(tmp_path: Path, writer: LogWriter) -> None:
-    """In order; the result says what was written."""
-    writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
-    end(writer, chunk(2))
-    path = tmp_path / f"{STEM}.mcap"
-    assert sequences(path) == [1, 2]
-    assert (writer.path, writer.files, writer.bytes, writer.lost) == (str(path), 1, path.stat().st_size, 0)
+def files_of(directory: Path) -> dict[str, list[int]]:
+    """The messages of each file, those that are parts made whole."""
+    for path in directory.glob("*.part"):
+        assert recover(path, "test").outcome in {RecoveryOutcome.RECOVERED, RecoveryOutcome.WHOLE}
+    return {path.name: sequences(path) for path in sorted(directory.glob("*.mcap"), key=lambda path: path.stem)}
+
+
+def all_sequences(directory: Path) -> list[int]:
+    """The messages of all files."""
+    return sorted(number for found in files_of(directory).values() for number in found)
+
+
+SURVIVED = """
+a quiet life                | begin 1 sync 2 end                                          | 1 2
+a full disk                 | begin 1 written full 2 sync left well 3 end                 | 1 / 2 3
+a disk that fails           | begin 1 written broken 2 sync left well 3 end               | 1 / 2 3
+a bad start                 | broken begin 1 faulty well told-back end                    | 1
+what is taken and not kept  | begin 1 sync kept forgets 2 3 sync 4 told remembers 5 end   | 1 / 2 3 4 5
+the same at the end         | begin 1 sync kept forgets 2 3 close faulty remembers closed | 1 / 2 3
+a failed sync and a silence | stalls forgets begin 1 sync asked answers faulty remembers kept end | 1
+no room for the end         | begin 1 written full end                                    | 1
+a disk that is gone         | broken begin {} end                                         | -20
+a disk that hangs           | hangs begin {} sync goes-on end                             | {}
+more than can ever wait     | full begin {} faulty large 20 well end                      | {} 20 -1
+""".replace("{}", " ".join(map(str, range(20))))
+"""What happens, and the messages of each file that is left; last, how many are lost."""
+
+SAID: Final = {
+    "a quiet life": [Opened, Ended],
+    "a bad start": [DiskFault, Opened, DiskBack, Ended],
+    "a failed sync and a silence": [DiskBack, Ended],
+}
+
+
+def play(writer: LogWriter, disk: SlowDisk, steps: str) -> None:
+    """Chunks by their numbers, actions, what becomes of the disk, and what is waited for."""
+
+    def told(*, is_faulty: bool) -> None:
+        wait_until(lambda: writer.submit([SyncLog("x")]) or writer._is_faulty is is_faulty)  # type: ignore[func-returns-value]
+
+    words: dict[str, Callable[[], object]] = {
+        "begin": lambda: writer.submit(on_log(BEGIN)),
+        "sync": lambda: writer.submit([SyncLog("x")]),
+        "close": lambda: writer.submit([CloseLog("x")]),
+        "large": lambda: writer.submit([chunk(100, 20_000)]),
+        "full": lambda: setattr(FaultyFile, "error", errno.ENOSPC),
+        "broken": lambda: setattr(FaultyFile, "error", errno.EIO),
+        "well": lambda: setattr(FaultyFile, "error", 0),
+        "hangs": FaultyFile.goes_on.clear,
+        "goes-on": FaultyFile.goes_on.set,
+        "forgets": lambda: setattr(disk, "fails", True),
+        "remembers": lambda: setattr(disk, "fails", False),
+        "stalls": disk.goes_on.clear,
+        "answers": disk.goes_on.set,
+        "asked": lambda: wait_until(lambda: bool(disk.asked) and not writer._queue),
+        "written": lambda: wait_until(partial(is_written, writer)),
+        "kept": lambda: wait_until(partial(is_kept, writer)),
+        "left": lambda: wait_until(lambda: writer.files == 1),
+        "faulty": lambda: wait_until(lambda: writer._is_faulty),
+        "told": lambda: told(is_faulty=True),
+        "told-back": lambda: told(is_faulty=False),
+        "end": lambda: end(writer),
+        "closed": writer.close,
+    }
+    for step in steps.split():
+        if step.isdigit():
+            writer.submit([chunk(int(step))])
+        else:
+            words[step]()
+
+
+@pytest.mark.parametrize("row", SURVIVED.strip().splitlines(), ids=lambda row: row.partition(" |")[0].strip())
+def test_a_log_survives(tmp_path: Path, disk: SlowDisk, row: str) -> None:
+    """Nothing is lost untold or there twice; it goes on in another file, and who submits waits for no disk."""
+    name, steps, left = (part.strip() for part in row.split("|"))
+    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=15_000)
+    play(writer, disk, steps)
+    assert writer.unfinished == len(list(tmp_path.glob("*.part")))
+    messages, _, lost = left.partition("-")
+    wanted = [[int(number) for number in file.split()] for file in messages.split("/") if file.strip()]
+    found = files_of(tmp_path)
+    assert found == dict(zip((f"{STEM}.mcap", f"{STEM}-2.mcap"), wanted, strict=False))
+    assert writer.lost == int(lost or 0)
+    assert writer.unfinished == 0
+    assert (writer.path or "").removesuffix(".part") == (str(tmp_path / [*found][-1]) if found else "")
+    said = SAID.get(name, [])
+    assert [type(one) for one in writer.notices()][-len(said) or 10**6 :] == said
 
 
 def test_the_next_file_repeats_what_lasts(tmp_path: Path, writer: LogWriter) -> None:
@@ -150,23 +231,6 @@ def test_the_size_is_that_of_the_file_that_is_asked_for(writer: LogWriter) -> No
     writer._chains["x"].submitted += 1
     assert writer.sizes == {}
     writer.close()
-
-
-@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
-def test_after_a_fault_the_log_goes_on_in_another_file(tmp_path: Path, error: int, writer: LogWriter) -> None:
-    """The chunk that failed is the first of it; nothing is lost or doubled."""
-    writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(partial(is_written, writer))
-    FaultyFile.error = error
-    writer.submit(on_log([chunk(2), SyncLog("x")]))
-    wait_until(lambda: writer.files == 1)
-    FaultyFile.error = 0
-    end(writer, chunk(3))
-    assert writer.lost == 0
-    kept = sorted(tmp_path.iterdir())
-    assert [path.name for path in kept] == [f"{STEM}-2.mcap", f"{STEM}.mcap.part"]
-    assert sequences(kept[0]) == [2, 3]
-    assert names(kept[0]) == ["cruiser", "cruiser.continued", "a.dbc"]
 
 
 def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(tmp_path: Path) -> None:
@@ -190,46 +254,6 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(t
     assert sum(one.counts[1] for one in notices if isinstance(one, Lost)) == writer.lost
     kinds = [type(one) for one in notices if not isinstance(one, Lost)]
     assert (kinds[:2], kinds[-1]) == ([DiskFault, Opened], Ended)
-
-
-def test_the_disk_is_said_to_be_back_when_it_has_kept_something(tmp_path: Path, writer: LogWriter) -> None:
-    """Once: who is told of a fault is told of its end."""
-    FaultyFile.error = errno.EIO
-    writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: writer._is_faulty)
-    FaultyFile.error = 0
-    number = 2
-    while writer._is_faulty:
-        writer.submit(on_log([chunk(number), SyncLog("x")]))
-        number += 1
-        wait_until(lambda: not writer._queue)
-    end(writer)
-    assert [type(one) for one in writer.notices()] == [DiskFault, Opened, DiskBack, Ended]
-    assert sequences(tmp_path / f"{STEM}.mcap") == list(range(1, number))
-
-
-@pytest.mark.parametrize("ends", [False, True])
-def test_what_the_disk_fails_to_keep_is_written_again(
-    tmp_path: Path, writer: LogWriter, disk: SlowDisk, *, ends: bool
-) -> None:
-    """Into the next file; the one before is cut back to what was kept. Nothing is lost or there twice."""
-    writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
-    wait_until(partial(is_kept, writer))
-    disk.fails = True
-    writer.submit(on_log([chunk(2), chunk(3), *([CloseLog("x")] if ends else [SyncLog("x"), chunk(4)])]))
-
-    def is_told() -> bool:
-        writer.submit(on_log([] if ends else [SyncLog("x")]))
-        return writer._is_faulty
-
-    wait_until(is_told)
-    disk.fails = False
-    if ends:
-        writer.close()
-    else:
-        end(writer, chunk(5))
-    assert all_sequences(tmp_path) == list(range(1, 4 if ends else 6))
-    assert writer.lost == 0
 
 
 def test_several_logs_are_written_at_once(tmp_path: Path, writer: LogWriter) -> None:
@@ -285,25 +309,6 @@ def test_what_is_removed_with_a_log_is_lost(tmp_path: Path, writer: LogWriter, *
     assert [notice for notice in writer.notices() if isinstance(notice, Lost)] == [lost]
 
 
-def test_the_end_does_not_wait_for_a_disk_that_takes_nothing(tmp_path: Path, writer: LogWriter) -> None:
-    """What waits is lost, and counted."""
-    FaultyFile.error = errno.EIO
-    end(writer, *BEGIN, *(chunk(number) for number in range(20)))
-    assert (writer.lost, writer.files, writer.path) == (20, 0, None)
-    assert logs_in(tmp_path) == []
-
-
-def test_who_submits_never_waits_for_the_disk(tmp_path: Path, writer: LogWriter) -> None:
-    """Neither for a sync nor for a write."""
-    FaultyFile.goes_on.clear()
-    for number in range(50):
-        writer.submit(on_log([*(BEGIN if not number else []), chunk(number), SyncLog("x")]))
-    assert not FaultyFile.goes_on.is_set()
-    FaultyFile.goes_on.set()
-    end(writer)
-    assert sequences(tmp_path / f"{STEM}.mcap") == list(range(50))
-
-
 def test_a_fault_of_our_own_is_raised_where_the_loop_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
@@ -348,19 +353,6 @@ def test_the_newest_log_is_told_and_no_incident(tmp_path: Path, writer: LogWrite
     assert (writer.path, writer.files) == (str(tmp_path / f"{STEM}.mcap"), 3)
 
 
-def test_a_chunk_larger_than_the_queue_costs_no_others(tmp_path: Path) -> None:
-    """While the disk takes nothing, what can never wait goes, and not for it all that can."""
-    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=10_000)
-    FaultyFile.error = errno.ENOSPC
-    writer.submit(on_log([*BEGIN, *(chunk(number) for number in range(10))]))
-    wait_until(lambda: writer._is_faulty)
-    writer.submit(on_log([chunk(10, 20_000), chunk(11)]))
-    FaultyFile.error = 0
-    end(writer)
-    assert writer.lost == 1
-    assert sequences(tmp_path / f"{STEM}.mcap") == [*range(10), 11]
-
-
 def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path, writer: LogWriter) -> None:
     """The header fits and what follows does not: who waits for an ended file does not wait for that one."""
     writer.submit(on_log([*BEGIN, chunk(1)]))
@@ -387,13 +379,6 @@ def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path, write
     assert names(first) == ["cruiser", "incident 0", "a.dbc"]
     assert names(second) == ["cruiser", "incident 1", "a.dbc"]
     assert (sequences(first), sequences(second)) == ([0], [1])
-
-
-def all_sequences(directory: Path) -> list[int]:
-    """The messages of all files, those that are parts made whole."""
-    for path in directory.glob("*.part"):
-        assert recover(path, "test").outcome in {RecoveryOutcome.RECOVERED, RecoveryOutcome.WHOLE}
-    return sorted(number for path in directory.glob("*.mcap") for number in sequences(path))
 
 
 def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(tmp_path: Path, disk: SlowDisk) -> None:
@@ -433,21 +418,6 @@ def test_what_may_be_written_again_is_bounded_over_all_logs(tmp_path: Path, disk
     writer.close()
     assert (writer.lost, writer._unkept_bytes) == (0, 0)
     assert all_sequences(tmp_path) == list(range(30))
-
-
-def test_a_sync_that_fails_before_a_silence_is_seen(tmp_path: Path, writer: LogWriter, disk: SlowDisk) -> None:
-    """What it did not keep is written again, and kept, though nothing more comes."""
-    disk.goes_on.clear()
-    disk.fails = True
-    writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
-    wait_until(lambda: bool(disk.asked) and not writer._queue)
-    disk.goes_on.set()
-    wait_until(lambda: writer._is_faulty)
-    disk.fails = False
-    wait_until(partial(is_kept, writer))
-    end(writer)
-    assert [type(one) for one in writer.notices()][-2:] == [DiskBack, Ended]
-    assert all_sequences(tmp_path) == [1]
 
 
 def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
@@ -582,17 +552,6 @@ def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: P
     writer.submit(on_log([CloseLog("x")], "x!"))
     writer.close()
     assert logs_in(tmp_path) == [f"{STEM}.incident.mcap"]
-
-
-def test_a_file_that_could_not_be_made_whole_is_counted_until_it_is(tmp_path: Path, writer: LogWriter) -> None:
-    """Without room for its end it is a part, which somebody may recover later."""
-    writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(partial(is_written, writer))
-    FaultyFile.error = errno.ENOSPC
-    end(writer)
-    assert writer.unfinished == 1
-    assert all_sequences(tmp_path) == [1]
-    assert writer.unfinished == 0
 
 
 def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
