@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from recorder.cli.asking import add_logs, add_task_runner, end_with, find, progress_bar, table, task_runner
+from recorder.cli.asking import add_logs, add_task_runner, end_with, find, progress_bar, task_runner
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.rerun import RerunResult
@@ -16,7 +16,6 @@ from recorder.review.what_if import (
     Journey,
     RerunTask,
     StopMade,
-    StopMoved,
     TriedSettings,
     WhatIfResult,
     rerun_tasks,
@@ -34,7 +33,7 @@ DESCRIPTION: Final = (
     "events, states and sent frames must come out byte for byte; whatever differs is listed, with exit code 1. "
     "So it ends too for a run that was made under other command rules, and says so first. "
     "A run whose beginning is not in the log is run again from where the gateway was at rest; exit code 3 if a "
-    "run is not all there. With --set or --with the run is shown as it would have been with other settings: "
+    "run is not all there. With --set or --with three lines say what would have been different, and where: "
     "decisions, distance and time, stops avoided, added or moved. A model of the chassis then answers what the "
     "recorded one was not asked; what people would have done otherwise nobody knows. Of several logs the last "
     "line says how many decide otherwise."
@@ -152,24 +151,19 @@ def _of_rerun(result: RerunResult) -> Iterator[str]:
 
 
 def _of_what_if(result: WhatIfResult) -> Iterator[str]:
-    yield from (f"  {name}: {was}, tried {tried}" for name, (was, tried) in result.settings.items())
-    if not result.settings:
-        yield "  the settings tried are those of the run"
-    yield from table(
-        ("", "distance/m", "moving/s", "top speed/mps", "stops"),
-        [_journey("as recorded", result.recorded), _journey("as it would have been", result.other)],
-        words=1,
+    """Yield what would have been different, and where, in three lines; ``--json`` has all of it."""
+    tried = ", ".join(f"{name} {tried} instead of {was}" for name, (was, tried) in result.settings.items())
+    changes = sorted(result.changes, key=lambda one: one.first_ns)
+    first = "".join(
+        f", from {in_words(one.first_ns)} on: {one.request} of {one.operator} {one.other}, not {one.recorded}"
+        for one in changes[:1]
     )
-    yield from (f"  stop avoided: {_stop(stop)}" for stop in result.stops_avoided)
-    yield from (f"  stop added: {_stop(stop)}" for stop in result.stops_added)
-    yield from (f"  stop {_moved(one)}: {_stop(one.stop)}" for one in result.stops_moved)
-    changed = sum(change.count for change in result.changes)
-    yield f"  {changed} of {result.decisions} decisions would have been others"
-    yield from (
-        f"    {change.count} x {change.request} of {change.operator}: {change.recorded}, then "
-        f"{change.other}, from {in_words(change.first_ns)} to {in_words(change.last_ns)}"
-        for change in sorted(result.changes, key=lambda one: one.first_ns)
-    )
+    count = sum(change.count for change in changes)
+    yield f"  with {tried or 'the same settings'}: {count} of {result.decisions} decisions differ{first}"
+    yield f"  {_way(result.other)}; recorded: {_way(result.recorded)}"
+    moved = [one.stop for one in result.stops_moved]
+    stops = {"avoided": result.stops_avoided, "added": result.stops_added, "moved": moved}
+    yield f"  stops: {'; '.join(_stops(word, found) for word, found in stops.items() if found) or 'the same'}"
 
 
 def _head(result: RerunResult | WhatIfResult) -> str:
@@ -182,16 +176,12 @@ def _head(result: RerunResult | WhatIfResult) -> str:
     return f"{head}; {result.detail}" if result.detail else head
 
 
-def _journey(name: str, journey: Journey) -> tuple[str, ...]:
-    numbers = (journey.distance_m, journey.moving_s, journey.top_speed_mps)
-    return name, *(f"{number:.2f}" for number in numbers), str(len(journey.stops))
+def _way(journey: Journey) -> str:
+    return (
+        f"{journey.distance_m:.2f} m in {journey.moving_s:.2f} s, at most {journey.top_speed_mps:.2f} m/s, "
+        f"{len(journey.stops)} stops"
+    )
 
 
-def _stop(stop: StopMade) -> str:
-    operator = f", {stop.operator}" if stop.operator else ""
-    return f"{in_words(stop.time_ns)} {stop.reason}{operator}: {stop.text}"
-
-
-def _moved(moved: StopMoved) -> str:
-    seconds = (moved.other_ns - moved.stop.time_ns) / 1e9
-    return f"{abs(seconds):.2f} s {'later' if seconds > 0 else 'sooner'}"
+def _stops(word: str, stops: Sequence[StopMade]) -> str:
+    return f"{len(stops)} {word}, the first at {in_words(stops[0].time_ns)} ({stops[0].reason})"

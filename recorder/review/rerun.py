@@ -182,21 +182,11 @@ WAITING_MAX: Final = 200_000
 COPIES_MAX: Final = 100_000
 """Compared messages of a subject that are remembered: two recorders write each of them."""
 
-SAME_RUN_NS: Final = 10_000_000_000
-"""The two sides of a message have the same time. Where they do not by far, a sequence has begun anew."""
-
 BATCH_NS: Final = 100_000_000
 """Longest delay of what a gateway says in batches: the end of a run may be missing from them."""
 
-Key = tuple[str, Hashable]
-"""The subject, and a value that distinguishes its messages."""
-
-
-class RecordedOutput(msgspec.Struct, frozen=True, gc=False):
-    """A record: its publish time in nanoseconds since 1970, and its bytes."""
-
-    time_ns: int
-    data: bytes
+Key = tuple[str, int, int | bytes]
+"""The subject, the publish time in nanoseconds since 1970, and what else distinguishes messages of that time."""
 
 
 class Difference(msgspec.Struct, frozen=True):
@@ -243,121 +233,99 @@ class Comparison:
         self.given_up = 0
         self.begins_ns: int | None = None
         self.ends_ns = 0
-        self._recorded: OrderedDict[Key, RecordedOutput] = OrderedDict()
-        self._others: OrderedDict[tuple[Key, RecordedOutput], None] = OrderedDict()
-        self._again: OrderedDict[Key, RecordedOutput] = OrderedDict()
-        self._compared: dict[str, OrderedDict[Hashable, int]] = {}
-        self._forgotten: dict[str, Any] = {}
+        self._recorded: OrderedDict[Key, bytes] = OrderedDict()
+        self._others: OrderedDict[tuple[Key, bytes], None] = OrderedDict()
+        """Further records under the same key: somebody put them in."""
+        self._again: OrderedDict[Key, bytes] = OrderedDict()
+        self._compared: dict[str, OrderedDict[Key, int]] = {}
+        self._forgotten: dict[str, Key] = {}
 
-    def record(self, key: Key, said: RecordedOutput) -> None:
+    def record(self, key: Key, data: bytes) -> None:
         """A message of the log."""
-        again = _counterpart(self._again, key, said)
+        again = self._again.pop(key, None)
         if again is not None:
-            self._compare(key, said, again)
-        elif said.time_ns > self.ends_ns or not self._is_copy(key, said):
-            self._wait_recorded(key, said)
+            self._compare(key, data, again)
+        elif self._is_copy(key, data):
+            return
+        elif key not in self._recorded:
+            self._wait(self._recorded, key, data)
+        elif self._recorded[key] != data:
+            self._wait(self._others, (key, data), None)
 
-    def say_again(self, key: Key, said: RecordedOutput) -> None:
+    def say_again(self, key: Key, data: bytes) -> None:
         """A message that comes out of the inputs."""
-        if self.begins_ns is None and isinstance(key[1], int):
+        if self.begins_ns is None and key[0] not in FRAMES:
             # Not with a frame that was received: behind a place of rest the next state comes at another time.
-            self.begins_ns = said.time_ns
-        self.ends_ns = max(self.ends_ns, said.time_ns)
-        if self._others and (key, said) in self._others:
+            self.begins_ns = key[1]
+        self.ends_ns = max(self.ends_ns, key[1])
+        recorded = self._recorded.get(key)
+        if (key, data) in self._others:
             # What was recorded before it under the same key does not come again.
-            del self._others[key, said]
-            recorded: RecordedOutput | None = said
+            del self._others[key, data]
+            self._compare(key, data, data)
+        elif recorded is not None:
+            del self._recorded[key]
+            self._compare(key, recorded, data)
         else:
-            recorded = _counterpart(self._recorded, key, said)
-        if recorded is not None:
-            self._compare(key, recorded, said)
-        else:
-            self._wait(self._again, key, said)
+            self._wait(self._again, key, data)
 
-    def end(self) -> list[tuple[Key, RecordedOutput]]:
+    def end(self) -> list[tuple[Key, bytes]]:
         """Nothing more comes out. Returns what was recorded later than that: it belongs to what follows.
 
         What was recorded before the first message that came out again belongs to nothing.
         """
         # What was said last is in a batch that may not have been published any more.
         last_ns = self.ends_ns - BATCH_NS
-        self.unrecorded.update(key[0] for key, said in self._again.items() if said.time_ns <= last_ns)
+        self.unrecorded.update(subject for subject, time_ns, _ in self._again if time_ns <= last_ns)
         self._again.clear()
-        later: list[tuple[Key, RecordedOutput]] = []
-        begins_ns = self.begins_ns or 0
-        for key, said in (*self._recorded.items(), *self._others):
-            if said.time_ns > self.ends_ns - BATCH_NS:
-                later.append((key, said))
-            elif said.time_ns >= begins_ns and not self._is_copy(key, said):
-                self._differ(
-                    Difference(key[0], said.time_ns, "only recorded", message=self._decode(key[0], said.data))
-                )
+        later: list[tuple[Key, bytes]] = []
+        for key, data in (*self._recorded.items(), *self._others):
+            subject, time_ns, _ = key
+            if time_ns > last_ns:
+                later.append((key, data))
+            elif time_ns >= (self.begins_ns or 0):
+                self._differ(Difference(subject, time_ns, "only recorded", message=self._decode(subject, data)))
         self._recorded.clear()
         self._others.clear()
         return later
 
-    def _is_copy(self, key: Key, said: RecordedOutput) -> bool:
+    def _is_copy(self, key: Key, data: bytes) -> bool:
         """Report whether it is a second copy of what was compared already, or comes too late to tell."""
-        subject, value = key
-        compared = self._compared.setdefault(subject, OrderedDict()).get(value)
+        compared = self._compared.setdefault(key[0], OrderedDict()).get(key)
         if compared is not None:
-            return compared == hash(said)
-        is_forgotten = subject in self._forgotten and value <= self._forgotten[subject]
+            return compared == hash(data)
+        is_forgotten = key[0] in self._forgotten and key <= self._forgotten[key[0]]
         self.given_up += is_forgotten
         return is_forgotten
 
-    def _compare(self, key: Key, recorded: RecordedOutput, again: RecordedOutput) -> None:
+    def _compare(self, key: Key, recorded: bytes, again: bytes) -> None:
         subject = key[0]
         compared = self._compared.setdefault(subject, OrderedDict())
-        compared[key[1]] = hash(recorded)
+        compared[key] = hash(recorded)
         if len(compared) > COPIES_MAX:
             self._forgotten[subject], _ = compared.popitem(last=False)
-        if recorded.data == again.data:
+        if recorded == again:
             self.same[subject] += 1
             return
-        if self.difference_count >= DIFFERENCES_TOLD:
-            self.difference_count += 1
-            return
-        then, now = self._decode(subject, recorded.data), self._decode(subject, again.data)
+        then, now = self._decode(subject, recorded), self._decode(subject, again)
         fields = {
             name: (before, after)
             for name in then.__struct_fields__
             if (before := getattr(then, name)) != (after := getattr(now, name))
         }
-        self._differ(Difference(subject, recorded.time_ns, "changed", fields))
+        self._differ(Difference(subject, key[1], "changed", fields))
 
     def _differ(self, difference: Difference) -> None:
         self.difference_count += 1
         if len(self.differences) < DIFFERENCES_TOLD:
             self.differences.append(difference)
 
-    def _wait_recorded(self, key: Key, said: RecordedOutput) -> None:
-        """Keep it, beside what waits under its key: of another run, or put in by somebody."""
-        first = self._recorded.get(key)
-        if first is None:
-            self._wait(self._recorded, key, said)
-        elif first != said:
-            if abs(first.time_ns - said.time_ns) > SAME_RUN_NS:
-                self._recorded[key], said = said, first
-            self._wait(self._others, (key, said), None)
-
-    def _wait(self, waiting: OrderedDict[Any, Any], key: Hashable, said: RecordedOutput | None) -> None:
-        waiting[key] = said
+    def _wait(self, waiting: OrderedDict[Any, Any], key: Hashable, data: bytes | None) -> None:
+        waiting[key] = data
         if len(waiting) > WAITING_MAX:
             waiting.popitem(last=False)
             # Before anything came out again nothing was to be compared.
             self.given_up += self.begins_ns is not None
-
-
-def _counterpart(
-    waiting: OrderedDict[Key, RecordedOutput], key: Key, said: RecordedOutput
-) -> RecordedOutput | None:
-    """The other side of a message, if it waits. One of another run, with the same sequence, is none."""
-    other = waiting.get(key)
-    if other is None or abs(other.time_ns - said.time_ns) > SAME_RUN_NS:
-        return None
-    del waiting[key]
-    return other
 
 
 SENT: Final = "can/{bus}/tx"
@@ -365,6 +333,7 @@ DECIDED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
 """The subjects that tell what the arbiter decided."""
 
 RECEIVED: Final = "can/{bus}/rx"
+FRAMES: Final = (SENT, RECEIVED)
 COMPARED: Final = (*DECIDED, RECEIVED)
 """The subjects that must come out the same. No rule changes received frames: they show whether the log is true."""
 
@@ -445,9 +414,9 @@ def _rerun(player: RerunPlayer, again: Rerun) -> RerunResult:
     try:
         for sample in again(settings_from(text), player.journals()):
             if sample.subject in _ROUTES:
-                for key, said in records_of(sample):
-                    start_ns = start_ns or said.time_ns
-                    player.comparison.say_again(key, said)
+                for key, data in records_of(sample):
+                    start_ns = start_ns or key[1]
+                    player.comparison.say_again(key, data)
     except UNREADABLE as error:
         player.break_off(error)
     return player.result(start_ns)
@@ -520,8 +489,8 @@ class RerunPlayer:
     def _result(self, start_ns: int) -> RerunResult:
         comparison, self.comparison = self.comparison, Comparison(_decode)
         end = self._tape.end
-        for key, said in comparison.end():
-            self.comparison.record(key, said)
+        for key, data in comparison.end():
+            self.comparison.record(key, data)
         return RerunResult(
             robot=self._robot,
             run=end.run,
@@ -544,18 +513,16 @@ class RerunPlayer:
         except UNREADABLE as error:
             self._faults.add(f"{row.topic.name}: a record that cannot be read: {error}")
             return
-        self.comparison.record(key, RecordedOutput(row.publish_ns, row.data))
+        self.comparison.record(key, row.data)
 
 
 def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
     """Return the key that distinguishes a record of its subject, on either side.
 
-    It is the sequence; but batches of frames may be cut elsewhere when they come again, so of these it is time and
-    identifier: each goes out once in a tick at most.
+    Each run counts its sequences from 0, so the time is a part of it. Batches of frames may be cut elsewhere when
+    they come again, so of these the identifier counts: each goes out once in a tick at most.
     """
-    if subject not in {SENT, RECEIVED}:
-        return subject, sequence
-    return subject, (time_ns, identifier_in(data))
+    return subject, time_ns, identifier_in(data) if subject in FRAMES else sequence
 
 
 def identifier_in(data: bytes) -> bytes:
@@ -585,11 +552,11 @@ def message_of(sample: SampleAgain) -> Any:  # noqa: ANN401 - of any subject
     return message
 
 
-def records_of(sample: SampleAgain) -> Iterator[tuple[Key, RecordedOutput]]:
+def records_of(sample: SampleAgain) -> Iterator[tuple[Key, bytes]]:
     """The records that a recorder would write of a sample."""
     message = message_of(sample)
     for time_ns, data in _ROUTES[sample.subject].transcode(message):
-        yield key_of(sample.subject, message.sequence, time_ns, data), RecordedOutput(time_ns, data)
+        yield key_of(sample.subject, message.sequence, time_ns, data), data
 
 
 _ROUTES: Final = {name: Route(0, BY_NAME[name], "") for name in COMPARED}

@@ -1,6 +1,7 @@
 """``cruiser review rerun``."""
 
 import json
+import re
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -40,33 +41,29 @@ def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 run = partial(review, "rerun")
+OTHERWISE = (
+    "with command.speed_limit_mps 0.4 instead of 1.5",
+    " on: drive of first accepted, bound by ",
+)
 
 
-def test_the_same_decisions_are_exit_code_0(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With what was compared."""
-    assert run(log) == ExitCode.OK
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), ("cruiser-1, run ", "the same, byte for byte", "different: 0")),
+        (("--set", "command.speed_limit_mps=0.4"), (*OTHERWISE, " 0.40 m/s", "recorded: ", "stops: the same")),
+        (("--set", "command.deadman_s=0.5"), ("0 of ", "stops: 1 moved, the first at ", "(deadman)")),
+        (("--set", "command.speed_limit_mps=1.5"), ("with the same settings: 0 of ", "stops: the same")),
+    ],
+)
+def test_a_run_and_what_it_would_have_been_is_some_lines(
+    log: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: tuple[str, ...]
+) -> None:
+    """What was compared; with other settings what would have been different, and where, in three."""
+    assert run(log, *words) == ExitCode.OK
     out = capsys.readouterr().out
-    assert "cruiser-1, run " in out
-    assert "the same, byte for byte" in out
-    assert "different: 0" in out
-
-
-def test_a_directory_is_a_regression_test(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One object a line."""
-    assert run(log.parent, "--json") == ExitCode.OK
-    [line] = capsys.readouterr().out.splitlines()
-    assert json.loads(line)["difference_count"] == 0
-
-
-def test_other_settings_are_shown_beside_the_recorded_ones(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Distance, time, speed and stops of both."""
-    assert run(log, "--set", "command.speed_limit_mps=0.4") == ExitCode.OK
-    out = capsys.readouterr().out
-    assert "command.speed_limit_mps: 1.5, tried 0.4" in out
-    rows = {line[:25].strip(): line[25:].split() for line in out.splitlines() if line.startswith("  as ")}
-    assert float(rows["as recorded"][2]) == pytest.approx(1.0, abs=0.05)
-    assert float(rows["as it would have been"][2]) == pytest.approx(0.4, abs=0.05)
-    assert "decisions would have been others" in out
+    assert [one for one in said if one not in out] == []
+    assert len(out.splitlines()) == (4 if words else 3)
 
 
 def test_of_several_logs_it_says_how_many_decide_otherwise(
@@ -75,23 +72,22 @@ def test_of_several_logs_it_says_how_many_decide_otherwise(
     """And which is the first, and when; with other settings too."""
     other = tmp_path / "cruiser-2-20260102T030405Z.mcap"
     other.write_bytes(day.rig.log(robot="cruiser-2", journal=under_rules_1))
-    assert run(log, other) == ExitCode.FAILURE
-    said = capsys.readouterr().out.splitlines()[-1]
-    assert said.startswith(f"1 of 2 logs decide otherwise, the first: {other}, ")
-    assert run(log, other, "--set", "command.speed_limit_mps=0.4", "--processes", "2") == ExitCode.FAILURE
-    said = capsys.readouterr().out.splitlines()[-1]
-    assert said.startswith(f"1 of 2 logs decide otherwise, the first: {log}, ")
+    for words, first in (((), other), (("--set", "command.speed_limit_mps=0.4", "--processes", "2"), log)):
+        assert run(log, other, *words) == ExitCode.FAILURE
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert last.startswith(f"1 of 2 logs decide otherwise, the first: {first}, ")
 
 
 def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What it does not say has its start value; --set is above it."""
     file = tmp_path / "other.toml"
     file.write_text("[command]\nspeed_limit_mps = 0.6\n")
-    assert run(log, "--with", file, "--set", "command.lease_s=1.0", "--json") == ExitCode.OK
-    result = json.loads(capsys.readouterr().out)
-    assert result["settings"]["command.speed_limit_mps"] == [1.5, 0.6]
-    assert result["settings"]["command.lease_s"] == [1.5, 1.0]
-    assert result["settings"]["command.deadman_s"] == [0.25, 0.3]
+    assert run(log.parent, "--with", file, "--set", "command.lease_s=1.0", "--json") == ExitCode.OK
+    [line] = capsys.readouterr().out.splitlines()
+    tried = {"speed_limit_mps": [1.5, 0.6], "lease_s": [1.5, 1.0], "deadman_s": [0.25, 0.3]}
+    assert (
+        json.loads(line)["settings"].items() >= {f"command.{name}": both for name, both in tried.items()}.items()
+    )
 
 
 @pytest.mark.parametrize(
@@ -102,13 +98,22 @@ def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: p
         (["--set", "command.speed_limit_mps=fast"], "speed_limit_mps"),
         (["--with", "/does/not/exist.toml"], r"cannot read /does/not/exist\.toml: No such file or directory$"),
         (["--with", "/bin/sh"], "cannot read /bin/sh: it is no UTF-8 text$"),
+        *(
+            ([f"--processes={count}"], f"{count!r} is no number of at least 1")
+            for count in ("0", "-1", "two", "1.5")
+        ),
     ],
 )
-def test_a_wrong_setting_is_one_clear_error(log: Path, words: list[str], message: str) -> None:
+def test_a_wrong_setting_is_one_clear_error(
+    log: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Before a long log is read, and with exit code 2."""
-    with pytest.raises(CommandError, match=message) as raised:
+    with pytest.raises((CommandError, SystemExit)) as raised:
         run(log, *words)
-    assert raised.value.code is ExitCode.USAGE
+    assert getattr(raised.value, "code", None) == ExitCode.USAGE
+    assert re.search(
+        message, str(raised.value) if isinstance(raised.value, CommandError) else capsys.readouterr().err
+    )
 
 
 def test_a_log_without_a_journal_is_partial(tmp_path: Path) -> None:
@@ -171,12 +176,3 @@ def _from(first: int, journal: Journal) -> Journal:
     """The journal, empty where it is before an input."""
     kept = journal.first >= first
     return journal if kept else msgspec.structs.replace(journal, count=0, inputs=b"\x90")
-
-
-@pytest.mark.parametrize("count", ["0", "-1", "two", "1.5"])
-def test_so_many_processes_there_cannot_be(log: Path, count: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whole numbers from one on."""
-    with pytest.raises(SystemExit) as caught:
-        run(log, f"--processes={count}")
-    assert caught.value.code == ExitCode.USAGE
-    assert f"{count!r} is no number of at least 1" in capsys.readouterr().err
