@@ -151,7 +151,6 @@ BY_NAME: Final[dict[str, Callable[[Extent], list[Row]]]] = {
 
 
 def main() -> None:
-    """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     known = {**BENCHES, **BY_NAME}
     parser.add_argument("benches", nargs="*", metavar="BENCH", help=f"one or more of {', '.join(known)}")

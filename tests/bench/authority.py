@@ -77,7 +77,6 @@ class Parties:
         self.admission.begin_tick(self.now_ns)
 
     def ask(self, verb: str, payload: bytes, attachment: bytes, said: bytes) -> PendingReply:
-        """Admit a verb and sign its reply."""
         self.begin_tick()
         raw = RawRequest(1, verb, NAME, payload, len(payload), attachment=attachment)
         credentials = self.admission.admit(raw, self.now_ns).credentials
@@ -86,7 +85,6 @@ class Parties:
         return self.admission.reply(PendingReply(1, verb, said))
 
     def acquire(self) -> None:
-        """Acquire a lease, both sides."""
         private = X25519PrivateKey.generate()
         payload = codec.encode(Acquire(public_key=public_bytes(private)))
         attachment = self.operator.request(ROBOT, "acquire", payload, CHALLENGE)
@@ -102,7 +100,6 @@ class Parties:
 
 
 def rows(rounds: int) -> list[Row]:
-    """What each step costs."""
     parties = Parties()
     operator, signer = parties.operator, parties.signer
     drive = codec.encode(Drive(lease=LEASE, seq=1, challenge=CHALLENGE, speed_mps=0.3, angle_deg=1.0))

@@ -64,7 +64,6 @@ class Witness:
         self._thread.start()
 
     def close(self) -> None:
-        """Leave the bus."""
         self._ended.set()
         self._thread.join()
         self._bus.close()
@@ -114,7 +113,6 @@ class Driver:
         return self.state
 
     def ask(self, verb: str, **fields: object) -> dict[str, Any]:
-        """A verb's reply."""
         payload = msgspec.msgpack.encode(fields)
         attachment = self.prove(verb, payload)
         for reply in self.session.get(COMMAND + verb, payload=payload, attachment=attachment, timeout=5):
@@ -154,7 +152,6 @@ class Driver:
         return put_s
 
     def stop(self) -> float:
-        """A remote stop; when it was put."""
         put_s = time.monotonic()
         self.session.put(f"{COMMAND}stop", b"", express=True, priority=zenoh.Priority.INTERACTIVE_HIGH)
         return put_s
@@ -170,7 +167,6 @@ class Driver:
         until(lambda: self.look()["output_speed_mps"] == speed_mps, lambda: self.drive(speed_mps), 0.02)
 
     def close(self) -> None:
-        """Leave Zenoh."""
         close_session(self.session)
 
 

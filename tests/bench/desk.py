@@ -112,7 +112,6 @@ def crowd(seconds: float) -> tuple[float, float, int, list[float]]:
 
 
 def rows(presses: int, kills: int, seconds: float) -> list[Row]:
-    """All of it."""
     down_ms, up_ms, dead_ms = latency(presses, kills)
     cpu, memory_mb, page_bytes, frame_ms = crowd(seconds)
     return [

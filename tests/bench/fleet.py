@@ -81,16 +81,13 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """For the table."""
         routers, shards = len(self.cpu_s["routers"]), len(self.cpu_s["recorders"])
         return f"{self.robots} {self.profile} robots, {routers} router{'s' * (routers > 1)}, {shards} shards"
 
     def percent(self, who: str) -> float:
-        """The processor time of all processes of a kind, in % of a core."""
         return sum(self.cpu_s[who]) / self.seconds * 100
 
     def megabytes(self, who: str) -> float:
-        """The memory of all processes of a kind."""
         return sum(self.rss_bytes[who]) / 1e6
 
     def shares(self, who: str) -> str:
@@ -103,7 +100,6 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def measure(robots: int, routers: int, shards: int, seconds: float, profile: str) -> FleetRun:
-    """Run a fleet once."""
     with TemporaryDirectory() as name, ExitStack() as stack:
         folder, ends = Path(name), [free_endpoint() for _ in range(routers)]
         kinds = {
@@ -172,13 +168,11 @@ def _sent_bytes(pid: int) -> int:
 
 
 def rows(robots: Iterable[int], routers: int, shards: int, seconds: float, profile: str) -> list[Row]:
-    """The figures of some sizes of the fleet."""
     runs = (measure(number, routers, shards, seconds, profile) for number in robots)
     return [row for run in runs for row in rows_of(run)]
 
 
 def rows_of(run: FleetRun) -> list[Row]:
-    """The figures of one run."""
     memory = {kind: ", ".join(f"{size / 1e6:.0f}" for size in sizes) for kind, sizes in run.rss_bytes.items()}
     sent = [sum(run.sent_bytes["robots"]), *run.sent_bytes["routers"]]
     return [

@@ -21,7 +21,6 @@ DEADMANS_S: Final = (CommandSettings().deadman_s, DEADMAN_MAX_S)
 
 
 def rows(seconds: float, goal_seconds: float) -> list[Row]:
-    """Each link at full speed, and the goal."""
     made = [_row(profile, TOP_MPS, trip(profile, TOP_MPS, seconds), "") for profile in LINKS]
     return [*made, _row(FAR, GOAL_MPS, trip(FAR, GOAL_MPS, goal_seconds), GOAL)]
 

@@ -51,7 +51,6 @@ def _ip(*words: str) -> bool:
 
 
 def print_table(rows: list[Row]) -> None:
-    """For people."""
     width = max(len(row[0]) for row in rows)
     print(f"{'figure':{width}}  {'measured':34}  goal")
     for figure, measured, goal in rows:

@@ -131,7 +131,6 @@ def _count(directory: Path, ends: list[tuple[int, int]], left: int) -> Kills:
 
 
 def rows(kills: int) -> list[Row]:
-    """What so many kills cost."""
     with tempfile.TemporaryDirectory() as folder:
         cost = measure(kills, Path(folder))
     lost = " ".join(f"{quantile(cost.lost_ms, share):.0f}" for share in (0.5, 0.99, 1))

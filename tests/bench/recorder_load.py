@@ -80,7 +80,6 @@ class Script(msgspec.Struct, frozen=True):
 
     @property
     def samples_per_s(self) -> float:
-        """Samples of one robot."""
         return sum(map(len, self.slots)) / SECONDS_OF_FRAMES
 
     @property

@@ -150,7 +150,6 @@ WRITERS: Final[dict[str, Callable[[ExitStack, Path], Write]]] = {"plain": plain,
 
 
 def main(kind: str, endpoint: str, path: Path, queue_samples: int) -> None:
-    """Write what comes until SIGTERM."""
     is_stopped = False
 
     def stop(*_: object) -> None:

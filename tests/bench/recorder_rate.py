@@ -83,7 +83,6 @@ def find_held(seconds: float, guess: int) -> Held | None:
 
 
 def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
-    """Measure everything."""
     runs = compare(rounds)
     script = make_script()
     table = _compared(runs)

@@ -76,7 +76,6 @@ class Run(msgspec.Struct, frozen=True):
 
     @property
     def cpu_us(self) -> float:
-        """Processor time for a record."""
         return self.cpu_s * 1e6 / self.written
 
     @property
@@ -91,7 +90,6 @@ class Run(msgspec.Struct, frozen=True):
 
     @property
     def cpu_share(self) -> float:
-        """Cores that the receiver used."""
         return self.cpu_s / self.wall_s
 
 
@@ -189,7 +187,6 @@ def started(words: list[str], load_s: float, **environment: str) -> Iterator[sub
 
 
 def answer(process: subprocess.Popen[str]) -> str:
-    """Its next line."""
     assert process.stdout is not None
     assert process.stderr is not None
     line = process.stdout.readline()
@@ -245,11 +242,6 @@ class _Watch:
         self._thread.join()
 
     def await_idle(self) -> None:
-        """Until it has nothing left to do.
-
-        Raises:
-            TimeoutError: it is still busy.
-        """
         begin_ns = time.time_ns()
         while (now_ns := time.time_ns()) - max(self.busy_ns, begin_ns) < IDLE_S * 1e9:
             if now_ns - begin_ns > DRAIN_S * 1e9:

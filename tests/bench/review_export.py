@@ -76,7 +76,6 @@ def _apply(file: McapFile, context: LogContext) -> None:
 
 
 def export_ours(log: Path, directory: Path) -> int:
-    """Our export. Returns the rows."""
     faults = Faults()
     done = export_dataset(find_logs([log], faults), directory, ExportRange(), faults)
     assert not faults
@@ -146,7 +145,6 @@ class _PeerTable:
 
 
 def export_peer(log: Path, directory: Path) -> int:
-    """The peer's export. Returns the rows."""
     directory.mkdir()
     tables: dict[int, _PeerTable] = {}
     count = 0

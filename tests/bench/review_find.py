@@ -44,7 +44,6 @@ ASKED: Final = {
 
 
 def rows(logs: int) -> list[Row]:
-    """The table of the search."""
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         fill(directory, logs)
@@ -60,7 +59,6 @@ def rows(logs: int) -> list[Row]:
 
 
 def fill(directory: Path, logs: int) -> None:
-    """Write the catalog, and files as it says."""
     reasons = [one.value for one in Reason]
     made = []
     for number in range(logs):
@@ -115,7 +113,6 @@ def ask(directory: Path, search: str, conditions: FindConditions) -> tuple[float
 
 
 def ask_as_process(directory: Path, search: str, flags: Sequence[str]) -> float:
-    """Seconds of the command."""
     begun_s = time.perf_counter()
     words = [str(CRUISER), "review", "find", search, str(directory), *flags, "--json"]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)

@@ -49,7 +49,6 @@ class Asked(msgspec.Struct, frozen=True):
 
 
 def rows(megabytes: int) -> list[Row]:
-    """The table of the review."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
         messages = write_log(path, megabytes * 1_000_000)
@@ -63,7 +62,6 @@ def rows(megabytes: int) -> list[Row]:
 
 
 def ask(words: list[str]) -> Asked:
-    """A question to a log, in a process of its own."""
     begun, before_s, peak_kb = time.perf_counter(), _children_cpu_s(), 0
     with subprocess.Popen([CRUISER, "review", *words], stdout=subprocess.DEVNULL) as process:
         # What the kernel tells at the end counts this process's own memory too, which the child was begun with.
@@ -92,7 +90,6 @@ def _peak_kb(pid: int) -> int:
 
 
 def _children(pid: int) -> list[int]:
-    """The processes that a process has begun."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):

@@ -23,7 +23,6 @@ def rows(minutes: float, robots: Sequence[str]) -> list[Row]:
 
 
 def rerun_rows(robot: str, minutes: float) -> list[Row]:
-    """One log."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
         path.write_bytes(DRIVES[robot](minutes))
@@ -66,7 +65,6 @@ def drive(times: int, pause_s: float) -> bytes:
 
 
 def standing(minutes: float) -> bytes:
-    """The log of a robot that nobody commands."""
     day = Day(1, Variant.FINE, ticks=0)
     day.rig.run(60 * minutes)
     return day.rig.log(lag_ns=LAG_NS)

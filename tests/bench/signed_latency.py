@@ -77,7 +77,6 @@ class Keys:
         self.configuration.write_text(f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n', "utf-8")
 
     def driver(self, endpoint: str) -> SignedDriver:
-        """The operator, at a gateway."""
         party = self._operator
         proof = OperatorProof(party.private, party.chain, self._trust, ROOT, lambda: int(time.time()))
         return SignedDriver(endpoint, proof)
@@ -103,7 +102,6 @@ def measure(turns: int, drives: int) -> list[tuple[list[float], list[float]]]:
 
 
 def rows(turns: int, drives: int) -> list[Row]:
-    """Both modes, and what signed mode adds."""
     measured = measure(turns, drives)
     opened, signed = (sorted(one for pair in measured for one in pair[mode]) for mode in (0, 1))
     added_ms = [(quantile(signed_, 0.99) - quantile(open_, 0.99)) / 1000 for open_, signed_ in measured]

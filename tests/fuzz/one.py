@@ -7,7 +7,6 @@ import atheris
 
 
 def main() -> None:
-    """Fuzz the target that is named first."""
     with atheris.instrument_imports(include=["gateway", "recorder", "schemas"]):
         targets = importlib.import_module("tests.fuzz.targets").BY_NAME
     atheris.Setup([sys.argv[0], *sys.argv[2:]], targets[sys.argv[1]].run)

@@ -20,14 +20,12 @@ COMMAND = CommandSettings()
 
 @pytest.fixture(scope="module")
 def running_browser() -> Iterator[Browser]:
-    """One Chromium for all tests; each has a context of its own."""
     with chromium() as running:
         yield running
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DeskScene]:
-    """A robot and its desk."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         with desk_scene() as scene:

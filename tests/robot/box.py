@@ -96,7 +96,6 @@ class Box:
         return begun_s
 
     def wait_up(self) -> None:
-        """Wait until it takes commands."""
         process = self._process
         assert process is not None
         wait_until(lambda: (self.share / "up").exists() or process.poll() is not None, deadline_s=UP_S)

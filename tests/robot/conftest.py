@@ -25,14 +25,12 @@ def place() -> Iterator[Path]:
 
 @pytest.fixture
 def outside(place: Path) -> Iterator[Outside]:
-    """The chassis, fine, and the far end of its wire."""
     with chassis("--variant", "fine") as (_, address), Outside(place, address) as wire:
         yield wire
 
 
 @pytest.fixture(scope="session")
 def bare_image() -> Iterator[Path]:
-    """A disk with Debian alone."""
     directory = Path(tempfile.mkdtemp(prefix="robot-"))
     image = directory / "bare.img"
     make_base_image(image, Path(os.environ["ROBOT_CLOCK"]), os.environ["ROBOT_NS_PER_TICK"])

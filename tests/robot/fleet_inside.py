@@ -29,7 +29,6 @@ def get(address: str) -> bytes:
 
 
 def page() -> str:
-    """The desk's page."""
     return "page" if b"<html" in get(f"http://{DESK}/") else ""
 
 

@@ -134,7 +134,6 @@ def copy_image(source: Path, target: Path) -> None:
 
 
 def call(*words: object) -> str:
-    """Run a program. Returns what it prints."""
     environment = {**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
     done = subprocess.run(
         [str(word) for word in words], check=False, capture_output=True, text=True, env=environment, timeout=600

@@ -37,7 +37,6 @@ LOST_S: Final = 1.5
 
 
 def install(box: Box) -> None:
-    """Install the package."""
     shutil.copy(os.environ["ROBOT_PACKAGE"], box.share / "cruiser.deb")
     box.run("dpkg -i /run/box/cruiser.deb", timeout_s=240)
 

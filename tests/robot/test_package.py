@@ -21,7 +21,6 @@ INSTALL_S: Final = 180.0
 
 @pytest.fixture(scope="session")
 def newer(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package with a higher version."""
     place = tmp_path_factory.mktemp("newer")
     call("dpkg-deb", "-R", os.environ["ROBOT_PACKAGE"], place / "tree")
     control = place / "tree/DEBIAN/control"

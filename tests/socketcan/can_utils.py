@@ -51,7 +51,6 @@ class Candump:
 
     @property
     def frames(self) -> list[Dumped]:
-        """What was on the bus so far, in its order."""
         with self.path.open("rb") as file:
             file.seek(self._at)
             text = file.read()

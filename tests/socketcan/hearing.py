@@ -34,18 +34,14 @@ class Hearing:
 
     @property
     def health(self) -> GatewayHealth:
-        """The newest."""
         return self.healths[-1]
 
     def hear(self) -> None:
-        """Take what has come."""
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 self._take(str(sample.key_expr), sample.payload.to_bytes())
 
     def wait(self, condition: Callable[[], bool], act: Callable[[], None] = lambda: None) -> None:
-        """Hear, and act, until it is so."""
-
         def hear_and_act() -> None:
             self.hear()
             act()

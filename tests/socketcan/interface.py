@@ -35,11 +35,9 @@ class Vcan:
         self.up()
 
     def up(self) -> None:
-        """Let frames pass."""
         _ip("link", "set", self.name, "up")
 
     def down(self) -> None:
-        """Let none pass."""
         _ip("link", "set", self.name, "down")
 
     def remove(self) -> None:

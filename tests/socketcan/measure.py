@@ -33,7 +33,6 @@ def idle() -> dict[int, int]:
 
 
 def main() -> None:
-    """Measure, and print."""
     ticks = ctypes.CDLL(sys.argv[1]).ticks
     ticks.restype = ctypes.c_ulong
     begun, begun_ns = both(ticks)

@@ -41,7 +41,6 @@ def chassis(channel: str, *words: str) -> Iterator[Running]:
 
 @contextmanager
 def gateway(channel: str, endpoint: str, *words: str) -> Iterator[Running]:
-    """A gateway that is ready."""
     bus = ["--interface", "socketcan", "--channel", channel, "--listen", endpoint]
     with Running("gateway", *bus, *words) as running:
         running.wait_says("^gateway: ")
@@ -72,7 +71,6 @@ class Drive:
         self._angle_deg = angle_deg
 
     def keep(self) -> None:
-        """Drive on."""
         self.lease.drive(self._speed_mps, angle_deg=self._angle_deg, hold_s=HOLD_MAX_S)
 
 

@@ -63,7 +63,6 @@ class SerialAdapter:
         os.write(self._adapter, f"s{state}{receive_errors:03d}{send_errors:03d}\r".encode("ascii"))
 
     def restart(self) -> None:
-        """Down and up."""
         assert (_set(self.name, "down"), _set(self.name, "up")) == (0, 0)
 
     def _fill(self) -> None:

@@ -14,7 +14,6 @@ from tests.support.processes.gateway import Running, run
 
 
 def findings(channel: str, *words: str) -> dict[str, str]:
-    """By their names, with what cures them."""
     said = json.loads(run(["doctor", "--json", "--channel", channel, *words]).stdout)
     return {one["check"]: one["cure"] for one in said["findings"]}
 

@@ -29,7 +29,6 @@ def flood(vcan: Vcan, running: Running) -> None:
 
 
 def memory_kb(running: Running) -> int:
-    """What its process has in memory."""
     status = Path(f"/proc/{running.process.pid}/status").read_text(encoding="ascii")
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS"))
 

@@ -35,7 +35,6 @@ def opened(adapter: SerialAdapter) -> Iterator[SocketCanBus]:
 
 
 def numbered(number: int) -> Frame:
-    """A frame that is known again."""
     return Frame(CAN_ID, number.to_bytes(8, "little"))
 
 

@@ -43,7 +43,6 @@ def wait_long(heard: Hearing) -> None:
 
 
 def speed_raw(drive: Dumped) -> int:
-    """What a drive command asks for, unscaled."""
     return int.from_bytes(drive.data[1:3], "little")
 
 

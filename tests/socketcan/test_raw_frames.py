@@ -90,7 +90,6 @@ def test_without_raw_frames_the_chassis_alone_is_heard(vcan: Vcan, only_chassis:
 
 @contextmanager
 def halt(vcan: Vcan) -> Iterator[None]:
-    """Somebody listens in order to stop the robot by hand."""
     with Running("halt", "--channel", vcan.name):
         yield
 

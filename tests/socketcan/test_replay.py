@@ -50,7 +50,6 @@ class Heard:
         self.keys: set[str] = set()
 
     def hear(self) -> None:
-        """Take what has come."""
         while (sample := self._subscriber.try_recv()) is not None:
             key = str(sample.key_expr)
             self.keys.add(key)

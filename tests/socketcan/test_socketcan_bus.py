@@ -55,7 +55,6 @@ def opened(
 
 
 def cansend(vcan: Vcan, text: str) -> None:
-    """A frame by ``cansend``."""
     subprocess.run(["cansend", vcan.name, text], check=True, timeout=30)
 
 
@@ -66,7 +65,6 @@ def cangen(vcan: Vcan, count: int) -> None:
 
 
 def waiting(bus: SocketCanBus) -> list[Frame]:
-    """What there is to read, without its times."""
     frames = iter(lambda: bus.receive(0), None)
     return [msgspec.structs.replace(frame, wall_ns=0) for frame in frames]
 

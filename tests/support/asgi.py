@@ -19,7 +19,6 @@ class Answer(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """The body as text."""
         return self.body.decode()
 
 

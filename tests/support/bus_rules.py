@@ -81,7 +81,6 @@ def bit_string(data: bytes) -> str:
 
 
 def compose(identifier: int, values: Values, counter: int) -> bytes:
-    """A well-formed frame that says this."""
     bits = ["0"] * 64
     for letter, value in {**values, "c": counter}.items():
         for index, place in enumerate(_places(identifier, letter)):

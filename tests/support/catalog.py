@@ -49,5 +49,4 @@ DRIVE = LoggedDrive(
 
 
 def row(**changes: Any) -> CatalogRow:  # noqa: ANN401 - any field of a row
-    """A row that is otherwise ``ROW``."""
     return msgspec.structs.replace(ROW, **changes)

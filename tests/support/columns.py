@@ -26,7 +26,6 @@ def batches_of(data: bytes, faults: Faults | None = None, selection: Selection |
 
 
 def rows_of(batches: Sequence[Batch]) -> list[dict[str, Any]]:
-    """All rows as JSON has them."""
     rows: list[dict[str, Any]] = []
     for batch in batches:
         batch.rows.validate(full=True)

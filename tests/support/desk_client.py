@@ -40,11 +40,9 @@ class DeskClient:
         self._stack.close()
 
     def send(self, **message: object) -> None:
-        """Send a message of a page."""
         self._socket.send(msgspec.msgpack.encode(message))
 
     def receive(self, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
-        """Take the next message."""
         data = self._socket.recv(timeout_s, decode=False)
         self.messages += 1
         self.size += len(data)

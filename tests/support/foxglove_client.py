@@ -81,7 +81,6 @@ class FoxgloveClient:
 
     @property
     def topics(self) -> set[str]:
-        """The topics that are advertised."""
         return {channel.topic for channel in self.channels.values()}
 
     def subscribe(self, wanted: Callable[[str], bool] = lambda _topic: True) -> None:
@@ -94,11 +93,9 @@ class FoxgloveClient:
         self._socket.send(json.dumps(operation))
 
     def publish(self, channel_id: int, payload: bytes) -> None:
-        """Send a message of the client's own."""
         self._socket.send(struct.pack("<BI", CLIENT_MESSAGE_DATA, channel_id) + payload)
 
     def call(self, service_id: int, payload: bytes) -> None:
-        """Call a service."""
         encoding = b"json"
         self._socket.send(struct.pack("<BIII", SERVICE_CALL, service_id, 1, len(encoding)) + encoding + payload)
 

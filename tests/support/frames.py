@@ -39,7 +39,6 @@ class Feedback:
         return self._encoder.encode(name, STANDING[name] | dict(values or {}), counter, wall_ns)
 
     def all(self) -> Iterator[Frame]:
-        """The next frame of each name."""
         for name in STANDING:
             yield self.frame(name)
 

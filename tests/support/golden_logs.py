@@ -79,7 +79,6 @@ def ask(*words: str) -> tuple[int, list[Any]]:
 
 
 def answered(question: str, *words: str) -> dict[str, Any]:
-    """The facts of an answer."""
     code, said = ask(question, *words)
     return {"exit_code": code, "answer": facts(said)}
 

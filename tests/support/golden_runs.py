@@ -43,7 +43,6 @@ Files = dict[str, bytes]
 
 
 def info(gateway: Gateway, variant: Variant, now_ns: int) -> bytes:
-    """What a gateway says of itself."""
     configuration = to_toml(gateway._settings)
     time_ns = WALL_NS + now_ns
     return codec.encode(

@@ -81,7 +81,6 @@ class Log:
         return self.apply()
 
     def close(self, now_ns: int = 0) -> bytes:
-        """Close the log; the bytes of its file."""
         self.log.close(now_ns)
         self.apply()
         return self.disk.getvalue()
@@ -120,7 +119,6 @@ def flipped(data: bytes, place: int | None = None, bits: int = 4) -> bytes:
 
 
 def logs_in(directory: Path) -> list[str]:
-    """The names of the files in a directory."""
     return sorted(path.name for path in directory.iterdir())
 
 
@@ -130,7 +128,6 @@ def channel_of(kind: type[msgspec.Struct], channel_id: int = 1, topic: str = "t"
 
 
 def encoded(message: msgspec.Struct) -> bytes:
-    """A message as a recorder writes it."""
     return compile_encoder(type(message))(message)
 
 
@@ -143,7 +140,6 @@ Chunk = list[tuple[int, int, int, bytes]]
 
 
 def gear_message(sequence: int, log_ns: int, channel_id: int = 1) -> tuple[int, int, int, bytes]:
-    """A message of a chunk."""
     return channel_id, sequence, log_ns, ENCODE_GEAR(gear(sequence, log_ns))
 
 
@@ -237,7 +233,6 @@ NO_INDEXES = IndexType.NONE
 
 
 def saved(path: Path, data: bytes) -> Path:
-    """The file with this content."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
     return path

@@ -32,19 +32,15 @@ class LossyLink:
         self._up, self._down = _Direction(), _Direction()
 
     def send_up(self, message: object, now_ns: int) -> None:
-        """To the robot."""
         self._send(self._up, message, now_ns)
 
     def send_down(self, message: object, now_ns: int) -> None:
-        """From the robot."""
         self._send(self._down, message, now_ns)
 
     def receive_up(self, now_ns: int) -> list[Any]:
-        """What has reached the robot."""
         return self._receive(self._up, now_ns)
 
     def receive_down(self, now_ns: int) -> list[Any]:
-        """What has reached the operator."""
         return self._receive(self._down, now_ns)
 
     def _send(self, direction: _Direction, message: object, now_ns: int) -> None:

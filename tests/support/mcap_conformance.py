@@ -22,7 +22,6 @@ def hashes() -> dict[str, str]:
 
 
 def make(variant: str) -> bytes:
-    """Make the file of a variant."""
     case, *features = variant.split("-")
     has = frozenset(features)
 

@@ -179,7 +179,6 @@ class FakeSample(msgspec.Struct, frozen=True):
 
 @lru_cache(32)
 def key_of(kind: type[Message], robot: str = ROBOT, root: str = ROOT) -> str:
-    """The key of a subject's samples."""
     subject = BY_TYPE[kind]
     return keys.build(root, robot, subject, "can0" if "{bus}" in subject.name else "")
 
@@ -199,7 +198,6 @@ def sample_of(message: Message, robot: str = ROBOT, root: str = ROOT) -> Receive
 
 
 def gear(sequence: int, time_ns: int = WALL_NS) -> Gear:
-    """A gear message."""
     return Gear(
         time_ns=time_ns,
         sequence=sequence,

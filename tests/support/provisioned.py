@@ -29,5 +29,4 @@ def write_authority(directory: Path, fleet: Fleet) -> Path:
 
 
 def private_pem(party: Party) -> bytes:
-    """A private key as a file holds it."""
     return party.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())

@@ -84,7 +84,6 @@ class ProvisionedFleet:
 
 
 def chain(file: Path) -> list[Signed]:
-    """The statements of a file."""
     found = read_chain(file.read_bytes())
     assert not isinstance(found, StatementFault), found
     return found

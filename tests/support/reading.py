@@ -41,12 +41,10 @@ class Read:
 
 
 def rows_of(*paths: Path) -> list[Row]:
-    """All rows of logs."""
     return list(read_rows(logs_of(*paths), Selection(), Faults()))
 
 
 def logs_of(*paths: Path) -> list[LogFile]:
-    """The logs at these paths."""
     return find_logs(paths, Faults())
 
 

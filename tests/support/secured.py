@@ -77,7 +77,6 @@ class Network:
 
 
 def pem(key: ec.EllipticCurvePrivateKey) -> str:
-    """A private key as a file holds it."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
 
 

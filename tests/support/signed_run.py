@@ -75,7 +75,6 @@ class SignedRun:
         return message
 
     def show(self, text: str) -> None:
-        """A statement is taken over."""
         self.publish(SignedStatement, text=text)
 
     def ask(
@@ -136,7 +135,6 @@ class SignedRun:
 
 
 def credentials_of(party: Party, **changes: Any) -> Credentials:  # noqa: ANN401 - fields
-    """What a robot makes of a grant."""
     grant = party.chain[0].statement
     assert isinstance(grant, Grant)
     said: dict[str, Any] = {
@@ -183,7 +181,6 @@ def without(samples: Sequence[Message], *places: int) -> list[Message]:
 
 
 def replaced(samples: Sequence[Message], place: int, **changes: Any) -> list[Message]:  # noqa: ANN401 - fields
-    """The samples, one of them changed."""
     return [
         msgspec.structs.replace(one, **changes) if number == place else one for number, one in enumerate(samples)
     ]

@@ -51,7 +51,6 @@ class Site:
         return str(configuration)
 
     def settings_of(self, who: str, party: Party) -> Settings:
-        """The settings of somebody's library."""
         directory = str(Path(self.write(who, party)).parent)
         return Settings(
             zenoh=ZenohSettings(connect=[self.endpoint]),

@@ -47,7 +47,6 @@ class FakeGateway:
         close_session(self._session)
 
     def say(self, message: Message, encoding: str = "") -> None:
-        """Publish a state or a health."""
         if self.caches_health and isinstance(message, GatewayHealth):
             self._health.put(codec.encode(message))
             return

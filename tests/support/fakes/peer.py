@@ -50,7 +50,6 @@ class Peer:
         return self._session
 
     def put(self, sample: ReceivedSample) -> None:
-        """Publish a sample."""
         self._session.put(
             sample.key,
             sample.payload,
@@ -60,11 +59,9 @@ class Peer:
         )
 
     def delete(self, key: str) -> None:
-        """Say that a key is deleted."""
         self._session.delete(key)
 
     def answer(self, reply: ReceivedSample) -> None:
-        """Answer every query on the reply's key with it."""
         queries = self._session.declare_queryable(reply.key, zenoh.handlers.RingChannel(16), complete=True)
 
         def serve() -> None:
@@ -79,7 +76,6 @@ class Peer:
         self._threads.append(thread)
 
     def close(self) -> None:
-        """Leave Zenoh."""
         self._stop.set()
         for thread in self._threads:
             thread.join()

@@ -74,8 +74,6 @@ class SlowDisk:
 
 
 class MemoryFile:
-    """A file in memory."""
-
     def __init__(self, name: str, opened: OpenLog) -> None:
         self.name = name
         self.opened = opened
@@ -110,7 +108,6 @@ class MemoryWriter:
                 self.asked.append(action)
 
     def open_file(self, log: str) -> MemoryFile | None:
-        """The file that is being written."""
         files = self.files.get(log)
         return files[-1] if files and not files[-1].is_ended else None
 

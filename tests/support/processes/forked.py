@@ -78,7 +78,6 @@ class Forked:
             return out.result(), err.result()
 
     def send_signal(self, number: int) -> None:
-        """Send a signal, unless the process has ended."""
         if self.poll() is None:
             os.kill(self.pid, number)
 

@@ -129,7 +129,6 @@ def gateway(address: str, endpoint: str, *words: str, kind: type[Running] = Runn
 
 
 def run(words: Sequence[str], timeout_s: float = 100, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
     command = Forked(words, os.environ | environment)
     out, err = command.communicate(timeout_s)
     return subprocess.CompletedProcess(words, command.wait(), out, err)

@@ -95,8 +95,6 @@ class Listener:
 
 
 class Watched:
-    """The stand-in as a process."""
-
     def __init__(self, address: str, listener: Listener, speed_mps: float) -> None:
         self.address = address
         self.listener = listener

@@ -28,7 +28,6 @@ CRUISER = str(Path(sys.executable).with_name("cruiser"))
 
 
 def environment() -> dict[str, str]:
-    """What a process of a test inherits."""
     return {
         name: value
         for name, value in os.environ.items()
@@ -44,7 +43,6 @@ class Process:
         self.ready = self.read_line()
 
     def read_line(self) -> str:
-        """The next line of stderr."""
         assert self._process.stderr is not None
         return self._process.stderr.readline()
 

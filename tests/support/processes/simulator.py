@@ -18,8 +18,6 @@ DEADLINE_S = 20.0
 
 
 class Served:
-    """A running chassis."""
-
     def __init__(self, server: SocketcandServer) -> None:
         self.server = server
         self.host, self.port = server.address
@@ -52,7 +50,6 @@ class Served:
 
 @contextmanager
 def served() -> Iterator[Served]:
-    """A chassis that is served while the block runs."""
     server = SocketcandServer("127.0.0.1", 0)
     running = Served(server)
     running.thread.start()
@@ -64,7 +61,6 @@ def served() -> Iterator[Served]:
 
 
 def receive(bus: can.BusABC, wanted: Callable[[can.Message], bool]) -> can.Message:
-    """The first message that is wanted."""
     deadline_s = time.monotonic() + DEADLINE_S
     while time.monotonic() < deadline_s:
         message = bus.recv(0.5)

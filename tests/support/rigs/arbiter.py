@@ -185,7 +185,6 @@ class ArbiterRig:
 
 
 def engaged(**command: float) -> ArbiterRig:
-    """An engaged robot, under these settings."""
     bench = ArbiterRig(CommandSettings(**{"speed_limit_mps": SPEED_TOP_MPS} | command))
     bench.engage()
     assert bench.arbiter.state is ArbiterState.ENGAGED

@@ -54,7 +54,6 @@ class ChassisRig:
         self.chassis.inject(fault_line(text), self.now_ns)
 
     def run(self, seconds: float) -> list[Frame]:
-        """Let time pass; returns the frames meanwhile."""
         self.now_ns += round(seconds * S)
         frames = self.chassis.advance(self.now_ns)
         for frame in frames:
@@ -69,7 +68,6 @@ class ChassisRig:
         return [frame for frame in frames if frame.can_id == can_id]
 
     def counters(self, name: str, frames: list[Frame]) -> list[int]:
-        """The alive counters of a name's frames."""
         return [frame.data[6] >> 4 for frame in self.named(name, frames)]
 
     @property

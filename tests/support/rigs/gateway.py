@@ -152,7 +152,6 @@ class GatewayRig:
         return [msgspec.msgpack.decode(payload, type=Journal) for payload in payloads]
 
     def fault(self, text: str) -> None:
-        """A fault of the chassis, now."""
         self.faults.append(text)
         self.chassis.inject(fault_line(text), self.now_ns)
 
@@ -187,7 +186,6 @@ class GatewayRig:
         return self.decided[-1].reason
 
     def event_reasons(self, kind: decisions.EventKind) -> list[Reason]:
-        """The reasons of the events of a kind, in their order."""
         return [event.reason for event in self.events if event.kind is kind]
 
     def _tick(self, late_ns: int) -> None:

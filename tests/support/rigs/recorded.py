@@ -49,7 +49,6 @@ class RecordedRig(GatewayRig):
     def ready(
         cls, variant: Variant = Variant.COARSE, command: CommandSettings | None = None, *, run: int = 7
     ) -> tuple["RecordedRig", Operator]:
-        """A robot that stands and that anybody may engage."""
         rig = cls(variant, command, run=run)
         rig.run(0.6)
         return rig, Operator(rig, "operator-1")
@@ -58,7 +57,6 @@ class RecordedRig(GatewayRig):
     def driving(
         cls, speed_mps: float = 0.6, *, command: CommandSettings | None = None, run: int = 7
     ) -> tuple["RecordedRig", Operator]:
-        """A robot that is being driven at this speed."""
         return copied(*_driving(speed_mps, command, run))
 
     def rest(self) -> None:

@@ -48,7 +48,6 @@ def core(variant: str = "auto") -> Core:
 
 
 def read(sample: Sample | None, kind: type[Kind]) -> Kind:
-    """The message of a sample, by the codec."""
     assert sample is not None
     message = codec.decode(BY_NAME[sample.subject], sample.payload)
     assert isinstance(message, kind), message
@@ -72,7 +71,6 @@ def health_after(made: Core, at_ms: int = 1000, from_ms: int | None = None) -> G
 
 
 def state_after(made: Core, at_ms: int = 0) -> RobotState:
-    """The state at this time."""
     (state,) = ticks(made, at_ms, at_ms)["state"]
     assert isinstance(state, RobotState)
     return state

@@ -139,8 +139,6 @@ def test_the_service_manager_is_fed_by_each_tenth_round_that_was_done() -> None:
     fed: list[tuple[int, str]] = []
 
     class FakeManager:
-        """Notes when it is fed."""
-
         def alive(self, status: str) -> None:
             fed.append((clock.now_ns, status))
 
@@ -361,7 +359,6 @@ class FakeInbox:
         self.holders: list[tuple[str, int, int]] = []
 
     def ask(self, verb: str, **fields: object) -> int:
-        """A query of first's comes in."""
         handle = len(self.replies) + len(self.waiting) + 1
         payload = msgspec.msgpack.encode(fields)
         self.waiting.append(RawRequest(handle, verb, "first", payload, len(payload)))
@@ -456,8 +453,6 @@ class OrderedZenoh(FakeZenoh):
 
 
 class FakeFormerGuard:
-    """Is over, until a test says otherwise."""
-
     is_stopping = False
     says = ""
 
@@ -514,17 +509,14 @@ class Commanded:
         assert self.inbox.replies[handle]["ok"], self.inbox.replies
 
     def says(self, field: str) -> object:
-        """A field of the newest safety/state."""
         said = [sample for sample in self.zenoh.samples if sample.subject == "safety/state"]
         return msgspec.msgpack.decode(said[-1].payload)[field] if said else None
 
     def event_texts(self) -> list[str]:
-        """The texts of all events."""
         events = [sample.payload for sample in self.zenoh.samples if sample.subject == "safety/event"]
         return [msgspec.msgpack.decode(event)["text"] for event in events]
 
     def health(self) -> Iterator[bool]:
-        """Wait for the first health."""
         while not self.zenoh.of("gateway/health"):
             yield False
 

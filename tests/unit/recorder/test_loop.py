@@ -56,14 +56,12 @@ def recorder(
     queue_bytes: int = 64_000_000,
     **more: Any,  # noqa: ANN401 - the loop's own arguments
 ) -> RecorderLoop:
-    """A recorder of what a source brings."""
     pure = Recorder(msgspec.structs.replace(RECORDER_PLAN, log=plan))
     writer = LogWriter(LogDirectory(directory), "test")
     return RecorderLoop(pure, source, writer, SampleInbox(queue_bytes), HealthReport("bench", "1", 0), **more)
 
 
 def record(source: FakeSource, directory: Path, plan: LogPlan = PLAN) -> Recorded:
-    """Record all that a source brings."""
     return recorder(source, directory, plan).run(lambda: source.is_exhausted)
 
 

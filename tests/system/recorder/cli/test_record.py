@@ -228,7 +228,6 @@ def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:
 
 
 def has_gear(directory: Path) -> bool:
-    """Has the newest log any message?"""
     return any(one.path.endswith(".part") and one.messages for one in readable(directory))
 
 

@@ -357,7 +357,6 @@ def test_a_disk_that_is_read_only_for_a_while_costs_nothing(small_disk: Path, pe
 
 
 def has_gear(directory: Path) -> bool:
-    """Has any log a gear message?"""
     with suppress(FileNotFoundError):
         return any(counts(read_info(path)).get(key_of(Gear)) for path in directory.iterdir())
     return False

@@ -47,7 +47,6 @@ def endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def alarm(text: str = "a wheel is off", severity: Severity = Severity.ERROR) -> SafetyEvent:
-    """Something has happened."""
     return SafetyEvent(
         time_ns=time.time_ns(),
         sequence=0,
@@ -61,22 +60,17 @@ def alarm(text: str = "a wheel is off", severity: Severity = Severity.ERROR) -> 
 
 
 class Robot:
-    """Publishes gear messages, numbered."""
-
     def __init__(self, peer: Peer) -> None:
         self._peer = peer
         self.sent = 0
 
     def drive(self) -> None:
-        """Some more of them."""
         for _ in range(5):
             self._peer.put(sample_of(gear(self.sent, time.time_ns())))
             self.sent += 1
         time.sleep(0.02)
 
     def drive_until(self, files: str, directory: Path) -> Path:
-        """Until there is such a file."""
-
         def is_there() -> bool:
             self.drive()
             return any(directory.glob(files))

@@ -44,7 +44,6 @@ class Fleet:
             sequence += 1
 
     def close(self) -> None:
-        """Fall silent."""
         self._ended.set()
         self._thread.join()
         self._peer.close()
@@ -52,20 +51,17 @@ class Fleet:
 
 @pytest.fixture
 def fleet(endpoint: str) -> Iterator[Fleet]:
-    """The robots."""
     one = Fleet(endpoint)
     yield one
     one.close()
 
 
 def shard(stack: ExitStack, endpoint: str, directory: Path, number: int) -> Process:
-    """One of the recorders."""
     words = ["--shard", f"{number}/{TOTAL}", "-o", str(directory / str(number)), "--name", f"depot-{number}"]
     return stack.enter_context(recording(*words, "--connect", endpoint))
 
 
 def robots_of(directory: Path, number: int) -> set[str]:
-    """The robots of which a recorder has logs."""
     return {path.name.rpartition("-")[0] for path in (directory / str(number)).glob("*.mcap*")}
 
 

@@ -28,7 +28,6 @@ class Both:
         return list(self.client.ask(recorder, "status", Status(), ANSWER_S))
 
     def names(self) -> list[str]:
-        """The recorders that answer."""
         return sorted(name for name, _ in self.ask())
 
     def names_heard_after(self, asked: list[str]) -> set[str]:

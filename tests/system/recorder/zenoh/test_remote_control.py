@@ -87,7 +87,6 @@ class Client:
         return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
 
     def close(self) -> None:
-        """Leave Zenoh."""
         self._session.close()
 
 
@@ -109,8 +108,6 @@ class Pair:
         return list(self.control.drain())
 
     def next(self) -> OperatorRequest:
-        """The next request that comes in."""
-
         def has_come() -> bool:
             self.asked += self.control.drain()
             return bool(self.asked)
@@ -134,7 +131,6 @@ def _alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def endpoint() -> Iterator[str]:
-    """Where a peer of all listens."""
     place = free_endpoint()
     with Peer(place):
         yield place
@@ -142,7 +138,6 @@ def endpoint() -> Iterator[str]:
 
 @pytest.fixture
 def pair(endpoint: str) -> Iterator[Pair]:
-    """A recorder and a client."""
     with closing(RemoteControl(settings(endpoint))) as control, closing(Client(endpoint)) as client:
         one = Pair(control, client)
         one.settle()

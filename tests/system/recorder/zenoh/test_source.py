@@ -24,13 +24,10 @@ SAMPLE = sample_of(gear(1))
 
 
 def source(endpoint: str, *expressions: str, queue: int = 1000) -> ZenohSource:
-    """A source that connects to the peer."""
     return ZenohSource(ZenohSettings(connect=[endpoint]), expressions or ["fleet/**"], queue)
 
 
 class Inbox:
-    """What has come in from a source."""
-
     def __init__(self, origin: ZenohSource) -> None:
         self._origin = origin
         self.samples: list[ReceivedSample] = []

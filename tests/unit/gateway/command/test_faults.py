@@ -44,7 +44,6 @@ def mostly_coarse(counts: range) -> list[Any]:
 
 
 def flipped(data: bytes, *bits: int) -> bytes:
-    """The data with these bits turned over."""
     word = int.from_bytes(data, "little")
     for bit in bits:
         word ^= 1 << bit

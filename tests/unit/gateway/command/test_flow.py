@@ -20,7 +20,6 @@ WALL_NS = 1_700_000_000_000_000_000
 
 
 def flow(rig: GatewayRig) -> CommandFlow:
-    """The rig's command flow."""
     assert rig.core.command is not None
     return rig.core.command
 

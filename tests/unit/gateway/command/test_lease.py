@@ -18,7 +18,6 @@ def leases(seed: int = 1) -> Leases:
 
 
 def given_to(made: Leases, operator: str, role: Role = Role.OPERATOR, now_ns: int = 0) -> HeldLease:
-    """The lease, which nobody held."""
     lease = made.acquire(operator, role, now_ns)
     assert isinstance(lease, HeldLease)
     return lease

@@ -26,7 +26,6 @@ def raw(verb: str, payload: bytes, size: int | None = None) -> RawRequest:
 
 
 def reply(verb: str, lease: int, *, ok: bool = True) -> PendingReply:
-    """A reply of the core's."""
     said = LeaseReply(ok, Reason.NONE if ok else Reason.LEASE_HELD, "", "", lease=lease, expires_s=2.0)
     return PendingReply(5, verb, msgspec.msgpack.encode(said))
 

@@ -47,7 +47,6 @@ class Robot:
         self.bounds: set[Bound] = set()
 
     def tick(self, speed_mps: float, angle_deg: float = 0.0, count: int = 1) -> Actuation:
-        """Ticks with this target."""
         self.bounds = set()
         for _ in range(count):
             told = self.told

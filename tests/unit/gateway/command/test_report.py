@@ -15,8 +15,6 @@ WALL_NS = 1_700_000_000_000_000_000
 
 
 class Told:
-    """A bench and its reporter."""
-
     def __init__(self) -> None:
         self.bench = ArbiterRig()
         self.reporter = Reporter(self.bench.arbiter)

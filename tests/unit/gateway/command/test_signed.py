@@ -50,7 +50,6 @@ def test_without_credentials_nothing_is_accepted() -> None:
 
 
 def role_of(rig: ArbiterRig) -> Role | None:
-    """The role of who holds the lease."""
     lease = rig.arbiter.leases.held
     return None if lease is None else lease.role
 

@@ -13,7 +13,6 @@ from tests.support.rigs.gateway import GUARDED, GatewayRig, Operator, ready
 
 
 def flow_of(rig: GatewayRig) -> CommandFlow:
-    """The rig's."""
     flow = rig.core.command
     assert flow is not None
     return flow

@@ -51,7 +51,6 @@ class Run:
 
     @property
     def last(self) -> Actuation:
-        """What was told last."""
         return self.told[-1][1] if self.told else self._last
 
     def run(self, see: See | StopFeedback = obedient, ms: int = 10) -> Actuation:

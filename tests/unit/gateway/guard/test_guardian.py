@@ -48,7 +48,6 @@ def driven(variant: Variant = Variant.COARSE) -> GuardRig:
 
 
 def kill(rig: GuardRig) -> None:
-    """The process ends."""
     rig.parent_lives = False
 
 

@@ -19,7 +19,6 @@ DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parkin
 
 
 def begun(view: ChassisView, counters: bytes | None, now_ns: int = 0) -> Stopper:
-    """A stop that has begun."""
     stopper = Stopper(view, CommandSettings())
     stopper.begin(DRIVING, Variant.COARSE, counters, now_ns)
     return stopper

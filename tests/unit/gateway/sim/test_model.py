@@ -202,7 +202,6 @@ SCRIPTS: dict[str, list[str]] = {
 
 
 def act(rig: ChassisRig, text: str) -> None:
-    """What a step does."""
     name, *words = text.split() or [""]
     if name in {"drive", "neutral", "park"}:
         speed_mps, angle_deg, park, pedal_percent = [*map(float, words), 0.0, 0.0, 0.0, 0.0][:4]

@@ -24,7 +24,6 @@ class Gears:
         self._feedback = Feedback(Variant.COARSE)
 
     def receive(self, times_ns: Iterable[int]) -> None:
-        """The next frames, at these times."""
         for now_ns in times_ns:
             assert self.stream.receive(self._feedback.frame(GEAR), now_ns) is not None
 

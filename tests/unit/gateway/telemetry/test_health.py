@@ -7,7 +7,6 @@ SECOND_NS = 10**9
 
 
 def report(meter: HealthMeter, now_ns: int, *, cpu_ns: int = 0, frames: int = 0) -> GatewayHealth:
-    """The meter's next report."""
     return meter.report(now_ns, 0, Links(cpu_ns=cpu_ns), Variant.COARSE, frames, [])
 
 

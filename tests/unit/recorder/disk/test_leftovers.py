@@ -37,7 +37,6 @@ ROOM = DiskRoom(has_room=True, has_incident_room=True)
 
 
 def part(directory: Path, data: bytes, stem: str = "x") -> Path:
-    """A log that was left."""
     path = directory / f"{stem}.mcap.part"
     path.write_bytes(data)
     return path

@@ -38,12 +38,10 @@ STEM = "cruiser-1-20270115T080000Z"
 
 
 def chunk(number: int, data: bytes = b"") -> WriteChunk:
-    """A chunk of one message."""
     return WriteChunk("x", sealed([(1, number, number, number, data)]))
 
 
 def opened(path: Path) -> PartFile:
-    """A log with a channel."""
     log = LogDirectory(path).open("cruiser-1", WALL_NS, "test")
     log.write(DeclareChannel("x", CHANNEL))
     return log

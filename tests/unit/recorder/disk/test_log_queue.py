@@ -32,7 +32,6 @@ def queue_of(limit_bytes: int, *actions: LogAction) -> LogQueue:
 
 
 def left(queue: LogQueue) -> list[LogAction]:
-    """All that still waits."""
     return [queue.take() for _ in range(len(queue))]
 
 

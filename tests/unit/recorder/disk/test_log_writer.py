@@ -89,17 +89,14 @@ def writer(tmp_path: Path) -> LogWriter:
 
 
 def chunk(number: int, size: int = 100, at_ns: int = WALL_NS) -> WriteChunk:
-    """A chunk of one message."""
     return WriteChunk("x", sealed([(1, number, at_ns, at_ns, os.urandom(size))]))
 
 
 def on_log(actions: Iterable[LogAction], log: str = "x") -> list[LogAction]:
-    """The actions, on a log."""
     return [msgspec.structs.replace(action, log=log) for action in actions]
 
 
 def end(writer: LogWriter, *actions: LogAction) -> None:
-    """These actions, and the end of the log and of the writer."""
     writer.submit(on_log([*actions, CloseLog("x")]))
     writer.close()
 
@@ -116,12 +113,10 @@ def is_kept(writer: LogWriter) -> bool:
 
 
 def sequences(path: Path) -> list[int]:
-    """The messages of a whole file."""
     return [sequence for _, sequence, *_ in Read(path).messages]
 
 
 def names(path: Path) -> list[str]:
-    """The metadata and attachments of a file, by name."""
     found = Read(path)
     return [one.name for one in found.metadata] + [one.name for one in found.attachments]
 
@@ -134,7 +129,6 @@ def files_of(directory: Path) -> dict[str, list[int]]:
 
 
 def all_sequences(directory: Path) -> list[int]:
-    """The messages of all files."""
     return sorted(number for found in files_of(directory).values() for number in found)
 
 

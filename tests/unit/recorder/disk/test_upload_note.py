@@ -13,7 +13,6 @@ LOG = "cruiser-1-20270115T080000Z.mcap"
 
 
 def line(name: str = LOG, size: int = 7, modified_ns: int = 1) -> UploadedLog:
-    """A line of the note."""
     return UploadedLog(name, size, modified_ns, "00", "s3://logs", name)
 
 

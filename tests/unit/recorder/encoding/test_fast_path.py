@@ -20,7 +20,6 @@ CHANNEL = 7
 
 
 def slow_path(messages: list[Message]) -> Chunk | None:
-    """As ``Session`` writes them."""
     chunk = ChunkBuilder()
     for number, message in enumerate(messages):
         data = compile_encoder(type(message))(message)

@@ -36,7 +36,6 @@ def layout(robot: RobotKeys = ROBOT) -> dict[str, Any]:
 
 
 def paths(found: Any) -> list[str]:  # noqa: ANN401 - a part of JSON
-    """All message paths in it."""
     if isinstance(found, dict):
         own = [found[key] for key in ("value", "topicPath") if key in found]
         return own + [path for value in found.values() for path in paths(value)]
@@ -44,7 +43,6 @@ def paths(found: Any) -> list[str]:  # noqa: ANN401 - a part of JSON
 
 
 def leaves(split: str | dict[str, Any]) -> list[str]:
-    """The panels of an arrangement."""
     if isinstance(split, str):
         return [split]
     assert split["direction"] in {"row", "column"}

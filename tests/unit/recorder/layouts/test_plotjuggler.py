@@ -13,7 +13,6 @@ NUMBERS = (inspect.IntType, inspect.FloatType, inspect.BoolType)
 
 
 def layout(robot: RobotKeys) -> Element:
-    """As PlotJuggler reads it."""
     return fromstring(layouts(robot)[1].data)  # noqa: S314 - our own words
 
 

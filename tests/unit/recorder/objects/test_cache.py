@@ -34,7 +34,6 @@ def store() -> FakeObjects:
 
 
 def fetched(store: FakeObjects, directory: Path, name: str = "r/a.mcap", limit: int = 10_000) -> Path:
-    """The copy of a log."""
     return LogCache(directory, limit).fetch(store, PLACE, name, lambda _: None)
 
 

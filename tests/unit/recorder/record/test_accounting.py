@@ -35,7 +35,6 @@ REPORTS = st.builds(
 
 
 def fields(one: KeyReport) -> dict[str, Any]:
-    """The report by the names of its fields."""
     return msgspec.structs.asdict(one)
 
 

@@ -37,7 +37,6 @@ class Robot:
         self.said += 1
 
     def payload(self, sequence: int) -> bytes:
-        """A sample of the run."""
         return f"{self.runs} {sequence}".encode()
 
     def run(self, ticks: int = 200) -> None:

@@ -16,17 +16,14 @@ RINGS = 4
 
 
 def incidents_of(name: str = "a", before_ns: int = BEFORE_NS, after_ns: int = AFTER_NS) -> Incidents:
-    """The incidents of a log."""
     return Incidents(name, before_ns, after_ns)
 
 
 def chunk(number: int, size: int = 10) -> Chunk:
-    """A chunk of one message."""
     return sealed([(1, number, number, number, bytes(size))])
 
 
 def chunks(actions: list[LogAction]) -> list[Chunk]:
-    """The chunks among the actions."""
     return [one.chunk for one in actions if isinstance(one, WriteChunk)]
 
 

@@ -42,17 +42,14 @@ FREE = st.integers(0, 500).map(lambda size: size * SCALE)
 
 
 def used(entries: list[LogEntry]) -> int:
-    """What they take together."""
     return sum(entry.bytes for entry in entries)
 
 
 def without(entries: list[LogEntry], judgement: Judgement) -> list[LogEntry]:
-    """What is left."""
     return [entry for entry in entries if entry.name not in judgement.delete]
 
 
 def is_within(entries: list[LogEntry], free_bytes: int, limits: DiskLimits) -> bool:
-    """Whether the limits are kept."""
     return free_bytes >= limits.floor_bytes and (not limits.budget_bytes or used(entries) <= limits.budget_bytes)
 
 

@@ -78,7 +78,6 @@ def enumerated(value: Enum) -> str:
 
 
 def kinds(actions: Sequence[Action]) -> list[type[Action]]:
-    """What sort of action each is."""
     return [type(action) for action in actions]
 
 
@@ -165,7 +164,6 @@ def test_whatever_comes_is_kept_in_a_file_that_others_read(samples: list[Receive
 
 
 def with_time(time: object, sample: ReceivedSample) -> ReceivedSample:
-    """A gear message that was published then."""
     payload = msgspec.msgpack.encode({**msgspec.msgpack.decode(sample.payload), "time_ns": time})
     return FakeSample(sample.key, sample.encoding, payload)
 

@@ -17,14 +17,12 @@ LAYOUTS = ["cruiser-1/layout.foxglove.json", "cruiser-1/layout.plotjuggler.xml"]
 
 
 def seen() -> Robots:
-    """One robot, seen at 0."""
     robots = Robots("x", "1.0")
     robots.see("fleet", "cruiser-1", 0)
     return robots
 
 
 def names(effects: list[LogAction]) -> list[str]:
-    """The attachments among the effects."""
     return [one.name for one in effects if isinstance(one, WriteAttachment)]
 
 

@@ -23,7 +23,6 @@ from tests.support.signed_run import driven
 
 
 def entries(actions: list[LogAction]) -> dict[str, str]:
-    """What is written."""
     (action,) = actions
     assert isinstance(action, WriteMetadata)
     assert action.lasts

@@ -47,13 +47,11 @@ ABOUT = {"robots": "cruiser-1", "recorder_version": "0.1.0"}
 
 
 def log_of(count: int = 3) -> bytes:
-    """A whole log."""
     return own_log([gears(0, count, 1000)], metadata=[("cruiser", ABOUT)])
 
 
 @pytest.fixture
 def store() -> FakeLogStore:
-    """A store that holds nothing."""
     return FakeLogStore()
 
 

@@ -6,7 +6,6 @@ from schemas.settings import ZenohSettings
 
 
 def source(endpoint: str, *expressions: str) -> ZenohSource:
-    """A source that connects to the peer."""
     return ZenohSource(ZenohSettings(connect=[endpoint]), expressions or ["fleet/**"], 1000)
 
 

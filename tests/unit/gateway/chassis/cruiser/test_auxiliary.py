@@ -5,17 +5,14 @@ from schemas.settings import ODOMETER_TIMEOUT_NS, TAIL_NS
 
 
 def lamps(*, head: bool = False, left: bool = False, right: bool = False) -> AuxiliaryFrame:
-    """The frame of the lamps."""
     return AuxiliaryFrame("Auto_LightCmd", {"Headlamp": head, "RightIndicator": right, "LeftIndicator": left})
 
 
 def horn(*, on: bool) -> AuxiliaryFrame:
-    """The frame of the horn."""
     return AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": on})
 
 
 def odometer(*, on: bool) -> AuxiliaryFrame:
-    """The frame of the odometer."""
     return AuxiliaryFrame("Auto_OdometerCmd", {"Enable": on, "ClearMileage": on})
 
 

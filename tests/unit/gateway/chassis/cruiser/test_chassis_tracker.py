@@ -72,7 +72,6 @@ class Eye:
                 self.show(name, at_ms=at_ms)
 
     def look(self, at_ms: int = 0) -> ChassisState:
-        """A tick."""
         for stream in self.streams.values():
             stream.tick(at_ms * MS)
         return self.tracker.state(self.links, self.controller, self.variant, self.commander_ns, at_ms * MS)

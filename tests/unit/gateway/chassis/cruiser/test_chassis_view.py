@@ -26,7 +26,6 @@ def feed(view: ChassisView, variant: Variant = Variant.COARSE, wheels_in: Varian
 
 
 def body(feedback: Feedback, mode: str) -> Frame:
-    """A body frame that reads this mode."""
     return feedback.frame(BODY, {"Mode": mode})
 
 

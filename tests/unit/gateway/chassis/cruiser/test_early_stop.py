@@ -357,7 +357,6 @@ class Cable:
         self._left = left
 
     def waiting(self) -> list[Command]:
-        """What has come."""
         return [(frame.can_id, frame.data) for frame in self._left.frames()]
 
     def send(self, frames: list[Command]) -> int:
@@ -367,11 +366,9 @@ class Cable:
         return len(frames)
 
     def monotonic_ns(self) -> int:
-        """The time."""
         return self._left.now_ns
 
     def sleep(self, seconds: float) -> None:
-        """Time passes."""
         self._left.now_ns += round(seconds * 1e9)
 
 

@@ -14,7 +14,6 @@ FINE_STANDING = bytes.fromhex("0100800080000001")
 
 
 def wheels(variant: Variant, left_mps: float, right_mps: float) -> bytes:
-    """The data of a wheel speed frame."""
     values: dict[str, float | bool] = {"Valid": True, "RearLeftSpeed": left_mps, "RearRightSpeed": right_mps}
     return Encoder(load(variant)).encode("Auto_WheelSpdFeedback", values, 0).data
 
