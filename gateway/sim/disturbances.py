@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from enum import Enum
 from itertools import accumulate
-from typing import Final, Literal
+from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 
@@ -92,18 +92,18 @@ class Disturbance(Enum):
     FREEZE = "freeze"
 
 
-class MessageFault(msgspec.Struct, frozen=True):
-    """A fault of one feedback message.
+class Sticks(msgspec.Struct, frozen=True):
+    """The demand of the remote control (RC): signed speed, and angle with left positive."""
 
-    Attributes:
-        message: its name in the DBC, or ALL_MESSAGES.
-        number: for SKIP the step of the counter, for DROP every how manieth frame is lost.
-    """
+    speed_mps: float
+    angle_deg: float
 
-    disturbance: Disturbance
-    message: str
-    number: int = 1
-    ended: bool = False
+
+class Contact(NamedTuple):
+    """A bumper's contact, which may bounce before it rests."""
+
+    hit: bool
+    bounces: bool = False
 
 
 class Foreign(msgspec.Struct, frozen=True):
@@ -116,67 +116,21 @@ class Foreign(msgspec.Struct, frozen=True):
     can_id: int
     data: bytes = bytes(8)
     period_ns: int = FOREIGN_PERIOD_NS
-    ended: bool = False
 
 
-class Bumper(msgspec.Struct, frozen=True):
-    """Front, rear or both bumpers are hit, or free again; the contact may bounce before it rests."""
-
-    sides: tuple[str, ...]
-    hit: bool
-    bounces: bool = False
-
-
-class Toggle(msgspec.Struct, frozen=True):
-    """A condition switched on or off.
+class ChassisFault(msgspec.Struct, frozen=True):
+    """A fault, or the end of one.
 
     Attributes:
-        name: ``remote``: the remote control's SA switch is on remote, not on command control. ``wrong_scale``: the
-            drive command and feedback have the other variant's scale.
+        kind: its word; of one kind and target a later fault replaces the earlier.
+        targets: messages of the DBC or ALL_MESSAGES, sides, identifiers, or fields of ``Conditions``.
+        value: for SKIP the step of the counter, for DROP every how manieth frame is lost.
     """
 
-    name: Literal["remote", "wrong_scale"]
-    on: bool
-
-
-class Sticks(msgspec.Struct, frozen=True):
-    """The demand of the remote control (RC): signed speed, and angle with left positive."""
-
-    speed_mps: float
-    angle_deg: float
-
-
-class Firmware(msgspec.Struct, frozen=True):
-    """The chassis has this firmware variant."""
-
-    variant: Variant
-
-
-class Condition(msgspec.Struct, frozen=True):
-    """A number in ``Conditions`` has another value."""
-
-    field: str
-    value: float
-
-
-class Reboot(msgspec.Struct, frozen=True):
-    """The chassis's control unit reboots."""
-
-
-class Clear(msgspec.Struct, frozen=True):
-    """Everything is as it was at the start."""
-
-
-Fault = MessageFault | Foreign | Bumper | Toggle | Sticks | Firmware | Condition | Reboot | Clear
-
-
-def is_end(fault: Fault) -> bool:
-    """True for what ends a fault instead of beginning one."""
-    match fault:
-        case MessageFault(ended=True) | Foreign(ended=True) | Bumper(hit=False, bounces=False) | Toggle(on=False):
-            return True
-        case _:
-            return False
+    kind: str
+    targets: tuple[str | int, ...] = ("",)
+    value: int | float | Sticks | Contact | Foreign | Variant = 1
+    ended: bool = False
 
 
 class FaultLine(msgspec.Struct, frozen=True):
@@ -187,7 +141,7 @@ class FaultLine(msgspec.Struct, frozen=True):
         frames: it ends after this many frames of its message; 0 if they do not count.
     """
 
-    fault: Fault
+    fault: ChassisFault
     duration_ns: int = 0
     frames: int = 0
 
@@ -211,6 +165,8 @@ class _WrongWordError(Exception):
 
 _UNITS_NS: Final = {"ms": 1_000_000, "s": 1_000_000_000, "min": 60_000_000_000}
 
+CLEAR: Final = "clear"
+_MESSAGE_FAULTS: Final = {disturbance.value for disturbance in Disturbance}
 _MESSAGES: Final = {name.lower(): name for name in [*BY_DBC_MESSAGE, ALL_MESSAGES]}
 
 
@@ -242,12 +198,12 @@ def _line(words: _Words) -> FaultLine:
     duration_ns = 0
     if words.take_if("for"):
         value = words.take("a duration such as 2s")
-        if isinstance(fault, MessageFault) and not frames and words.take_if("frames"):
+        if fault.kind in _MESSAGE_FAULTS and not frames and words.take_if("frames"):
             frames = _whole(value)
         else:
             duration_ns = _duration_ns(value)
     words.end()
-    if (duration_ns or frames) and (isinstance(fault, Clear) or is_end(fault)):
+    if (duration_ns or frames) and (fault.ended or fault.kind == CLEAR):
         raise _WrongWordError("what ends a fault has no duration")
     return FaultLine(fault, duration_ns, frames)
 
@@ -315,39 +271,38 @@ def _duration_ns(word: str) -> int:
     return duration_ns
 
 
-_Parsed = tuple[Fault, int]
+_Parsed = tuple[ChassisFault, int]
 """A fault and the number of frames that it lasts, 0 if they do not count."""
 
 
 def _message_fault(disturbance: Disturbance) -> Callable[[_Words], _Parsed]:
     def parse_words(words: _Words) -> _Parsed:
-        name = _MESSAGES[_one_of(words.take("a message"), _MESSAGES, "message")]
+        targets, number, frames = (_MESSAGES[_one_of(words.take("a message"), _MESSAGES, "message")],), 1, 0
         if words.take_if("off"):
-            return MessageFault(disturbance, name, ended=True), 0
+            return ChassisFault(disturbance.value, targets, ended=True), 0
         if disturbance is Disturbance.SKIP:
-            return MessageFault(disturbance, name, _whole(words.take("a number")) if words.take_if("by") else 2), 0
-        if disturbance is Disturbance.DROP:
+            number = _whole(words.take("a number")) if words.take_if("by") else 2
+        elif disturbance is Disturbance.DROP:
             how = _one_of(words.take("'every' or 'next'"), ["every", "next"], "word")
-            number = _whole(words.take("a number"))
-            return MessageFault(disturbance, name, number if how == "every" else 1), number * (how == "next")
-        return MessageFault(disturbance, name), 0
+            count = _whole(words.take("a number"))
+            number, frames = (count, 0) if how == "every" else (1, count)
+        return ChassisFault(disturbance.value, targets, number), frames
 
     return parse_words
 
 
 def _foreign(words: _Words) -> _Parsed:
-    can_id = _can_id(words.take("an identifier"))
-    period_ns = FOREIGN_PERIOD_NS
+    can_id, data, period_ns = _can_id(words.take("an identifier")), bytes(8), FOREIGN_PERIOD_NS
+    targets = (can_id,)
     if words.take_if("off"):
-        return Foreign(can_id, ended=True), 0
-    data = bytes(8)
+        return ChassisFault("foreign", targets, ended=True), 0
     if words.take_if("error"):
         can_id |= ERROR
     elif words.next not in {"", "every", "for"}:
         data = _data(words.take("data"))
     if words.take_if("every"):
         period_ns = max(_duration_ns(words.take("a duration such as 2s")), _UNITS_NS["ms"])
-    return Foreign(can_id, data, period_ns), 0
+    return ChassisFault("foreign", targets, Foreign(can_id, data, period_ns)), 0
 
 
 def _can_id(word: str) -> int:
@@ -372,17 +327,17 @@ def _choice(words: _Words, *right: str) -> str:
 def _bumper(words: _Words) -> _Parsed:
     side = _choice(words, "front", "rear", "both")
     sides = ("front", "rear") if side == "both" else (side,)
-    hit = _choice(words, "on", "off") == "on"
-    return Bumper(sides, hit, words.take_if("bounce")), 0
+    contact = Contact(_choice(words, "on", "off") == "on", words.take_if("bounce"))
+    return ChassisFault("bumper", sides, contact, ended=not any(contact)), 0
 
 
-def _transmitter(words: _Words) -> _Parsed:
-    return Toggle("remote", _choice(words, "remote", "command") == "remote"), 0
+def _toggle(kind: str, on: str, off: str) -> Callable[[_Words], _Parsed]:
+    return lambda words: (ChassisFault(kind, ended=_choice(words, on, off) == off), 0)
 
 
 def _sticks(words: _Words) -> _Parsed:
     speed_mps = _number(words.take("a speed in m/s"))
-    return Sticks(speed_mps, _number(words.take("an angle in deg"))), 0
+    return ChassisFault("sticks", value=Sticks(speed_mps, _number(words.take("an angle in deg")))), 0
 
 
 def _condition(field: str) -> Callable[[_Words], _Parsed]:
@@ -393,28 +348,31 @@ def _condition(field: str) -> Callable[[_Words], _Parsed]:
         value = _number(word)
         if not low <= value <= high:
             raise _WrongWordError(f"{_shown(word)} is not from {low:g} to {high:g}")
-        return Condition(field, value), 0
+        return ChassisFault(_CONDITION, (field,), value), 0
 
     return parse_words
 
+
+_CONDITION: Final = "condition"
 
 _PARSERS: Final[dict[str, Callable[[_Words], _Parsed]]] = {
     **{disturbance.value: _message_fault(disturbance) for disturbance in Disturbance},
     "foreign": _foreign,
     "bumper": _bumper,
-    "transmitter": _transmitter,
+    "transmitter": _toggle("transmitter", "remote", "command"),
     "sticks": _sticks,
-    "scale": lambda words: (Toggle("wrong_scale", _choice(words, "wrong", "right") == "wrong"), 0),
-    "variant": lambda words: (Firmware(Variant(_choice(words, "coarse", "fine"))), 0),
+    "scale": _toggle("scale", "wrong", "right"),
+    "variant": lambda words: (ChassisFault("variant", value=Variant(_choice(words, "coarse", "fine"))), 0),
     "slope": _condition("slope_deg"),
     "payload": _condition("payload_kg"),
     "pedal": _condition("pedal_gain"),
     "motor": _condition("motor_strength"),
     "brake": _condition("parking_grip"),
-    "reboot": lambda _words: (Reboot(), 0),
-    "clear": lambda _words: (Clear(), 0),
+    "reboot": lambda _words: (ChassisFault("reboot"), 0),
+    CLEAR: lambda _words: (ChassisFault(CLEAR), 0),
 }
 
+_T = TypeVar("_T")
 
 _NEVER_NS: Final = 2**63
 
@@ -428,7 +386,7 @@ class _Active(msgspec.Struct):
         next_ns: for foreign frames, when the next is due.
     """
 
-    fault: Fault
+    fault: ChassisFault
     since_ns: int
     until_ns: int
     frames_left: int | None
@@ -472,26 +430,27 @@ class Disturbances:
     def foreign_frames(self, now_ns: int, wall_ns: int) -> list[Frame]:
         """The foreign frames that are due, and the next ones planned."""
         frames = []
-        for (_, can_id), active in self._active.items():
-            if active.next_ns <= now_ns and isinstance(active.fault, Foreign) and isinstance(can_id, int):
-                active.next_ns = max(active.next_ns + active.fault.period_ns, now_ns + 1)
-                frames.append(Frame(can_id | active.fault.can_id & ERROR, active.fault.data, wall_ns))
+        for active in self._active.values():
+            foreign = active.fault.value
+            if active.next_ns <= now_ns and isinstance(foreign, Foreign):
+                active.next_ns = max(active.next_ns + foreign.period_ns, now_ns + 1)
+                frames.append(Frame(foreign.can_id, foreign.data, wall_ns))
         return frames
 
     def strike(self, disturbance: Disturbance, message: str) -> int:
         """Count a frame of the message, and return the number of the fault that disturbs it; 0 if none does."""
         slot = (disturbance.value, message)
-        active = self._active.get(slot)
-        if active is None or not isinstance(active.fault, MessageFault):
+        number, active = self._value(int, disturbance.value, message), self._active.get(slot)
+        if active is None or number is None:
             return 0
         active.passed += 1
-        if disturbance is Disturbance.DROP and active.passed % active.fault.number:
+        if disturbance is Disturbance.DROP and active.passed % number:
             return 0
         if active.frames_left is not None:
             active.frames_left -= 1
             if not active.frames_left:
                 del self._active[slot]
-        return active.fault.number
+        return number
 
     @property
     def quiet(self) -> bool:
@@ -511,24 +470,22 @@ class Disturbances:
     @property
     def remote(self) -> bool:
         """The remote control's SA switch is on remote."""
-        return ("remote", "") in self._active
+        return ("transmitter", "") in self._active
 
     @property
     def sticks(self) -> Sticks:
         """The demand of the remote control (RC)."""
-        active = self._active.get(("sticks", ""))
-        return active.fault if active is not None and isinstance(active.fault, Sticks) else Sticks(0.0, 0.0)
+        return self._value(Sticks, "sticks") or Sticks(0.0, 0.0)
 
     @property
     def wrong_scale(self) -> bool:
         """Drive command and feedback have the other variant's scale."""
-        return ("wrong_scale", "") in self._active
+        return ("scale", "") in self._active
 
     @property
     def firmware(self) -> Variant | None:
         """The variant that took the place of the first one."""
-        active = self._active.get(("firmware", ""))
-        return active.fault.variant if active is not None and isinstance(active.fault, Firmware) else None
+        return self._value(Variant, "variant")
 
     @property
     def rebooting(self) -> bool:
@@ -537,47 +494,36 @@ class Disturbances:
 
     def conditions(self, start: Conditions) -> Conditions:
         """The conditions in force, given those of the start."""
-        faults = [active.fault for active in self._active.values()]
-        changed = {fault.field: fault.value for fault in faults if isinstance(fault, Condition)}
+        changed = {
+            str(field): one.fault.value for (kind, field), one in self._active.items() if kind == _CONDITION
+        }
         return msgspec.structs.replace(start, **changed) if changed else start
 
+    def _value(self, kind: type[_T], word: str, target: str = "") -> _T | None:
+        """The value of a fault in force."""
+        active = self._active.get((word, target))
+        return active.fault.value if active is not None and isinstance(active.fault.value, kind) else None
+
     def _begin(self, line: FaultLine, now_ns: int) -> None:
-        if isinstance(line.fault, Clear):
+        fault = line.fault
+        if fault.kind == CLEAR:
             self._active.clear()
             return
-        for slot in self._slots(line.fault):
-            if is_end(line.fault):
-                self._active.pop(slot, None)
+        for target in self._messages if fault.targets == (ALL_MESSAGES,) else fault.targets:
+            if fault.ended:
+                self._active.pop((fault.kind, target), None)
                 continue
-            duration_ns = line.duration_ns or (REBOOT_NS if isinstance(line.fault, Reboot) else _NEVER_NS)
-            active = _Active(line.fault, now_ns, now_ns + duration_ns, line.frames or None)
-            if isinstance(line.fault, Foreign):
+            duration_ns = line.duration_ns or (REBOOT_NS if fault.kind == "reboot" else _NEVER_NS)
+            active = _Active(fault, now_ns, now_ns + duration_ns, line.frames or None)
+            if isinstance(fault.value, Foreign):
                 active.next_ns = now_ns
-            self._active[slot] = active
-
-    def _slots(self, fault: Fault) -> list[_Slot]:
-        match fault:
-            case MessageFault(disturbance, message):
-                names = self._messages if message == ALL_MESSAGES else (message,)
-                return [(disturbance.value, name) for name in names]
-            case Foreign(can_id):
-                return [("foreign", can_id & (EXTENDED | IDENTIFIER_MASK))]
-            case Bumper(sides):
-                return [("bumper", side) for side in sides]
-            case Toggle(name):
-                return [(name, "")]
-            case Sticks() | Firmware() | Reboot():
-                return [(type(fault).__name__.lower(), "")]
-            case Condition(field):
-                return [("condition", field)]
-            case Clear():
-                return []
+            self._active[fault.kind, target] = active
 
     def _is_hit(self, side: str) -> bool:
-        active = self._active.get(("bumper", side))
-        if active is None or not isinstance(active.fault, Bumper):
+        contact = self._value(Contact, "bumper", side)
+        if contact is None:
             return False
-        since_ns = self._now_ns - active.since_ns
-        changes = [end_ns for end_ns in accumulate(BOUNCE_NS) if end_ns > since_ns] if active.fault.bounces else []
+        since_ns = self._now_ns - self._active["bumper", side].since_ns
+        changes = [end_ns for end_ns in accumulate(BOUNCE_NS) if end_ns > since_ns] if contact.bounces else []
         # After an even number of changes it rests, so one that is still to come out even is in the new state.
-        return active.fault.hit is (len(changes) % 2 == 0)
+        return contact.hit is (len(changes) % 2 == 0)

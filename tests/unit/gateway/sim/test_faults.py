@@ -9,20 +9,13 @@ from hypothesis import strategies as st
 from gateway.chassis.frame import ERROR, EXTENDED
 from gateway.sim.disturbances import (
     GRAMMAR,
-    Bumper,
-    Clear,
-    Condition,
-    Disturbance,
+    ChassisFault,
+    Contact,
     FaultLine,
     FaultTextError,
-    Firmware,
     Foreign,
-    MessageFault,
-    Reboot,
     ScheduledFault,
     Sticks,
-    Toggle,
-    is_end,
     parse,
     parse_scheduled,
 )
@@ -30,39 +23,44 @@ from schemas.messages import Variant
 
 S = 1_000_000_000
 GEAR = "Auto_GearFeedBack"
+STRANGE = 0x18C4D6EF | EXTENDED
 
 RIGHT = {
-    f"silence {GEAR} for 2s": FaultLine(MessageFault(Disturbance.SILENCE, GEAR), 2 * S),
-    "checksum auto_gearfeedback": FaultLine(MessageFault(Disturbance.CHECKSUM, GEAR)),
-    f"stuck {GEAR} for 3 frames": FaultLine(MessageFault(Disturbance.STUCK, GEAR), 0, 3),
-    f"skip {GEAR}": FaultLine(MessageFault(Disturbance.SKIP, GEAR, 2)),
-    "skip all by 5 for 500ms": FaultLine(MessageFault(Disturbance.SKIP, "all", 5), S // 2),
-    "drop all every 10 for 1min": FaultLine(MessageFault(Disturbance.DROP, "all", 10), 60 * S),
-    f"drop {GEAR} next 4": FaultLine(MessageFault(Disturbance.DROP, GEAR), 0, 4),
-    "silence all off": FaultLine(MessageFault(Disturbance.SILENCE, "all", ended=True)),
-    f"freeze {GEAR} for 3 frames": FaultLine(MessageFault(Disturbance.FREEZE, GEAR), 0, 3),
-    "foreign 123": FaultLine(Foreign(0x123)),
-    "foreign 0x18C4D6EF 00ff every 1.5s": FaultLine(Foreign(0x18C4D6EF | EXTENDED, b"\x00\xff", 3 * S // 2)),
-    "foreign 7ff error": FaultLine(Foreign(0x7FF | ERROR)),
-    "foreign 200 off": FaultLine(Foreign(0x200, ended=True)),
-    "bumper front on": FaultLine(Bumper(("front",), hit=True)),
-    "Bumper BOTH off": FaultLine(Bumper(("front", "rear"), hit=False)),
-    "bumper rear on bounce for 2s": FaultLine(Bumper(("rear",), hit=True, bounces=True), 2 * S),
-    "bumper rear off bounce": FaultLine(Bumper(("rear",), hit=False, bounces=True)),
-    "transmitter remote": FaultLine(Toggle("remote", on=True)),
-    "transmitter command": FaultLine(Toggle("remote", on=False)),
-    "sticks -0.5 +10": FaultLine(Sticks(-0.5, 10.0)),
-    "scale wrong": FaultLine(Toggle("wrong_scale", on=True)),
-    "scale right": FaultLine(Toggle("wrong_scale", on=False)),
-    "variant fine": FaultLine(Firmware(Variant.FINE)),
-    "slope -30 for 2s": FaultLine(Condition("slope_deg", -30.0), 2 * S),
-    "payload 100": FaultLine(Condition("payload_kg", 100.0)),
-    "pedal 0.3": FaultLine(Condition("pedal_gain", 0.3)),
-    "motor 0.5": FaultLine(Condition("motor_strength", 0.5)),
-    "brake 0.2": FaultLine(Condition("parking_grip", 0.2)),
-    "reboot": FaultLine(Reboot()),
-    "reboot for 3s": FaultLine(Reboot(), 3 * S),
-    "clear": FaultLine(Clear()),
+    f"silence {GEAR} for 2s": FaultLine(ChassisFault("silence", (GEAR,)), 2 * S),
+    "checksum auto_gearfeedback": FaultLine(ChassisFault("checksum", (GEAR,))),
+    f"stuck {GEAR} for 3 frames": FaultLine(ChassisFault("stuck", (GEAR,)), 0, 3),
+    f"skip {GEAR}": FaultLine(ChassisFault("skip", (GEAR,), 2)),
+    "skip all by 5 for 500ms": FaultLine(ChassisFault("skip", ("all",), 5), S // 2),
+    "drop all every 10 for 1min": FaultLine(ChassisFault("drop", ("all",), 10), 60 * S),
+    f"drop {GEAR} next 4": FaultLine(ChassisFault("drop", (GEAR,)), 0, 4),
+    "silence all off": FaultLine(ChassisFault("silence", ("all",), ended=True)),
+    f"freeze {GEAR} for 3 frames": FaultLine(ChassisFault("freeze", (GEAR,)), 0, 3),
+    "foreign 123": FaultLine(ChassisFault("foreign", (0x123,), Foreign(0x123))),
+    "foreign 0x18C4D6EF 00ff every 1.5s": FaultLine(
+        ChassisFault("foreign", (STRANGE,), Foreign(STRANGE, b"\x00\xff", 3 * S // 2))
+    ),
+    "foreign 7ff error": FaultLine(ChassisFault("foreign", (0x7FF,), Foreign(0x7FF | ERROR))),
+    "foreign 200 off": FaultLine(ChassisFault("foreign", (0x200,), ended=True)),
+    "bumper front on": FaultLine(ChassisFault("bumper", ("front",), Contact(hit=True))),
+    "Bumper BOTH off": FaultLine(ChassisFault("bumper", ("front", "rear"), Contact(hit=False), ended=True)),
+    "bumper rear on bounce for 2s": FaultLine(
+        ChassisFault("bumper", ("rear",), Contact(hit=True, bounces=True)), 2 * S
+    ),
+    "bumper rear off bounce": FaultLine(ChassisFault("bumper", ("rear",), Contact(hit=False, bounces=True))),
+    "transmitter remote": FaultLine(ChassisFault("transmitter")),
+    "transmitter command": FaultLine(ChassisFault("transmitter", ended=True)),
+    "sticks -0.5 +10": FaultLine(ChassisFault("sticks", value=Sticks(-0.5, 10.0))),
+    "scale wrong": FaultLine(ChassisFault("scale")),
+    "scale right": FaultLine(ChassisFault("scale", ended=True)),
+    "variant fine": FaultLine(ChassisFault("variant", value=Variant.FINE)),
+    "slope -30 for 2s": FaultLine(ChassisFault("condition", ("slope_deg",), -30.0), 2 * S),
+    "payload 100": FaultLine(ChassisFault("condition", ("payload_kg",), 100.0)),
+    "pedal 0.3": FaultLine(ChassisFault("condition", ("pedal_gain",), 0.3)),
+    "motor 0.5": FaultLine(ChassisFault("condition", ("motor_strength",), 0.5)),
+    "brake 0.2": FaultLine(ChassisFault("condition", ("parking_grip",), 0.2)),
+    "reboot": FaultLine(ChassisFault("reboot")),
+    "reboot for 3s": FaultLine(ChassisFault("reboot"), 3 * S),
+    "clear": FaultLine(ChassisFault("clear")),
 }
 
 WRONG = {
@@ -149,15 +147,3 @@ def test_a_scheduled_fault_has_its_delay_first(text: str, after_ns: int) -> None
 def test_a_wrong_schedule_is_an_error(text: str) -> None:
     """A delay has a unit, and a fault after it."""
     assert isinstance(parse_scheduled(text), FaultTextError)
-
-
-def test_what_ends_a_fault_is_known() -> None:
-    """Off, command and right end; the rest begins."""
-    ends = {text for text, line in RIGHT.items() if is_end(line.fault)}
-    assert ends == {
-        "silence all off",
-        "foreign 200 off",
-        "Bumper BOTH off",
-        "transmitter command",
-        "scale right",
-    }
