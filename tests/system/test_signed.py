@@ -19,13 +19,13 @@ from gateway.client.robot import Lease, Robot
 from gateway.zenoh.operator import StatementPort
 from schemas import codec, keys
 from schemas.authority.proof import GrantRole, chain_text
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import ExitCode
 from schemas.decisions import Journal, Reply, SafetyState, StatementReply
 from schemas.journal import Kind
 from schemas.messages import RobotState
 from schemas.reasons import Reason
 from schemas.requests import Drive, Renew
-from schemas.settings import AuthoritySettings, Settings, ZenohSettings
+from schemas.settings import ZenohSettings
 from schemas.subjects import BY_NAME, BY_VERB
 from schemas.zenoh_session import close_session, open_session
 from tests.support.authority import DAY_S, Fleet, Party
@@ -306,17 +306,6 @@ def test_an_impostor_is_not_believed(site: Site) -> None:
             Robot.connect(ROBOT, settings=settings, timeout_s=3.0)
 
 
-def test_a_grant_without_a_verb_gets_the_others(site: Site) -> None:
-    """A viewer-like grant may hold no lease; what it lacks is named."""
-    bob = Party("bob")
-    site.fleet.authority.grant(bob, verbs=["acquire", "release", "renew"], **site.holds)
-    with running(site), Robot.connect(ROBOT, settings=site.settings_of("operator", bob)) as robot:
-        assert robot.operator == "bob"
-        with robot.lease() as lease, pytest.raises(Refused) as refused:
-            lease.engage()
-        assert refused.value.reason is Reason.NOT_GRANTED
-
-
 def test_a_stop_of_somebody_with_a_grant_is_signed(site: Site) -> None:
     """Besides those without a proof, which wait for nothing: the journal says who it was, and what proves it."""
     with standing(site) as session:
@@ -511,15 +500,6 @@ def test_a_robot_whose_files_are_wrong_publishes_and_does_not_arm(site: Site, da
         wait_until(lambda: state.try_recv() is not None)
         with pytest.raises(Refused, match="not met"):
             Robot.connect(ROBOT, settings=site.settings, timeout_s=2.0)
-
-
-def test_an_operator_without_a_key_is_told_which_file_is_missing(tmp_path: Path) -> None:
-    """Before anything is sent."""
-    settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(tmp_path)))
-    with pytest.raises(
-        CommandError, match=r"operator\.key is not there; 'cruiser provision operator NAME' makes it"
-    ):
-        Robot.connect(ROBOT, settings=settings)
 
 
 def test_a_latched_robot_takes_renewed_files_over_and_stays_latched(site: Site) -> None:

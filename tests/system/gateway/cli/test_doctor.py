@@ -79,33 +79,3 @@ def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Pat
     wait_until(lambda: finds() == (1, ["gateway_missing"], ""))
     fault(bus, "silence", "Auto_GearFeedBack")
     assert "Auto_GearFeedBack" in examine(bus, *logs)[1]["feedback_missing"]
-
-
-@pytest.mark.night
-def test_each_trouble_of_a_bus_is_told_from_the_others(bus: str, tmp_path: Path) -> None:
-    """Nobody speaks, somebody else does, or nobody is understood."""
-    logs = ["--logs", str(tmp_path), "--timeout", "0.5"]
-    connect = ["--connect", free_endpoint()]
-    fault(bus, "silence", "all")
-    assert list(examine(bus, *logs, *connect)[1]) == ["bus_silent", "router_unreachable"]
-    fault(bus, "foreign", "200")
-    assert "identifiers 200" in examine(bus, *logs)[1]["other_device"]
-    fault(bus, "foreign", "004", "error")
-    assert "error frames" in examine(bus, *logs)[1]["bit_rate"]
-
-
-def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    """An interface of the kernel, and a server."""
-    logs = ["--logs", str(tmp_path / "nothing"), "--timeout", "0.5"]
-    found = examine("can9", *logs, interface="socketcan")[1]
-    assert list(found) == ["interface_missing", "gateway_missing", "disk_unusable"]
-    assert "127.0.0.1:1" in examine("127.0.0.1:1", *logs)[1]["bus_unreachable"]
-
-
-def test_two_gateways_on_one_bus_are_found(bus: str, tmp_path: Path) -> None:
-    """Each has a name of its own, and neither drives; nobody records."""
-    first, second = free_endpoint(), free_endpoint()
-    with gateway(bus, first), gateway(bus, second, "--robot", "cruiser-2"):
-        found = examine(bus, "--connect", first, "--logs", str(tmp_path))[1]
-    assert "2 on 127.0.0.1" in found["two_gateways"]
-    assert "recorder_missing" in found

@@ -215,15 +215,6 @@ def after(lines: int, capsys: pytest.CaptureFixture[str]) -> Callable[[], bool]:
     return stopped
 
 
-@pytest.mark.parametrize("text", ["", "no", "{}", "\0"])
-def test_what_is_no_statement_is_shown_to_nobody(tmp_path: Path, text: str) -> None:
-    """One line names the file."""
-    file = tmp_path / "some.statement"
-    file.write_text(text)
-    with pytest.raises(CommandError, match=r"some\.statement: it holds no statement"):
-        run("show", file, "--all", "--directory", tmp_path)
-
-
 def test_a_bundle_without_a_grant_is_shown_to_nobody(fleet: Fleet) -> None:
     """A viewer has none."""
     fleet.let_in("viewer", "hall")

@@ -11,6 +11,7 @@ from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import run
 
 FAILURE, USAGE, UNREACHABLE = ExitCode.FAILURE, ExitCode.USAGE, ExitCode.UNREACHABLE
+AUTHORITY = "provision authority --directory {here}/new"
 ROUTER = "tls/127.0.0.1:47447"
 DRIVE, SIGN, DEMO = "drive cruiser-1 --seconds 1", "provision sign some.request", "demo --desk --no-browser"
 NO_FILE = "cannot read the configuration file '/nowhere/robot.toml': no such file or directory"
@@ -92,7 +93,12 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("provision sign no.request", USAGE, "no.request is not there"),
     ("provision install no.bundle", USAGE, "no.bundle is not there"),
     (f"provision authority --standby no --router {ROUTER}", USAGE, "'cruiser provision standby' makes it"),
+    *[
+        (f"{AUTHORITY} --standby {{here}}/standby.pub --router '{one}'", USAGE, "tls/HOST:PORT")
+        for one in ("tcp/127.0.0.1:7447", "router.example:7447", "tls/router.example", "")
+    ],
     ("provision rotate no.json", USAGE, "no.json is not there"),
+    ("provision show {here}/none.pem --all", USAGE, "none.pem: it holds no statement"),
     ("provision revoke", USAGE, "what is to be revoked?"),
     ("provision revoke ann", USAGE, "no authority's key is in"),
     *[
@@ -111,6 +117,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
 def test_what_cannot_be_is_one_line_and_a_code(tmp_path: Path, words: str, code: ExitCode, says: str) -> None:
     """It names what is wrong; nothing is begun, and nothing is a traceback."""
     (tmp_path / "none.pem").write_text("none")
+    (tmp_path / "standby.pub").write_text("ab" * 32)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         places = {"taken": f"127.0.0.1:{taken.getsockname()[1]}", "here": str(tmp_path)}
         places["free"] = free_endpoint().removeprefix("tcp/")
@@ -119,6 +126,7 @@ def test_what_cannot_be_is_one_line_and_a_code(tmp_path: Path, words: str, code:
     assert (done.returncode, done.stdout) == (code, ""), done.stderr
     assert says.format(**places) in lines[-1]
     assert len(lines) == 1 or lines[0].startswith("usage: "), lines
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize(

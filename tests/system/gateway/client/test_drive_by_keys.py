@@ -13,8 +13,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Self
 
-import pytest
-
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import Reason
@@ -125,17 +123,6 @@ def test_a_curve_is_driven_with_one_key() -> None:
         assert driver.process.wait(30) == 0
         assert fake.state is ArbiterState.STANDBY
         driver.wait_shows("cruiser-1: left; it stands by, and the lease is given back")
-
-
-@pytest.mark.parametrize("keys", [b" ", b"k", b"\x1b"])
-def test_any_other_key_stops(keys: bytes) -> None:
-    """At once, and not only when the held key no longer repeats."""
-    with FakeRobot() as fake, Driver(fake.listen) as driver:
-        wait_until(lambda: fake.state is ArbiterState.ENGAGED)
-        wait_until(lambda: fake.speed_mps > 0.1, driver.types(b"w"))
-        driver.types(keys)()
-        wait_until(lambda: fake.speed_mps == 0.0)
-        assert fake.state is ArbiterState.ENGAGED
 
 
 def test_ctrl_c_stops_and_leaves() -> None:

@@ -1,13 +1,12 @@
 import threading
 import time
-from typing import Any
 
 import pytest
 
 from gateway.client.link import PERIOD_S
 from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
 from gateway.client.robot import Robot
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import ExitCode
 from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason, cure_of
@@ -313,16 +312,6 @@ def test_a_robot_that_is_not_there_is_unreachable() -> None:
         settings = settings_for(gateway.listen)
         with pytest.raises(Unreachable, match="only listens"):
             Robot.connect("cruiser-1", "first", settings, timeout_s=3, stopped=tell_its_state)
-
-
-def test_a_name_that_cannot_be_is_one_clear_error() -> None:
-    """A robot or an operator with a wildcard is never asked for."""
-    nothing_at_all: Any = None
-    names = (("*", "first/.."), ("Cruiser", "first"), ("cruiser-1", "a b"), (nothing_at_all, "first"))
-    for name, operator in names:
-        with pytest.raises(CommandError, match="is not of the form") as caught:
-            Robot.connect(name, operator, settings_for(free_endpoint()))
-        assert caught.value.code is ExitCode.USAGE
 
 
 def test_a_lease_outside_its_block_is_an_error_of_the_program() -> None:

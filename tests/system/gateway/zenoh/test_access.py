@@ -18,7 +18,7 @@ import pytest
 import zenoh
 from zenoh import ext
 
-from gateway.authority.enrolment import COMMAND_MAX_BYTES, TransportRole, zenoh_configuration
+from gateway.authority.enrolment import COMMAND_MAX_BYTES, TransportRole
 from gateway.provisioning.key_files import LEAF_DAYS
 from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
@@ -638,12 +638,6 @@ def test_a_desk_that_plays_the_router_commands_nobody(tmp_path: Path) -> None:
         # A query that comes back empty went both ways after all of these.
         assert not [reply for reply in robot.get(f"{R}/gateway/info", timeout=1) if reply.ok is not None]
         assert (reached.found, leaked.found) == (set(), set())
-
-
-def test_an_endpoint_without_certificates_is_refused() -> None:
-    """Plain TCP in a provisioned file would let anybody in."""
-    with pytest.raises(ValueError, match="tls and quic"):
-        zenoh_configuration(TransportRole.ROBOT, "fleet", Path(), ["tcp/127.0.0.1:7447"], "cruiser-1")
 
 
 @pytest.mark.parametrize("may_read", [False, True])

@@ -18,7 +18,7 @@ from gateway.authority.enrolment import EnrolmentRole, bundle_text, new_request,
 from gateway.provisioning.issuer import Issuer, Wanted, ask_again
 from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates
 from schemas.authority.key_files import read_identity
-from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation, Signed
+from schemas.authority.proof import GrantRole, Revocations, Rotation, Signed
 from schemas.authority.trust import HeldGrant, Objection, Trust, key_fingerprint, keys_fingerprint
 from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
@@ -83,10 +83,12 @@ def test_a_robot_and_a_person_hold_grants_of_the_authority(fleet: ProvisionedFle
     assert isinstance(held, HeldGrant)
     assert (held.grant.role, held.grant.name, held.grant.speed_limit_mps) == (GrantRole.OPERATOR, "ann", 0.8)
     assert abs(held.grant.not_after - time.time() - DAY_S / 2) < 600
+    for name, days in (("robot-tls.pem", 30), ("ca.pem", 3653)):
+        assert abs(expires_s(read_certificates((robot / name).read_text())[0]) - time.time() - days * DAY_S) < 600
 
 
 def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
-    """Keys, and what lies beside them: files 0600, directories 0700. Others may read what travels or is copied."""
+    """Files 0600, directories 0700. Others may read what travels or is copied, in which is no private key."""
     for role, name in (("robot", "cruiser-1"), ("operator", "ann"), ("router", "127.0.0.1")):
         fleet.let_in(role, name)
     directories = [path for path in fleet.place.iterdir() if path.is_dir() and path.name != "config"]
@@ -98,17 +100,10 @@ def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
     assert {file.stat().st_mode & 0o777 for file in public} == {0o644}
     assert {file.stat().st_mode & 0o777 for file in set(files) - public} == {0o600}
     travel = [*fleet.place.glob("*.request"), *fleet.place.glob("*.bundle")]
+    assert len(travel) == 6
+    assert not [file for file in travel if b"PRIVATE" in file.read_bytes()]
     assert {file.stat().st_mode & 0o777 for file in travel} == {0o644}
     assert not [file for file in files if "unfinished" in file.name]
-
-
-def test_no_private_key_travels(fleet: ProvisionedFleet) -> None:
-    """Neither a request nor a bundle holds one."""
-    robot = fleet.let_in("robot", "cruiser-1")
-    travelled = [*fleet.place.glob("*.request"), *fleet.place.glob("*.bundle")]
-    assert len(travelled) == 2
-    assert not [file for file in travelled if b"PRIVATE" in file.read_bytes()]
-    assert b"PRIVATE" in (robot / "robot.key").read_bytes()
 
 
 def test_a_machine_gets_settings_that_any_command_takes(fleet: ProvisionedFleet) -> None:
@@ -497,15 +492,6 @@ def test_nothing_is_written_through_a_link(fleet: ProvisionedFleet, tmp_path: Pa
 # What is wrong.
 
 
-@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "router.example:7447", "tls/router.example", ""])
-def test_an_endpoint_without_tls_is_refused(fleet: ProvisionedFleet, endpoint: str) -> None:
-    """Before any key is made."""
-    standby = fleet.place / "standby" / "standby.pub"
-    words = ("authority", "--directory", fleet.place / "other", "--standby", standby, "--router", endpoint)
-    assert "tls/HOST:PORT" in refused(*words, "--no-passphrase")
-    assert not (fleet.place / "other").exists()
-
-
 def test_a_changed_request_is_refused(fleet: ProvisionedFleet) -> None:
     """And the fingerprint of another: nothing is signed. Each field, see test_enrolment."""
     file = fleet.request("robot", "cruiser-1")
@@ -623,15 +609,3 @@ def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -
     request = fleet.request("viewer", "hall")
     text = refused("sign", request, "--directory", fleet.authority, "--speed-limit", "1", "--override")
     assert text == "--override, --speed-limit: nothing of that is for a viewer"
-
-
-def test_certificates_end_after_thirty_days(fleet: ProvisionedFleet) -> None:
-    """Those of nodes; the network's authority after ten years."""
-    robot = fleet.let_in("robot", "cruiser-1")
-    ends_s = {
-        name: expires_s(read_certificates((robot / name).read_text())[0]) - time.time()
-        for name in ("robot-tls.pem", "ca.pem")
-    }
-    assert abs(ends_s["robot-tls.pem"] - 30 * DAY_S) < 600
-    assert abs(ends_s["ca.pem"] - 3653 * DAY_S) < 600
-    assert isinstance(chain(robot / "robot.grant")[0].statement, Grant)
