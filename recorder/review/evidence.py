@@ -257,7 +257,9 @@ _APART: Final = (
     f"over {IMPLAUSIBLE_MPS:g} m/s and a factor of {IMPLAUSIBLE_RATIO:g} "
     f"apart for {span(IMPLAUSIBLE_NS)} is too much"
 )
-_ROLLING: Final = f"over {ROLLING_MPS:g} m/s for {span(ROLLING_NS)} where none is commanded is rolling"
+_ROLLING: Final = (
+    f"over {ROLLING_MPS:g} m/s for {span(ROLLING_NS)} where none is commanded, or against the command, is rolling"
+)
 _OVERSPEED: Final = f"{OVERSPEED_MPS:g} m/s over the limit in force for {span(OVERSPEED_NS)} is too fast"
 
 
@@ -287,9 +289,9 @@ def _implausible(window: EvidenceWindow) -> list[Link]:
 
 
 def _steering(window: EvidenceWindow) -> list[Link]:
-    """The steering angle beside all commanded ones that it may be on the way to, as the rule has it."""
+    """The steering angle beside those that were commanded while it did not follow."""
     seen = window.last(Steering)
-    since_ns = window.at_ns - 2 * STEERING_DEVIATION_NS
+    since_ns = window.at_ns - STEERING_DEVIATION_NS
     told = [
         one.said.output_angle_deg for one in window.until(SafetyState) if since_ns <= one.time_ns < window.at_ns
     ]

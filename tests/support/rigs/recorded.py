@@ -59,6 +59,10 @@ class RecordedRig(GatewayRig):
     ) -> tuple["RecordedRig", Operator]:
         return copied(*_driving(speed_mps, command, run))
 
+    def replaced(self, seconds: float) -> "RecordedRig":
+        """Another run of the gateway, which begins so long after this one was last heard."""
+        return RecordedRig.beginning(self.at_ns + round(seconds * SECOND), self._run + 1)
+
     def rest(self) -> None:
         """Time passes until the robot is told nothing any more."""
         self.until(lambda: self.says.state is ArbiterState.STANDBY, 9)

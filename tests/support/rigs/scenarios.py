@@ -243,6 +243,41 @@ def shut_down() -> RecordedRig:
     return rig
 
 
+def rolling() -> RecordedRig:
+    """The motor dies uphill."""
+    return _on_the_way("motor 0", "slope 8", speed_mps=0.5)
+
+
+def not_moving() -> RecordedRig:
+    """The motor dies on the level."""
+    return _on_the_way("motor 0", speed_mps=0.5)
+
+
+def frozen_mileage() -> RecordedRig:
+    """The mileage stands still while the robot drives."""
+    return _on_the_way("freeze Auto_MileageAndBodyFeedback")
+
+
+def stuck_steering() -> RecordedRig:
+    """The steering angle stands still while another one is commanded."""
+    return _on_the_way("freeze Auto_SteeringFeedBack", angle_deg=15.0)
+
+
+def _on_the_way(fault: str, before: str = "", speed_mps: float = 0.6, angle_deg: float = 0.0) -> RecordedRig:
+    """A robot that is driven on, for as long as it lets itself be, with a fault of its chassis."""
+    rig, operator = RecordedRig.ready()
+    if before:
+        rig.fault(before)
+    operator.engage()
+    operator.drive(speed_mps, 0.0, 1.3)
+    rig.fault(fault)
+    for _ in range(70):
+        if rig.says.engaged:
+            operator.drive(speed_mps, angle_deg, 0.1)
+    rig.rest()
+    return rig
+
+
 Scenario = Callable[[], RecordedRig]
 
 SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
@@ -297,6 +332,16 @@ SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
     ),
     found_moving: (Reason.FOUND_MOVING, ("the CAN bus is not there", "said 0.60 m/s")),
     shut_down: (Reason.SHUTDOWN, ("last state of the arbiter",)),
+    rolling: (
+        Reason.ROLLING,
+        (
+            "rear wheels turned at -0.",
+            "commanded was 0.50 m/s; over 0.1 m/s for 100 ms where none is commanded, or against",
+        ),
+    ),
+    not_moving: (Reason.NOT_MOVING, ("drive feedback said 0.00 m/s, commanded was 0.50 m/s",)),
+    frozen_mileage: (Reason.FEEDBACK_FROZEN, ("mileage read 12.345 km, and did not change over 3 m",)),
+    stuck_steering: (Reason.STEERING, ("read 0.0 deg, commanded was 1", "to 15.0 deg; over 5 deg beside")),
 }
 """The reason that is to be named, and what the evidence has to say."""
 

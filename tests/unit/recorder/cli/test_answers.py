@@ -2,54 +2,23 @@
 
 import json
 import os
+import re
 import shlex
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import pytest
 from msgspec.structs import replace
 
 from recorder.encoding.samples import ReceivedSample
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError
 from schemas.messages import Message
 from tests.support.commands import review
-from tests.support.drives import FRAMES, drive_log, drive_messages, drives_over, restart, write_messages
+from tests.support.drives import drive_log, drive_messages, drives_over, restart, write_messages
 from tests.support.logs import GEAR_CHANNEL, Log, foreign_log, gear_message, gears, own_log, saved, small_log
 from tests.support.messages import FakeSample, gear, sample_of
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import acted, recorded
-
-
-class Ask(NamedTuple):
-    """A command, and what it says.
-
-    Attributes:
-        said: A text stands in all that is said, white space apart; a dictionary is a part of a line of JSON; a
-            number is that of the lines on stdout.
-        unsaid: Stands nowhere.
-        is_all: Whether the text is all of stdout.
-    """
-
-    command: str
-    said: tuple[str | int | dict[str, Any], ...]
-    code: int
-    unsaid: str
-    is_all: bool
-
-
-def ask(
-    command: str, *said: str | int | dict[str, Any], code: int = 0, unsaid: str = "\x1b", is_all: bool = False
-) -> Ask:
-    """A command that ends with this code, and what it says."""
-    return Ask(command, said, code, unsaid, is_all)
-
-
-refused = partial(ask, code=ExitCode.USAGE)
-failed = partial(ask, code=ExitCode.FAILURE)
-partly = partial(ask, code=ExitCode.PARTIAL)
-printed = partial(ask, is_all=True)
 
 
 def log_of(*samples: ReceivedSample, wall_ns: int | None = None) -> bytes:
@@ -115,474 +84,289 @@ DRIVES: dict[str, tuple[list[Message], list[str]]] = {
 }
 """What these robots say in it."""
 
-MOMENT = {"state": "engaged", "reason": "front_bumper"}
-LOGS = "logs/a.mcap logs/cruiser-2-b.mcap"
-ROWS: dict[str, tuple[Any, ...]] = {
-    # check
-    "a sound log is no finding, and its frames are counted": (
-        "whole.mcap",
-        ask("check whole.mcap", "file: no fault found", "data: no loss detected", "Auto_GearFeedBack"),
-    ),
-    "findings are told by what they are about": (
-        "short.mcap",
-        failed(
-            "check short.mcap",
-            "the file is cut off within a record (1, first at byte",
-            "data: fleet/cruiser-1/chassis/gear: samples missed, by the sequence (2, first at 1970-",
-        ),
-    ),
-    "what is missing everywhere is one line, with three names": (
-        "stall.mcap",
-        failed(
-            "check stall.mcap",
-            "samples missed, by the sequence (28, first at 1970-",
-            ": fleet/r-1/chassis/gear, fleet/r-2/chassis/gear, fleet/r-3/chassis/gear and 4 more",
-            unsaid="r-4",
-        ),
-    ),
-    "a check as JSON is an object a log, and one for what is between them": (
-        "whole.mcap cut.mcap.part",
-        failed(
-            "check --json whole.mcap cut.mcap.part",
-            {"path": "whole.mcap", "findings": []},
-            {"path": "cut.mcap.part", "messages": 12},
-            {"between": []},
-            '"about":"file"',
-            3,
-            unsaid='"about":"data"',
-        ),
-    ),
-    "what cannot be judged is told, and is no finding": (
-        "cdr.mcap",
-        ask("check cdr.mcap", "not read: messages of 1 channels"),
-    ),
-    "where no message can be read nothing is claimed": (
-        "flipped.mcap ended.mcap",
-        *(
-            failed(f"check {one}", ": 0 messages", "data: unknown, no message could be read", unsaid="no loss")
-            for one in ("flipped.mcap", "ended.mcap")
-        ),
-    ),
-    "what is in none of several logs is told, and is no finding about any": (
-        "logs/r-1.mcap logs/r-2.mcap",
-        ask(
-            "check logs",
-            "between the logs: fleet/cruiser-1: 4 samples of 1 keys between 1970-01-01",
-            "(r-1.mcap, then r-2.mcap)",
-        ),
-    ),
-    "incidents are checked too": ("logs/r-1.mcap logs/r-2.incident.mcap", ask("check logs", "r-2.incident.mcap")),
-    # recover
-    "a killed recorder's log is recovered by hand": (
-        "cut.mcap.part",
-        printed("recover cut.mcap.part", "cut.mcap: recovered, 12 messages\n"),
-        ask("info cut.mcap"),
-    ),
-    "a recovery as JSON": (
-        "cut.mcap.part",
-        ask(
-            "recover --json cut.mcap.part",
-            {"outcome": "recovered", "messages": 12, "kept": None, "result": "cut.mcap"},
-        ),
-    ),
-    "a damaged log is a partial recovery, and the rest is kept": (
-        "chunk.mcap.part",
-        partly("recover chunk.mcap.part", "damaged, 2 messages", "fault: byte", "kept in chunk.mcap.damaged"),
-    ),
-    "what cannot be recovered is a failure, and among others a part": (
-        "empty.mcap.part cut.mcap.part",
-        failed("recover empty.mcap.part none", "nothing in it can be read", "No such file"),
-        partly("recover empty.mcap.part cut.mcap.part"),
-    ),
-    "of a directory what is not finished is recovered, and nothing else": (
-        "logs/cut.mcap.part logs/whole.mcap",
-        printed("recover logs", "logs/cut.mcap: recovered, 12 messages\n"),
-        ask("recover logs", "holds no log that is not finished", 0),
-    ),
-    # cut
-    "a part of no topic is refused, and nothing is written": (
-        "gears.mcap few.mcap",
-        refused("cut gears.mcap --topics nothing -o out.mcap", "no topic is of these patterns", unsaid="cut off"),
-        refused("cut few.mcap --topics nothing -o out.mcap", "no topic is of these patterns", "cut off"),
-        failed("info out.mcap", "No such file"),
-    ),
-    "a part is of one log, or of a directory of one": (
-        "one/gears.mcap logs/gears.mcap logs/r-2.mcap",
-        ask("cut one -o one.mcap"),
-        refused("cut logs -o out.mcap", "it takes one file, and logs has 2"),
-        refused("cut logs/gears.mcap logs/r-2.mcap -o out.mcap"),
-        failed("info out.mcap", "No such file"),
-    ),
-    # events
-    "events are a table with times, severity, kind, cause, operator and a sentence": (
-        "stale.mcap",
-        ask(
-            "events stale.mcap",
-            "operator what 2023-11-14",
-            "3.318 22:13:23.330 cruiser-1 warning stop deadman",
-            "(operator-1) stopping: no acceptable drive command came in time; none for 310 ms; "
-            "15 commands refused as too old, 1290 ms",
-            "[30 times within 0.6 s]",
-        ),
-    ),
-    "time and kind bound what events tell": (
-        "stale.mcap",
-        ask(
-            "events stale.mcap --json --kind stop --kind refusal --from 3.1 --to 3.35",
-            {"kind": "refusal"},
-            {"kind": "stop", "cause": "no acceptable drive command came in time"},
-            2,
-        ),
-    ),
-    "events of a log without a robot are refused, and of no such kind there are none": (
-        "foreign.mcap gears.mcap bare.mcap",
-        *(failed(f"{words} foreign.mcap", "nothing of a robot", 0) for words in ("events", "events --json")),
-        *(failed(f"{words} bare.mcap", "nothing of a robot", 0) for words in ("events", "why")),
-        printed("events gears.mcap --json --kind takeover", ""),
-    ),
-    "a robot that is not in the logs is refused with the names of those that are": (
-        "stale.mcap",
-        refused("events stale.mcap --robot cruiser-1 --robot cruiser-9", "nothing of cruiser-9, but of cruiser-1"),
-        *(ask(f"events stale.mcap --robot {name}", "deadman") for name in ("cruiser-1", "'cruiser-*'", "'*'")),
-    ),
-    "what is derived says so in the table": ("derived.mcap", ask("events derived.mcap --kind stop", "[derived]")),
-    # why
-    "the last stop is explained in one sentence, and each link has its times": (
-        "bumper.mcap",
-        ask(
-            "why bumper.mcap",
-            "cruiser-1 at 2.028 s, 2023-11-14 22:13:22.040 UTC: It was being stopped: the front bumper was hit.",
-            "+0.000 s 22:13:22.040 cause Stopping: the front bumper was hit.",
-            "Frame 0x18C4D9EF Auto_MileageAndBodyFeedback",
-        ),
-    ),
-    "a moment has every form of a time, each the same one": (
-        "bumper.mcap",
-        *(
-            ask(f"why bumper.mcap --json --at='{at}'", MOMENT, "later a stop began: the front bumper was hit")
-            for at in ("1.9", "-2.4", "22:13:21.912", "2023-11-14T22:13:21.912Z", "2023-11-14 22:13:21.912 UTC")
-        ),
-    ),
-    "of several robots one is to be named": (
-        "bumper.mcap other.mcap",
-        refused("why bumper.mcap other.mcap", "one of cruiser-1, cruiser-2"),
-        ask("why bumper.mcap other.mcap --robot cruiser-2"),
-        refused("why bumper.mcap --robot cruiser-3", "nothing of cruiser-3"),
-    ),
-    "a log that tells nothing of the arbiter is a failure": (
-        "whole.mcap",
-        failed("why whole.mcap", "Not in the log: what the arbiter did then."),
-    ),
-    "a moment that the log does not hold is a failure without a reason, however near": (
-        "bumper.mcap",
-        *(
-            failed(
-                f"why bumper.mcap --json --at={at}",
-                {"state": None, "reason": "none", "stop_ns": None, "chain": [{"step": "missing"}]},
-                f"The log does not hold that moment: it {where}",
-                "not in the log: that moment: the log goes from 2023-11-14 22:13:20",
-            )
-            for at, where in (
-                ("100", "ends 95."),
-                ("8", "ends 3."),
-                ("2027-01-01T00:00:00Z", "ends "),
-                ("-100", "begins 95."),
-            )
-        ),
-    ),
-    "a stub says that it is one": (
-        "stub-8.mcap stub-100.mcap",
-        partly("why stub-8.mcap", "nothing of a robot", "ends without a footer"),
-        partly("why stub-100.mcap", "nothing of a robot", "is cut off within a record"),
-    ),
-    # info
-    "a whole log is described": (
-        "whole.mcap",
-        ask(
-            "info whole.mcap",
-            "whole.mcap: whole",
-            "robot cruiser-1, variant coarse",
-            "fleet/cruiser-1/chassis/gear",
-            "nothing was lost, as its recorder says",
-        ),
-    ),
-    "what was lost is told as the recorder says": (
-        "lost.mcap",
-        ask("info lost.mcap", "fleet/x 9 5 5 - 0 4 0 0 0 0"),
-    ),
-    "info as JSON is an object a log and one for all": (
-        "whole.mcap cut.mcap.part",
-        partly(
-            "info --json whole.mcap cut.mcap.part",
-            {"path": "whole.mcap", "whole": True, "messages": 12},
-            {"path": "cut.mcap.part", "whole": False, "messages": 12},
-            {"files": 2, "whole": 1, "messages": 24},
-            3,
-        ),
-    ),
-    "a partial log is shown as far as it goes": (
-        "cut.mcap.part",
-        partly(
-            "info cut.mcap.part",
-            "NOT WHOLE",
-            "read record by record",
-            "fault: byte",
-            "fleet/cruiser-1/chassis/gear",
-        ),
-    ),
-    "a directory is shown with a total": (
-        "logs/whole.mcap logs/foreign.mcap",
-        ask("info logs", "2 files, 2 of them whole", "22 messages", "1 robot: cruiser-1"),
-    ),
-    "a directory is a line for each log": (
-        "logs/whole.mcap logs/cut.mcap.part",
-        partly(
-            "info logs",
-            "logs/whole.mcap: whole, robot cruiser-1, from 2027-01-15 08:00:00.000 UTC, ",
-            ", 12 messages, 0 lost",
-            "logs/cut.mcap.part: NOT WHOLE, robot cruiser-1, ",
-        ),
-    ),
-    "one file that is none is an error": ("", failed("info none.mcap", "No such file")),
-    "a log's names do not reach the terminal as commands": (
-        "escape.mcap x\x1b[2J.mcap",
-        ask("info escape.mcap"),
-        ask("find logs ."),
-    ),
-    "a log of absurd times is described": ("late.mcap", ask("info late.mcap", "2262-")),
-    "a name that is no text is escaped": (
-        os.fsdecode(b"\xff.mcap"),
-        *(ask(f"info {form} .", "\\udcff.mcap") for form in ("", "--json")),
-        *(ask(f"check {form} .", "\\udcff.mcap") for form in ("", "--json")),
-    ),
-    # export
-    "a dataset is made, and one line says how much it is": (
-        "drive.mcap",
-        ask("export -o out drive.mcap", "out: 29 rows in 6 files, 0."),
-        ask("export --json -o set drive.mcap", {"inputs": [{"rows": 29}], "files": [{}] * 6}),
-    ),
-    "raw frames are one file a robot, and none is written over": (
-        "drive.mcap drive-2.mcap",
-        *(
-            step
-            for form, suffix in (("candump", "log"), ("asc", "asc"), ("blf", "blf"))
-            for step in (
-                ask(
-                    f"export --format {form} -o {form} drive.mcap drive-2.mcap",
-                    f"cruiser-1.{suffix}: {FRAMES} frames",
-                    f"cruiser-2.{suffix}: {FRAMES} frames",
-                    2,
-                ),
-                failed(f"export --format {form} -o {form} drive.mcap drive-2.mcap", "is there already"),
-            )
-        ),
-    ),
-    "CSV is one file a topic, of chosen topics alone": (
-        "drive.mcap",
-        printed(
-            "export --format csv --topic 'chassis/*' -o out drive.mcap",
-            "out/fleet.cruiser-1.chassis.gear.csv: 20 rows\n",
-        ),
-        failed("export --format csv -o out drive.mcap", "is there already"),
-    ),
-    # A folder called s3: is not what was meant; where it is, there is ./s3:.
-    "a place on a network is refused": (
-        "drive.mcap",
-        *(
-            refused(
-                f"export --format {form} -o s3://b/logs drive.mcap", "s3:/b/logs is no directory", "(aws s3 sync"
-            )
-            for form in ("parquet", "csv", "blf")
-        ),
-        failed("info s3:", "No such file"),
-    ),
-    "what only a dataset has is refused elsewhere": (
-        "whole.mcap",
-        *(
-            refused(f"export --format csv {words} -o out whole.mcap", "--format parquet")
-            for words in ("--processes 2", "--ray auto")
-        ),
-    ),
-    "a time is chosen from the log's beginning": (
-        "drive.mcap",
-        ask("export --topic chassis_gear --from 0.05 --to 0.1 -o out drive.mcap", ": 5 rows in 1 files"),
-    ),
-    # query; SOURCE is a log, or a dataset of it
-    "people get an aligned table with a head": (
-        "drive.mcap",
-        printed(
-            "query 'SELECT gear_position AS g, max(alive_counter) / 2 AS x FROM chassis_gear GROUP BY 1' SOURCE",
-            "  g      x\n  drive  7.5\n",
-        ),
-    ),
-    "options may stand anywhere, and what is none is told": (
-        "drive.mcap",
-        printed("query --json 'SELECT count(*) AS n FROM chassis_gear' SOURCE", '{"n":20}\n'),
-        printed("query 'SELECT count(*) AS n FROM chassis_gear' --json SOURCE", '{"n":20}\n'),
-        printed("query 'SELECT count(*) AS n FROM chassis_gear' SOURCE --json", '{"n":20}\n'),
-        refused("query 'SELECT 1' --nothing SOURCE", "unrecognized arguments: --nothing"),
-    ),
-    "columns of one name are kept apart": (
-        "drive.mcap",
-        printed(
-            "query --json 'SELECT 1 AS a, 2 AS a, 3 AS a_1, 4 AS a FROM chassis_gear LIMIT 1' SOURCE",
-            '{"a":1,"a_2":2,"a_1":3,"a_3":4}\n',
-        ),
-    ),
-    "programs get an object a line, or a head and lines": (
-        "drive.mcap",
-        ask(
-            "query --json 'SELECT sequence, log_time, data FROM can_rx LIMIT 2' SOURCE",
-            {"sequence": 0, "log_time": "2027-01-15T08:00:00.000000000Z", "data": "AQQAAAAAAAU="},
-            2,
-        ),
-        ask(
-            "query --csv 'SELECT sequence, log_time, data FROM can_rx LIMIT 2' SOURCE",
-            '"sequence","log_time","data" 0,"2027-01-15T08:00:00.000000000Z","0104000000000005"',
-        ),
-    ),
-    "an empty answer is one: in words, in CSV as a head alone": (
-        "drive.mcap",
-        printed("query 'SELECT sequence FROM chassis_gear WHERE sequence < 0' SOURCE", "  no rows\n"),
-        printed("query --csv 'SELECT sequence FROM chassis_gear WHERE sequence < 0' SOURCE", '"sequence"\n'),
-    ),
-    "tables are listed with topics, columns, types and units": (
-        "drive.mcap",
-        ask("query --tables SOURCE", "chassis_gear: fleet/cruiser-1/chassis/gear", "time_ns int64 ns"),
-        ask("query --tables --json SOURCE", {"name": "can_rx"}, {"name": "raw_sample"}),
-    ),
-    "a statement and a log are wanted": ("drive.mcap", refused("query SOURCE", "give a statement")),
-    "of a dataset the statement says the time, and it is asked alone": (
-        "drive.mcap",
-        ask("export -o out drive.mcap"),
-        refused("query --from 1 'SELECT 1' out", "WHERE log_time"),
-        refused("query 'SELECT 1' drive.mcap out", "a dataset is asked alone"),
-    ),
-    "a damaged log is a partial answer": (
-        "drive-cut.mcap drive-stub.mcap",
-        partly("query 'SELECT count(*) AS n FROM chassis_gear' drive-cut.mcap", "200", "byte"),
-        refused(
-            "query 'SELECT * FROM odometry_of_others' drive-stub.mcap", "does not exist", "the file is cut off"
-        ),
-    ),
-    "what a log holds does not rule the terminal, and is cut": (
-        "drive.mcap",
-        ask("query \"SELECT chr(27) || '[2J' AS a, repeat('x', 99) AS b\" SOURCE", "xxx..."),
-        printed(
-            "query --csv \"SELECT chr(27) || chr(155) || chr(13) || chr(8238) AS a, '\u00fc,\n' AS b\" SOURCE",
-            '"a","b"\n"\\x1b\\x9b\\r\\u202e","\u00fc,\n"\n',
-        ),
-        printed("query --csv 'SELECT 1 AS \"a\x1b\"' SOURCE", '"a\\x1b"\n1\n'),
-    ),
-    "files are out of reach unless they are allowed": (
-        "drive.mcap",
-        refused("query \"COPY (SELECT 1 AS a) TO 'a.csv'\" SOURCE", "--allow-files"),
-        failed("info a.csv", "No such file"),
-        ask("query --allow-files \"COPY (SELECT 1 AS a) TO 'a.csv'\" SOURCE"),
-        failed("info a.csv", "is no MCAP file"),
-    ),
-    # find
-    "moments are shown with links into their reports": (
-        LOGS,
-        ask(
-            "find stops logs --reason=front_bumper --robot=cruiser-2",
-            "logs/cruiser-2-b.html#t=2027-01-16T08:00:02.950Z&robot=cruiser-2",
-            "cruiser review report logs/cruiser-2-b.mcap -o logs/cruiser-2-b.html",
-            5,
-        ),
-    ),
-    "drives and logs have tables of their own": (
-        LOGS,
-        ask("find drives logs", 6),
-        ask(
-            "find logs logs --robot=cruiser-2",
-            "begin robots lasted distance stops lost faults log",
-            "logs/cruiser-2-b.mcap",
-            2,
-        ),
-        ask("find logs logs --json", {"names": ["cruiser-1"]}, {"names": ["cruiser-2"]}, 2, unsaid='"moments"'),
-        ask("find drives logs --json", 4),
-    ),
-    "nothing is said to be nothing; for programs there is no line": (
-        LOGS,
-        printed("find stops logs --reason=deadman", "nothing of that is in the logs\n"),
-        printed("find stops logs --reason=deadman --json", ""),
-    ),
-    "a log that cannot be read is named, and costs no other": (
-        f"{LOGS} logs/zero.mcap",
-        partly("find stops logs --json", "zero.mcap is empty", 4),
-    ),
-    "a directory without logs is an error": ("", failed("find stops .", "there is no log in")),
-    "the catalog is a table for any other question, and no more": (
-        LOGS,
-        ask(
-            "query 'SELECT names[1] AS robot, len(drives) AS drives FROM catalog ORDER BY robot' logs --json",
-            {"robot": "cruiser-1", "drives": 1},
-            {"robot": "cruiser-2", "drives": 3},
-            2,
-        ),
-        ask("info logs/catalog.parquet", "is no MCAP file", code=ExitCode.FAILURE),
-        refused("query \"COPY (SELECT * FROM catalog) TO 'elsewhere.csv'\" logs", "not a SELECT"),
-        refused("query 'SELECT * FROM catalog' logs --from=1", "WHERE start_ns"),
-    ),
-    "the newest answers and a time before now bound what is found": (
-        LOGS,
-        ask("find stops logs --newest=2 --since=2000w --until=2100-01-01 --json", 2),
-        printed("find stops logs --until=2000-01-01 --json", ""),
-    ),
-    **{
-        f"what means nothing is a matter of usage: {words}": (LOGS, refused(f"find {words} logs", said))
-        for words, said in {
-            "'stop reason=front_bumper robot=cruiser-*'": (
-                "give stops, incidents, events, drives, logs, as in 'cruiser"
-            ),
-            "'stop last 7d'": "'cruiser review find stops DIRECTORY --robot NAME --since 30d'",
-            "'fault severity=error'": "or 'cruiser review query' for all else",
-            "stops --reason front_bumpr": "there is no reason 'front_bumpr': did you mean front_bumper?",
-            "stops --reason bad": "it is one of ",
-            "stops --since yesterday": "'yesterday' is no time: give one as 30d",
-            "stops --since 30": "'30' is no time",
-            "stops --newest 0": "'0' is no number of answers",
-            "stops --since 1d --until 2d": "there is no time between --since and --until",
-            "stops --robot cruiser-9": "the logs hold nothing of cruiser-9, but of cruiser-1, cruiser-2",
-        }.items()
-    },
-    # layouts
-    "a log of no robot has no layouts, and where nothing can be written it says so": (
-        "escape.mcap whole.mcap",
-        failed("layouts escape.mcap -o out", "no topic of a robot"),
-        failed("layouts whole.mcap -o whole.mcap", "cannot write"),
-    ),
-    # report
-    "a gateway that died is told on the terminal and as JSON": (
-        "restart.mcap",
-        ask("report restart.mcap", "1 stop: the gateway died.", " Gateway silent for 2.0 s from "),
-        ask("report restart.mcap --json", '"kind":"gap"', '"kind":"gateway"', '"variant":"coarse"'),
-    ),
-    "a report's period counts from the log's beginning": (
-        "a.mcap",
-        ask("report a.mcap --json --from 1 --to 2", {"robots": [{"known_s": pytest.approx(0.95)}]}),
-    ),
-    "a log of no robot's state has nothing to report": (
-        "gear.mcap",
-        failed("report gear.mcap", "nothing to report"),
-    ),
-    "a report of another kind is a matter of usage, and one that cannot be written a failure": (
-        "a.mcap",
-        refused("report a.mcap -o r.pdf", ".html"),
-        failed("report a.mcap -o nowhere/r.html", "cannot write"),
-    ),
-    "a report of one robot of several": (
-        "two.mcap",
-        ask("report two.mcap --json --robot r-2", {"robots": [{"name": "r-2"}]}),
-        refused("report two.mcap --json --robot r-3", "there is nothing of r-3 in these logs"),
-    ),
-}
+ROWS = r"""
+== a sound log is no finding, and its frames are counted [whole.mcap]
+$ check whole.mcap => file: no fault found | data: no loss detected | Auto_GearFeedBack
+== findings are told by what they are about [short.mcap]
+1$ check short.mcap
+    the file is cut off within a record (1, first at byte
+    data: fleet/cruiser-1/chassis/gear: samples missed, by the sequence (2, first at 1970-
+== what is missing everywhere is one line, with three names [stall.mcap]
+1$ check stall.mcap
+    samples missed, by the sequence (28, first at 1970-
+    : fleet/r-1/chassis/gear, fleet/r-2/chassis/gear, fleet/r-3/chassis/gear and 4 more | never r-4
+== a check as JSON is an object a log, and one for what is between them [whole.mcap cut.mcap.part]
+1$ check --json whole.mcap cut.mcap.part
+    {"path": "whole.mcap", "findings": []} | {"path": "cut.mcap.part", "messages": 12} | {"between": []}
+    "about":"file" | #3 | never "about":"data"
+== what cannot be judged is told, and is no finding [cdr.mcap]
+$ check cdr.mcap => not read: messages of 1 channels
+== where no message can be read nothing is claimed [flipped.mcap ended.mcap]
+1$ check flipped.mcap => : 0 messages | data: unknown, no message could be read | never no loss
+1$ check ended.mcap => : 0 messages | data: unknown, no message could be read | never no loss
+== what is in none of several logs is told, and is no finding about any [logs/r-1.mcap logs/r-2.mcap]
+$ check logs
+    between the logs: fleet/cruiser-1: 4 samples of 1 keys between 1970-01-01 | (r-1.mcap, then r-2.mcap)
+== incidents are checked too [logs/r-1.mcap logs/r-2.incident.mcap]
+$ check logs => r-2.incident.mcap
+== a killed recorder's log is recovered by hand [cut.mcap.part]
+$ recover cut.mcap.part => = "cut.mcap: recovered, 12 messages\n"
+$ info cut.mcap
+== a recovery as JSON [cut.mcap.part]
+$ recover --json cut.mcap.part => {"outcome": "recovered", "messages": 12, "kept": null, "result": "cut.mcap"}
+== a damaged log is a partial recovery, and the rest is kept [chunk.mcap.part]
+3$ recover chunk.mcap.part => damaged, 2 messages | fault: byte | kept in chunk.mcap.damaged
+== what cannot be recovered is a failure, and among others a part [empty.mcap.part cut.mcap.part]
+1$ recover empty.mcap.part none => nothing in it can be read | No such file
+3$ recover empty.mcap.part cut.mcap.part
+== of a directory what is not finished is recovered, and nothing else [logs/cut.mcap.part logs/whole.mcap]
+$ recover logs => = "logs/cut.mcap: recovered, 12 messages\n"
+$ recover logs => holds no log that is not finished | #0
+== a part of no topic is refused, and nothing is written [gears.mcap few.mcap]
+2$ cut gears.mcap --topics nothing -o out.mcap => no topic is of these patterns | never cut off
+2$ cut few.mcap --topics nothing -o out.mcap => no topic is of these patterns | cut off
+1$ info out.mcap => No such file
+== a part is of one log, or of a directory of one [one/gears.mcap logs/gears.mcap logs/r-2.mcap]
+$ cut one -o one.mcap
+2$ cut logs -o out.mcap => it takes one file, and logs has 2
+2$ cut logs/gears.mcap logs/r-2.mcap -o out.mcap
+1$ info out.mcap => No such file
+== events are a table with times, severity, kind, cause, operator and a sentence [stale.mcap]
+$ events stale.mcap
+    operator what 2023-11-14 | 3.318 22:13:23.330 cruiser-1 warning stop deadman
+    (operator-1) stopping: no acceptable drive command came in time; none for 310 ms; 15 commands refused as too
+        old, 1290 ms
+    [30 times within 0.6 s]
+== time and kind bound what events tell [stale.mcap]
+$ events stale.mcap --json --kind stop --kind refusal --from 3.1 --to 3.35
+    {"kind": "refusal"} | {"kind": "stop", "cause": "no acceptable drive command came in time"} | #2
+== events of a log without a robot are refused, and of no such kind there are none
+logs foreign.mcap gears.mcap bare.mcap
+1$ events foreign.mcap => nothing of a robot | #0
+1$ events --json foreign.mcap => nothing of a robot | #0
+1$ events bare.mcap => nothing of a robot | #0
+1$ why bare.mcap => nothing of a robot | #0
+$ events gears.mcap --json --kind takeover => = ""
+== a robot that is not in the logs is refused with the names of those that are [stale.mcap]
+2$ events stale.mcap --robot cruiser-1 --robot cruiser-9 => nothing of cruiser-9, but of cruiser-1
+$ events stale.mcap --robot cruiser-1 => deadman
+$ events stale.mcap --robot 'cruiser-*' => deadman
+$ events stale.mcap --robot '*' => deadman
+== what is derived says so in the table [derived.mcap]
+$ events derived.mcap --kind stop => [derived]
+== the last stop is explained in one sentence, and each link has its times [bumper.mcap]
+$ why bumper.mcap
+    cruiser-1 at 2.028 s, 2023-11-14 22:13:22.040 UTC: It was being stopped: the front bumper was hit.
+    +0.000 s 22:13:22.040 cause Stopping: the front bumper was hit.
+    Frame 0x18C4D9EF Auto_MileageAndBodyFeedback
+== a moment has every form of a time, each the same one [bumper.mcap]
+$ why bumper.mcap --json --at='1.9'
+    {"state": "engaged", "reason": "front_bumper"} | later a stop began: the front bumper was hit
+$ why bumper.mcap --json --at='-2.4'
+    {"state": "engaged", "reason": "front_bumper"} | later a stop began: the front bumper was hit
+$ why bumper.mcap --json --at='22:13:21.912'
+    {"state": "engaged", "reason": "front_bumper"} | later a stop began: the front bumper was hit
+$ why bumper.mcap --json --at='2023-11-14T22:13:21.912Z'
+    {"state": "engaged", "reason": "front_bumper"} | later a stop began: the front bumper was hit
+$ why bumper.mcap --json --at='2023-11-14 22:13:21.912 UTC'
+    {"state": "engaged", "reason": "front_bumper"} | later a stop began: the front bumper was hit
+== of several robots one is to be named [bumper.mcap other.mcap]
+2$ why bumper.mcap other.mcap => one of cruiser-1, cruiser-2
+$ why bumper.mcap other.mcap --robot cruiser-2
+2$ why bumper.mcap --robot cruiser-3 => nothing of cruiser-3
+== a log that tells nothing of the arbiter is a failure [whole.mcap]
+1$ why whole.mcap => Not in the log: what the arbiter did then.
+== a moment that the log does not hold is a failure without a reason, however near [bumper.mcap]
+1$ why bumper.mcap --json --at=100
+    {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
+    The log does not hold that moment: it ends 95.
+    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+1$ why bumper.mcap --json --at=8
+    {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
+    The log does not hold that moment: it ends 3.
+    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+1$ why bumper.mcap --json --at=2027-01-01T00:00:00Z
+    {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
+    The log does not hold that moment: it ends
+    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+1$ why bumper.mcap --json --at=-100
+    {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
+    The log does not hold that moment: it begins 95.
+    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+== a stub says that it is one [stub-8.mcap stub-100.mcap]
+3$ why stub-8.mcap => nothing of a robot | ends without a footer
+3$ why stub-100.mcap => nothing of a robot | is cut off within a record
+== a whole log is described [whole.mcap]
+$ info whole.mcap
+    whole.mcap: whole | robot cruiser-1, variant coarse | fleet/cruiser-1/chassis/gear
+    nothing was lost, as its recorder says
+== what was lost is told as the recorder says [lost.mcap]
+$ info lost.mcap => fleet/x 9 5 5 - 0 4 0 0 0 0
+== info as JSON is an object a log and one for all [whole.mcap cut.mcap.part]
+3$ info --json whole.mcap cut.mcap.part
+    {"path": "whole.mcap", "whole": true, "messages": 12}
+    {"path": "cut.mcap.part", "whole": false, "messages": 12} | {"files": 2, "whole": 1, "messages": 24} | #3
+== a partial log is shown as far as it goes [cut.mcap.part]
+3$ info cut.mcap.part => NOT WHOLE | read record by record | fault: byte | fleet/cruiser-1/chassis/gear
+== a directory is shown with a total [logs/whole.mcap logs/foreign.mcap]
+$ info logs => 2 files, 2 of them whole | 22 messages | 1 robot: cruiser-1
+== a directory is a line for each log [logs/whole.mcap logs/cut.mcap.part]
+3$ info logs
+    logs/whole.mcap: whole, robot cruiser-1, from 2027-01-15 08:00:00.000 UTC, | , 12 messages, 0 lost
+    logs/cut.mcap.part: NOT WHOLE, robot cruiser-1,
+== one file that is none is an error
+1$ info none.mcap => No such file
+== a log's names do not reach the terminal as commands [escape.mcap x<ESC>[2J.mcap]
+$ info escape.mcap
+$ find logs .
+== a log of absurd times is described [late.mcap]
+$ info late.mcap => 2262-
+== a name that is no text is escaped [<FF>.mcap]
+$ info  . => \udcff.mcap
+$ info --json . => \udcff.mcap
+$ check  . => \udcff.mcap
+$ check --json . => \udcff.mcap
+== a dataset is made, and one line says how much it is [drive.mcap]
+$ export -o out drive.mcap => out: 29 rows in 6 files, 0.
+$ export --json -o set drive.mcap => {"inputs": [{"rows": 29}], "files": [{}, {}, {}, {}, {}, {}]}
+== raw frames are one file a robot, and none is written over [drive.mcap drive-2.mcap]
+$ export --format candump -o candump drive.mcap drive-2.mcap
+    cruiser-1.log: 5 frames | cruiser-2.log: 5 frames | #2
+1$ export --format candump -o candump drive.mcap drive-2.mcap => is there already
+$ export --format asc -o asc drive.mcap drive-2.mcap => cruiser-1.asc: 5 frames | cruiser-2.asc: 5 frames | #2
+1$ export --format asc -o asc drive.mcap drive-2.mcap => is there already
+$ export --format blf -o blf drive.mcap drive-2.mcap => cruiser-1.blf: 5 frames | cruiser-2.blf: 5 frames | #2
+1$ export --format blf -o blf drive.mcap drive-2.mcap => is there already
+== CSV is one file a topic, of chosen topics alone [drive.mcap]
+$ export --format csv --topic 'chassis/*' -o out drive.mcap
+    = "out/fleet.cruiser-1.chassis.gear.csv: 20 rows\n"
+1$ export --format csv -o out drive.mcap => is there already
+== a place on a network is refused [drive.mcap]
+2$ export --format parquet -o s3://b/logs drive.mcap => s3:/b/logs is no directory | (aws s3 sync
+2$ export --format csv -o s3://b/logs drive.mcap => s3:/b/logs is no directory | (aws s3 sync
+2$ export --format blf -o s3://b/logs drive.mcap => s3:/b/logs is no directory | (aws s3 sync
+1$ info s3: => No such file
+== what only a dataset has is refused elsewhere [whole.mcap]
+2$ export --format csv --processes 2 -o out whole.mcap => --format parquet
+2$ export --format csv --ray auto -o out whole.mcap => --format parquet
+== a time is chosen from the log's beginning [drive.mcap]
+$ export --topic chassis_gear --from 0.05 --to 0.1 -o out drive.mcap => : 5 rows in 1 files
+== people get an aligned table with a head [drive.mcap]
+$ query 'SELECT gear_position AS g, max(alive_counter) / 2 AS x FROM chassis_gear GROUP BY 1' SOURCE
+    = "  g      x\n  drive  7.5\n"
+== options may stand anywhere, and what is none is told [drive.mcap]
+$ query --json 'SELECT count(*) AS n FROM chassis_gear' SOURCE => = "{\"n\":20}\n"
+$ query 'SELECT count(*) AS n FROM chassis_gear' --json SOURCE => = "{\"n\":20}\n"
+$ query 'SELECT count(*) AS n FROM chassis_gear' SOURCE --json => = "{\"n\":20}\n"
+2$ query 'SELECT 1' --nothing SOURCE => unrecognized arguments: --nothing
+== columns of one name are kept apart [drive.mcap]
+$ query --json 'SELECT 1 AS a, 2 AS a, 3 AS a_1, 4 AS a FROM chassis_gear LIMIT 1' SOURCE
+    = "{\"a\":1,\"a_2\":2,\"a_1\":3,\"a_3\":4}\n"
+== programs get an object a line, or a head and lines [drive.mcap]
+$ query --json 'SELECT sequence, log_time, data FROM can_rx LIMIT 2' SOURCE
+    {"sequence": 0, "log_time": "2027-01-15T08:00:00.000000000Z", "data": "AQQAAAAAAAU="} | #2
+$ query --csv 'SELECT sequence, log_time, data FROM can_rx LIMIT 2' SOURCE
+    "sequence","log_time","data" 0,"2027-01-15T08:00:00.000000000Z","0104000000000005"
+== an empty answer is one: in words, in CSV as a head alone [drive.mcap]
+$ query 'SELECT sequence FROM chassis_gear WHERE sequence < 0' SOURCE => = "  no rows\n"
+$ query --csv 'SELECT sequence FROM chassis_gear WHERE sequence < 0' SOURCE => = "\"sequence\"\n"
+== tables are listed with topics, columns, types and units [drive.mcap]
+$ query --tables SOURCE => chassis_gear: fleet/cruiser-1/chassis/gear | time_ns int64 ns
+$ query --tables --json SOURCE => {"name": "can_rx"} | {"name": "raw_sample"}
+== a statement and a log are wanted [drive.mcap]
+2$ query SOURCE => give a statement
+== of a dataset the statement says the time, and it is asked alone [drive.mcap]
+$ export -o out drive.mcap
+2$ query --from 1 'SELECT 1' out => WHERE log_time
+2$ query 'SELECT 1' drive.mcap out => a dataset is asked alone
+== a damaged log is a partial answer [drive-cut.mcap drive-stub.mcap]
+3$ query 'SELECT count(*) AS n FROM chassis_gear' drive-cut.mcap => 200 | byte
+2$ query 'SELECT * FROM odometry_of_others' drive-stub.mcap => does not exist | the file is cut off
+== what a log holds does not rule the terminal, and is cut [drive.mcap]
+$ query "SELECT chr(27) || '[2J' AS a, repeat('x', 99) AS b" SOURCE => xxx...
+$ query --csv "SELECT chr(27) || chr(155) || chr(13) || chr(8238) AS a, 'ü,<NL>' AS b" SOURCE
+    = "\"a\",\"b\"\n\"\\x1b\\x9b\\r\\u202e\",\"ü,\n\"\n"
+$ query --csv 'SELECT 1 AS "a<ESC>"' SOURCE => = "\"a\\x1b\"\n1\n"
+== files are out of reach unless they are allowed [drive.mcap]
+2$ query "COPY (SELECT 1 AS a) TO 'a.csv'" SOURCE => --allow-files
+1$ info a.csv => No such file
+$ query --allow-files "COPY (SELECT 1 AS a) TO 'a.csv'" SOURCE
+1$ info a.csv => is no MCAP file
+== moments are shown with links into their reports [logs/a.mcap logs/cruiser-2-b.mcap]
+$ find stops logs --reason=front_bumper --robot=cruiser-2
+    logs/cruiser-2-b.html#t=2027-01-16T08:00:02.950Z&robot=cruiser-2
+    cruiser review report logs/cruiser-2-b.mcap -o logs/cruiser-2-b.html | #5
+== drives and logs have tables of their own [logs/a.mcap logs/cruiser-2-b.mcap]
+$ find drives logs => #6
+$ find logs logs --robot=cruiser-2
+    begin robots lasted distance stops lost faults log | logs/cruiser-2-b.mcap | #2
+$ find logs logs --json => {"names": ["cruiser-1"]} | {"names": ["cruiser-2"]} | #2 | never "moments"
+$ find drives logs --json => #4
+== nothing is said to be nothing; for programs there is no line [logs/a.mcap logs/cruiser-2-b.mcap]
+$ find stops logs --reason=deadman => = "nothing of that is in the logs\n"
+$ find stops logs --reason=deadman --json => = ""
+== a log that cannot be read is named, and costs no other [logs/a.mcap logs/cruiser-2-b.mcap logs/zero.mcap]
+3$ find stops logs --json => zero.mcap is empty | #4
+== a directory without logs is an error
+1$ find stops . => there is no log in
+== the catalog is a table for any other question, and no more [logs/a.mcap logs/cruiser-2-b.mcap]
+$ query 'SELECT names[1] AS robot, len(drives) AS drives FROM catalog ORDER BY robot' logs --json
+    {"robot": "cruiser-1", "drives": 1} | {"robot": "cruiser-2", "drives": 3} | #2
+1$ info logs/catalog.parquet => is no MCAP file
+2$ query "COPY (SELECT * FROM catalog) TO 'elsewhere.csv'" logs => not a SELECT
+2$ query 'SELECT * FROM catalog' logs --from=1 => WHERE start_ns
+== the newest answers and a time before now bound what is found [logs/a.mcap logs/cruiser-2-b.mcap]
+$ find stops logs --newest=2 --since=2000w --until=2100-01-01 --json => #2
+$ find stops logs --until=2000-01-01 --json => = ""
+== a log of no robot has no layouts, and where nothing can be written it says so [escape.mcap whole.mcap]
+1$ layouts escape.mcap -o out => no topic of a robot
+1$ layouts whole.mcap -o whole.mcap => cannot write
+== a gateway that died is told on the terminal and as JSON [restart.mcap]
+$ report restart.mcap => 1 stop: the gateway died. | Gateway silent for 2.0 s from
+$ report restart.mcap --json => "kind":"gap" | "kind":"gateway" | "variant":"coarse"
+== a report's period counts from the log's beginning [a.mcap]
+$ report a.mcap --json --from 1 --to 2 => {"robots": [{"known_s": 0.95}]}
+== a log of no robot's state has nothing to report [gear.mcap]
+1$ report gear.mcap => nothing to report
+== a report of another kind is a matter of usage, and one that cannot be written a failure [a.mcap]
+2$ report a.mcap -o r.pdf => .html
+1$ report a.mcap -o nowhere/r.html => cannot write
+== a report of one robot of several [two.mcap]
+$ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
+2$ report two.mcap --json --robot r-3 => there is nothing of r-3 in these logs
+== what means nothing is a matter of usage [logs/a.mcap logs/cruiser-2-b.mcap]
+2$ find 'stop reason=front_bumper robot=cruiser-*' logs
+    give stops, incidents, events, drives, logs, as in 'cruiser
+2$ find 'stop last 7d' logs => 'cruiser review find stops DIRECTORY --robot NAME --since 30d'
+2$ find 'fault severity=error' logs => or 'cruiser review query' for all else
+2$ find stops --reason front_bumpr logs => there is no reason 'front_bumpr': did you mean front_bumper?
+2$ find stops --reason bad logs => it is one of
+2$ find stops --since yesterday logs => 'yesterday' is no time: give one as 30d
+2$ find stops --since 30 logs => '30' is no time
+2$ find stops --newest 0 logs => '0' is no number of answers
+2$ find stops --since 1d --until 2d logs => there is no time between --since and --until
+2$ find stops --robot cruiser-9 logs => the logs hold nothing of cruiser-9, but of cruiser-1, cruiser-2
+"""
+"""A name, in brackets the logs that are there, and commands with what they say, behind ``=>`` or below.
+
+Before ``$`` stands the exit code, if it is not 0. A text stands in all that is said, white space apart; JSON is a
+part of a line; ``#3`` lines are on stdout; ``= text`` is all of it, as JSON has it; ``never text`` stands nowhere.
+A line that is indented by eight goes on. SOURCE is a log, or a dataset of it.
+"""
+
+UNSEEN = {"<ESC>": "\x1b", "<FF>": os.fsdecode(b"\xff"), "<NL>": "\n"}
 CASES = [
-    pytest.param(row, source, id=f"{row}{source and ': '}{source}")
-    for row in ROWS
-    for source in (("drive.mcap", "set") if "SOURCE" in repr(ROWS[row]) else ("",))
+    pytest.param(row, source, id=f"{row.partition(' [')[0].partition(chr(10))[0]}{source and ': '}{source}")
+    for row in re.sub("\n {8}", " ", ROWS).split("\n== ")[1:]
+    for source in (("drive.mcap", "set") if "SOURCE" in row else ("",))
 ]
+
+
+def unseen(text: str) -> str:
+    """The text with the characters that nobody sees."""
+    for short, character in UNSEEN.items():
+        text = text.replace(short, character)
+    return text
 
 
 def holds(found: object, wanted: object) -> bool:
@@ -591,21 +375,21 @@ def holds(found: object, wanted: object) -> bool:
         return isinstance(found, dict) and all(holds(found.get(key), value) for key, value in wanted.items())
     if isinstance(wanted, list):
         return isinstance(found, list) and len(found) == len(wanted) and all(map(holds, found, wanted))
-    return bool(found == wanted)
+    return bool(found == (pytest.approx(wanted) if isinstance(wanted, float) else wanted))
 
 
-def judge(asked: Ask, code: object, out: str, every: str) -> None:
+def judge(said: str, out: str, every: str) -> None:
     """Hold what was said against what is wanted."""
-    assert code == asked.code, (asked.command, every)
-    assert asked.unsaid not in every
     objects = [json.loads(line) for line in out.splitlines() if line.startswith("{")]
-    for wanted in asked.said:
-        if isinstance(wanted, int):
-            assert len(out.splitlines()) == wanted, every
-        elif isinstance(wanted, dict):
-            assert any(holds(found, wanted) for found in objects), (wanted, every)
-        elif asked.is_all:
-            assert out == wanted
+    for wanted in said.split(" | ") if said else ():
+        if wanted.startswith("#"):
+            assert len(out.splitlines()) == int(wanted[1:]), every
+        elif wanted.startswith("{"):
+            assert any(holds(found, json.loads(wanted)) for found in objects), (wanted, every)
+        elif wanted.startswith("= "):
+            assert out == json.loads(wanted[2:])
+        elif wanted.startswith("never "):
+            assert wanted[6:] not in every
         else:
             assert " ".join(wanted.split()) in " ".join(every.split()), (wanted, every)
 
@@ -616,22 +400,27 @@ def test_answers(
 ) -> None:
     """Each command of a row, in its order, ends with its code and says what stands there."""
     monkeypatch.chdir(tmp_path)
-    given, *asks = ROWS[row]
-    for path in map(Path, given.split()):
+    given, *_ = re.findall(r"(?:\A.* \[(.*)\]$|^logs (.*)$)", row, re.MULTILINE) or [("", "")]
+    asks = re.findall(r"^(\d?)\$ (.*?)(?: => (.*))?((?:\n    .*)*)$", row, re.MULTILINE)
+    assert asks
+    for path in map(Path, unseen("".join(given)).split()):
         path.parent.mkdir(exist_ok=True)
         if path.name in DRIVES:
             write_messages(path, DRIVES[path.name][0], robots=DRIVES[path.name][1])
         else:
             saved(path, FILES[path.name]())
     if source == "set":
-        asks.insert(0, ask("export -o set drive.mcap"))
-    for asked in asks:
+        asks.insert(0, ("", "export -o set drive.mcap", "", ""))
+    for wanted, command, beside, below in asks:
         code: object
         try:
-            code, ending = review(*shlex.split(asked.command.replace("SOURCE", source))), ""
+            code, ending = review(*shlex.split(unseen(command).replace("SOURCE", source))), ""
         except CommandError as error:
             code, ending = error.code, str(error)
         except SystemExit as error:
             code, ending = error.code, ""
         shown = capsys.readouterr()
-        judge(asked, code, shown.out, shown.out + shown.err + ending)
+        every = shown.out + shown.err + ending
+        assert code == int(wanted or 0), (command, every)
+        assert "\x1b" not in every
+        judge(beside + below.replace("\n    ", " | ").removeprefix(" | "), shown.out, every)

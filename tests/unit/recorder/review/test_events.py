@@ -1,6 +1,7 @@
 """What happened, in order."""
 
-from collections.abc import Collection, Iterable
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from schemas.decisions import (
     SafetyState,
     Severity,
 )
-from schemas.messages import GatewayHealth, Message
+from schemas.messages import Message
 from schemas.reasons import TEXTS, Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
 from tests.support.logs import Log
@@ -30,11 +31,16 @@ from tests.support.messages import refusal as refused
 from tests.support.rigs import gateway, scenarios
 from tests.support.rigs.recorded import RecordedRig
 from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
+from tests.support.rigs.script import logs_of
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
 AFTER = " (after this time, as the next gateway/health says)"
 """Behind what has gone wrong between two healths."""
+
+BEGAN = "another run of the gateway began: leases, engagement and latches of before are void"
+LATCHED = f"latched until a reset: {TEXTS[Reason.GATE].means}"
+GATEWAY = RecorderEventKind.GATEWAY
 
 
 @pytest.fixture
@@ -97,18 +103,48 @@ def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
 def test_every_event_of_the_arbiter_is_told_once_in_its_order(scenario: Scenario, path: Path) -> None:
-    """With its own time, operator, reason and text."""
-    entries = [entry for entry in told(path, recorded(scenario)) if entry.source is EntrySource.EVENT]
-    assert [(one.time_ns, one.tick, one.reason, one.operator, one.text) for one in entries] == [
+    """With its own time, operator, reason and text, and not derived again; but no event tells of the guard."""
+    entries = told(path, recorded(scenario))
+    said = [one for one in entries if one.source is EntrySource.EVENT]
+    assert [(one.time_ns, one.tick, one.reason, one.operator, one.text) for one in said] == [
         (one.time_ns, one.tick, one.reason, one.operator, one.text) for one in acted(scenario).events
     ]
+    assert {one.kind for one in entries if one.is_derived} <= {EntryKind.GUARD}
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
-def test_what_events_say_is_not_derived_once_more(scenario: Scenario, path: Path) -> None:
-    """But for the guard, whose coming and going no event tells."""
-    derived = [entry for entry in told(path, recorded(scenario)) if entry.is_derived]
-    assert {entry.kind for entry in derived} <= {EntryKind.GUARD}
+@pytest.mark.parametrize(
+    ("script", "said", "unsaid"),
+    [
+        ("deadman", ["request info operator-1 1x: unpark, as asked"], ""),
+        ("deadman", ["stop warning (operator-1) 1x: stopping: no acceptable drive command came in time"], ""),
+        ("checksums", [f"fault warning () 5x: Auto_DriveFeedBack: frames with a wrong checksum{AFTER}"], ""),
+        ("ready; another 60; run 1", [f"gateway warning () 1x: {BEGAN}"], "safety/event are not in the log"),
+        (
+            "ready; another 3; run 1",
+            [
+                "gap warning () 1x: nothing of the arbiter for 3.0 s: the gateway fell silent, standby",
+                f"gateway warning () 1x: {BEGAN}",
+            ],
+            "as asked",
+        ),
+        (
+            "ready; shutdown; run 0.01; another 3; run 1",
+            ["gateway info () 1x: the gateway ends, as it was told to", f"gateway info () 1x: {BEGAN}"],
+            "fell silent",
+        ),
+    ],
+)
+def test_entries_in_words(script: str, said: list[str], unsaid: str, tmp_path: Path) -> None:
+    """Who did it, or in parentheses who held the lease; a gateway that was asked to end did not fall silent."""
+    for number, data in enumerate(logs_of(script)[0]):
+        (tmp_path / f"{number}.mcap").write_bytes(data)
+    faults = Faults()
+    shown = [
+        f"{one.kind.value} {one.severity.value} {one.operator or f'({one.holder})'} {one.count}x: {one.text}"
+        for one in read_events(find_logs([tmp_path], faults), Selection(), faults)
+    ]
+    assert [one for one in said if not any(entry.startswith(one) for entry in shown)] == [], shown
+    assert not unsaid or not [one for one in shown if unsaid in one]
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
@@ -227,14 +263,6 @@ def test_a_clock_that_is_set_disturbs_no_order(set_ns: int, path: Path) -> None:
     assert f"{set_ns / 1e9:+.1f} s" in clock.text
 
 
-def test_what_waited_for_the_recorder_is_no_clock_that_is_wrong(path: Path) -> None:
-    """States of 1.5 s that come in one burst, and then all in time: nothing is told of it, and times are right."""
-    said: list[tuple[int, Message]] = [(max(150, n * 5), state(n * 5, n)) for n in range(200)]
-    said.insert(40, (200, event(200, 0)))
-    entries = told(path, log_of(said))
-    assert [(one.kind, one.time_ns) for one in entries] == [(EntryKind.RESET, at(200))]
-
-
 @pytest.mark.parametrize("steps_recorder", [False, True])
 def test_a_gateway_behind_a_step_of_the_clock_did_not_fall_silent(path: Path, *, steps_recorder: bool) -> None:
     """Also where all that is read ends in the hole of the log times: the next state is of the same gateway."""
@@ -245,17 +273,6 @@ def test_a_gateway_behind_a_step_of_the_clock_did_not_fall_silent(path: Path, *,
     assert [one.text for one in found if one.kind is EntryKind.GAP and "ends here" not in one.text] == []
     if steps_recorder:
         assert EntryKind.CLOCK in {one.kind for one in told(path, rig.log())}
-
-
-def test_samples_that_are_missing_are_told(path: Path) -> None:
-    """Events by their sequence, states by their silence."""
-    said: list[tuple[int, Message]] = [(n * 5, state(n * 5, n)) for n in range(100) if not 20 <= n < 60]
-    said += [(3, event(3, 0)), (400, event(400, 7))]
-    gaps = [one for one in told(path, log_of(sorted(said, key=lambda one: one[0]))) if one.kind is EntryKind.GAP]
-    assert [(one.count, one.time_ns, one.last_ns) for one in gaps] == [
-        (6, at(3), at(400)),
-        (40, at(95), at(300)),
-    ]
 
 
 def test_what_the_recorder_says_is_told(path: Path) -> None:
@@ -311,13 +328,6 @@ def test_a_fault_stands_before_what_it_causes(path: Path) -> None:
         assert entries.index(one) < entries.index(stop)
 
 
-def test_the_frame_whose_checksums_were_wrong_is_named(path: Path) -> None:
-    """By the health's own counts."""
-    entries = told(path, recorded(scenarios.checksums))
-    (fault,) = (one for one in entries if "wrong checksum" in one.text)
-    assert (fault.text, fault.count) == (f"Auto_DriveFeedBack: frames with a wrong checksum{AFTER}", 5)
-
-
 def test_a_message_that_cannot_be_read_is_a_fault(path: Path) -> None:
     """The others are told."""
     data = recorded(scenarios.deadman)
@@ -332,241 +342,124 @@ def test_a_message_that_cannot_be_read_is_a_fault(path: Path) -> None:
     assert EntryKind.STOP in {entry.kind for entry in timeline.end()}
 
 
-def test_an_accepted_request_that_has_no_event_is_told(path: Path) -> None:
-    """Unpark, here."""
-    entries = told(path, recorded(scenarios.deadman))
-    (unpark,) = (one for one in entries if one.kind is EntryKind.REQUEST)
-    assert (unpark.request, unpark.operator, unpark.text) == ("unpark", "operator-1", "unpark, as asked")
-
-
-def test_who_held_the_lease_is_told_with_an_event_that_nobody_did(path: Path) -> None:
-    """The deadman's stop: its operator is empty, and the holder is not."""
-    entries = told(path, recorded(scenarios.deadman))
-    (stop,) = (one for one in entries if one.kind is EntryKind.STOP)
-    assert (stop.operator, stop.holder) == ("", "operator-1")
-
-
-def test_two_runs_of_a_gateway_in_one_log(path: Path) -> None:
-    """The second run's samples count from zero again, and nothing is missing for that."""
-    first, second = RecordedRig.ready(run=1)[0], RecordedRig.ready(run=2)[0]
-    path.write_bytes(first.log())
-    other = path.with_name("other.mcap")
-    second.wall_ns += 60 * SECOND
-    second.recorder_ns += 60 * SECOND
-    second.run(1)
-    other.write_bytes(second.log())
-    faults = Faults()
-    entries = list(read_events(find_logs([path, other], faults), Selection(), faults))
-    assert EntryKind.GATEWAY in {one.kind for one in entries}
-    assert not [one for one in entries if one.kind is EntryKind.GAP and "safety/event" in one.text]
-
-
-@pytest.mark.parametrize("is_told", [True, False])
-def test_a_gateway_that_was_told_to_end_did_not_fall_silent(tmp_path: Path, is_told: bool) -> None:  # noqa: FBT001
-    """It says so itself, and the next one begins as is to be expected."""
-    first, _ = RecordedRig.ready(run=1)
-    if is_told:
-        first.core.shut_down(first.now_ns)
-    first.tick()
-    second = RecordedRig(run=2)
-    later_ns = first.at_ns + 3 * SECOND - second.at_ns
-    second.wall_ns += later_ns
-    second.recorder_ns += later_ns
-    second.run(1)
-    (tmp_path / "one.mcap").write_bytes(first.log())
-    (tmp_path / "two.mcap").write_bytes(second.log())
-    faults = Faults()
-    entries = list(read_events(find_logs([tmp_path], faults), Selection(), faults))
-    silences = [entry for entry in entries if "fell silent" in entry.text]
-    assert bool(silences) is not is_told
-    gateway = [(entry.severity, entry.reason) for entry in entries if entry.kind is EntryKind.GATEWAY]
-    begun = (Severity.INFO if is_told else Severity.WARNING, Reason.NONE)
-    assert gateway[-1] == begun
-    assert ((Severity.INFO, Reason.SHUTDOWN) in gateway) is is_told
-
-
-def test_a_gateway_that_a_recorder_saw_die_is_told_of_its_robot(path: Path) -> None:
-    """As what it is, and not among what recorders do to their files."""
-    log = Log()
-    log.receive(sample_of(gear(0)), sample_of(state(0, 0)))
-    gone = RecorderEvent(WALL_NS, 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", "the gateway died")
-    log.add_own("fleet/@recorder/bench/event", gone, 0)
-    (entry,) = (one for one in told(path, log.close()) if one.kind is EntryKind.GATEWAY)
-    assert (entry.robot, entry.severity, entry.source) == (ROBOT, Severity.ERROR, EntrySource.RECORDER)
-
-
 HOUR = 360_000
 """In ticks."""
 
+RUNS = {"A": FIRST_TICK, "B": 5}
 DRIVEN: dict[str, Any] = {"state": ArbiterState.ENGAGED, "engaged": True, "output_speed_mps": 0.8}
 
+STORIES = """
+== a clock set forward is one entry, and no silence
+A 0-200; health 100; stop 150; A 200-400 +360000; health 300 +360000; stop 350 +360000
+    150 stop info 1x: stop 0
+    360200 clock warning 1x: the computer's clock was set by +3600.0 s
+    360350 stop info 1x: stop 1
+== a clock set back is one entry, and the order is that of the ticks
+A 0-200; stop 150; A 200-400 -360000; stop 350 -360000
+    150 stop info 1x: stop 0
+    -359800 clock warning 1x: the computer's clock was set by -3600.0 s
+    -359650 stop info 1x: stop 1
+== a gateway that hung is no dead one
+A 0-200 driven; health 100; gone 210; A 200-300 +398 driven; health 700 dropped; A 300-305 +398 driven
+    100 fault warning 10x: requests were dropped unread: the loop did not read for 4.0 s AFTER
+    195 gap warning 1x: nothing of the arbiter for 4.0 s: the gateway made 5 ticks meanwhile: its loop stood still
+    210 gateway warning 1x: the recorder heard nothing of the gateway for 4.0 s, and then the same again: \
+its loop had stood still
+== a recorder that stood still heard of no death
+A 0-200; gone 210; A 200-1000 held 200-800
+    210 gateway warning 1x: the recorder heard nothing of the gateway for 6.0 s, and then the same again: \
+it had run on: the recorder or the link stood still
+== a gateway that another run follows has died
+A 0-200 driven; gone 210; B 500-600
+    195 gap error 1x: nothing of the arbiter for 3.0 s: the gateway fell silent, engaged, commanded 0.80 m/s
+    210 gateway error 1x: the gateway died
+    500 gateway error 1x: BEGAN; the one before was engaged, commanded 0.80 m/s
+== a death is told of its robot where the log ends with it
+A 0-5; gone 0
+    0 gateway error 1x: the gateway died
+== what is latched in another run is not derived from what was before
+A 0-25 latched; B 100-105
+    100 gateway warning 1x: BEGAN
+== a link that stalls is no clock that was set
+A 0-500 held 100-400; A 500-505 latched
+    500 latch error 1x: LATCHED
+== states that waited for the recorder, in one burst, are no clock that is wrong
+A 0-1000 held 0-150; reset 200
+    200 reset info 1x: reset 0
+== a clock that is found to be wrong some seconds later is no silence
+A 0-1000 behind 500
+    300 clock warning 1x: the robot's clock is 5.0 s behind the recorder's; the times here are the recorder's
+== two gateways of one name are said once
+A 0-1000 & B 302-1000 driven
+    305 gateway warning 1x: two gateways speak under this name: these entries are of both
+== samples that are missing are told, events by their sequence and states by their silence
+A 0-100; reset 3; A 300-500; reset 400 skipping 6
+    3 reset info 1x: reset 0
+    3 gap warning 6x: 6 samples of fleet/cruiser-1/safety/event are not in the log
+    95 gap warning 40x: nothing of the arbiter for 2.0 s: 40 samples are missing
+    400 reset info 1x: reset 7
+"""
+"""A name; what was said, from and to ticks of two runs; and the entries, with the tick of each.
 
-def health(tick: int, sequence: int, up_ticks: int, **changes: Any) -> GatewayHealth:  # noqa: ANN401 - any field
-    """A health that is well, after so many ticks of the gateway's own."""
-    said = {"time_ns": at(tick), "sequence": sequence, "uptime_s": up_ticks / 100, "faults": {}, "feedback": []}
-    return msgspec.structs.replace(HEALTH, **{**said, **changes})
-
-
-def run_of(first: int, ticks: range, later: int = 0, **changes: Any) -> list[tuple[int, Message]]:  # noqa: ANN401
-    """States of a run, each with its tick of receipt: so many ticks later by both clocks."""
-    return [
-        (
-            tick + later,
-            msgspec.structs.replace(
-                state(tick, tick // 5, **changes), tick=first + tick, time_ns=at(tick + later)
-            ),
-        )
-        for tick in ticks
-    ]
-
-
-def stop(tick: int, sequence: int, later: int = 0) -> tuple[int, Message]:
-    """A stop, likewise."""
-    said = event(tick, sequence, EventKind.STOP, f"stop {sequence}")
-    return tick + later, msgspec.structs.replace(said, time_ns=at(tick + later), reason=Reason.DEADMAN)
-
-
-def token_gone(tick: int) -> RecorderEvent:
-    """What a recorder says of a gateway whose token is gone."""
-    return RecorderEvent(at(tick), 0, Severity.ERROR, RecorderEventKind.GATEWAY, ROBOT, "", "", "the gateway died")
-
-
-RUN = FIRST_TICK
-
-NEXT_HEALTH = " (after this time, as the next gateway/health says)"
-SAME = "the recorder heard nothing of the gateway for {}, and then the same again: "
-BEGAN = "another run of the gateway began: leases, engagement and latches of before are void"
-
-STORIES: dict[str, tuple[list[tuple[int, Message]], list[tuple[EntryKind, Severity, str]]]] = {
-    "a clock set forward is one entry, and no silence": (
-        [
-            *run_of(RUN, range(0, 200, 5)),
-            (100, health(100, 0, 100)),
-            stop(150, 0),
-            *run_of(RUN, range(200, 400, 5), HOUR),
-            (HOUR + 300, health(HOUR + 300, 1, 300)),
-            stop(350, 1, HOUR),
-        ],
-        [
-            (EntryKind.STOP, Severity.INFO, "stop 0"),
-            (EntryKind.CLOCK, Severity.WARNING, "the computer's clock was set by +3600.0 s"),
-            (EntryKind.STOP, Severity.INFO, "stop 1"),
-        ],
-    ),
-    "a clock set back is one entry, and the order is that of the ticks": (
-        [
-            *run_of(RUN, range(0, 200, 5)),
-            stop(150, 0),
-            *run_of(RUN, range(200, 400, 5), -HOUR),
-            stop(350, 1, -HOUR),
-        ],
-        [
-            (EntryKind.STOP, Severity.INFO, "stop 0"),
-            (EntryKind.CLOCK, Severity.WARNING, "the computer's clock was set by -3600.0 s"),
-            (EntryKind.STOP, Severity.INFO, "stop 1"),
-        ],
-    ),
-    "a gateway that hung is no dead one": (
-        [
-            *run_of(RUN, range(0, 200, 5), **DRIVEN),
-            (100, health(100, 0, 100)),
-            (210, token_gone(210)),
-            *run_of(RUN, range(200, 300, 5), 398, **DRIVEN),
-            (700, health(700, 1, 700, inbox_drops=10)),
-            *run_of(RUN, range(300, 305, 5), 398, **DRIVEN),
-        ],
-        [
-            (
-                EntryKind.FAULT,
-                Severity.WARNING,
-                f"requests were dropped unread: the loop did not read for 4.0 s{NEXT_HEALTH}",
-            ),
-            (
-                EntryKind.GAP,
-                Severity.WARNING,
-                "nothing of the arbiter for 4.0 s: the gateway made 5 ticks meanwhile: its loop stood still",
-            ),
-            (EntryKind.GATEWAY, Severity.WARNING, f"{SAME.format('4.0 s')}its loop had stood still"),
-        ],
-    ),
-    "a recorder that stood still heard of no death": (
-        [
-            *run_of(RUN, range(0, 200, 5)),
-            (210, token_gone(210)),
-            *((max(tick, 800), said) for tick, said in run_of(RUN, range(200, 1000, 5))),
-        ],
-        [
-            (
-                EntryKind.GATEWAY,
-                Severity.WARNING,
-                f"{SAME.format('6.0 s')}it had run on: the recorder or the link stood still",
-            ),
-        ],
-    ),
-    "a gateway that another run follows has died": (
-        [*run_of(RUN, range(0, 200, 5), **DRIVEN), (210, token_gone(210)), *run_of(5, range(500, 600, 5))],
-        [
-            (
-                EntryKind.GAP,
-                Severity.ERROR,
-                "nothing of the arbiter for 3.0 s: the gateway fell silent, engaged, commanded 0.80 m/s",
-            ),
-            (EntryKind.GATEWAY, Severity.ERROR, "the gateway died"),
-            (
-                EntryKind.GATEWAY,
-                Severity.ERROR,
-                f"{BEGAN}; the one before was engaged, commanded 0.80 m/s",
-            ),
-        ],
-    ),
-    "what is latched in another run is not derived from what was before": (
-        [*run_of(RUN, range(0, 25, 5), latched=[Reason.GATE]), *run_of(5, range(100, 105, 5))],
-        [(EntryKind.GATEWAY, Severity.WARNING, BEGAN)],
-    ),
-    "a link that stalls is no clock that was set": (
-        [
-            *((tick if tick < 100 or tick >= 400 else 400, said) for tick, said in run_of(RUN, range(0, 500, 5))),
-            *run_of(RUN, range(500, 505, 5), latched=[Reason.GATE]),
-        ],
-        [(EntryKind.LATCH, Severity.ERROR, f"latched until a reset: {TEXTS[Reason.GATE].means}")],
-    ),
-    "a clock that is found to be wrong some seconds later is no silence": (
-        [(tick + 500, said) for tick, said in run_of(RUN, range(0, 1000, 5), -500)],
-        [
-            (
-                EntryKind.CLOCK,
-                Severity.WARNING,
-                "the robot's clock is 5.0 s behind the recorder's; the times here are the recorder's",
-            )
-        ],
-    ),
-    "two gateways of one name are said once": (
-        sorted(
-            [*run_of(RUN, range(0, 1000, 5)), *run_of(5, range(302, 1000, 5), **DRIVEN)], key=lambda one: one[0]
-        ),
-        [
-            (
-                EntryKind.GATEWAY,
-                Severity.WARNING,
-                "two gateways speak under this name: these entries are of both",
-            )
-        ],
-    ),
-}
+``+360000`` ticks later by both clocks, ``held 200-800`` received at its end, ``behind 500`` by a clock that is so.
+"""
 
 
-@pytest.mark.parametrize("story", STORIES)
+def said_in(text: str) -> list[tuple[int, Message | RecorderEvent]]:
+    """What a story says, each with its tick of receipt."""
+    counts: Counter[str] = Counter()
+
+    def step(words: list[str]) -> Iterator[tuple[int, Message | RecorderEvent]]:
+        what, span, *more = words
+        first, _, end = span.partition("-")
+        later = next((int(one) for one in more if one[0] in "+-"), 0)
+        held = range(*map(int, more[more.index("held") + 1].split("-"))) if "held" in more else range(0)
+        behind = int(more[more.index("behind") + 1]) if "behind" in more else 0
+        changes = DRIVEN if "driven" in more else {"latched": [Reason.GATE]} if "latched" in more else {}
+        for tick in range(int(first), int(end or int(first) + 1), 5):
+            if what in RUNS:
+                made: Any = state(tick, tick // 5, **changes)
+                made = msgspec.structs.replace(made, tick=RUNS[what] + tick, time_ns=at(tick + later - behind))
+            elif what == "gone":
+                made = RecorderEvent(at(tick), 0, Severity.ERROR, GATEWAY, ROBOT, "", "", "the gateway died")
+            elif what == "health":
+                drops = 10 if "dropped" in more else 0
+                fields = {"uptime_s": tick / 100, "faults": {}, "feedback": [], "inbox_drops": drops}
+                fields |= {"time_ns": at(tick + later), "sequence": counts[what]}
+                made = msgspec.structs.replace(HEALTH, **fields)
+            else:
+                number = counts["events"] + (int(more[-1]) if "skipping" in more else 0)
+                counts["events"] = number + 1
+                made = event(tick, number, EventKind(what), f"{what} {number}")
+                reason = Reason.DEADMAN if what == "stop" else Reason.NONE
+                made = msgspec.structs.replace(made, time_ns=at(tick + later), reason=reason)
+            yield held.stop if tick in held else tick + later, made
+        counts[what] += 1
+
+    found = []
+    for part in text.split("; "):
+        beside = [one for words in part.split(" & ") for one in step(words.split())]
+        found += sorted(beside, key=lambda one: one[0]) if " & " in part else beside
+    return found
+
+
+@pytest.mark.parametrize("story", STORIES.split("\n== ")[1:], ids=lambda one: one.partition("\n")[0])
 def test_what_a_log_holds_is_told_as_what_it_was(story: str, path: Path) -> None:
     """A clock that was set, a gateway or a recorder that stood still, one that died, two of one name."""
-    said, expected = STORIES[story]
+    _, said, *expected = story.strip().split("\n")
     log = Log()
-    for tick, message in said:
+    for tick, message in said_in(said):
         if isinstance(message, RecorderEvent):
             log.add_own("fleet/@recorder/bench/event", message, 0)
         else:
             log.receive(sample_of(message), wall_ns=at(tick) + 2 * MS)
-    found = [one for one in told(path, log.close()) if "ends here" not in one.text]
-    assert [(one.kind, one.severity, one.text) for one in found] == expected
+    for short, whole in (("BEGAN", BEGAN), ("LATCHED", LATCHED), (" AFTER", AFTER)):
+        expected = [one.replace(short, whole) for one in expected]
+    assert [
+        f"    {(one.time_ns - WALL_NS) // TICK_NS} {one.kind.value} {one.severity.value} {one.count}x: {one.text}"
+        for one in told(path, log.close())
+        if "ends here" not in one.text
+    ] == expected
 
 
 def test_ticks_of_events_are_bounded() -> None:
