@@ -113,16 +113,13 @@ class Recorded(msgspec.Struct, frozen=True):
     Attributes:
         path: the newest log; None if there is none.
         files: their number, incidents included; ``bytes`` of them all.
-        messages: in the logs.
         lost: samples and messages that were lost after their source: the sum of the next five.
         lost_link: samples that never reached the recorder, by the gaps in their sequence.
         lost_queue: samples that were dropped unread; ``lost_size`` those that were larger than may be recorded.
         lost_full: messages that came while the disk might hold no more.
         lost_disk: messages that the disk did not take or keep.
         is_hung: the disk did not answer at the end: what it was given last may be lost, too.
-        incidents: incidents that were begun.
         keys: per topic, what was received, written and lost.
-        unfinished: files that are not whole.
     """
 
     path: str | None
@@ -146,12 +143,8 @@ class RecorderLoop:
     """Runs a recorder.
 
     Args:
-        recorder: decides what is written.
-        source: the source of the samples.
         writer: writes the files; it is closed at the end.
-        inbox: holds samples that wait.
         health: makes the report of each second.
-        keeper: says what room the disk has.
         leftovers: recovers what was left unfinished, at the start and when the disk takes the logs again.
     """
 

@@ -76,13 +76,8 @@ class ViewServer:
         """Listen.
 
         Args:
-            name: shown by viewers.
-            host: the IP address.
             port: 0 is a free one.
             certificate: the files of a chain and its key, PEM; without them there is no TLS.
-
-        Raises:
-            CommandError: the address is taken or not one of this machine, or a file cannot be used.
         """
         # Its lines are about what viewers send; they are told themselves.
         logging.getLogger("foxglove").setLevel(logging.ERROR)
@@ -156,11 +151,7 @@ class ViewServer:
 
 
 def _read(chain: Path, key: Path) -> tuple[bytes, bytes]:
-    """A certificate chain and its key, the key in the form that the SDK reads.
-
-    Raises:
-        CommandError: a file cannot be read, or is not what it should be.
-    """
+    """A certificate chain and its key, the key in the form that the SDK reads."""
     files = f"{plain(str(chain))} and {plain(str(key))}"
     try:
         found = chain.read_bytes()
@@ -207,12 +198,7 @@ class LiveChannels:
     """
 
     def __init__(self, viewers: Viewers, version: str) -> None:
-        """Nothing has come yet.
-
-        Args:
-            viewers: the destination.
-            version: of this package.
-        """
+        """Nothing has come yet."""
         self.left_out = 0
         self._viewers = viewers
         self._channels = Channels(viewers.declare)
@@ -328,14 +314,7 @@ class Greeting(Protocol):
 
 
 class ViewLoop:
-    """Shows samples to viewers.
-
-    Args:
-        source: of the samples.
-        server: the viewers.
-        channels: with the server as their destination.
-        greet: is called for each robot.
-    """
+    """Shows samples to viewers."""
 
     def __init__(self, source: ZenohSource, server: ViewServer, channels: LiveChannels, greet: Greeting) -> None:
         self._source = source

@@ -107,11 +107,7 @@ def add_robots(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_robots(patterns: Sequence[str], robots: Collection[str]) -> frozenset[str]:
-    """The robots that fit one of the patterns. An empty answer would look as if nothing had happened.
-
-    Raises:
-        CommandError: no robot fits one of them.
-    """
+    """The robots that fit one of the patterns. An empty answer would look as if nothing had happened."""
     for pattern in patterns:
         if not any(fnmatchcase(robot, pattern) for robot in robots):
             others = f", but of {in_short(sorted(robots, key=in_order))}" if robots else ""
@@ -172,9 +168,6 @@ def find(
         stopped: turns true at SIGINT.
         with_covered: leave no incident out.
         with_catalog: believe what the catalogs of directories say of logs; else each log is opened.
-
-    Raises:
-        CommandError: there is nothing to read, a time is of no known form, or the logs hold nothing of the time.
     """
     faults = Faults()
     paths = [one for one in arguments.logs if isinstance(one, Path)]
@@ -208,11 +201,7 @@ def find(
 def stored_logs(
     addresses: Sequence[StoreAddress], settings: Settings, faults: Faults, stopped: Callable[[], bool]
 ) -> list[LogFile]:
-    """Copies of the logs at addresses in object stores.
-
-    Raises:
-        CommandError: there are none, or the library that reads stores is missing.
-    """
+    """Copies of the logs at addresses in object stores."""
     with needing_store():
         from recorder.cli.stored import find_stored  # noqa: PLC0415 - it needs an extra
     bar = partial(progress_bar, "fetching", stopped=stopped, is_bounded=False)
@@ -280,11 +269,7 @@ def progress_bar(
 
 
 def in_time(total_bytes: int, progress: Progress) -> Progress:
-    """Give up where reading so many bytes takes far longer than it should: a log may be made to.
-
-    Raises:
-        CommandError: later, when it has taken too long.
-    """
+    """Give up where reading so many bytes takes far longer than it should: a log may be made to."""
     budget_s = BUDGET_S + BUDGET_S_PER_BYTE * total_bytes
     end_s = time.monotonic() + budget_s
 
@@ -302,11 +287,7 @@ def in_time(total_bytes: int, progress: Progress) -> Progress:
 
 @contextmanager
 def needing_extra() -> Generator[None, None, None]:
-    """Surround an import of what the extra 'review' brings.
-
-    Raises:
-        CommandError: it is missing; one line says what to install.
-    """
+    """Surround an import of what the extra 'review' brings."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -318,11 +299,7 @@ def needing_extra() -> Generator[None, None, None]:
 
 @contextmanager
 def needing_store() -> Generator[None, None, None]:
-    """Surround an import of what the extra 'upload' brings.
-
-    Raises:
-        CommandError: it is missing; one line says what to install.
-    """
+    """Surround an import of what the extra 'upload' brings."""
     try:
         yield
     except ModuleNotFoundError as error:

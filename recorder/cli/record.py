@@ -194,11 +194,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
 
 
 def signer_of(settings: AuthoritySettings) -> LogSigner | None:
-    """Return what signs the logs in signed mode; None where this machine is not provisioned as a recorder.
-
-    Raises:
-        CommandError: the recorder's key, grant or authority is not what it should be.
-    """
+    """Return what signs the logs in signed mode; None where this machine is not provisioned as a recorder."""
     if settings.mode != "signed":
         return None
     directory = directory_of(settings)

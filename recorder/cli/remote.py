@@ -43,9 +43,6 @@ def check_role(settings: ZenohSettings, roles: Collection[str], allowed: str) ->
         settings: of the session.
         roles: those that may do it.
         allowed: what routers let them do, and what cures it, in words.
-
-    Raises:
-        CommandError: it is of another role of ``cruiser provision``.
     """
     file = str(of_file(settings, CERTIFICATE) or "")
     role = certificate_role(Path(file)) if file else ""
@@ -54,11 +51,7 @@ def check_role(settings: ZenohSettings, roles: Collection[str], allowed: str) ->
 
 
 def check_recording(settings: ZenohSettings, expressions: Sequence[str]) -> None:
-    """Check that routers let this machine receive these key expressions.
-
-    Raises:
-        CommandError: one of them is a recorder's alone.
-    """
+    """Check that routers let this machine receive these key expressions."""
     if any("**" in expression for expression in expressions):
         check_role(
             settings,

@@ -137,11 +137,7 @@ def describe(report: Report, out: Path | None) -> Iterator[str]:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all.
-
-    Raises:
-        CommandError: it cannot be written.
-    """
+    """Whole or not at all."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         try:

@@ -33,9 +33,6 @@ def find_stored(
         upload: whose options are those of the store, if it is one of the same kind.
         faults: takes logs of a place that cannot be read.
         progress_of: shows how much of so many bytes is fetched.
-
-    Raises:
-        CommandError: there is none, or a store does not answer.
     """
     wanted = {
         place.join(name): (objects, place, name, size)
@@ -99,11 +96,7 @@ def is_log(name: str) -> bool:
 
 
 def log_names(objects: Objects, place: StoreAddress) -> list[tuple[str, int]]:
-    """Return the names and lengths of the logs of a place, in their order.
-
-    Raises:
-        CommandError: its store does not tell.
-    """
+    """Return the names and lengths of the logs of a place, in their order."""
     if not place.has_list:
         raise CommandError(
             f"{shown_url(place.url)} names no log, and such a server lists none: name one", ExitCode.USAGE
@@ -115,11 +108,7 @@ def log_names(objects: Objects, place: StoreAddress) -> list[tuple[str, int]]:
 
 
 def open_objects(place: StoreAddress, upload: UploadSettings) -> Objects:
-    """Open a place of a store, with the options of the settings if they are of a store of this kind.
-
-    Raises:
-        CommandError: there is no such store.
-    """
+    """Open a place of a store, with the options of the settings if they are of a store of this kind."""
     return ObstoreObjects(place, options_of(place, upload))
 
 

@@ -59,11 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Upload until it is stopped, and print what became of the logs.
-
-    Raises:
-        CommandError: no store is named, a package is missing, or the directory cannot be used.
-    """
+    """Upload until it is stopped, and print what became of the logs."""
     upload, directory = settings.upload, Path(settings.recorder.directory)
     if not upload.store:
         raise CommandError("no store is named: give --store URL, or upload.store in the settings", ExitCode.USAGE)

@@ -73,12 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show the robots until it is stopped.
-
-    Raises:
-        CommandError: the package is missing, the address is taken or needs a certificate, no Zenoh node answers,
-            or none of the robots appears.
-    """
+    """Show the robots until it is stopped."""
     try:
         from recorder.view import LiveChannels, ViewLoop, ViewServer  # noqa: PLC0415 - not before the package is known
     except ModuleNotFoundError as error:
@@ -121,11 +116,7 @@ def _wait(
     place: str,
     ends: Callable[[], bool],
 ) -> None:
-    """Wait for the robots, or, if all are asked for, for any Zenoh node. One that comes later is shown, too.
-
-    Raises:
-        CommandError: none of them appears in time.
-    """
+    """Wait for the robots, or, if all are asked for, for any Zenoh node. One that comes later is shown, too."""
     end_s = time.monotonic() + arguments.timeout
     wanted = set(arguments.robots)
 
@@ -153,11 +144,7 @@ class Layouts:
         self._directory = directory
 
     def write(self, robot: RobotKeys) -> None:
-        """Write those of a robot; once more when its bus is known.
-
-        Raises:
-            CommandError: the directory cannot be written in.
-        """
+        """Write those of a robot; once more when its bus is known."""
         if self._directory is None:
             return
         try:

@@ -130,11 +130,7 @@ class PartFile:
     """A file that is being written.
 
     Args:
-        part: the path while it is written.
-        path: the path when it is whole.
         stream: the open file, unbuffered.
-        library: the writer's name.
-        disk: runs the syncs.
         signer: signs it when it is whole; None leaves it unsigned.
     """
 
@@ -206,20 +202,12 @@ class PartFile:
         return self._fault is not None
 
     def begin(self, prologue: Prologue) -> None:
-        """Write what the file begins with.
-
-        Raises:
-            CommandError: the disk does not take it.
-        """
+        """Write what the file begins with."""
         with clear_errors(self.path):
             prologue.write_to(self._mcap)
 
     def write(self, action: LogAction) -> None:
-        """Apply an action. A sync runs beside the next write, which reports the sync's failure.
-
-        Raises:
-            CommandError: the disk does not take it.
-        """
+        """Apply an action. A sync runs beside the next write, which reports the sync's failure."""
         with clear_errors(self.path):
             self._raise_fault()
             if isinstance(action, SyncLog):
@@ -401,11 +389,7 @@ class LogDirectory:
     """The directory of the logs. It is made if it does not exist.
 
     Args:
-        path: its place.
         signer: signs each log when it is whole; None leaves them unsigned.
-
-    Raises:
-        CommandError: it cannot be made or written to.
     """
 
     def __init__(self, path: Path, signer: LogSigner | None = None) -> None:
@@ -422,9 +406,6 @@ class LogDirectory:
         """Begin a file whose name holds ``name`` and the time.
 
         A directory that somebody has removed is made again, but not where its disk was unmounted.
-
-        Raises:
-            CommandError: the file cannot be made.
         """
         stem = f"{safe_name(name)}-{start_in_name(wall_ns)}{INCIDENT_SUFFIX if is_incident else ''}"
         with clear_errors(self._path):
@@ -522,11 +503,7 @@ def lock_own(descriptor: int) -> bool:
 
 @contextmanager
 def new_file(path: Path) -> Generator[BufferedWriter, None, None]:
-    """Opens it for writing. Where that ends in an exception nothing is left.
-
-    Raises:
-        CommandError: there is such a file, or the disk does not take it.
-    """
+    """Opens it for writing. Where that ends in an exception nothing is left."""
     part = path.with_name(f"{path.name}.part")
     shown = plain(str(path))
     if path.exists() or part.exists():
@@ -583,7 +560,6 @@ class UploadedLog(msgspec.Struct, frozen=True):
     """A line: a log that is safe elsewhere.
 
     Attributes:
-        modified_ns: the time of its last change.
         sha256: of its bytes, hexadecimal.
         url: the store's, and ``object`` its name there.
     """
@@ -603,11 +579,7 @@ NONE_SAFE: Final[SafeLogs] = MappingProxyType({})
 
 
 class SafeLogReader:
-    """Reads the note, where it has changed since the last time.
-
-    Args:
-        directory: of the logs.
-    """
+    """Reads the note, where it has changed since the last time."""
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / NAME
@@ -642,14 +614,7 @@ def _lines(data: bytes) -> list[UploadedLog]:
 
 
 class UploadNote:
-    """The note, held by the one that uploads from this directory.
-
-    Args:
-        directory: of the logs.
-
-    Raises:
-        CommandError: it cannot be written, or another upload holds it.
-    """
+    """The note, held by the one that uploads from this directory."""
 
     def __init__(self, directory: Path) -> None:
         path = directory / NAME
@@ -683,22 +648,14 @@ class UploadNote:
         return self._reader.read()
 
     def add(self, log: UploadedLog) -> None:
-        """Have the disk keep that a log is safe.
-
-        Raises:
-            CommandError: it does not.
-        """
+        """Have the disk keep that a log is safe."""
         with clear_errors(self._path):
             # After a line that was torn this one begins anew.
             self._stream.write(b"\n" * self._is_torn() + msgspec.json.encode(log) + b"\n")
             os.fsync(self._stream.fileno())
 
     def forget(self, there: Collection[str]) -> None:
-        """Forget the logs that are gone, if they are many. What is torn then is uploaded once more.
-
-        Raises:
-            CommandError: the disk does not take it.
-        """
+        """Forget the logs that are gone, if they are many. What is torn then is uploaded once more."""
         with clear_errors(self._path):
             lines = _lines(self._read())
             kept = {one.file: one for one in lines if one.file in there}

@@ -76,9 +76,6 @@ class Recovery(msgspec.Struct, frozen=True):
     """The recovery of a file.
 
     Attributes:
-        result: the log as it is called now.
-        messages, chunks: that it holds.
-        cut_bytes: that stood behind its good data.
         kept: the file of the parts that are not in the result; None if none is worth keeping.
         faults: damage; ``fault_count`` of them, the first ones listed.
     """
@@ -102,7 +99,6 @@ def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSig
     """Make a log whole.
 
     Args:
-        path: the log.
         library: the writer's name, for the header of a copy.
         set_aside: rename a file of which nothing can be read, so that nobody tries it again.
         signer: signs what becomes a whole log of a part; None leaves it unsigned.
@@ -369,7 +365,6 @@ def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NO
     """The recorder's files in a directory.
 
     Args:
-        directory: of the logs.
         own: names of those that are being written here.
         safe: those that are safe elsewhere, as long as they have not changed since.
 
@@ -408,8 +403,6 @@ class DiskKeeper:
     """A thread that looks at the disk from its beginning to ``close``.
 
     Args:
-        directory: of the logs.
-        limits: the space that they may take.
         own: names of the files that are being written here.
     """
 

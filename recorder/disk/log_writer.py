@@ -86,9 +86,6 @@ class LogQueue:
 
         First goes what can never fit. Then the oldest messages; and only when none is left, the metadata of single
         files. Which files there are, and what lasts, never goes.
-
-        Args:
-            other_bytes: other memory under the same bound.
         """
         most = self._limit_bytes - other_bytes
         dropped: list[LogAction] = []
@@ -177,8 +174,6 @@ class LogWriter:
     """Writes the files of several logs on a thread of its own, from its beginning to ``close``.
 
     Args:
-        directory: the place of the files.
-        library: the writer's name, for the files' headers.
         queue_bytes: messages that may wait, and be written but not kept yet, of all logs together.
     """
 
@@ -498,8 +493,6 @@ class LogWriter:
         """Begin the file that is wanted, with all that those before it declared, if the disk takes it.
 
         Args:
-            chain: of the log.
-            wall_ns: the time in the file's name.
             because: why it continues what another file should have held, if it does.
         """
         wanted = chain.wanted

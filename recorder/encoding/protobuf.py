@@ -267,9 +267,7 @@ class Packed(msgspec.Struct, frozen=True):
 
     Attributes:
         layout: of the packing, one character for each argument.
-        arguments: of the packing, tags included.
         parts: expressions of the fields that are not packed.
-        names: the names that the source needs.
     """
 
     layout: str
@@ -286,7 +284,6 @@ def packed_fields(kind: type[msgspec.Struct], at_hand: dict[str, str], prefix: s
     """Takes a class apart.
 
     Args:
-        kind: the class.
         at_hand: fields that are in a variable already, by name.
         prefix: of all others, such as ``message.``.
     """

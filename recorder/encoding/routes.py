@@ -57,15 +57,7 @@ Make = Callable[[KeyCounters, ChunkBuilder, int, Latest], Adder]
 def compile_adder(
     kind: type[Message], counters: KeyCounters, chunk: ChunkBuilder, channel_id: int, latest: Latest
 ) -> Adder:
-    """The function of one key.
-
-    Args:
-        kind: the class of its messages.
-        counters: counts them.
-        chunk: the destination of the records.
-        channel_id: of the records.
-        latest: holds the newest message.
-    """
+    """The function of one key."""
     return _make(kind)(counters, chunk, channel_id, latest)
 
 
@@ -274,9 +266,6 @@ class Route:
         is_state: its newest sample tells all; ``latest`` is that one.
         is_kept: the gateway keeps its samples for a while; see ``recorder.record.robots``.
         is_watched: the session looks into its messages, besides recording them.
-        field_count: fields of a message.
-        kind: the class of the channel's records.
-        transcode: from a decoded message to its records.
     """
 
     __slots__ = (

@@ -119,8 +119,6 @@ class KeyCounters:
     """Counts the samples of one key.
 
     Attributes:
-        samples: samples decoded, or kept as they are.
-        messages: messages made of them.
         unwritten: messages of those that are in no log, for whatever reason.
         missed: samples that never came, by the gaps in ``sequence``, without those that were dropped unread.
         dropped: raw frames that the source itself had to drop, by its own count.

@@ -43,11 +43,7 @@ class RobotKeys(msgspec.Struct, frozen=True):
 
 
 class ViewerLayout(msgspec.Struct, frozen=True):
-    """A layout as a file.
-
-    Attributes:
-        name: of the file.
-    """
+    """A layout as a file."""
 
     name: str
     media_type: str

@@ -71,9 +71,7 @@ def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
     """Write the blueprint of a robot's log.
 
     Args:
-        robot: the log's robot.
         application: the name under which rerun opens the log: blueprints are kept by it.
-        path: the destination.
     """
     lines = chart_lines(robot)
     rows = blueprints.Vertical(

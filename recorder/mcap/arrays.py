@@ -57,12 +57,7 @@ class Indexed(msgspec.Struct, frozen=True):
 
 
 class Places(msgspec.Struct, frozen=True):
-    """The messages of one channel in a row of chunks.
-
-    Attributes:
-        offsets: of the data of each.
-        lengths: of the data of each.
-    """
+    """The messages of one channel in a row of chunks."""
 
     offsets: Numbers
     lengths: Numbers
@@ -157,7 +152,6 @@ class Blocks:
     """Blocks that wait to be read together.
 
     Attributes:
-        blocks: chunks, unpacked, and messages outside of chunks.
         bases: where the records of each begin in those of all; the last is where they end.
     """
 

@@ -135,7 +135,6 @@ class RecordFile:
     """The bytes of a file and the headers of its records; what lies close together is read at once.
 
     Args:
-        stream: the file, which can be sought in.
         size: its length in bytes.
         block_bytes: the least that is read at a time.
     """
@@ -226,9 +225,7 @@ def record_at(stream: BinaryIO, offset: int, kind: type[Record], size: int | Non
     """The record of this kind there; None if there is none.
 
     Args:
-        stream: the file.
         offset: in the file, in bytes.
-        kind: the mcap package's class.
         size: its bytes in the file, if they are known: a record of another size is none.
 
     Raises:

@@ -83,7 +83,6 @@ class Fault(msgspec.Struct, frozen=True):
 
     Attributes:
         offset: its place in the file, in bytes.
-        cuts: nothing can be read beyond it.
     """
 
     offset: int
@@ -182,8 +181,6 @@ class MessageBlock(msgspec.Struct, frozen=True):
             index: as the message indexes behind the chunk say.
             wanted: the argument of ``make`` for each channel; messages of others are passed over.
             make: is given that, sequence, log time, publish time and data of each message.
-            from_ns: the first log time.
-            to_ns: the first one that is too late.
         """
         if has_too_many(index):
             return None
@@ -216,7 +213,6 @@ class PackedChunk(msgspec.Struct, frozen=True):
     """A chunk, not yet read.
 
     Attributes:
-        stream: the file.
         offset, length: of the chunk's record in the file, opcode and length included.
         start_ns, end_ns: log times of its first and last message, as its head says.
         index: of each channel the log time and the offset of each message, in turns, as the message indexes
@@ -441,11 +437,8 @@ class ProvenChunk(msgspec.Struct, frozen=True):
     Attributes:
         offset, chunk_end, end: of the chunk, of its record, and of the message indexes behind it.
         record: the chunk; its times are those of its content, whatever it said.
-        content: its records, not compressed.
-        declared: the schemas and channels within.
         index: as in ``recorder.mcap.writer.Chunk``, found anew.
         raw: the bytes of the chunk and of its message indexes, as they are in the file.
-        has_true_head: the chunk's head says what is there.
         places: where in ``raw`` the message index of each channel stands, if they say what is there; else None.
             A file need not have any.
     """
@@ -492,11 +485,7 @@ class Scanner:
     """Looks through a file.
 
     Args:
-        stream: the file.
         size: its length in bytes.
-
-    Attributes:
-        file: the file's records.
     """
 
     def __init__(self, stream: BinaryIO, size: int) -> None:

@@ -49,7 +49,6 @@ class FileSurvey(msgspec.Struct, frozen=True):
         end: the good data ends here, if there are no faults; ``ending`` makes a whole file of it.
         faults: damage with good data behind it; ``fault_count`` of them, the first ones listed.
         is_torn: behind the good data there is but the beginning of one last write, or nothing.
-        messages, chunks: that are good.
     """
 
     is_whole: bool

@@ -34,10 +34,8 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         start_ns, end_ns: log times of its first and last message.
-        offset, length: of its record in the file.
         places: offsets of each channel's message index, as MCAP's map: ``place_map`` reads it.
         indexes_length: bytes of these behind the chunk.
-        compression: its name.
         packed, unpacked: bytes of its records, as they are in the file and as they were.
     """
 
@@ -74,9 +72,7 @@ class LogSummary(msgspec.Struct):
         start, end: its place in the file; the footer begins at its end.
         offset_start: the beginning of its own offsets; 0 if it has none.
         crc: its checksum, by the footer; 0 if it has none.
-        schemas, channels: by id.
         statistics: None if it holds none.
-        attachments, metadata: their places.
         groups: the place of each kind of record, as it states it.
         chunks_at: beginning and end of each stretch of the index of chunks.
     """
@@ -122,11 +118,7 @@ class LogSummary(msgspec.Struct):
 
 
 def read_summary(stream: BinaryIO) -> LogSummary | None:
-    """Return the summary of a file; None if it has none that can be read, or its checksum is wrong.
-
-    Args:
-        stream: the file, which can be sought in.
-    """
+    """Return the summary of a file; None if it has none that can be read, or its checksum is wrong."""
     try:
         summary = _find(stream)
         if summary is None or not _is_intact(stream, summary):

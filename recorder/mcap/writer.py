@@ -102,7 +102,6 @@ class Chunk(msgspec.Struct, frozen=True):
     """Messages ready to be written.
 
     Attributes:
-        records: message records, one after the other.
         index: per channel, log time and offset in ``records`` of each message, in turns.
         start_ns: the earliest log time; ``end_ns`` the latest.
     """
@@ -133,7 +132,6 @@ class ChunkBuilder:
         limit_bytes: at this size it is to be sealed; see ``is_full``.
 
     Attributes:
-        records: message records so far.
         index: per channel, log time and offset of each message in turns.
     """
 
@@ -241,7 +239,6 @@ class Summary:
         """A chunk at this offset of the file, its message indexes right behind it.
 
         Args:
-            chunk: its head.
             offset: of its record, and ``length`` of that.
             length: in bytes.
             index: the log time and place of each message, by channel.
@@ -355,7 +352,6 @@ class McapFile:
 
     Args:
         stream: the destination of the bytes, from its present beginning on.
-        library: the writer's name, for the file's header.
         profile: the header's promise about the channels, by MCAP's registry; ours promise nothing.
     """
 

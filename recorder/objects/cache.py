@@ -67,13 +67,7 @@ class LogCache:
         """Return the path of a copy of a log.
 
         Args:
-            objects: of the place.
-            place: its address.
-            name: of the log in it.
             progress: receives the bytes that were fetched, or were here already.
-
-        Raises:
-            CommandError: the store does not answer, or does not hold what its upload says; there is no room.
         """
         url = shown_url(place.join(name).url)
         try:

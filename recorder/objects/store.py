@@ -64,11 +64,7 @@ class ObstoreObjects:
     """The objects of a place that obstore reads.
 
     Args:
-        place: their address.
         options: of this store, by obstore's names; credentials come from the environment.
-
-    Raises:
-        CommandError: no store is called so, or an option is none of it.
     """
 
     def __init__(self, place: StoreAddress, options: Mapping[str, Any]) -> None:
@@ -171,12 +167,7 @@ def open_store(
     Args:
         url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY, https://.
         options: of this store, by obstore's names; ``allow_http`` of ours.
-        client: how its connections are made.
-        retries: how often it asks again.
         may_make: a directory is made where there is none.
-
-    Raises:
-        CommandError: no store is called so, or an option is none of it.
     """
     config = dict(options)
     client["allow_http"] = bool(config.pop("allow_http", False))

@@ -41,12 +41,8 @@ class KeyReport(msgspec.Struct, frozen=True):
 
     Attributes:
         sent: samples that the source sent, by their sequence; None where the sequence says nothing.
-        received: samples that reached the recorder.
-        written: messages in the log.
         lost_bus: frames lost between chassis and gateway, by their alive counters; None where the gateway's health
             does not report them.
-        lost_source: raw frames that the gateway dropped.
-        lost_link: samples that never reached the recorder.
         lost_queue: samples that the recorder dropped unread, as too many waited.
         lost_size: samples that are larger than the recorder may record.
         lost_full: messages that came while the disk could hold no more.
@@ -181,11 +177,7 @@ LIMITS: Final = {ChannelQuota.OTHER: CHANNEL_LIMIT, ChannelQuota.TABLE: TABLE_CH
 
 
 class Channels:
-    """The channels of a log by key: its only memory of keys, and a bounded one.
-
-    Args:
-        declare: is called with each new channel.
-    """
+    """The channels of a log by key: its only memory of keys, and a bounded one."""
 
     def __init__(self, declare: Callable[[LogChannel], None]) -> None:
         self._declare = declare

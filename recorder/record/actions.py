@@ -53,7 +53,6 @@ class OpenLog(LogAction, frozen=True):
     """Begin a file, and repeat in it what the files before it declared.
 
     Attributes:
-        name: begins the file's name.
         wall_ns: the time in the file's name, since 1970.
         is_incident: the file repeats what the log called ``name`` has declared.
     """
@@ -248,8 +247,6 @@ class DiskRoom(msgspec.Struct, frozen=True):
     """A change of what the disk may hold.
 
     Attributes:
-        has_room: whether logs may be written.
-        has_incident_room: whether incidents may be written.
         roll: the logs are to be ended, so that they may be deleted.
     """
 

@@ -35,7 +35,6 @@ class Incidents:
     """The ring of one log, and the incident that is being written of it. Methods return what is to be done.
 
     Args:
-        name: the log's.
         before_ns: an incident holds so much of what came before it.
         after_ns: an incident lasts so long after the last alarm.
     """
@@ -86,7 +85,6 @@ class Incidents:
         Args:
             now_ns: monotonic time.
             wall_ns: the same instant since 1970.
-            because: the event.
             file: the log's present file; empty if there is none.
         """
         if self._until_ns is not None:
@@ -154,7 +152,6 @@ class LostGateway(msgspec.Struct, frozen=True):
     Attributes:
         key: of its ``safety/state``.
         lost_ns: when its token went, monotonic.
-        text: a sentence about it.
         was_commanding: it commanded the chassis when its last state came.
     """
 

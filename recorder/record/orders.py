@@ -30,7 +30,6 @@ class OperatorRequest(msgspec.Struct, frozen=True):
     """A request, and how to answer it.
 
     Attributes:
-        operator: the sender, by its own word.
         request: the request, or the fault of the payload.
         reply: sends the reply, of which there must be one.
     """
@@ -53,8 +52,6 @@ class Orders:
     """Executes requests on a recorder.
 
     Args:
-        recorder: executes them.
-        health: returns the recorder's present health.
         has_mark_room: returns whether marks may take more of the budget.
     """
 

@@ -110,15 +110,9 @@ class RecorderPlan(msgspec.Struct, frozen=True):
     """The settings of a recorder.
 
     Attributes:
-        root: the first chunks of the robots' keys.
-        recorder: this recorder's name, in its own keys.
         per_robot: a log for each robot; else one for all.
         log: of each log. Its name is that of the log for all, and of the log for what is no robot's.
-        ring_bytes: memory of all rings together.
-        sample_max_bytes: larger samples are counted, and not recorded.
-        standby: incidents are written, and no logs.
         log_limit: robots beyond it share one log, but for those that are known.
-        known: robots that are known by name.
     """
 
     root: str
@@ -486,13 +480,7 @@ class Vitals(msgspec.Struct, frozen=True):
 
 
 class HealthReport:
-    """Makes the health of each second.
-
-    Args:
-        recorder: its name.
-        version: of the recorder.
-        now_ns: when it was started.
-    """
+    """Makes the health of each second."""
 
     def __init__(self, recorder: str, version: str, now_ns: int) -> None:
         self._recorder = recorder

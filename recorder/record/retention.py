@@ -57,8 +57,6 @@ class LogSignature(msgspec.Struct, frozen=True):
 
     Attributes:
         sha256: of the whole log, hexadecimal.
-        file: its name when it was signed.
-        signature: the recorder's, over both.
         chain: the recorder's grant, with those of its signers.
     """
 
@@ -108,11 +106,7 @@ def signed_text(sha256: str, file: str) -> bytes:
 
 
 class LogSigner:
-    """Signs logs with a recorder's key.
-
-    Args:
-        identity: the recorder.
-    """
+    """Signs logs with a recorder's key."""
 
     def __init__(self, identity: Identity) -> None:
         self._identity = identity
@@ -141,7 +135,6 @@ class LogEntry(msgspec.Struct, frozen=True):
 
     Attributes:
         started: the UTC start in its name, which sorts by time.
-        robot: the log's robot, by its name.
         number: of several files of one name and second; the first has none, which is 1.
         is_open: it is being written, or a recorder left it and it is not recovered yet.
         is_own: this recorder is writing it, and can end it.
@@ -167,7 +160,6 @@ class DiskLimits(msgspec.Struct, frozen=True):
     """The room that logs may take; 0 is no limit.
 
     Attributes:
-        budget_bytes: that they may take together.
         floor_bytes: that stay free on the file system.
         known: robots that are known by name; empty if none are.
         keep_s: the last so many seconds of each of those go only when nothing else is left.
@@ -189,9 +181,6 @@ class Judgement(msgspec.Struct, frozen=True):
     """The decision about the disk.
 
     Attributes:
-        delete: names of files, in this order.
-        has_room: logs may be written...
-        has_incident_room: ...and incidents.
         roll: end what is being written, so that it may go later.
     """
 
@@ -202,14 +191,7 @@ class Judgement(msgspec.Struct, frozen=True):
 
 
 def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, is_full: bool) -> Judgement:
-    """Decide what is deleted, and what may be written.
-
-    Args:
-        entries: the recorder's files in the directory.
-        free_bytes: of the file system.
-        limits: the space that may be taken.
-        is_full: recording has stopped for want of room.
-    """
+    """Decide what is deleted, and what may be written."""
     used = sum(entry.bytes for entry in entries)
     wanted = _wanted(used, free_bytes, limits, is_full=is_full)
     # What is said of robots that nobody knows is no reason to keep it for ever, and what is safe need not stay.

@@ -87,14 +87,11 @@ class LogPlan(msgspec.Struct, frozen=True):
     """The settings of a log.
 
     Attributes:
-        name: the log's, which begins its files' names.
         chunk_bytes: a chunk is handed over at this size.
         flush_ns: at most this much of the log is at risk.
-        version: the recorder's.
         rotate_bytes: a file that has reached this size is ended; 0 is never.
         rotate_ns: a file that was begun so long ago is ended; 0 is never.
         idle_ns: a file in which nothing was written for so long is ended; 0 is never.
-        alarms: kinds of safety events that are incidents.
         before_ns: an incident holds so much of what came before it.
         after_ns: an incident lasts so long after the last alarm.
         trust: the fleet's authority, if the recorder knows it.
@@ -121,9 +118,6 @@ class LogContext:
         losses: what is lost, by log, until it is reported.
         fast_paths: by key; see ``fast_path``.
         left_out: why chunks are not written while no file is; None is no loss.
-        has_incident_room: incidents may be begun.
-        incidents: incidents that were begun.
-        announcements: what is to be announced.
     """
 
     def __init__(self) -> None:
@@ -140,7 +134,6 @@ class RobotLog:
     """The log of one robot, or the one log of all.
 
     Args:
-        plan: what to record.
         context: what it shares with the recorder's other logs; its actions go there.
     """
 

@@ -67,12 +67,7 @@ class _Robot:
 
 
 class Robots:
-    """The robots of a log, from their first samples on, up to ROBOT_LIMIT: anybody can make up names.
-
-    Args:
-        log: the log's name.
-        recorder_version: goes into the metadata.
-    """
+    """The robots of a log, from their first samples on, up to ROBOT_LIMIT: anybody can make up names."""
 
     def __init__(self, log: str, recorder_version: str) -> None:
         self._log = log
@@ -199,7 +194,6 @@ class Statements:
     """The statements that the robots of a log have shown.
 
     Args:
-        log: the log's name.
         trust: the authority; None if the recorder was not provisioned with one, so that nothing is proven.
     """
 
@@ -220,7 +214,6 @@ class Statements:
 
         Args:
             robot: the beginning of its keys, root and name.
-            text: the statement with its chain.
             time_ns: by the robot's clock, since 1970.
         """
         if len(text.encode()) > TEXT_MAX_BYTES:

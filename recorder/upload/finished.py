@@ -96,15 +96,12 @@ class UploadManifest(msgspec.Struct, frozen=True, kw_only=True):
     """The manifest of a log.
 
     Attributes:
-        object: the log's name in the store.
         file: its name on the disk from which it came.
         sha256: of its bytes, hexadecimal.
         robot: by the file's name; ``fleet`` where it is of several.
         start_ns, end_ns: the first and the last log time; None if it holds no message, or is not whole.
         metadata: what its recorder wrote of it: robots, versions, variants.
         verified: how: ``read back``, or by the store's own ``checksum``; empty until it is.
-        recorder_version: of the software that uploaded it.
-        uploaded_ns: by that machine's clock.
     """
 
     format: str = FORMAT
@@ -163,7 +160,6 @@ class LogDigest(msgspec.Struct, frozen=True):
     """The checksums of a file.
 
     Attributes:
-        modified_ns: the time of its last change.
         e_tags: what stores that speak S3 call it, without quotes: by all of it, or by the parts in which it came.
     """
 

@@ -96,9 +96,6 @@ class ObstoreLogs:
     Args:
         url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY.
         options: of this store, by obstore's names; credentials come from the environment.
-
-    Raises:
-        CommandError: no store is called so, or an option is none of it.
     """
 
     def __init__(self, url: str, options: Mapping[str, Any]) -> None:
@@ -201,11 +198,8 @@ class UploadPlan(msgspec.Struct, frozen=True):
     """The choice of logs, and the way in which they are uploaded.
 
     Attributes:
-        directory: of the logs.
-        url: the store's, for the note.
         only_incidents: leave logs where they are.
         reads_back: verify a log by reading it back; else by the store's own checksum, where it has one.
-        version: of the software.
     """
 
     directory: Path
@@ -228,7 +222,6 @@ class UploadTotals(msgspec.Struct):
     Attributes:
         uploaded: logs that are safe now; ``bytes`` in all.
         rows: logs beside which a row of the catalog lies now.
-        waiting: names of those that are not, yet.
         faults: why; a line each.
     """
 
@@ -243,9 +236,6 @@ class Uploader:
     """Uploads what is finished.
 
     Args:
-        plan: what, and how.
-        store: the place.
-        note: what is safe already.
         pace: the rate at which a log is read while it is sent, and while it is read back.
         summarize: makes a log's row for the catalog; None makes none.
     """

@@ -60,17 +60,7 @@ def _read(verb: str, sample: zenoh.Sample) -> RecorderReply | PayloadFault:
 
 
 class RecorderClient:
-    """A session from which recorders are asked, from its beginning to ``close``.
-
-    Args:
-        settings: of the session.
-        root: the first chunks of the recorders' keys.
-        operator: who asks.
-        stopped: give up waiting.
-
-    Raises:
-        CommandError: the session cannot be opened.
-    """
+    """A session from which recorders are asked, from its beginning to ``close``."""
 
     def __init__(
         self,
@@ -93,9 +83,6 @@ class RecorderClient:
 
         Args:
             recorder: its name; ``keys.ALL`` for all.
-            verb: a row of the table of verbs.
-            request: what is asked.
-            timeout_s: how long to wait for replies.
         """
         try:
             replies: Any = self._session.get(
@@ -174,9 +161,6 @@ class RemoteControl:
 
     Args:
         settings: of the session, the root, and the recorder's name.
-
-    Raises:
-        CommandError: the session cannot be opened.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -290,11 +274,7 @@ def host_name() -> str:
 
 
 def listen_beside(settings: ZenohSettings) -> list[str]:
-    """Return the endpoints of a session beside the first: one port on from the settings', or see ``local_port``.
-
-    Raises:
-        CommandError: the settings are wrong.
-    """
+    """Return the endpoints of a session beside the first: one port on, or as ``local_port`` has it."""
     try:
         return next_ports(said_of(settings).listen) or local_port(settings)
     except ValueError as error:

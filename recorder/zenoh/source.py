@@ -41,11 +41,7 @@ class Shard(NamedTuple):
 
 
 def shard_of(text: str) -> Shard:
-    """Read ``NUMBER/COUNT``.
-
-    Raises:
-        CommandError: it is not of the form, or there is no such number.
-    """
+    """Read ``NUMBER/COUNT``."""
     match = re.fullmatch(SHARD_PATTERN, text)
     if match is None or int(match[1]) > int(match[2]):
         raise CommandError(f"the shard is {text!r}, and should be such as 2/4: the second of four", ExitCode.USAGE)
@@ -121,12 +117,8 @@ class ZenohSource:
     """A Zenoh session that subscribes to key expressions.
 
     Args:
-        settings: of the session.
         key_expressions: those to subscribe to. A key that several of them match is received once.
         queue_samples: samples that may wait for each of them; beyond it the oldest go.
-
-    Raises:
-        CommandError: a key expression or an endpoint is wrong, or the session cannot be opened.
     """
 
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
@@ -250,11 +242,7 @@ class ZenohSource:
 
 
 def distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
-    """Return the key expressions, without those that another one includes.
-
-    Raises:
-        CommandError: one of them is none.
-    """
+    """Return the key expressions, without those that another one includes."""
     expressions: list[zenoh.KeyExpr] = []
     for text in texts:
         try:
@@ -287,13 +275,8 @@ class ShardedSource(ZenohSource):
     A robot is known by its gateway's liveliness token, and stays known when that is gone.
 
     Args:
-        settings: of the session.
         key_expressions: what of each robot is recorded; the robot's chunk of a key is a robot or a wildcard.
-        root: first chunks of the robots' keys.
         own: which one of how many recorders this is.
-
-    Raises:
-        CommandError: as ``ZenohSource`` does, or a key expression is not of robots.
     """
 
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], root: str, own: Shard) -> None:
@@ -328,8 +311,6 @@ def of_robot(expression: str, root: str, robot: str) -> str | None:
     """Return what of a key expression is one robot's.
 
     Args:
-        expression: in Zenoh's canonical form.
-        root: first chunks of the robots' keys.
         robot: its name; empty for what is any robot's.
 
     Returns:
