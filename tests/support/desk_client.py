@@ -16,7 +16,6 @@ class DeskClient:
 
     Attributes:
         rows: of the overview, by robot, as the page would show them.
-        recorders: their names.
 
         messages, size: the number of messages that came, and their bytes.
     """

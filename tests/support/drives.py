@@ -41,9 +41,7 @@ def drive_log(robot: str = "cruiser-1", first: int = 0, count: int = 20, late_ns
     """A whole log: gears, raw frames, an event, a strange key, and what the gateway says of itself.
 
     Args:
-        robot: whose it is.
         first: sequence of the first gear, each 10 ms after the one before.
-        count: gears.
         late_ns: so much later than it was said the recorder has heard it.
     """
     log = Log(LogPlan(name=robot, chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))

@@ -52,10 +52,7 @@ class FoxgloveClient:
     """A connection to a server.
 
     Attributes:
-        info: the server's first operation.
         channels: what it advertises, by the server's ids.
-        messages: what came of the subscribed channels.
-        said: the other operations that came.
     """
 
     def __init__(self, url: str, trust: ssl.SSLContext | None = None) -> None:

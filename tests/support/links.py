@@ -20,7 +20,6 @@ class LinkProfile(msgspec.Struct, frozen=True):
         jitter: the delay varies by this share of it, to either side.
         loss: the share of messages that is lost at first.
         stall_every_s: nothing comes through in either direction every so often, in the mean; 0 is never...
-        stall_s: ...for this long.
         deadman_s: the deadman that such a link needs, as an engage requests it; None is the configured one.
     """
 

@@ -20,7 +20,6 @@ class LossyLink:
 
     Attributes:
         profile: what kind of link it is now; what is under way keeps its delay.
-        is_cut: nothing arrives any more.
     """
 
     def __init__(self, profile: LinkProfile, seed: int) -> None:

@@ -27,24 +27,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def run(*words: str | Path) -> int:
-    """Run ``cruiser provision`` with these words. Returns its exit code.
-
-    Raises:
-        CommandError: as the command does.
-        SystemExit: the words are wrong.
-    """
+    """Run ``cruiser provision`` with these words. Returns its exit code."""
     arguments = _parser().parse_args(list(map(str, words)))
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     return provision.run(arguments, load_settings(None, os.environ, flags), lambda: False)
 
 
 class ProvisionedFleet:
-    """Directories of a fleet below one directory: standby and authority, and whom they let in.
-
-    Attributes:
-        place: the directory.
-        authority: that of the authority.
-    """
+    """Directories of a fleet below one directory: standby and authority, and whom they let in."""
 
     def __init__(self, place: Path, endpoint: str = ENDPOINT) -> None:
         self.place = place

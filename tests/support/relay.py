@@ -24,8 +24,6 @@ class Relay:
         """Carry connections to a place.
 
         Args:
-            host: of the place.
-            port: of the place.
             delay_s: draws how long the next piece takes, either way; pieces keep their order.
         """
         self._delay_s = delay_s

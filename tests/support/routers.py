@@ -63,9 +63,6 @@ class WatchedRouter:
     """A router, and a session at which all that passes it is seen.
 
     Of ours that is its own session. Zenoh's shows it to a node for which a row is added to its file.
-
-    Attributes:
-        session: the session.
     """
 
     def __init__(self, network: Network, file: Path) -> None:

@@ -43,8 +43,6 @@ class SignedRun:
 
     Attributes:
         samples: what it published of itself, in its order.
-        time_ns: the robot's clock.
-        waiting: inputs of the next journal.
     """
 
     def __init__(

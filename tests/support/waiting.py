@@ -14,11 +14,7 @@ def nothing() -> None:
 def wait_until(
     condition: Callable[[], object], act: Callable[[], None] = nothing, *, deadline_s: float = DEADLINE_S
 ) -> None:
-    """Look, act, and look again until the condition holds.
-
-    Raises:
-        TimeoutError: it never does.
-    """
+    """Look, act, and look again until the condition holds."""
     end_s = time.monotonic() + deadline_s
     while not condition():
         if time.monotonic() > end_s:

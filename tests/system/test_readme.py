@@ -43,7 +43,6 @@ class Run(msgspec.Struct, frozen=True):
 
     Attributes:
         says: what its output has in it, as a regular expression.
-        codes: the exit codes that are right.
         first: what is run before, again and again until it succeeds.
         drives: on a busy machine the guard may stop the robot; it is then reset, and driven once more.
         ended: what is running, and ended before, as by Ctrl-C.
@@ -60,8 +59,6 @@ class Start(msgspec.Struct, frozen=True):
     """A command that goes on, in a terminal of its own, until Ctrl-C; it then ends with 0.
 
     Attributes:
-        says: what shows that it works.
-        code: how it ends instead.
         stays: it is ended at the end of the page, not at once.
     """
 
@@ -167,12 +164,7 @@ SETTINGS = load_settings(None, os.environ, {})
 
 
 class Terminal:
-    """A command in a terminal of its own.
-
-    Attributes:
-        process: the command.
-        shows: all that it has written there.
-    """
+    """A command in a terminal of its own."""
 
     def __init__(self, words: list[str], home: Path, environment: dict[str, str]) -> None:
         self._master, slave = pty.openpty()

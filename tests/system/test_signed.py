@@ -79,11 +79,7 @@ def test_an_operator_drives_within_the_grant_until_it_is_revoked(site: Site) -> 
 
 
 class Flood:
-    """Queries of somebody else, as many as one Python thread sends.
-
-    Attributes:
-        sent: so many.
-    """
+    """Queries of somebody else, as many as one Python thread sends."""
 
     def __init__(self, site: Site, send: Callable[[zenoh.Session], None]) -> None:
         self.sent = 0

@@ -33,7 +33,6 @@ class FakeFleet:
     """Robots that have a liveliness token and answer a stop.
 
     Attributes:
-        names: the robots', in alphabetical order.
         publishes: each publishes 20 times a second that it is latched and stands; else nothing.
     """
 

@@ -12,10 +12,7 @@ class FakeLogStore:
     """A store in memory.
 
     Attributes:
-        objects: what it holds.
         calls: what was asked of it, in order: the method and the object.
-        is_gone: it answers nothing.
-        refused: objects that it never takes.
         cuts: so many writes lose their connection before their last piece.
         spoils: of so many writes it keeps something else.
         is_old: it answers as if nothing had been there before.

@@ -13,12 +13,8 @@ class FakeObjects:
     """A store that answers by ranges.
 
     Attributes:
-        objects: what it holds.
         ranges: name, beginning and end of each range that was asked for, in order.
-        looks: names that were looked at.
         fetched: bytes that were sent.
-        is_gone: it answers nothing.
-        refused: objects that nobody may read.
         breaks_after: so many ranges are answered, and then its connection is lost.
         old_names: the list that it answers instead of the present one.
     """

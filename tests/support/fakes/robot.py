@@ -47,16 +47,11 @@ class FakeRobot:
     """A robot with failure knobs.
 
     Attributes:
-        deaf: queries get no answer, and do nothing.
-        mute: nothing is published.
-        front_bumper: is pressed.
         loose: its parking brake never reads applied once it was released.
         health: what its gateway says of itself, in each tick.
         mode: what the chassis reads; None is what it is told.
         now_ns: its clock, monotonic: a tick for each tick that it does.
-        settings: its gateway's.
         moves_mps: how fast its wheels turn, whatever it is told; None if they obey.
-        token: its liveliness token is there.
     """
 
     name: str = "cruiser-1"

@@ -36,7 +36,6 @@ class Opened(msgspec.Struct):
     """A page as the browser had it at the end.
 
     Attributes:
-        dom: the document, as HTML.
         console: what the page wrote there, and what the browser complained about.
         requests: the addresses that the browser asked for in the page's name.
     """

@@ -37,7 +37,6 @@ class DeskScene:
     Attributes:
         endpoint: where the desk finds the gateway.
         address: where the desk is, as it is typed into a browser.
-        desk: its process.
         router: the process between gateway and desk, if there is one.
     """
 

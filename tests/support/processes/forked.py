@@ -51,11 +51,7 @@ class Forked:
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end. Returns the exit code.
-
-        Raises:
-            subprocess.TimeoutExpired: it runs on.
-        """
+        """Wait for the end. Returns the exit code."""
         self._process.join(timeout)
         code = self.returncode
         if code is None:
@@ -63,11 +59,7 @@ class Forked:
         return code
 
     def communicate(self, timeout: float) -> tuple[str, str]:
-        """Wait for the end. Returns what was still to be read of stdout and stderr; kills what runs on.
-
-        Raises:
-            subprocess.TimeoutExpired: it ran on.
-        """
+        """Wait for the end. Returns what was still to be read of stdout and stderr; kills what runs on."""
         with ThreadPoolExecutor(2) as readers, self.stdout, self.stderr:
             out, err = readers.submit(self.stdout.read), readers.submit(self.stderr.read)
             try:

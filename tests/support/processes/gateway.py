@@ -38,11 +38,7 @@ class Running:
         self.process.stderr.close()
 
     def wait_says(self, pattern: str) -> re.Match[str]:
-        """Wait for a line on stderr that has this in it.
-
-        Raises:
-            AssertionError: none came. It holds what the command said.
-        """
+        """Wait for a line on stderr that has this in it."""
         found: list[re.Match[str]] = []
 
         def search() -> bool:

@@ -48,7 +48,6 @@ class Listener:
     """Hears the bus on a thread of its own.
 
     Attributes:
-        bursts: all that were heard.
         silence: frames of feedback since the last command.
     """
 

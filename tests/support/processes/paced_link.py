@@ -34,7 +34,6 @@ class PacedLink:
     """The uplink from whoever connects to it to a port of this machine.
 
     Attributes:
-        port: the port to connect to.
         up_bytes: so many have been carried from those who connect, and ``down_bytes`` to them.
     """
 
@@ -42,7 +41,6 @@ class PacedLink:
         """Nothing is carried yet.
 
         Args:
-            target: the port.
             profile: the delay of each packet either way; none overtakes another.
             up_bytes_per_s: the rate upwards; down there is no limit.
             queue_packets: the places in the modem's queue, each for a packet of up to ``CHUNK_BYTES``.

@@ -29,10 +29,7 @@ class Trip(msgspec.Struct, frozen=True):
 
     Attributes:
         moving: the share of the time in which the robot went as fast as the travel delay allowed.
-        stops_per_min: how often it was stopped.
-        reached_mps: the median of its speed.
         after_cut_m: how far it went after the link was cut.
-        stops: why it was stopped, in order.
     """
 
     moving: float

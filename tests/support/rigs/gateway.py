@@ -59,16 +59,10 @@ class GatewayRig:
         links: what the loop sees of the bus and of the guard.
         takes: how many frames of a tick the bus takes; None for all.
         corrupt: what becomes of a feedback frame on its way; None is lost.
-        wall_ns: the wall clock.
-        late_ns: how late the next tick begins.
         samples: all that was published in the last tick.
-        state, events, decided, replies: what was published and replied.
         published: the challenges that were published, the newest last.
         bursts: all motion frames that went out, read by the DBC: the time, and the signals by frame.
-        out: all frames that went out.
         heard: the raw speeds of all drive frames that reached the chassis.
-        faults: the words of the faults so far.
-        chassis_hears: frames reach the chassis.
         recorded: all that was published, each with the time of a recorder's clock, which nobody sets.
         offered: the frames of each tick, before the bus took them.
         recorder_ns: the recorder's time when the rig's is 0.
@@ -329,12 +323,7 @@ class GatewayRig:
 
 
 class Operator:
-    """Somebody with a lease.
-
-    Attributes:
-        lease: the number, once it was given.
-        sequence: that of the last drive command.
-    """
+    """Somebody with a lease."""
 
     def __init__(self, rig: GatewayRig, name: str = "first") -> None:
         self.rig = rig

@@ -31,14 +31,11 @@ class GuardRig:
     """Lets time pass in polls of 5 ms; the loop ticks in every second one, as long as it lives.
 
     Attributes:
-        loop_lives, parent_lives, bus_up, mute: knobs.
         takes: how many frames of a burst the bus takes.
         hears_loop: the guard hears what the loop sends; on some interfaces it does not.
         told: what the loop tells the chassis; None for silence.
         left: what the loop says that it had told when it fell silent, if the chassis may obey that again.
-        sent: what the guard sent, with its time.
         see: what the guard sees instead of a feedback frame.
-        lines: what the guard said.
         mark: how many frames the guard and the loop had sent at the last mark.
         fastest_mps: the fastest that the robot was since then.
     """

@@ -130,10 +130,6 @@ class RecordedRig(GatewayRig):
         """The log of all that was said, as a recorder writes it.
 
         Args:
-            with_info: it begins with who the gateway is.
-            without: subjects that are not in it.
-            robot: its name.
-            recorder_says: the recorder's own events, at the end.
             lag_ns: a sample is received so much later than it was published.
             journal: what becomes of each message of the journal before it is recorded.
             tick_ns: the recorder ticks so often, and then writes chunks in time; 0: only full ones.

@@ -36,7 +36,6 @@ class FakeSystemd:
     """A machine whose services are processes of this test; their places are below a directory.
 
     Attributes:
-        programs: what was run.
         listen: where the gateway is to be reached, if not where it says itself.
     """
 

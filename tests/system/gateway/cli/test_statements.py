@@ -35,7 +35,6 @@ class FakeRobot:
     """A robot's authority on Zenoh: its token, its challenge, and its answers to statements.
 
     Attributes:
-        authority: what it knows.
         kept: what it answers in place of anything else: an answer to a question of before.
         drops: so many queries it leaves unanswered, as one that is flooded does.
     """

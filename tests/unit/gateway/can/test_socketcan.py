@@ -30,7 +30,6 @@ class FakeSocket:
 
     Attributes:
         waiting: what is read: a frame, its time in seconds and nanoseconds, the drops before it; or an error.
-        fails: raised by each call that sends.
         may_force: the buffer may be larger than the system's limit.
     """
 

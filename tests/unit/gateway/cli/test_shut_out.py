@@ -21,11 +21,6 @@ class World:
     """A service manager, and a router that comes at the attempt of a number; with a knob for each.
 
     Attributes:
-        refusals: attempts that fail yet.
-        is_managed: a service manager started this.
-        told: what that was told.
-        tried: the endpoints of the attempts.
-        pauses: between them.
         ends_after: the pauses after which the service is stopped.
     """
 

@@ -25,8 +25,6 @@ class AnsweringPort:
 
     Attributes:
         is_proven: the port accepts the reply; else it is rejected, as one that cannot be verified.
-        rejected: of the query.
-        puts: the verbs that were put.
     """
 
     def __init__(self, *, is_proven: bool = True, reply: bytes = STOPS) -> None:
