@@ -36,8 +36,8 @@ import msgspec
 import zenoh
 
 from recorder.encoding.routes import RAW_CHUNK
-from recorder.reading.logs import Faults, LogFile
-from recorder.reading.rows import Row, Selection, read_rows
+from recorder.reading.logs import Faults
+from recorder.reading.rows import Row
 from recorder.reading.topics import UNREADABLE, Topic
 from schemas import codec, keys
 from schemas.can_word import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE
@@ -74,20 +74,6 @@ class ReplayRun(msgspec.Struct, frozen=True, gc=False):
     time_ns: int
     topic: Topic
     rows: list[Row]
-
-
-def topics_of(logs: Sequence[LogFile]) -> list[Topic]:
-    """The topics of logs. Of chunks that have an index none is read."""
-    found: list[Topic] = []
-
-    def note(topic: Topic) -> bool:
-        found.append(topic)
-        return False
-
-    # What cannot be read is told when the rows are.
-    for _ in read_rows(logs, Selection(note), Faults()):
-        pass
-    return found
 
 
 def once(rows: Iterable[Row], remembered: int = REMEMBERED) -> Iterator[Row]:

@@ -18,6 +18,7 @@ from recorder.cli.asking import Asked, add_logs, add_period, end_with, find
 from recorder.cli.show import show
 from recorder.reading.logs import Faults
 from recorder.reading.rows import Selection, read_rows
+from recorder.reading.survey import survey
 from recorder.replay import (
     AS_FAST_AS_POSSIBLE,
     DEFAULT_ROOT,
@@ -41,7 +42,6 @@ from recorder.replay import (
     play,
     roots_of,
     runs,
-    topics_of,
 )
 from schemas import keys
 from schemas.arguments import add_link_arguments, seconds
@@ -181,7 +181,9 @@ def _replay(
     root, by = arguments.root, By(arguments.time)
     if re.fullmatch(keys.ROOT_PATTERN, root) is None:
         raise CommandError(f"{root!a} cannot be a root: it is {keys.ROOT_PATTERN}", ExitCode.USAGE)
-    roots = roots_of(topics_of(asked.logs))
+    # What cannot be read is told when the rows are.
+    topics = survey(asked.logs, Faults()).topics.values()
+    roots = roots_of(topics)
     _check_root(root, {*roots, settings.robot.root}, is_forced=arguments.force)
     samples = Samples(KeyMap(root, roots), wants, asked.faults)
     selection = Selection(lambda topic: may_hold(topic, wants), asked.from_ns, asked.to_ns)
@@ -194,7 +196,7 @@ def _replay(
         return samples.of(in_order(found) if by is By.PUBLISH else found)
 
     # Or it would wait for somebody, and have nothing to say.
-    if not any(may_hold(topic, wants) for topic in topics_of(asked.logs)):
+    if not any(may_hold(topic, wants) for topic in topics):
         raise CommandError(NOTHING)
     player = ReplayScheduler(read, Pace(arguments.speed, round(arguments.longest_pause * 1e9)), arguments.loop)
     with closing(ZenohOutlet(settings.zenoh, root, waits=not player.pace.is_paced)) as outlet:

@@ -165,7 +165,7 @@ class BlockReader:
         name: of the log.
         topics: by channel id, those known so far.
         wanted: those of them that are wanted.
-        metadata: all metadata records by name, the last of each.
+        metadata: name and entries of each metadata record met so far.
         attachments: those met so far.
     """
 
@@ -179,7 +179,7 @@ class BlockReader:
         self.selection = selection
         self.topics = self._declared.topics
         self.wanted: dict[int, Topic] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
+        self.metadata: list[tuple[str, dict[str, str]]] = []
         self.attachments: list[records.Attachment] = []
         # Others declare channels within chunks; the summary repeats them.
         self._want(self._declared.take_summary(read_summary(stream)))
@@ -203,7 +203,7 @@ class BlockReader:
                 case MessageBlock():
                     yield piece, None
                 case records.Metadata():
-                    self.metadata[piece.name] = piece.metadata
+                    self.metadata.append((piece.name, piece.metadata))
                 case records.Attachment():
                     self.attachments.append(piece)
                 case Fault() if piece.cuts and self._is_being_written:

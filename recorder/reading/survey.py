@@ -32,12 +32,12 @@ class Survey(msgspec.Struct):
 
     Attributes:
         topics: by name.
-        metadata: by name, the last of each.
+        metadata: name and entries of each record, in the order of the files.
         attachments: all of them by their log time, but for the digest of events.
     """
 
     topics: dict[str, Topic]
-    metadata: dict[str, dict[str, str]]
+    metadata: list[tuple[str, dict[str, str]]]
     attachments: list[records.Attachment]
 
     @property
@@ -53,7 +53,7 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
         logs: in the order of their beginnings.
         faults: collects what cannot be read.
     """
-    found = Survey({}, {}, [])
+    found = Survey({}, [], [])
     for log in logs:
         try:
             with log.open() as stream:
@@ -81,7 +81,7 @@ def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
             for _, topic in Declared(log.namesakes).take_summary(summary):
                 found.topics.setdefault(topic.name, topic)
             found.attachments += filter(None, attachments)
-            found.metadata.update((one.name, one.metadata) for one in metadata if one is not None)
+            found.metadata += [(one.name, one.metadata) for one in metadata if one is not None]
             return True
     return False
 
@@ -93,7 +93,7 @@ def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -
     for topic in reader.topics.values():
         found.topics.setdefault(topic.name, topic)
     found.attachments += [one for one in reader.attachments if one.name != FORMER_DIGEST]
-    found.metadata.update(reader.metadata)
+    found.metadata += reader.metadata
 
 
 CONFIGURATION: Final = "configuration.toml"

@@ -154,6 +154,7 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
         owner: the same, but also for what a recorder writes beside the topic of a key.
         subject: the name in the table of subjects, for such a key; else empty.
         decode: a message's bytes to the message; raises what UNREADABLE lists. None if nobody here can read them.
+        metadata: of the channel.
     """
 
     name: str
@@ -166,6 +167,7 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
     owner: str
     subject: str
     decode: Decode | None
+    metadata: dict[str, str] = {}
 
 
 def topic_of(
@@ -197,6 +199,7 @@ def topic_of(
         owner="" if of_key is None else robot_of(of_key, namesakes),
         subject="" if parts is None else parts.subject.name,
         decode=decode,
+        metadata=channel.metadata,
     )
 
 

@@ -13,9 +13,9 @@ import msgspec
 
 from recorder.encoding.samples import SEQUENCE_SPAN
 from recorder.reading.logs import Faults, LogFile, logs_of
-from recorder.reading.rows import Progress, Row, Selection, read_rows
+from recorder.reading.rows import Progress, Row, Selection, decoded_rows
 from recorder.reading.survey import survey
-from recorder.reading.topics import UNREADABLE, Topic
+from recorder.reading.topics import Topic
 from recorder.review.verifying import (
     CommandRecord,
     GrantInfo,
@@ -128,7 +128,7 @@ def shown_statements(
     """All grants and revocations that logs hold, by their log time; each text once for each robot."""
     found: dict[tuple[str, str], ShownStatement] = {}
     wanted = Selection(lambda topic: topic.subject == STATEMENT)
-    for row, message in _messages(read_rows(logs, wanted, faults, progress), faults):
+    for row, message in decoded_rows(logs, wanted, faults, progress):
         if isinstance(message, SignedStatement):
             robot = row.topic.robot
             found.setdefault((robot, message.text), ShownStatement(robot, message.time_ns, message.text))
@@ -210,8 +210,9 @@ class _Verification:
             self._robots.update(filter(None, [topic.robot]))
             return topic.robot == self._robot and topic.subject in subjects
 
-        rows = read_rows(self._logs, Selection(wants), self._faults, progress)
-        for row, message in _messages(rows, self._faults):
+        for row, message in decoded_rows(self._logs, Selection(wants), self._faults, progress):
+            if not isinstance(message, Message):
+                continue
             if row.publish_ns != message.time_ns or row.sequence != message.sequence % SEQUENCE_SPAN:
                 what = f"{row.topic.subject}: samples that the log gives another time, or another place"
                 self._find(ProofFault.CHANGED, what, message.time_ns)
@@ -239,17 +240,6 @@ def _judge_recorder(authority: LogAuthority, log: LogFile, file: SignedFile) -> 
         return None
     what = f"{file.file} is signed by a key that no recorder's grant is for"
     return ProofFinding(ProofFault.WRONGLY_SIGNED, what, log.end_ns)
-
-
-def _messages(rows: Iterator[Row], faults: Faults) -> Iterator[tuple[Row, Message]]:
-    for row in rows:
-        try:
-            message = None if row.topic.decode is None else row.topic.decode(row.data)
-        except UNREADABLE as error:
-            faults.add(f"{row.topic.name}: a message that cannot be read: {error}")
-            continue
-        if isinstance(message, Message):
-            yield row, message
 
 
 def _merged(findings: Sequence[ProofFinding]) -> list[ProofFinding]:

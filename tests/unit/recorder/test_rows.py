@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from recorder.reading.rows import Row
 from recorder.reading.topics import Topic
-from recorder.replay import By, ReplayRun, in_order, once, runs, topics_of
+from recorder.replay import By, ReplayRun, in_order, once, runs
 from schemas.messages import CanFrame, RawSample
 from schemas.settings import BATCH_MAX_FRAMES
 from tests.support.drives import drive_samples, write_samples
 from tests.support.messages import MS, SECOND, WALL_NS, can_frame
-from tests.support.reading import logs_of, row_of, rows_of, topic
+from tests.support.reading import row_of, rows_of, topic
 
 RX = topic("fleet/cruiser-1/can/can0/rx")
 TX = topic("fleet/cruiser-1/can/can0/tx")
@@ -115,17 +115,6 @@ def test_what_is_very_late_comes_late() -> None:
 
     for given_out, _ in enumerate(in_order(counted(), horizon_ns=10**18, limit=50)):
         assert held[-1] - given_out <= 51
-
-
-def test_the_topics_of_logs_are_known_before_their_messages(tmp_path: Path) -> None:
-    """Of every file."""
-    one = write_samples(tmp_path / "one.mcap", drive_samples(2))
-    two = write_samples(tmp_path / "two.mcap", drive_samples(2, "other", "cruiser-2"))
-    names = {found.name for found in topics_of(logs_of(one, two))}
-    assert {"fleet/cruiser-1/chassis/gear", "other/cruiser-2/can/can0/rx", "fleet/elsewhere"} <= names
-    cut = tmp_path / "cut.mcap.part"
-    cut.write_bytes(one.read_bytes()[:-300])
-    assert {found.name for found in topics_of(logs_of(cut))} >= {"fleet/cruiser-1/chassis/gear"}
 
 
 def test_other_messages_are_runs_of_their_own() -> None:

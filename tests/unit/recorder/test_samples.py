@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from recorder.encoding.protobuf import LOGGED, compile_encoder
 from recorder.reading.logs import Faults
 from recorder.reading.rows import Row
+from recorder.reading.survey import survey
 from recorder.replay import (
     ENCODING_BYTES_MAX,
     By,
@@ -24,7 +25,6 @@ from recorder.replay import (
     roots_of,
     runs,
     shifted,
-    topics_of,
 )
 from schemas import codec, keys
 from schemas.can_word import ERROR, EXTENDED, REMOTE
@@ -43,7 +43,7 @@ def every_key(_key: str) -> bool:
 
 def replayed(path: Path, root: str = "replay") -> tuple[list[ReplaySample], Samples]:
     """All samples of a log."""
-    found = Samples(KeyMap(root, roots_of(topics_of(logs_of(path)))), every_key, Faults())
+    found = Samples(KeyMap(root, roots_of(survey(logs_of(path), Faults()).topics.values())), every_key, Faults())
     return list(found.of(runs(rows_of(path), By.LOG))), found
 
 

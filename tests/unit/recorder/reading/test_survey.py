@@ -30,7 +30,7 @@ def test_topics_metadata_and_attachments_are_found(tmp_path: Path, cut: int) -> 
         "fleet/elsewhere",
     ]
     assert found.robots == ["cruiser-1"]
-    assert found.metadata[METADATA_NAME]["robots"] == "cruiser-1"
+    assert dict(found.metadata)[METADATA_NAME]["robots"] == "cruiser-1"
     names = [one.name for one in found.attachments]
     assert names[:2] == ["cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc"]
     assert all(name.startswith("cruiser-1/layout.") for name in names[2:])

@@ -68,7 +68,9 @@ def test_a_time_begins_with_its_first_and_ends_before_its_last(
     """By log time."""
     made, read = part(tmp_path, LOG, period, GEAR_TOPIC)
     assert [message[1] for message in read.messages] == list(expected)
-    assert made.messages == len(list(expected))
+    assert (made.messages, made.channels) == (len(list(expected)), 1)
+    # Of a time without messages too.
+    assert [channel.topic for channel in read.channels] == [GEAR_TOPIC]
 
 
 @pytest.mark.parametrize(
