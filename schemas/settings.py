@@ -471,6 +471,21 @@ PULSES_STEADY: Final = 0.9
 PULSES_REST_S: Final = 0.55
 """Wheel pulses show that a robot rolls once it should have stood for their second half, and three frames."""
 
+OUTER_WHEEL_RATIO: Final = 1.25
+"""In the tightest curve the outer wheel is faster than the middle of the robot by no more than this ratio."""
+
+CREEP_PULSES: Final = 40
+"""So many wheel pulses the same way, a few in each frame and none missing for long, show that the robot creeps."""
+
+CREEP_FRAME_PULSES: Final = 2
+"""A robot that counts more wheel pulses in a period is not creeping: it drives, or comes to rest."""
+
+CREEP_PAUSE_FRAMES: Final = 10
+"""After so many periods, 500 ms, without a wheel pulse the robot stands."""
+
+CREEP_REST_NS: Final = 2_000_000_000
+"""A robot has had this long to come to rest before a few wheel pulses show that it creeps."""
+
 SEND_FAILURES: Final = 5
 """This many ticks in a row whose frames the bus did not accept are a failure."""
 

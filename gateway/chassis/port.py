@@ -61,6 +61,7 @@ class ChassisState(msgspec.Struct, frozen=True):
             standstill: the robot moves, in whatever scale.
         pulses: the direction in which the wheel encoders count, 1 forward, -1 backward; 0 while they stand still
             or are not known. The manual gives no resolution, so they give a direction and no speed.
+        creeps: the direction in which they have counted for a while, but not in each frame; 0 if they have not.
         commander_ns: when another computer's command frame was last received; None if never.
         guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
@@ -97,6 +98,7 @@ class ChassisState(msgspec.Struct, frozen=True):
     guard_says: str = ""
     is_behind: bool = False
     realtime: bool = False
+    creeps: int = 0
 
     @property
     def reads_zero(self) -> bool:
@@ -119,7 +121,7 @@ class ChassisState(msgspec.Struct, frozen=True):
         # Where the scale is in doubt the raw drive feedback counts; else a fine one would never be at rest.
         is_scaled = self.confirmed and self.speed_mps is not None
         turns = bool(self.turns) and not is_scaled
-        return turns or bool(self.pulses) or (self.fastest_mps or 0.0) > STANDSTILL_MPS
+        return turns or bool(self.pulses or self.creeps) or (self.fastest_mps or 0.0) > STANDSTILL_MPS
 
     @property
     def slowest_mps(self) -> float:

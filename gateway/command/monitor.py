@@ -16,6 +16,8 @@ from math import inf
 from operator import sub
 from typing import Final
 
+import msgspec
+
 from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT
 from gateway.chassis.port import AT_REST, Actuation, ChassisState
 from gateway.command.rulings import BUMPERS
@@ -25,6 +27,7 @@ from schemas.reasons import Reason
 from schemas.settings import (
     BUMPER_CLEAR_NS,
     COMMANDER_NS,
+    CREEP_REST_NS,
     CREEPING_NS,
     DRIVE_LAG_S,
     FOUND_MOVING_NS,
@@ -42,6 +45,7 @@ from schemas.settings import (
     NOT_MOVING_COMMAND_MPS,
     NOT_MOVING_MPS,
     NOT_MOVING_NS,
+    OUTER_WHEEL_RATIO,
     OVERSPEED_MPS,
     OVERSPEED_NS,
     PULSES_REST_S,
@@ -285,8 +289,12 @@ class Plausibility:
             # Before that, half of them may be of the ramp up and the other half of the ramp down, and seem steady.
             if chassis.pulses == sign and rest_s >= PULSES_REST_S:
                 return f"{way} by the wheel pulses"
+            if chassis.creeps == sign and rest_s >= PULSES_REST_S:
+                return f"{way} by some wheel pulses in each second"
         fastest_mps = chassis.fastest_mps or 0.0
-        if not told_mps and fastest_mps > max(envelope.forward_mps, envelope.backward_mps) + bound_mps:
+        # On its way to rest in a curve the outer wheel is faster than the robot.
+        left_mps = max(envelope.forward_mps, envelope.backward_mps) * OUTER_WHEEL_RATIO
+        if not told_mps and fastest_mps > left_mps + bound_mps:
             return f"at {fastest_mps:.2f} m/s"
         return ""
 
@@ -356,6 +364,9 @@ class ChassisMonitor:
         send_failures: ticks in a row whose frames the bus did not take.
     """
 
+    _driven_ns: int | None = None
+    """When it was last driven, or fast. Checkpoints of before do not have it."""
+
     def __init__(self) -> None:
         self.chassis = ChassisState()
         self.stands = False
@@ -374,6 +385,12 @@ class ChassisMonitor:
 
     def update(self, chassis: ChassisState, now_ns: int, told: Actuation = AT_REST) -> None:
         """Take in the chassis at this tick, and the command that it has."""
+        is_fast = (chassis.fastest_mps or 0.0) >= STANDSTILL_MPS
+        if told.speed_mps or is_fast or chassis.mode is Mode.REMOTE or self._driven_ns is None:
+            self._driven_ns = now_ns
+        if chassis.creeps and now_ns - self._driven_ns < CREEP_REST_NS:
+            # These may be the last centimetres of a robot that was driven slowly.
+            chassis = msgspec.structs.replace(chassis, creeps=0)
         self.chassis = chassis
         self._slow_ticks = self._slow_ticks + 1 if chassis.is_slow else 0
         self.stands = self._slow_ticks >= STANDSTILL_TICKS

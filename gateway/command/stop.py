@@ -212,10 +212,14 @@ class StopSequence:
 
     def _roll(self, feedback: StopFeedback, now_ns: int) -> None:
         """Hold on to a robot that moves behind its applied brake, or give it back to the motor that stopped it."""
-        speed_mps = feedback.speed_mps or 0.0
+        self._begun_ns = now_ns
+        if feedback.speed_mps is None:
+            # Beyond all speeds that its chassis can report it may be slowing down: nothing shows it.
+            return
+        speed_mps = feedback.speed_mps
         if now_ns - self._rolls_ns > _STEP_MAX_NS:
             self._rolled_ns, self._rolled_mps = now_ns, speed_mps
-        self._rolls_ns = self._begun_ns = now_ns
+        self._rolls_ns = now_ns
         slips = now_ns - self._rolled_ns >= ROLLING_NS and speed_mps > self._rolled_mps - SLOWING_MPS
         if slips and self._may_release and self._stood_by_motor and feedback.is_braked:
             self.release(now_ns, feedback.wheel_speed_mps)
@@ -228,7 +232,9 @@ class StopSequence:
         speed_mps = inf if feedback.speed_mps is None and feedback.moves else feedback.speed_mps or 0.0
         is_early = now_ns - self._begun_ns < MOTOR_HOLDS_NS
         # Noise of a bit each way is not faster.
-        is_faster = not is_early and speed_mps > self._released_mps + RUNAWAY_RISE_MPS + _HAIR
+        is_faster = not is_early and (
+            speed_mps == inf or speed_mps > self._released_mps + RUNAWAY_RISE_MPS + _HAIR
+        )
         # The motor has it only once the brake has opened: before, it gathers speed still.
         is_newer = feedback.is_braked if is_early else speed_mps < self._released_mps
         if self._released_mps == inf or is_newer:

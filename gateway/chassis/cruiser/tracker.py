@@ -37,7 +37,13 @@ from schemas.messages import (
     WheelPulse,
     WheelSpeed,
 )
-from schemas.settings import PULSES_MOVING_FRAMES, PULSES_STEADY
+from schemas.settings import (
+    CREEP_FRAME_PULSES,
+    CREEP_PAUSE_FRAMES,
+    CREEP_PULSES,
+    PULSES_MOVING_FRAMES,
+    PULSES_STEADY,
+)
 
 _Kind = TypeVar("_Kind", bound=Feedback)
 
@@ -112,6 +118,7 @@ class ChassisTracker:
             fastest_wheel_mps=_fastest_mps(wheels),
             turns=self._turns(now_ns),
             pulses=self._encoders.direction(self._latest(WHEEL_PULSE, WheelPulse)),
+            creeps=self._encoders.creeps,
             angle_deg=steering.angle_deg if steering is not None else None,
             front_bumper=front or (_bumper(body, body.front_bumper) if body is not None else None),
             rear_bumper=rear or (_bumper(body, body.rear_bumper) if body is not None else None),
@@ -172,6 +179,9 @@ class ChassisTracker:
 class Encoders:
     """Reads from wheel pulses whether and where the robot goes, without knowing how far a pulse is."""
 
+    _crept = _pause = 0
+    """Pulses one way while it creeps, and periods since the last of them. Checkpoints of before have neither."""
+
     def __init__(self) -> None:
         self._before: WheelPulse | None = None
         # What was counted from one frame to the next, and over how many periods: frames may be lost.
@@ -184,15 +194,30 @@ class Encoders:
         A robot on its last centimetres to standstill counts slower and slower, and does not roll.
         """
         if pulses is None or not pulses.valid:
-            self._before, self._direction = None, 0
+            self._before, self._direction, self._crept = None, 0, 0
             self._counted.clear()
         elif pulses != self._before:  # By value: a core that resumes has two objects of one frame.
             if self._before is not None:
-                periods = (pulses.alive_counter - self._before.alive_counter) % COUNTER_SPAN
-                self._counted.append((_counted(pulses, self._before), max(1, periods)))
+                count = _counted(pulses, self._before)
+                periods = max(1, (pulses.alive_counter - self._before.alive_counter) % COUNTER_SPAN)
+                self._counted.append((count, periods))
                 self._direction = self._judge()
+                self._creep(count, periods)
             self._before = pulses
         return self._direction
+
+    @property
+    def creeps(self) -> int:
+        """1 forward, -1 backward: both wheels together have counted that way for a while, and slowly; else 0."""
+        return _sign(self._crept) if abs(self._crept) >= CREEP_PULSES else 0
+
+    def _creep(self, count: int, periods: int) -> None:
+        self._pause = 0 if count else self._pause + periods
+        is_other_way = count * self._crept < 0
+        if is_other_way or self._pause >= CREEP_PAUSE_FRAMES or abs(count) > CREEP_FRAME_PULSES * periods:
+            self._crept = 0
+        else:
+            self._crept += count
 
     def _judge(self) -> int:
         counted = list(self._counted)

@@ -225,9 +225,17 @@ class Plant:
         return pull <= 0 or (not self.brake_creep_mps and pull <= self._grip_mps2)
 
     @property
+    def creeps_slowly(self) -> bool:
+        """So slowly that the speeds read zero, and that not each 50 ms bring a pulse of either wheel.
+
+        A brake that catches and lets go by turns creeps at half its speed.
+        """
+        return 0 < self.brake_creep_mps * self.build.pulses_per_m * 0.05 < 1
+
+    @property
     def creeps_unseen(self) -> bool:
-        """So slowly that the speeds read zero, and that not each 50 ms bring a pulse of either wheel."""
-        return 0 < self.brake_creep_mps * 2 * self.build.pulses_per_m * 0.05 < 1
+        """So slowly that one wheel alone does not bring a pulse in 450 ms."""
+        return 0 < self.brake_creep_mps / 2 * self.build.pulses_per_m * 0.45 < 1
 
     @property
     def brake_slows_mps2(self) -> float:

@@ -470,6 +470,7 @@ class Play:
             is_undisturbed=plan.is_undisturbed,
             lag_s=plan.build.drive_lag_s,
         )
+        self.oracle.finds_variant = plan.finds_variant
         self.gateway = Gateway(settings, random, keeps=keeps)
         operator = Operator(plan.legs, gives_up_s=plan.gives_up_s, recovers=plan.recovers)
         bus = Bus(random, plan.loss, plan.corruption)

@@ -302,6 +302,38 @@ def creeps_unseen(stage: Stage) -> None:
     stage.run(10.0, lambda: stage.burst(GEAR_N, parking=1))
 
 
+def creeps_slowly(stage: Stage) -> None:
+    """A few pulses in each second show it, too late for its motor to get it back: it is said, and creeps on."""
+    stage.run(0.8, lambda: stage.burst(GEAR_D))
+    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
+    stage.plant.build = replace(stage.plant.build, pulses_per_m=400.0, parks_motor=True)
+    stage.plant.brake_creep_mps = 0.03
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
+    stage.run(3.0, lambda: stage.burst(GEAR_D, parking=1))
+    stage.state = {**stage.state, "latched": ["rolling"]}
+    stage.run(15.0, lambda: stage.burst(GEAR_D, parking=1))
+
+
+def caught_unheard(stage: Stage) -> None:
+    """It rolls while its controller restarts, its brake is asked for then and catches it, and fails afterwards."""
+    stage.run(0.5, lambda: stage.burst(GEAR_D))
+    stage.plant.build = replace(stage.plant.build, parks_motor=True)
+    stage.plant.slope_deg = stage.plant.slope_target_deg = 8.0
+    stage.oracle.disturb(stage.now_s, 9.0)
+    stage.plant.reboot(0.4)
+    stage.oracle.blind(stage.now_s, 0.6)
+    stage.run(0.25, lambda: stage.burst(GEAR_D))
+    stage.run(0.8, lambda: stage.burst(GEAR_D, parking=1))
+    fails_parked(stage, 8.0)
+
+
+def engaged_after_a_long_stop(stage: Stage) -> None:
+    """It was asked for while a gentle ramp of 5 s was under way."""
+    stage.oracle._limits = replace(stage.oracle._limits, deceleration_mps2=0.2)
+    stage.oracle.requests("engage", {}, stage.now_s)
+    stage.run(6.5, lambda: stage.burst(GEAR_D, parking=1))
+
+
 def given_back_in_vain(stage: Stage) -> None:
     """It stands by its motor, and is given to its brake again all the same."""
     given_back(stage, 1.0, None)
@@ -626,12 +658,12 @@ def yields_unbraked(stage: Stage) -> None:
 
 
 def brake_slips(stage: Stage) -> None:
-    """It stood by its motor, creeps, is latched, and goes on."""
+    """It stood by its motor, creeps so fast that each frame has a pulse, is latched, and goes on."""
     stage.run(0.2, lambda: stage.burst(GEAR_D))
     stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
     stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
     stage.state = {**stage.state, "latched": ["rolling"]}
-    stage.plant.brake_creep_mps = 0.02
+    stage.plant.brake_creep_mps = 0.03
     stage.plant.slope_deg = stage.plant.slope_target_deg = 3
     stage.oracle.requests("stop", {}, stage.now_s)
     stage.state = {**stage.state, "engaged": False, "stop_reason": "remote_stop", "latched": ["remote_stop"]}
@@ -768,6 +800,9 @@ KEEPS: list[Callable[[Stage], None]] = [
     frozen_within_its_lag,
     pushed_off_its_brake,
     creeps_unseen,
+    creeps_slowly,
+    caught_unheard,
+    engaged_after_a_long_stop,
 ]
 
 

@@ -393,6 +393,53 @@ def test_a_robot_that_creeps_when_its_enables_are_gone_is_kept_in_gear() -> None
     assert (hill.says.state, hill.says.latched) == (ArbiterState.STANDBY, [])
 
 
+CREEPS = [
+    # behind which brake, how fast, latched
+    ("of a robot that stands by", 0.003, Reason.ROLLING),
+    ("of a robot that stands by", 0.012, Reason.ROLLING),
+    ("of a robot that stands by", 0.04, Reason.ROLLING),
+    ("of the auto-hold", 0.006, Reason.ROLLING),
+    ("of the auto-hold", 0.012, Reason.ROLLING),
+    ("of the auto-hold", 0.04, Reason.BRAKE_SLIPS),
+]
+
+
+@pytest.mark.parametrize(("brake", "creep_mps", "latched"), CREEPS)
+def test_a_robot_that_creeps_behind_its_brake_is_found_by_a_few_pulses(
+    brake: str, creep_mps: float, latched: Reason
+) -> None:
+    """Row 'a parking brake': the speeds read zero, and not every frame has a pulse."""
+    hill = Hill(-8.0)
+    hill.operator.drive(0.5, seconds=2.0)
+    hill.drive_until_parked(0.0)
+    if brake == "of a robot that stands by":
+        hill.operator.ask("disengage")
+        hill.run(4.0)
+        assert hill.says.state is ArbiterState.STANDBY
+    crept_m = 0.0
+    while not hill.says.latched and crept_m < 0.1:
+        body = hill.chassis._motion
+        body._left_m += creep_mps * 0.01
+        body._right_m += creep_mps * 0.01
+        crept_m += creep_mps * 0.01
+        if hill.says.state is ArbiterState.ENGAGED:
+            hill.operator.drive(0.0, seconds=0.01)
+        else:
+            hill.tick()
+    assert latched in hill.says.latched
+    assert hill.says.state is ArbiterState.STOPPING
+
+
+def test_a_robot_that_was_told_to_creep_does_not_creep_when_it_stops() -> None:
+    """Nor one that comes to rest: its last pulses are of the way that was commanded."""
+    for speed_mps in (0.005, 0.02, 0.04):
+        hill = Hill(0.0)
+        hill.operator.drive(speed_mps, seconds=8.0)
+        hill.operator.drive(0.0, seconds=6.0)
+        hill.operator.drive(-speed_mps, seconds=6.0)
+        assert (hill.says.state, hill.says.latched) == (ArbiterState.ENGAGED, [])
+
+
 @pytest.mark.parametrize("slope_deg", [8.0, 20.0])
 def test_a_hill_start_does_not_roll_back(slope_deg: float) -> None:
     """Row 'standing': the brake is released in gear, and the ramp waits for the feedback that says so."""

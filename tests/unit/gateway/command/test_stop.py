@@ -299,6 +299,36 @@ def test_a_robot_that_moves_beyond_what_can_be_read_is_held_by_no_motor(
     assert stop.run(unread, 50).parking is is_braked
 
 
+def test_a_motor_that_is_given_a_robot_beyond_what_can_be_read_gives_it_back() -> None:
+    """The same: no speed is ever received, so none is seen to rise."""
+    stop = Run(Actuation(enabled=True, gear=DRIVE, parking=True))
+    stop.sequence.release(0)
+    stop.run(StopFeedback(moves=True), 310)
+    assert stop.run(StopFeedback(moves=True), 50).parking
+
+
+def test_a_brake_that_slows_a_robot_beyond_what_can_be_read_does_not_slip() -> None:
+    """The same: its controller restarted on a hill, and its brake catches it at 5 m/s, which is no valid speed."""
+    sequence = StopSequence(
+        Actuation(enabled=True, gear=DRIVE, parking=True), 2.0, 0, may_release=True, stood_by_motor=True
+    )
+    speed_mps = 5.0
+    for now_ms in range(10, 3000, 10):
+        is_braked = now_ms > 500
+        speed_mps = max(0.0, speed_mps - 0.037 * is_braked)
+        shown_mps = speed_mps if speed_mps < 2.5 else None
+        seen = StopFeedback(
+            moves=speed_mps > 0,
+            speed_mps=shown_mps,
+            wheel_speed_mps=shown_mps,
+            is_braked=is_braked,
+            stands=not speed_mps,
+        )
+        told = sequence.tick(now_ms * MS, seen)
+        assert told is not None
+        assert told.parking, now_ms
+
+
 def test_noise_is_not_faster_for_a_robot_that_its_motor_holds() -> None:
     """The same: a robot at rest whose coarse speeds flicker by a bit each way is not given to its brake again."""
     stop = Run(Actuation(enabled=True, gear=DRIVE, parking=True))
