@@ -471,9 +471,6 @@ PULSES_STEADY: Final = 0.9
 PULSES_REST_S: Final = 0.55
 """Wheel pulses show that a robot rolls once it should have stood for their second half, and three frames."""
 
-OUTER_WHEEL_RATIO: Final = 1.25
-"""In the tightest curve the outer wheel is faster than the middle of the robot by no more than this ratio."""
-
 CREEP_PULSES: Final = 40
 """So many wheel pulses the same way, a few in each frame and none missing for long, show that the robot creeps."""
 

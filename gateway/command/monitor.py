@@ -45,7 +45,6 @@ from schemas.settings import (
     NOT_MOVING_COMMAND_MPS,
     NOT_MOVING_MPS,
     NOT_MOVING_NS,
-    OUTER_WHEEL_RATIO,
     OVERSPEED_MPS,
     OVERSPEED_NS,
     PULSES_REST_S,
@@ -292,9 +291,7 @@ class Plausibility:
             if chassis.creeps == sign and rest_s >= PULSES_REST_S:
                 return f"{way} by some wheel pulses in each second"
         fastest_mps = chassis.fastest_mps or 0.0
-        # On its way to rest in a curve the outer wheel is faster than the robot.
-        left_mps = max(envelope.forward_mps, envelope.backward_mps) * OUTER_WHEEL_RATIO
-        if not told_mps and fastest_mps > left_mps + bound_mps:
+        if not told_mps and fastest_mps > max(envelope.forward_mps, envelope.backward_mps) + bound_mps:
             return f"at {fastest_mps:.2f} m/s"
         return ""
 
