@@ -9,11 +9,10 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import msgspec
 
-from gateway.authority.robot_authority import Kept, RobotAuthority
 from gateway.chassis.frame import Frame
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.restart import LeaseNumbers
@@ -26,6 +25,10 @@ from schemas.decisions import Severity
 from schemas.reasons import Reason, of_a_robot
 from schemas.requests import CHALLENGE_BYTES, LEASE_MAX
 from schemas.settings import BEHIND_NS, LATE_NS, LATE_TOLD_NS, LOOP_LATE_STOP_NS, REST_TIMEOUT_NS, TICK_NS
+
+if TYPE_CHECKING:
+    # Loaded in signed mode alone.
+    from gateway.authority.robot_authority import Kept, RobotAuthority
 
 log = logging.getLogger(__name__)
 

@@ -21,13 +21,14 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
+from pathlib import PurePath
 from typing import Any, Final
 
 import msgspec
 from msgspec import inspect
 
 from schemas.command_line import CommandError, ExitCode, gone_setting, plain
-from schemas.settings import NEEDED_FEEDBACK, Settings
+from schemas.settings import NEEDED_FEEDBACK, AuthoritySettings, Settings
 
 
 def attribute_texts(kind: type) -> dict[str, str]:
@@ -509,6 +510,17 @@ def _checked(given: Given) -> object:
         return msgspec.convert(value, setting.annotation)
     except (msgspec.ValidationError, RecursionError, OverflowError) as error:
         raise _wrong_value(given) from error
+
+
+AUTO: Final = "auto"
+
+
+def directory_of(settings: AuthoritySettings, environment: Mapping[str, str], home: PurePath) -> PurePath:
+    """The directory of keys and settings; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
+    if settings.directory != AUTO:
+        return PurePath(settings.directory)
+    configured = environment.get("XDG_CONFIG_HOME", "")
+    return (PurePath(configured) if configured else home / ".config") / "cruiser"
 
 
 def _bad_text(value: object) -> str:

@@ -297,6 +297,12 @@ STATEMENT_REPLY: Final = f"{SCHEMA_PREFIX}.{decisions.StatementReply.__name__}"
 
 STATEMENT_REPLY_ENCODING: Final = f"application/msgpack;{STATEMENT_REPLY}/{decisions.StatementReply.version}"
 
+TEXT_MAX_BYTES: Final = 16_384
+"""No statement of an authority with its chain is longer."""
+
+SIGNED: Final = ("safety/state", "state")
+"""Subjects that people decide by: in signed mode each sample is signed."""
+
 STOP_VERB: Final = "stop"
 DRIVE_VERB: Final = "drive"
 """The verb that is taken from anyone, as a put too."""

@@ -36,7 +36,6 @@ from msgspec import Meta
 from schemas import keys
 from schemas.authority.proof import (
     ALGORITHM,
-    TEXT_MAX_BYTES,
     GrantRole,
     KeyHex,
     ProofKind,
@@ -57,6 +56,7 @@ from schemas.subjects import (
     RECORDER_SUBJECTS,
     STOP_VERB,
     SUBJECTS,
+    TEXT_MAX_BYTES,
     Asking,
 )
 from schemas.zenoh_session import WITH_NAMES, Json, session_settings

@@ -32,7 +32,6 @@ from gateway.telemetry.samples import Received
 from schemas import keys
 from schemas.authority.identity import prove_request
 from schemas.authority.proof import (
-    SIGNED,
     Grant,
     GrantRole,
     RequestProof,
@@ -48,7 +47,7 @@ from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import LeaseReply, StatementReply
 from schemas.messages import SEQUENCE_MAX, Sequence
 from schemas.reasons import Reason
-from schemas.subjects import BY_VERB, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
+from schemas.subjects import BY_VERB, DRIVE_VERB, SIGNED, STATEMENT_REPLY_ENCODING, STOP_VERB
 
 NONCE_BYTES: Final = 8
 

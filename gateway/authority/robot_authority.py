@@ -19,7 +19,6 @@ revocations, rotations and the floor of time outlive a restart.
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Callable
 from typing import Final
 
@@ -48,7 +47,7 @@ from schemas.decisions import SignedStatement, StatementReply
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
-from schemas.subjects import BY_NAME, STATEMENT_REPLY_ENCODING
+from schemas.subjects import BY_NAME, STATEMENT_REPLY_ENCODING, TEXT_MAX_BYTES
 
 _S: Final = 1_000_000_000
 
@@ -83,8 +82,6 @@ class TimeFloor:
             self.restart(at_s, boot_ns)
 
 
-QUESTION_BYTES: Final = 16
-
 _INFO: Final = BY_NAME["gateway/info"]
 
 
@@ -117,11 +114,11 @@ class NameProof:
         """Return True if an answer is of a gateway with this robot's key, or with a grant for its name.
 
         Args:
-            question: the attachment of the query, drawn for it (``new_name_question``).
+            question: the attachment of the query, random.
             now_s: seconds since 1970.
         """
         proof = RobotProof.read(attachment[:ROBOT_PROOF_BYTES])
-        if proof is None:
+        if proof is None or len(attachment) > ROBOT_PROOF_BYTES + TEXT_MAX_BYTES:
             return False
         text = proof.signed_reply(self._key, _INFO.encoding, payload, question)
         if fits(self._signer.public_key, proof.signature, text):
@@ -137,11 +134,6 @@ class NameProof:
             and (held.grant.role, held.grant.name) == (GrantRole.ROBOT, self._robot)
             and fits(held.key, proof.signature, text)
         )
-
-
-def new_name_question() -> bytes:
-    """The attachment of one query for a namesake: random."""
-    return secrets.token_bytes(QUESTION_BYTES)
 
 
 REPEAT_NS: Final = 60_000_000_000

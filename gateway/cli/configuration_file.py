@@ -8,9 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from schemas.authority.identity import directory_of
 from schemas.command_line import CommandError, ExitCode, other_kind, plain
-from schemas.configuration import CONFIG_VARIABLE, SETTINGS, TomlSource, merge
+from schemas.configuration import CONFIG_VARIABLE, SETTINGS, TomlSource, directory_of, merge
 from schemas.settings import Settings
 
 ZENOH_ENDING: Final = ".json5"

@@ -14,14 +14,13 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING
 
-from gateway.authority.admission import StatementSieve
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import BusClaim, ReconnectingBus, describe, open_bus
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.cruiser.guard_view import ChassisView
-from gateway.cli.shut_out import why_away
+from gateway.cli.shut_out import why_away, why_shut_out
 from gateway.command.restart import Carried
 from gateway.core import Core
 from gateway.guard.stopper import Stopper
@@ -29,15 +28,11 @@ from gateway.host.guard_main import stop_alone
 from gateway.host.guard_process import FormerGuard, GuardLink, start_guard
 from gateway.host.notes import LatchNote, MileageNote, NoteClearer, RunNote, StopNote
 from gateway.host.process import ServiceManager, has_realtime, logging_aside, request_realtime
-from gateway.host.self_test import Reached, own_fault
-from gateway.host.signed_mode import ENDS, LOOK_NS, Renewal, SignedMode
 from gateway.loop import LoopPorts, Manager, NoManager, warn_of_bars
 from gateway.loop import run as run_loop
-from gateway.provisioning.key_files import RENEW_S, check_tls_files, why_shut_out
 from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_inbox
 from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.authority.identity import renewed
 from schemas.codec import encode
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.configuration import to_toml
@@ -48,13 +43,14 @@ from schemas.reasons import TEXTS, Reason
 from schemas.settings import Settings
 from schemas.zenoh_session import SessionError, said_of
 
+if TYPE_CHECKING:
+    from gateway.host.signed_mode import Renewal, SignedMode
+
 log = logging.getLogger(__name__)
 
 EXAMPLE = """\
   cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
-
-DAY_S: Final = 86_400
 
 RUN_BITS = 53
 """Every language's numbers hold as many."""
@@ -116,7 +112,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
     # Before anything is read: what is replaced meanwhile is new.
-    renewal = Renewal(settings, is_managed=ServiceManager.of(os.environ) is not None)
+    renewal = _renewal(settings)
     core = Core(settings, version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
     with ExitStack() as closing:
         latch_note = _recall_latched(core, settings)
@@ -174,7 +170,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         with _run_noted(core, settings):
             try:
                 with logging_aside():
-                    run_loop(ports, core, info, _ending(ends, renewal, core))
+                    run_loop(ports, core, info, ends if renewal is None else renewal.ending(ends, core))
             except Exception:
                 _stop_unguarded(core, bus, guard, settings)
                 raise
@@ -212,7 +208,7 @@ def _is_client(settings: Settings) -> bool:
 
 def _open_sessions(settings: Settings, signed: SignedMode | None) -> tuple[Joined, ZenohPlace]:
     config = settings.zenoh.config
-    if config and _is_client(settings) and (fault := why_shut_out(Path(config), time.time())):
+    if config and _is_client(settings) and (fault := why_shut_out(config)):
         raise SessionError("cannot open Zenoh", fault, config)
     if signed is None:
         node, place = open_node(settings)
@@ -229,8 +225,7 @@ def _open_sessions(settings: Settings, signed: SignedMode | None) -> tuple[Joine
 def _open_inbox(settings: Settings, place: ZenohPlace, signed: SignedMode | None) -> CommandInbox:
     if signed is None:
         return open_inbox(settings, place)
-    admission = signed.authority.admission
-    return open_inbox(settings, place, admission.may_be_holders, StatementSieve(admission))
+    return open_inbox(settings, place, signed.authority.admission.may_be_holders, signed.sieve())
 
 
 def _manager(closing: ExitStack) -> Manager:
@@ -245,38 +240,27 @@ def _manager(closing: ExitStack) -> Manager:
 def _look_at_own_files(settings: Settings, signed: SignedMode | None, place: ZenohPlace) -> None:
     """Have nobody engage a robot whose own file or endpoints let anybody in."""
     if signed is not None:
+        from gateway.host.self_test import Reached, own_fault  # noqa: PLC0415 - open mode does without
+
         reached = Reached(place.connect, [*place.listen, *place.command_listen])
         signed.authority.self_test = own_fault(settings, reached)
 
 
-def _ending(ends: Callable[[], bool], renewal: Renewal, core: Core) -> Callable[[], bool]:
-    """The end of the loop: when it is stopped, or when it may be started again and has a reason to."""
-    due_ns = 0
-
-    def is_over() -> bool:
-        nonlocal due_ns
-        now_ns = time.monotonic_ns()
-        if now_ns >= due_ns and not renewal.is_taken:
-            due_ns = now_ns + LOOK_NS
-            if core.may_start_again(now_ns) and renewal.look():
-                core.warn(ENDS, now_ns)
-        return renewal.is_taken or ends()
-
-    return is_over
-
-
-def _notes(signed: SignedMode | None, renewal: Renewal, node: ZenohNode | LateNode) -> tuple[str, ...]:
+def _notes(signed: SignedMode | None, renewal: Renewal | None, node: ZenohNode | LateNode) -> tuple[str, ...]:
     """Notes for people, each one line."""
-    ends_s = None if signed is None else signed.certificate_ends_s
-    left_s = RENEW_S if ends_s is None else ends_s - time.time()
-    soon = f"the robot's certificate ends in {left_s / DAY_S:.1f} days; {renewed('robot')}"
-    return (*filter(None, (renewal.note, soon if left_s < RENEW_S else "")), *node.notes())
+    own = ("" if renewal is None else renewal.note, "" if signed is None else signed.note(time.time()))
+    return (*filter(None, own), *node.notes())
 
 
 def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMode | None:
     """The authority of a robot in signed mode. Without its keys telemetry runs, and nothing arms."""
     if settings.authority.mode != "signed":
         return None
+    # What proves and verifies takes a quarter of the process's memory: open mode does without. It is loaded here,
+    # at the start, for no import may hold up the loop.
+    from gateway.host.signed_mode import SignedMode  # noqa: PLC0415
+    from gateway.provisioning.key_files import check_tls_files  # noqa: PLC0415
+
     try:
         signed = SignedMode(settings, core)
         closing.callback(signed.close)
@@ -287,6 +271,15 @@ def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMo
         core.bar({Reason.SELF_TEST: str(error)}, time.monotonic_ns())
         return None
     return signed
+
+
+def _renewal(settings: Settings) -> Renewal | None:
+    """Watch for keys that are installed, in signed mode."""
+    if settings.authority.mode != "signed":
+        return None
+    from gateway.host.signed_mode import Renewal  # noqa: PLC0415 - open mode does without
+
+    return Renewal(settings, is_managed=ServiceManager.of(os.environ) is not None)
 
 
 def _warn_of_bars(core: Core, settings: Settings, place: ZenohPlace) -> None:

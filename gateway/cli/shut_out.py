@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Final
 
 from gateway.host.process import ServiceManager
-from gateway.provisioning.key_files import check_tls_files, why_shut_out
 from schemas.command_line import CommandError
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import MODE, SessionError, client_endpoints, close_session, open_session
@@ -46,16 +45,25 @@ def check_session_files(file: Path) -> None:
     Raises:
         SessionError: with these no session gets in anywhere.
     """
-    now_s = time.time()
-    if fault := why_shut_out(file, now_s):
+    if fault := why_shut_out(str(file)):
         raise SessionError("cannot open Zenoh", fault, str(file))
-    if warning := check_tls_files(file, file.stem, now_s):
+    from gateway.provisioning.key_files import check_tls_files  # noqa: PLC0415 - loaded for a Zenoh file alone
+
+    if warning := check_tls_files(file, file.stem, time.time()):
         log.warning("%s", warning)
 
 
 def fault_of_files(error: SessionError) -> str:
     """Return what is wrong with the certificates and keys of a session that did not open; empty if nothing is."""
-    return why_shut_out(Path(error.config), time.time()) if error.config else ""
+    return why_shut_out(error.config) if error.config else ""
+
+
+def why_shut_out(config: str) -> str:
+    """Return why the certificates and keys of a Zenoh file let nobody in anywhere; empty if they do not."""
+    # Loaded for a Zenoh file alone; the settings have loaded it then, before any robot was driven.
+    from gateway.provisioning import key_files  # noqa: PLC0415
+
+    return key_files.why_shut_out(Path(config), time.time())
 
 
 def why_away(error: SessionError) -> str:

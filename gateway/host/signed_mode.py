@@ -18,17 +18,17 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import msgspec
 
-from gateway.authority.admission import SignedAdmission
+from gateway.authority.admission import SignedAdmission, StatementSieve
 from gateway.authority.robot_authority import Kept, RobotAuthority, TimeFloor, resume
 from gateway.authority.session import RobotSigner
 from gateway.core import Core
 from gateway.host.notes import state_directory, write_whole
-from gateway.provisioning.key_files import certificate_ends_s
-from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE
+from gateway.provisioning.key_files import RENEW_S, certificate_ends_s
+from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, renewed
 from schemas.authority.key_files import directory_of, read_identity
 from schemas.authority.proof import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
@@ -167,6 +167,16 @@ class SignedMode:
     def _report_unsaved(self, fault: str) -> None:
         self.authority.unsaved = fault
 
+    def sieve(self) -> StatementSieve[Any]:
+        """Return what chooses the statements that are verified in a tick."""
+        return StatementSieve(self.authority.admission)
+
+    def note(self, now_s: float) -> str:
+        """Return a line for people if the certificate ends soon; else nothing."""
+        left_s = RENEW_S if self.certificate_ends_s is None else self.certificate_ends_s - now_s
+        ends = f"the robot's certificate ends in {left_s / _DAY_S:.1f} days; {renewed('robot')}"
+        return ends if left_s < RENEW_S else ""
+
     def save(self, kept: Kept) -> None:
         """Keep this across a restart, without waiting for the disk."""
         self._note.save(kept)
@@ -223,8 +233,7 @@ class Renewal:
         self.is_taken = False
         self.note = ""
         directory = directory_of(settings.authority)
-        names = (GRANT_FILE.format(who="robot"), AUTHORITY_FILE) if settings.authority.mode == "signed" else ()
-        self._files = [directory / name for name in names]
+        self._files = [directory / GRANT_FILE.format(who="robot"), directory / AUTHORITY_FILE]
         self._is_managed = is_managed
         self._in_use = self._before = self._stamps()
 
@@ -236,6 +245,21 @@ class Renewal:
         self.is_taken = is_new and self._is_managed
         self.note = WAITS if is_new and not self._is_managed else ""
         return self.is_taken
+
+    def ending(self, ends: Callable[[], bool], core: Core) -> Callable[[], bool]:
+        """Return the end of the loop: it is stopped, or may be started again and has a reason to be."""
+        due_ns = 0
+
+        def is_over() -> bool:
+            nonlocal due_ns
+            now_ns = time.monotonic_ns()
+            if now_ns >= due_ns and not self.is_taken:
+                due_ns = now_ns + LOOK_NS
+                if core.may_start_again(now_ns) and self.look():
+                    core.warn(ENDS, now_ns)
+            return self.is_taken or ends()
+
+        return is_over
 
     def _stamps(self) -> list[FileStamp | None]:
         return [_stamp(file) for file in self._files]

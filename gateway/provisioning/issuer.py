@@ -48,7 +48,6 @@ from gateway.provisioning.key_files import (
 from gateway.provisioning.key_files import new_request as certificate_request
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, INSTALLED, KEY_FILE, remade
 from schemas.authority.proof import (
-    TEXT_MAX_BYTES,
     Grant,
     GrantRole,
     ProofKind,
@@ -63,6 +62,7 @@ from schemas.authority.proof import (
 )
 from schemas.authority.trust import AuthorityKeys, Objection, in_utc
 from schemas.command_line import CommandError, ExitCode, plain
+from schemas.subjects import TEXT_MAX_BYTES
 
 FLEET_FILE: Final = "fleet.json"
 ZENOH_FILE, SETTINGS_FILE = "{who}.json5", "{who}.toml"

@@ -20,23 +20,34 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import zenoh
 
-from gateway.authority.admission import StatementSieve
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
 from gateway.telemetry.samples import KeptSamples
 from gateway.zenoh.node import ROBOT_RULES, ROBOT_VALUES, Replier, ZenohNode, ZenohPlace
 from schemas import keys
-from schemas.authority.proof import SIGNED, TEXT_MAX_BYTES
 from schemas.codec import Sample, encoding_fault, names_schema
 from schemas.command_line import CommandError
 from schemas.settings import DRIVES_PER_TICK, REQUEST_MAX_BYTES, STOPS_PER_TICK, VERBS_PER_TICK, Settings
-from schemas.subjects import BY_NAME, BY_VERB, COMMAND_CHUNK, DRIVE_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
+from schemas.subjects import (
+    BY_NAME,
+    BY_VERB,
+    COMMAND_CHUNK,
+    DRIVE_VERB,
+    SIGNED,
+    STATEMENT_REPLY_ENCODING,
+    STOP_VERB,
+    TEXT_MAX_BYTES,
+)
 from schemas.zenoh_session import close_session, open_session, own_endpoint
+
+if TYPE_CHECKING:
+    # Loaded in signed mode alone.
+    from gateway.authority.admission import StatementSieve
 
 log = logging.getLogger(__name__)
 

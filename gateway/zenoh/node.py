@@ -7,26 +7,24 @@ from __future__ import annotations
 
 import itertools
 import logging
+import secrets
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from queue import Empty, Full, Queue
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import zenoh
 from zenoh import ext
 
-from gateway.authority.robot_authority import QUESTION_BYTES, NameProof, new_name_question
-from gateway.authority.session import RobotSigner
 from gateway.telemetry.samples import KeptSamples
 from gateway.zenoh.client import links_of
 from schemas import keys
-from schemas.authority.proof import ROBOT_PROOF_BYTES, SIGNED, TEXT_MAX_BYTES
 from schemas.codec import Sample
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import DEFAULT_ENDPOINT, Settings, zenoh_rules
-from schemas.subjects import BY_NAME, KEPT_FIRST, SUBJECTS, Pattern, Qos, Subject
+from schemas.subjects import BY_NAME, KEPT_FIRST, SIGNED, SUBJECTS, Pattern, Qos, Subject
 from schemas.zenoh_session import (
     ANY_LOCAL_PORT,
     CONNECT_TIMEOUT,
@@ -42,6 +40,11 @@ from schemas.zenoh_session import (
     said_of,
     with_free_ports,
 )
+
+if TYPE_CHECKING:
+    # Loaded in signed mode alone.
+    from gateway.authority.robot_authority import NameProof
+    from gateway.authority.session import RobotSigner
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +105,8 @@ INFO_QUESTIONS: Final = 3
 ANSWERS_MAX: Final = 64
 """Answers that are read to one question."""
 
-NAME_PROOF_MAX_BYTES: Final = ROBOT_PROOF_BYTES + TEXT_MAX_BYTES
+QUESTION_BYTES: Final = 16
+"""Random, and attached to each question for a namesake: a gateway in signed mode signs its answer over them."""
 
 NEIGHBOUR_TIMEOUT_S: Final = 3.0
 """A Zenoh node that holds our port is connected within this time, or it is none."""
@@ -397,7 +401,7 @@ def _check_name_is_free(session: zenoh.Session, settings: Settings, name_proof: 
             continue
         is_answered = False
         for _ in range(INFO_QUESTIONS):
-            question = new_name_question()
+            question = secrets.token_bytes(QUESTION_BYTES)
             answers = _ask_for_info(session, settings, question)
             is_answered = is_answered or bool(answers)
             if any(_is_namesake(answer, question, settings, name_proof) for answer in answers):
@@ -435,7 +439,7 @@ def _is_namesake(answer: zenoh.Sample, question: bytes, settings: Settings, name
     if settings.authority.mode != "signed":
         return True
     attachment = answer.attachment
-    if name_proof is None or attachment is None or len(attachment) > NAME_PROOF_MAX_BYTES:
+    if name_proof is None or attachment is None:
         return False
     return name_proof.is_namesake(answer.payload.to_bytes(), attachment.to_bytes(), question, int(time.time()))
 

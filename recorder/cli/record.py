@@ -16,10 +16,11 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -30,27 +31,28 @@ from recorder.disk.keeper import DiskKeeper, LeftoverThread
 from recorder.disk.log_writer import QUEUE_BYTES, LogWriter
 from recorder.loop import Recorded, RecorderLoop
 from recorder.record.recorder import HealthReport, Recorder, RecorderPlan, SampleInbox
-from recorder.record.retention import DiskLimits, LogSigner
+from recorder.record.retention import DiskLimits
 from recorder.record.robot_log import LogPlan
 from recorder.zenoh.remote_control import RemoteControl, host_name
 from recorder.zenoh.source import RING_SAMPLE_BYTES, ShardedSource, ZenohSource, shard_of
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.authority.identity import KEY_FILE, made
-from schemas.authority.key_files import directory_of, granted_name, read_identity, read_trust
 from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import EventKind
 from schemas.settings import ROBOT_LIMIT, AuthoritySettings, Settings
 
+if TYPE_CHECKING:
+    from recorder.record.signed_mode import LogSigner, StatementProofs
+
 
 def own_name(settings: Settings) -> str:
     """Return the name that is set; else that of the recorder's grant, in signed mode; else the host's."""
-    is_signed = settings.authority.mode == "signed"
-    return (
-        settings.recorder.name
-        or (is_signed and granted_name(directory_of(settings.authority), "recorder"))
-        or host_name()
-    )
+    name = settings.recorder.name
+    if not name and settings.authority.mode == "signed":
+        from schemas.authority.key_files import directory_of, granted_name  # noqa: PLC0415 - open mode does without
+
+        name = granted_name(directory_of(settings.authority), "recorder")
+    return name or host_name()
 
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
@@ -197,11 +199,30 @@ def signer_of(settings: AuthoritySettings) -> LogSigner | None:
     """Return what signs the logs in signed mode; None where this machine is not provisioned as a recorder."""
     if settings.mode != "signed":
         return None
+    # What signs and verifies takes a quarter of the process's memory: open mode does without.
+    from recorder.record.signed_mode import LogSigner  # noqa: PLC0415
+    from schemas.authority.identity import KEY_FILE, made  # noqa: PLC0415
+    from schemas.authority.key_files import directory_of, read_identity  # noqa: PLC0415
+
     directory = directory_of(settings)
     if not (directory / KEY_FILE.format(who="recorder")).exists():
         sys.stderr.write(f"record: the logs are not signed: {made('recorder')}\n")
         return None
     return LogSigner(read_identity(directory, "recorder"))
+
+
+def _proofs_of(settings: AuthoritySettings) -> Callable[[], StatementProofs] | None:
+    """Return what makes a log's verifier of statements, in signed mode.
+
+    Raises:
+        CommandError: there is no authority's file, or it is none.
+    """
+    if settings.mode != "signed":
+        return None
+    from recorder.record.signed_mode import StatementProofs  # noqa: PLC0415 - open mode does without
+    from schemas.authority.key_files import directory_of, read_trust  # noqa: PLC0415 - the same
+
+    return partial(StatementProofs, read_trust(directory_of(settings), "recorder"))
 
 
 def with_shard_lease(settings: Settings) -> Settings:
@@ -245,9 +266,7 @@ def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], rel
             alarms=frozenset(map(EventKind, recorder.incident_events)),
             before_ns=round(recorder.incident_before_s * 1e9),
             after_ns=round(recorder.incident_after_s * 1e9),
-            trust=read_trust(directory_of(settings.authority), "recorder")
-            if settings.authority.mode == "signed"
-            else None,
+            proofs=_proofs_of(settings.authority),
         ),
         ring_bytes=min(recorder.incident_ring_bytes, recorder.budget_bytes // BUDGET_RINGS or sys.maxsize),
         sample_max_bytes=recorder.sample_max_bytes,

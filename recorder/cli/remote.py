@@ -20,7 +20,6 @@ import msgspec
 from recorder.zenoh.remote_control import RecorderClient
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, operator_name, recorder_name, robot_name, seconds
-from schemas.authority.key_files import certificate_role
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.keys import login_operator
 from schemas.recording import Mark, RecorderHealth, RecorderReply, Status
@@ -45,7 +44,11 @@ def check_role(settings: ZenohSettings, roles: Collection[str], allowed: str) ->
         allowed: what routers let them do, and what cures it, in words.
     """
     file = str(of_file(settings, CERTIFICATE) or "")
-    role = certificate_role(Path(file)) if file else ""
+    if not file:
+        return
+    from schemas.authority.key_files import certificate_role  # noqa: PLC0415 - only for who has a certificate
+
+    role = certificate_role(Path(file))
     if role in _PROVISIONED and role not in roles:
         raise CommandError(f"{plain(file)} is a certificate of the role {role}: {allowed}", ExitCode.USAGE)
 

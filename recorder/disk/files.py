@@ -33,11 +33,11 @@ from datetime import UTC, datetime
 from io import BufferedWriter, FileIO
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import msgspec
 
-from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SIGNATURE_SUFFIX, SUFFIX
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.mcap.writer import NO_LIMIT, McapFile
 from recorder.record.actions import (
@@ -49,9 +49,12 @@ from recorder.record.actions import (
     WriteChunk,
     WriteMetadata,
 )
-from recorder.record.retention import SIGNATURE_SUFFIX, START_FORMAT, LogSigner
+from recorder.record.retention import START_FORMAT
 from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.settings import ROBOT_LIMIT
+
+if TYPE_CHECKING:
+    from recorder.record.signed_mode import LogSigner
 
 ATTACHMENTS_MAX: Final = (2 + LAYOUTS) * ROBOT_LIMIT
 """A configuration, a DBC and layouts for each robot; beyond it the oldest go, for a robot may make up names."""

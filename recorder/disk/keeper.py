@@ -25,7 +25,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from enum import Enum
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 import msgspec
 
@@ -38,12 +38,15 @@ from recorder.disk.files import (
     sync_directory,
     write_signature,
 )
-from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SIGNATURE_SUFFIX, SUFFIX
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.actions import Deleted, DiskBack, DiskRoom, Moved, Notice, Recovered
-from recorder.record.retention import SIGNATURE_SUFFIX, DiskLimits, LogEntry, LogSigner, judge
+from recorder.record.retention import DiskLimits, LogEntry, judge
 from schemas.command_line import plain
 from schemas.settings import MARK_SHARE
+
+if TYPE_CHECKING:
+    from recorder.record.signed_mode import LogSigner
 
 log = logging.getLogger(__name__)
 

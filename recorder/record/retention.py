@@ -1,12 +1,4 @@
-"""Finished logs: which stay, and the recorder's signature of them.
-
-The signature that a recorder in signed mode puts beside each finished log, as ``NAME.mcap.sig``. Pure.
-
-It is text that ``sha256sum`` and OpenSSL can check: the name of its form, the log's line of ``sha256sum``, the
-signature over these two lines (Ed25519, base64), the recorder's public key (PEM), and the grant of that key. It
-says that the recorder wrote the log so, and not that what it received was true.
-
-Retention: the logs that are deleted when the disk is full, and the room to go on. Pure.
+"""Retention: the logs that are deleted when the disk is full, and the room to go on. Pure.
 
 Each robot has a fair share: the oldest log of the robot that takes most goes first. Anybody on the network can
 make up robots, so where robots are known by name, all others have one share together, and the last hours of a
@@ -18,104 +10,16 @@ recording stops until somebody makes room: what others fill a disk with must not
 
 from __future__ import annotations
 
-import binascii
-import re
-from base64 import b64decode, b64encode
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from itertools import chain
-from typing import Final, Self
+from typing import Final
 
 import msgspec
 
-from schemas.authority.identity import Identity
-from schemas.authority.proof import KEY_BYTES, Grant, Signed, StatementFault, chain_text, read_chain
-from schemas.authority.trust import fits
 from schemas.settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
-
-SIGNATURE_SUFFIX: Final = ".sig"
-"""Follows the log's own name."""
-
-SIGNATURE_MAX_BYTES: Final = 65_536
-"""A longer file is none: a chain of grants takes a few thousand."""
-
-_DOMAIN: Final = "cruiser-log-1"
-_DER: Final = bytes.fromhex("302a300506032b6570032100")
-"""Stands before an Ed25519 key in DER (RFC 8410)."""
-
-_FORM: Final = re.compile(
-    rf"{_DOMAIN}\n([0-9a-f]{{64}})  ([A-Za-z0-9._-]+)\n([A-Za-z0-9+/]{{86}}==)\n"
-    r"-----BEGIN PUBLIC KEY-----\n[A-Za-z0-9+/=]+\n-----END PUBLIC KEY-----\n(\{.*)",
-    re.DOTALL,
-)
-
-
-class LogSignature(msgspec.Struct, frozen=True):
-    """A signature as it lies beside a log.
-
-    Attributes:
-        sha256: of the whole log, hexadecimal.
-        chain: the recorder's grant, with those of its signers.
-    """
-
-    sha256: str
-    file: str
-    signature: bytes
-    chain: list[Signed]
-
-    @property
-    def key(self) -> bytes:
-        """The key that the grant is for."""
-        grant = self.chain[0].statement
-        return bytes.fromhex(grant.key) if isinstance(grant, Grant) else b""
-
-    @property
-    def fits(self) -> bool:
-        """The signature is of the grant's key. Whether the grant holds is another question."""
-        return fits(self.key, self.signature, signed_text(self.sha256, self.file))
-
-    @classmethod
-    def read(cls, data: bytes) -> Self | None:
-        """Read a signature; None if it is in no such form. Anybody may have put it there."""
-        match = _FORM.fullmatch(data.decode("ascii", "replace"))
-        chain = StatementFault("") if match is None else read_chain(match[4].encode())
-        if match is None or isinstance(chain, StatementFault):
-            return None
-        try:
-            found = cls(match[1], match[2], b64decode(match[3]), chain)
-        except (binascii.Error, ValueError):
-            return None
-        # What a stranger sees by other tools is what is judged here.
-        return found if len(found.key) == KEY_BYTES and found.text() == data else None
-
-    def text(self) -> bytes:
-        """The content of the file."""
-        pem = b64encode(_DER + self.key).decode()
-        return (
-            signed_text(self.sha256, self.file)
-            + f"{b64encode(self.signature).decode()}\n"
-            f"-----BEGIN PUBLIC KEY-----\n{pem}\n-----END PUBLIC KEY-----\n{chain_text(self.chain)}".encode()
-        )
-
-
-def signed_text(sha256: str, file: str) -> bytes:
-    """The text under the signature: the first two lines of the file."""
-    return f"{_DOMAIN}\n{sha256}  {file}\n".encode()
-
-
-class LogSigner:
-    """Signs logs with a recorder's key."""
-
-    def __init__(self, identity: Identity) -> None:
-        self._identity = identity
-
-    def sign(self, sha256: str, file: str) -> bytes:
-        """Return the content of the signature beside a log of this name."""
-        signature = self._identity.private.sign(signed_text(sha256, file))
-        return LogSignature(sha256, file, signature, self._identity.chain).text()
-
 
 RESUME_SHARE: Final = 0.02
 """A stopped recording resumes when so much of budget or floor is free beyond it, or it would flutter."""

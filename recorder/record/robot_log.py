@@ -9,8 +9,8 @@ the ring of the incidents alone.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -40,7 +40,6 @@ from recorder.record.actions import (
 from recorder.record.incidents import INCIDENT_NAME, Incidents
 from recorder.record.robots import Backlog, Robots, Statements
 from schemas import keys
-from schemas.authority.trust import Trust
 from schemas.codec import names_schema
 from schemas.command_line import short
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity, SignedStatement
@@ -48,6 +47,9 @@ from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message, Rob
 from schemas.recording import GapReason, RecorderEvent, RecordGap
 from schemas.settings import OWNED_KEY_LIMIT
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
+
+if TYPE_CHECKING:
+    from recorder.record.signed_mode import StatementProofs
 
 INFO_MAX_BYTES: Final = 1_000_000
 """A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
@@ -94,7 +96,7 @@ class LogPlan(msgspec.Struct, frozen=True):
         idle_ns: a file in which nothing was written for so long is ended; 0 is never.
         before_ns: an incident holds so much of what came before it.
         after_ns: an incident lasts so long after the last alarm.
-        trust: the fleet's authority, if the recorder knows it.
+        proofs: makes what verifies statements, if the recorder knows the fleet's authority.
     """
 
     name: str
@@ -107,7 +109,7 @@ class LogPlan(msgspec.Struct, frozen=True):
     alarms: frozenset[EventKind] = frozenset()
     before_ns: int = 0
     after_ns: int = 0
-    trust: Trust | None = None
+    proofs: Callable[[], StatementProofs] | None = None
 
 
 class LogContext:
@@ -145,7 +147,7 @@ class RobotLog:
         self.channels = Channels(self._declare)
         self.incidents = Incidents(plan.name, plan.before_ns, plan.after_ns)
         self.robots = Robots(plan.name, plan.version)
-        self.statements = Statements(plan.name, plan.trust)
+        self.statements = Statements(plan.name, None if plan.proofs is None else plan.proofs())
         self._backlog = Backlog()
         self._account = FileAccount()
         self._fast_keys: list[str] = []

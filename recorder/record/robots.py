@@ -18,17 +18,18 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from itertools import islice
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.record.actions import QUERIES_PER_TICK, LogAction, Query, WriteAttachment, WriteMetadata
 from schemas import keys
-from schemas.authority.proof import TEXT_MAX_BYTES, Rotation, StatementFault, read_chain
-from schemas.authority.trust import Trust
 from schemas.decisions import Journal
 from schemas.messages import GatewayInfo, Variant
 from schemas.settings import BUS_LIMIT, ROBOT_LIMIT
-from schemas.subjects import BY_TYPE, KEPT_PIECE, SUBJECTS, Subject
+from schemas.subjects import BY_TYPE, KEPT_PIECE, SUBJECTS, TEXT_MAX_BYTES, Subject
+
+if TYPE_CHECKING:
+    from recorder.record.signed_mode import StatementProofs
 
 METADATA_NAME: Final = "cruiser"
 """The metadata record with the robots of a log; the last one of this name in a file is valid."""
@@ -183,31 +184,25 @@ STATEMENTS_MAX_BYTES: Final = 131_072
 """Statements of a log that are kept: those that the authority signed, and as many of all others; beyond it the one
 goes that was not repeated for longest."""
 
-TRUSTS_MAX: Final = 8
-"""The authority before a rotation, and those after: what each signed is proven."""
-
-VERIFIED_PER_TICK: Final = 2
-"""Statements that are verified in a tick, up to three signatures each: a flood of forged ones costs no more."""
-
 
 class Statements:
     """The statements that the robots of a log have shown.
 
     Args:
-        trust: the authority; None if the recorder was not provisioned with one, so that nothing is proven.
+        proofs: verifies them; None where the recorder knows no authority, so that nothing is proven.
     """
 
-    def __init__(self, log: str, trust: Trust | None = None) -> None:
+    def __init__(self, log: str, proofs: StatementProofs | None = None) -> None:
         self._log = log
-        self._trusts = [] if trust is None else [trust]
+        self._proofs = proofs
         self._proven = _Room()
         self._unproven = _Room()
-        self._left = VERIFIED_PER_TICK
         self._is_new = False
 
     def tick(self) -> None:
         """Verify a few more from now on."""
-        self._left = VERIFIED_PER_TICK
+        if self._proofs is not None:
+            self._proofs.tick()
 
     def receive(self, robot: str, text: str, time_ns: int) -> None:
         """Keep a statement of a robot, with the time when it was said first. A text that is too long is none.
@@ -222,31 +217,13 @@ class Statements:
         place = robot, text
         if self._proven.repeat(place):
             return
-        if self._is_proven(text):
+        if self._proofs is not None and self._proofs.has(text):
             self._proven.add(place, self._unproven.remove(place, time_ns))
         elif self._unproven.repeat(place):
             return
         else:
             self._unproven.add(place, time_ns)
         self._is_new = True
-
-    def _is_proven(self, text: str) -> bool:
-        """Return True if the authority signed it, or one that a rotation led to; whatever is revoked or over."""
-        if not self._trusts or not self._left:
-            return False
-        chain = read_chain(text.encode())
-        if isinstance(chain, StatementFault):
-            return False
-        keys = {key for trust in self._trusts for key in (trust.active, trust.standby)}
-        if chain[-1].signer not in keys:
-            return False
-        self._left -= 1
-        if not any(trust.has_signed(chain) for trust in self._trusts):
-            return False
-        newer = self._trusts[-1].rotate(chain[0]) if isinstance(chain[0].statement, Rotation) else None
-        if isinstance(newer, Trust):
-            self._trusts = [*self._trusts[-TRUSTS_MAX + 1 :], newer]
-        return True
 
     def describe(self) -> list[LogAction]:
         """Write what is kept, unless the log already ends with the same."""

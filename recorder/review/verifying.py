@@ -29,12 +29,13 @@ from typing import Any, Final
 import msgspec
 from mcap import records
 
+from recorder.disk.log_names import SIGNATURE_SUFFIX
 from recorder.mcap.reader import read_pieces
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Progress
 from recorder.reading.topics import UNREADABLE
-from recorder.record.retention import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
 from recorder.record.robots import STATEMENTS_NAME
+from recorder.record.signed_mode import SIGNATURE_MAX_BYTES, LogSignature
 from schemas import keys
 from schemas.authority.proof import (
     Grant,

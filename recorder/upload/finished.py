@@ -25,10 +25,11 @@ from typing import BinaryIO, Final
 
 import msgspec
 
+from recorder.disk.log_names import SIGNATURE_SUFFIX
 from recorder.mcap.reader import is_mcap
 from recorder.reading.rows import read_contents
-from recorder.record.retention import SIGNATURE_MAX_BYTES, SIGNATURE_SUFFIX, LogSignature
 from recorder.record.robots import METADATA_NAME
+from recorder.record.signed_mode import SIGNATURE_MAX_BYTES, LogSignature
 from schemas.command_line import module_command, other_kind, plain
 from schemas.peers import RateLimit
 

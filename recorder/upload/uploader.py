@@ -30,10 +30,10 @@ from obstore.store import LocalStore, ObjectStore
 
 from recorder.disk.files import UploadedLog, UploadNote
 from recorder.disk.keeper import read_entries
-from recorder.disk.log_names import SUFFIX
+from recorder.disk.log_names import SIGNATURE_SUFFIX, SUFFIX
 from recorder.objects.address import StoredObject, StoreError
 from recorder.objects.store import line_of, open_store
-from recorder.record.retention import SIGNATURE_SUFFIX, LogEntry
+from recorder.record.retention import LogEntry
 from recorder.upload.finished import (
     MANIFEST_SUFFIX,
     PART_BYTES,

@@ -1,6 +1,4 @@
-"""Identities as files, and where they are.
-
-The directory of keys, certificates and grants. Pure, and without what it takes to read them.
+"""Identities as files.
 
 The identity of a machine, or of the person at it: private key, grant and authority, out of their files. Pure.
 
@@ -10,7 +8,6 @@ Each error is one line that names the file and the cure. The caller reads the fi
 from __future__ import annotations
 
 import stat
-from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Final
 
@@ -22,18 +19,6 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from schemas.authority.proof import RequestProof, Signed, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys, Trust
 from schemas.command_line import CommandError, ExitCode, plain
-from schemas.settings import AuthoritySettings
-
-AUTO: Final = "auto"
-
-
-def directory_of(settings: AuthoritySettings, environment: Mapping[str, str], home: PurePath) -> PurePath:
-    """The directory that the settings name; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
-    if settings.directory != AUTO:
-        return PurePath(settings.directory)
-    configured = environment.get("XDG_CONFIG_HOME", "")
-    return (PurePath(configured) if configured else home / ".config") / "cruiser"
-
 
 KEY_FILE, GRANT_FILE, AUTHORITY_FILE = "{who}.key", "{who}.grant", "authority.json"
 

@@ -11,6 +11,7 @@ from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.x509.oid import NameOID
 
+from schemas import configuration
 from schemas.authority import identity
 from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, FoundFile, Identity
 from schemas.authority.proof import Grant, StatementFault, read_chain
@@ -24,7 +25,7 @@ FILE_MAX_BYTES: Final = 4_000_000
 
 def directory_of(settings: AuthoritySettings) -> Path:
     """The directory that the settings name; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
-    return Path(identity.directory_of(settings, os.environ, Path.home()))
+    return Path(configuration.directory_of(settings, os.environ, Path.home()))
 
 
 def find(path: Path, cure: str = "") -> FoundFile:

@@ -32,6 +32,7 @@ import msgspec
 from msgspec import Meta
 
 from schemas import keys
+from schemas.subjects import TEXT_MAX_BYTES
 
 VERSION: Final = 1
 
@@ -48,10 +49,6 @@ KEY_BYTES: Final = 32
 """Of a public key, Ed25519 or X25519."""
 
 ID_BYTES: Final = 8
-
-
-SIGNED: Final = ("safety/state", "state")
-"""Subjects that people decide by: each sample is signed."""
 
 
 class ProofKind(Enum):
@@ -196,9 +193,6 @@ def statement_id(body: bytes) -> bytes:
 
 STATEMENTS_MAX: Final = 3
 """Statements of the longest chain of earlier versions: of a person, a group, and a site."""
-
-TEXT_MAX_BYTES: Final = 16_384
-"""No statement with its chain is longer."""
 
 ALGORITHM: Final = "ed25519"
 

@@ -32,6 +32,7 @@ from tests.bench import (
     review_rate,
     review_rerun,
     signed_latency,
+    start_cost,
     thin_link,
 )
 from tests.bench.loads import Row, print_table
@@ -49,6 +50,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         robots, routers, shards, profile: of the fleet; how much leaves each robot.
         path_rounds, recorder_rounds, export_rounds: paired runs of ours and others.
         authority_rounds: of each step of a proof.
+        starts, rest_s: of a gateway, and until memory is read.
         turns, turn_drives: of open and signed mode, and the drive commands of each.
         drives, stops, ticks, floods: of commands.
         link_s, goal_s: simulated, of each bad link, and of the one with a goal.
@@ -64,6 +66,8 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     recorder_kills: int = 20
     path_rounds: int = 15
     authority_rounds: int = 15
+    starts: int = 15
+    rest_s: float = 10.0
     turns: int = 2
     turn_drives: int = 250
     drives: int = 500
@@ -98,6 +102,8 @@ SHORT: Final = Extent(
     recorder_kills=1,
     path_rounds=1,
     authority_rounds=1,
+    starts=1,
+    rest_s=1.0,
     turns=1,
     turn_drives=30,
     drives=50,
@@ -128,6 +134,7 @@ BENCHES: Final[dict[str, Callable[[Extent], list[Row]]]] = {
     "loads": lambda on: loads.rows(on.seconds),
     "vcan": lambda on: loads.vcan_rows(on.seconds),
     "commands": lambda on: command_latency.rows(on.drives, on.stops, on.ticks),
+    "start": lambda on: start_cost.rows(on.starts, on.rest_s),
     "authority": lambda on: authority.rows(on.authority_rounds),
     "signed": lambda on: signed_latency.rows(on.turns, on.turn_drives),
     "floods": lambda on: flood.rows(on.floods),

@@ -10,7 +10,8 @@ from typing import Any
 import msgspec
 
 from gateway.command.rulings import Credentials
-from recorder.record.retention import SIGNATURE_SUFFIX, LogSigner
+from recorder.disk.log_names import SIGNATURE_SUFFIX
+from recorder.record.signed_mode import LogSigner
 from schemas import keys
 from schemas.authority.identity import Identity
 from schemas.authority.proof import Grant, GrantRole, chain_text

@@ -6,7 +6,7 @@ import hashlib
 import subprocess
 from pathlib import Path
 
-from recorder.record.retention import LogSigner
+from recorder.record.signed_mode import LogSigner
 from schemas.authority.identity import Identity
 from schemas.authority.proof import GrantRole
 from tests.support.authority import Fleet, Party

@@ -19,11 +19,10 @@ from gateway.cli.configuration_file import load_settings
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
 from schemas.authority.key_files import read_identity
-from schemas.authority.proof import TEXT_MAX_BYTES
 from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, RobotSettings, Settings
-from schemas.subjects import STATEMENT_REPLY_ENCODING
+from schemas.subjects import STATEMENT_REPLY_ENCODING, TEXT_MAX_BYTES
 from tests.support.commands import run_command
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.provisioning import ProvisionedFleet, run

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.authority.robot_authority import NameProof, new_name_question
+from gateway.authority.robot_authority import NameProof
 from gateway.authority.session import RobotSigner
 from schemas.authority.proof import ROBOT_PROOF_BYTES, GrantRole, chain_text
 from schemas.settings import Settings
 from tests.support.authority import DAY_S, NOW_S, AuthorityBench, Fleet, Party
 
 PAYLOAD = b"\x80"
-QUESTION = new_name_question()
+QUESTION = bytes(range(16))
 
 BENCH = AuthorityBench()
 
@@ -97,7 +97,7 @@ def test_an_answer_answers_one_question() -> None:
     proof = BENCH.authority.name_proof
     attachment = proof.attachment(PAYLOAD, QUESTION)
     assert proof.is_namesake(PAYLOAD, attachment, QUESTION, NOW_S)
-    assert not proof.is_namesake(PAYLOAD, attachment, new_name_question(), NOW_S)
+    assert not proof.is_namesake(PAYLOAD, attachment, bytes(16), NOW_S)
     assert not proof.is_namesake(PAYLOAD + b"x", attachment, QUESTION, NOW_S)
     assert not proof.is_namesake(PAYLOAD, b"", QUESTION, NOW_S)
     assert not proof.is_namesake(PAYLOAD, chain_text(BENCH.robot.chain).encode(), QUESTION, NOW_S)

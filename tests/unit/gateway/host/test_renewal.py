@@ -62,10 +62,3 @@ def test_a_gateway_that_nobody_starts_again_stays_and_says_so(robot: Robot) -> N
     robot.renew()
     assert looks(renewal) == [False] * 3
     assert (renewal.is_taken, renewal.note) == (False, WAITS)
-
-
-def test_in_open_mode_there_is_nothing_to_look_at(robot: Robot) -> None:
-    """It has no keys."""
-    renewal = Renewal(Settings(authority=AuthoritySettings(directory=str(robot.files))), is_managed=True)
-    robot.renew()
-    assert looks(renewal) == [False] * 3

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from recorder.cli.record import own_name, signer_of
-from recorder.record.retention import LogSignature
+from recorder.record.signed_mode import LogSignature
 from recorder.zenoh.remote_control import host_name
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.settings import AuthoritySettings, RecorderSettings, Settings

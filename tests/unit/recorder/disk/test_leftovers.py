@@ -24,7 +24,7 @@ from recorder.disk.keeper import (
     recover_leftovers,
 )
 from recorder.record.actions import DiskBack, DiskRoom, Recovered
-from recorder.record.retention import LogSigner
+from recorder.record.signed_mode import LogSigner
 from recorder.review.check import check_log
 from tests.support.fakes.recording import failing
 from tests.support.logs import flipped, logs_in, small_log

@@ -16,7 +16,8 @@ from recorder.disk.log_writer import LogWriter
 from recorder.encoding.protobuf import descriptor_set
 from recorder.mcap.writer import LogChannel
 from recorder.record.actions import CloseLog, DeclareChannel, OpenLog, WriteChunk
-from recorder.record.retention import DiskLimits, LogSignature, LogSigner
+from recorder.record.retention import DiskLimits
+from recorder.record.signed_mode import LogSignature, LogSigner
 from schemas.authority.identity import Identity
 from schemas.authority.proof import GrantRole
 from schemas.messages import Gear

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from recorder.record.retention import LogSignature, LogSigner
+from recorder.record.signed_mode import LogSignature, LogSigner
 from schemas.authority.identity import Identity
 from schemas.authority.proof import GrantRole
 from tests.support.authority import Fleet, Party

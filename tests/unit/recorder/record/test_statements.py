@@ -8,12 +8,14 @@ import pytest
 
 from recorder.reading.logs import Faults, find_logs
 from recorder.record.actions import LogAction, WriteMetadata
-from recorder.record.robots import STATEMENTS_MAX_BYTES, STATEMENTS_NAME, VERIFIED_PER_TICK, Statements
+from recorder.record.robots import STATEMENTS_MAX_BYTES, STATEMENTS_NAME, Statements
+from recorder.record.signed_mode import VERIFIED_PER_TICK, StatementProofs
 from recorder.review.verify import RobotProofReport, verify_logs
 from recorder.review.verifying import UNSIGNED, ShownStatement, file_statements
-from schemas.authority.proof import TEXT_MAX_BYTES, chain_text
+from schemas.authority.proof import chain_text
 from schemas.decisions import SignedStatement
 from schemas.messages import Message
+from schemas.subjects import TEXT_MAX_BYTES
 from tests.support.authority import NOW_S, Fleet, Party, S
 from tests.support.fakes.recording import MemoryFile
 from tests.support.logs import mcap_log, saved
@@ -60,7 +62,7 @@ def test_what_nobody_signed_displaces_nothing_that_the_authority_did(forge: str)
     """However much of it there is, and however long each is. It may displace its like."""
     fleet, forger = Fleet(), Fleet()
     grant, revoked = chain_text(fleet.operator().chain), fleet.authority.revoke(1).text()
-    statements = Statements("log", fleet.trust)
+    statements = Statements("log", StatementProofs(fleet.trust))
     statements.receive("fleet/a", grant, 1)
     statements.receive("fleet/a", revoked, 2)
     for number in range(300):
@@ -80,7 +82,7 @@ def test_what_was_not_verified_at_once_is_proven_when_it_is_repeated() -> None:
     """A flood takes up what is verified in a tick; the robot repeats each minute what is in force."""
     fleet = Fleet()
     lists = [fleet.authority.revoke(serial).text() for serial in range(1, 2 * VERIFIED_PER_TICK + 1)]
-    statements = Statements("log", fleet.trust)
+    statements = Statements("log", StatementProofs(fleet.trust))
     for _ in range(2):
         for text in lists:
             statements.receive("fleet/a", text, 1)
@@ -96,7 +98,7 @@ def test_what_the_authority_after_a_rotation_signs_is_proven() -> None:
     before = fleet.authority.revoke(1).text()
     rotation = fleet.standby.rotate(1, active, standby).text()
     after = active.revoke(2).text()
-    statements = Statements("log", fleet.trust)
+    statements = Statements("log", StatementProofs(fleet.trust))
     for text in (before, rotation, after):
         statements.receive("fleet/a", text, 1)
         statements.tick()

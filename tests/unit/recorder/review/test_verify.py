@@ -24,7 +24,7 @@ from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_n
 from recorder.mcap.writer import LogChannel, McapFile
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import survey
-from recorder.record.retention import LogSigner
+from recorder.record.signed_mode import LogSigner
 from recorder.review.catalog.directory import SCHEMA, Catalog, known_logs, write_table
 from recorder.review.info import CATALOG_NAME
 from recorder.review.verify import RobotProofReport, verify_logs

@@ -16,7 +16,7 @@ from obstore.exceptions import GenericError
 
 from recorder.disk.files import NAME, SafeLogReader, UploadNote
 from recorder.objects.address import StoreError
-from recorder.record.retention import LogSigner
+from recorder.record.signed_mode import LogSigner
 from recorder.upload import finished
 from recorder.upload import uploader as stores
 from recorder.upload import uploader as uploading

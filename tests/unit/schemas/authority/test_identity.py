@@ -9,9 +9,10 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from schemas.authority.identity import FoundFile, directory_of, identity_of, installed, not_found
+from schemas.authority.identity import FoundFile, identity_of, installed, not_found
 from schemas.authority.proof import chain_text
 from schemas.command_line import CommandError, ExitCode
+from schemas.configuration import directory_of
 from schemas.settings import AuthoritySettings
 from tests.support.authority import Fleet, Party
 from tests.support.provisioned import private_pem

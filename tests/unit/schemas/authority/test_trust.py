@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from schemas.authority.proof import (
     STATEMENTS_MAX,
-    TEXT_MAX_BYTES,
     Grant,
     GrantRole,
     Revocations,
@@ -23,6 +22,7 @@ from schemas.authority.proof import (
 )
 from schemas.authority.trust import BY_SITE, SAME_AUTHORITY, SMALL_ORDER, HeldGrant, Objection, Trust, fits
 from schemas.reasons import Reason
+from schemas.subjects import TEXT_MAX_BYTES
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party
 
 
