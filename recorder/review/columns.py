@@ -1,20 +1,8 @@
-"""Messages of a log as Arrow columns, without a loop over messages.
+"""Messages of a log as Arrow columns, topic by topic, without a loop over messages.
 
-The record batches of a log: topic by topic, some megabytes of it at once.
-
-The fields of a protobuf message class, and the Arrow type of each.
-
-Unsigned numbers of 32 bits become int64, and so do those of 64 bits whose schema bounds them: a difference of two
-is then a number in SQL too. Enumerations become dictionary-encoded strings: of our own classes the values that the
-typed messages have (``drive``), of others the names in their descriptors; a number that has no name is its own
-digits. Within lists and messages they are plain strings.
-
-The columns of a topic: what every table begins with, then the fields of the message.
-
-A topic that nobody here can read has one column of what its messages are: ``json`` as text, else ``data`` as
-bytes.
-
-The messages of one channel to the record batch of its table.
+Unsigned numbers of 32 bits become int64, and so do those of 64 bits whose schema bounds them: a difference of
+two is then a number in SQL too. Enumerations become names, of our own classes the values that the typed messages
+have. A topic that cannot be decoded has one column, ``json`` or ``data``.
 
 ptars, which is Rust, reads many protobuf messages at once. It knows the fields under names of their own: of
 ``google.protobuf.Timestamp`` and others that it knows by name it would make times, which hold less.
@@ -323,10 +311,6 @@ _MAP_ENTRY: Final = ("key", "value")
 class Decoder:
     """Turns the messages of a topic into record batches.
 
-    Args:
-        columns: the topic's columns.
-        wanted: names of the columns that are to be made; None is all.
-
     Attributes:
         schema: of the batches.
         broken: messages so far that could not be read.
@@ -343,12 +327,7 @@ class Decoder:
         self._handler: Any = None if columns.fields is None else _handler(columns.fields)
 
     def batch(self, content: Bytes, places: Places) -> pa.RecordBatch:
-        """The messages at these places. Those that cannot be read are left out and counted.
-
-        Args:
-            content: records of messages, and padding behind.
-            places: proven, in the order of the file; one at least.
-        """
+        """The messages at these places. Those that cannot be read are left out and counted."""
         messages = _messages(content, places)
         found = self._read(messages)
         if found is None:
@@ -486,15 +465,7 @@ def read_batches(
     progress: Progress = lambda _: None,
     wanted: Collection[str] | None = None,
 ) -> Iterator[Batch]:
-    """The batches of a log, each of one topic in the order of the file.
-
-    Args:
-        log: the file.
-        selection: topics and time.
-        faults: takes what cannot be read; the rest is read all the same.
-        progress: receives the number of bytes that were read or passed over.
-        wanted: names of the columns that are wanted; None is all.
-    """
+    """The batches of a log, each of one topic in the order of the file."""
     try:
         with log.path.open("rb") as stream:
             yield from ColumnReader(stream, log, selection, faults, wanted).batches(progress)
@@ -503,15 +474,7 @@ def read_batches(
 
 
 class ColumnReader(BlockReader):
-    """Reads the batches of one log.
-
-    Args:
-        stream: the file.
-        log: the log to read.
-        selection: the wanted messages.
-        faults: takes what cannot be read.
-        columns: names of the columns that are wanted; None is all.
-    """
+    """Reads the batches of one log."""
 
     def __init__(
         self,

@@ -1,23 +1,10 @@
-"""Entries of what happened: their words, the clocks of their runs, stops, repeats.
+"""What happened, as entries: their words, the clocks of their robots, stops, repeats and missing samples.
 
-Samples and entries that are there several times, or not at all: by their sequences, and by what they say.
+A message's own time is better than that of its receipt, as long as the two clocks agree; else the arbiter's tick
+gives the order. A change between two states, or two healths, is an entry unless an event says it.
 
-The robot's clock in relation to the recorder's.
-
-Each message of a robot carries its own time. That is the better one, since it is that of the fact and not of the
-receipt, as long as the two clocks agree. Where they do not, or where the robot's was set meanwhile, the arbiter's
-tick gives the order of events.
-
-Entries of ``cruiser review events``, and the entries that two successive messages make.
-
-A change between two states of the arbiter, or between two messages of ``gateway/health``. Where the log holds the
-event itself it says more, and the change is left out.
-
-Which entries are stops. Events, reports, catalogs and searches count by this one definition.
-
-A stop is the end of being commanded that no client asked for: a cause of the arbiter, a takeover, a gateway that
-died. What the guard or the next gateway says of it later belongs to it, and so does each further cause that
-follows soon, before the robot is engaged again.
+A stop is the end of being commanded that no client asked for. What a guard or the next gateway says of it later
+belongs to it, and so does each further cause before the robot is engaged again.
 """
 
 from __future__ import annotations
@@ -95,8 +82,7 @@ class RobotClock:
     def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
         """Add a state of the arbiter; states are never queried later.
 
-        Returns:
-            a sentence about a change of the clock; empty if there is none.
+        Returns a sentence about a change of the clock; empty if there is none.
         """
         self.corrected_ns = 0
         if self._tick is not None and tick <= self._tick and not self.is_other_run(tick):
@@ -399,9 +385,7 @@ class Risen(msgspec.Struct, frozen=True):
 def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
     """Return the faults that are new since the message before.
 
-    Args:
-        before: the one before of the same run; None if the log holds none: then the faults of now are returned.
-        now: the newest.
+    Without one before, of the same run, these are the faults of now.
     """
     yield from _bus(before, now)
     yield from _failures(before, now)
@@ -583,11 +567,7 @@ def _hole(before: _Piece, behind: _Piece) -> SequenceHole:
 
 
 class Repeats:
-    """Finds samples that were there before: an incident beside its log, two recorders' logs.
-
-    Args:
-        kept: so many samples are remembered.
-    """
+    """Finds samples that were there before: an incident beside its log, two recorders' logs."""
 
     def __init__(self, kept: int = IDS_KEPT) -> None:
         self._kept = kept

@@ -100,13 +100,7 @@ def read_events(
 ) -> Iterator[Entry]:
     """The entries, in order: by their time, as long as no clock is set back.
 
-    Args:
-        logs: in the order of their beginnings, as ``find_logs`` gives them.
-        selection: of which time, by which topics.
-        faults: collects what cannot be read; the rest is shown all the same.
-        progress: receives the number of bytes that were read or passed over.
-        robots: of these alone, and what is about all; empty is every robot.
-        kinds: of these alone; empty is every kind.
+    Of these robots, and what is about all, and of these kinds; empty is every one.
     """
 
     def is_of(robot: str) -> bool:
@@ -284,9 +278,7 @@ class RobotTrack:
 class Timeline:
     """Makes entries of rows.
 
-    Args:
-        faults: takes what cannot be read.
-        kept: so many samples of each topic are known again when they come a second time.
+    Of each topic ``kept`` samples are known again when they come a second time.
     """
 
     def __init__(self, faults: Faults, *, kept: int = IDS_KEPT) -> None:
@@ -339,9 +331,7 @@ class Timeline:
         Its tick shows whether the gateway is the same, and how long it was silent: a clock that is set forward
         leaves a hole in the log times, too.
 
-        Args:
-            logs: that were read.
-            to_ns: the first log time that was not.
+        ``to_ns`` is the first log time that was not read.
         """
         for robot in list(self._robots.values()):
             found = self._ending(robot, logs, to_ns)
@@ -352,12 +342,7 @@ class Timeline:
                         break
 
     def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[LogEnding]:
-        """Yield the ends of each robot's logs, which ``end`` yields as entries too. After the last row.
-
-        Args:
-            logs: that were read.
-            to_ns: the first log time that was not.
-        """
+        """Yield the ends of each robot's logs, which ``end`` yields as entries too. After the last row."""
         for robot in self._robots.values():
             found = self._ending(robot, logs, to_ns)
             if found is not None:

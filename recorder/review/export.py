@@ -1,25 +1,9 @@
-"""Logs as datasets of Parquet, and as CSV.
+"""Logs as datasets of Parquet files by topic, robot and date, and as CSV.
 
-- One log into a dataset: a function of its own, so that it may run anywhere.
-- One CSV file a topic. Nested values are JSON; see ``cells``.
-
-The contents and sources of a dataset: ``manifest.json`` in its directory, written last.
-
-A directory without it is no dataset, or one whose export was interrupted.
-
-The Parquet files of one log, written while it is read, in bounded memory.
-
-Rows are below ``topic=.../robot=.../date=YYYY-MM-DD``, as Hive names directories. Of a key of ours the topic is
-what follows the robot, so that all robots' rows of one kind are below one directory.
-
-Arrow columns as text and as JSON, for CSV and for programs.
-
-Times are ISO 8601 in UTC, to the nanosecond. Bytes are hexadecimal in a cell of their own, and base64 within JSON.
-
-Many logs into one dataset: Parquet files by topic, robot and date, and a manifest.
-
-What is there is never overwritten. Files are written in a hidden directory beside, moved to their places when all
-are whole, and named by the manifest last: an export that is interrupted leaves no directory that counts as one.
+Directories are named as Hive does, ``topic=.../robot=.../date=YYYY-MM-DD``. What is there is never overwritten:
+files are written in a hidden directory beside, moved when all are whole, and named by ``manifest.json`` last. In
+CSV and JSON times are ISO 8601 in UTC, to the nanosecond, and bytes hexadecimal in a cell of their own, else
+base64.
 """
 
 from __future__ import annotations
@@ -212,10 +196,6 @@ COMPRESSION_LEVEL: Final = 1
 
 class Parts:
     """Takes batches and writes them below a directory.
-
-    Args:
-        root: the directory.
-        sha256: of the log.
 
     Attributes:
         closed: the files that are whole.
@@ -536,14 +516,6 @@ def export_dataset(
     progress: Progress = lambda _: None,
 ) -> Exported:
     """Write logs into a dataset.
-
-    Args:
-        logs: in the order of their beginnings.
-        directory: of the dataset; it is made if it is not there.
-        wanted: topics and time.
-        faults: takes what cannot be read of the logs; the rest is exported all the same.
-        run: does the work.
-        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: the directory holds something already, or cannot be written.

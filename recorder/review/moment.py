@@ -1,9 +1,4 @@
-"""A moment judged: the stop, what holds the robot, and the story around it.
-
-- The course of a stop, by the arbiter's states and the chassis's feedback.
-- One moment: what the robot did, what the arbiter did, and what kept the robot from moving, in sentences.
-- The first pass over a robot's logs: its entries and the runs of its gateways, in their order.
-"""
+"""A moment judged: what the robot and its arbiter did, a stop, the story of its runs."""
 
 from __future__ import annotations
 
@@ -331,15 +326,7 @@ _BOUNDS: Final[dict[Bound, Callable[[SafetyState, Decision], str]]] = {
 def headline(
     now: EvidenceWindow, state: SafetyState | None, focus: Entry | None, why: str, latch: Entry | None
 ) -> str:
-    """The answer in one sentence.
-
-    Args:
-        now: the moment.
-        state: the arbiter's; None if the log does not have it.
-        focus: the stop that is explained.
-        why: its cause in words.
-        latch: the newest one of what is latched.
-    """
+    """The answer in one sentence."""
     is_stop = focus is not None and focus.kind in {EntryKind.STOP, EntryKind.END}
     when = "" if focus is None else before(focus.time_ns, now.at_ns)
     soon = ""
@@ -426,14 +413,7 @@ def blocked_words(reason: Reason, state: SafetyState) -> str:
 
 
 def cures(reason: Reason, robot: str, beside: Collection[Reason] = (), *, is_reset: bool) -> Iterator[Link]:
-    """Return the cure of a reason; if it is no longer latched, the rest that remains after the reset.
-
-    Args:
-        reason: that of a stop, or one that blocks.
-        robot: its name.
-        beside: the other reasons that block.
-        is_reset: it is not latched any more.
-    """
+    """Return the cure of a reason; if it is no longer latched, the rest that remains after the reset."""
     cure = of_a_robot(reason, beside).cure
     cure = cure.rpartition(RESET)[2] if is_reset else cure
     if cure and reason not in _PASSING:

@@ -1,15 +1,7 @@
-"""SQL over logs, exported datasets and catalogs.
+"""SQL over logs, over a dataset made of them, or over catalogs, with DuckDB: a table for each subject.
 
-- Tables, and what they are called. Our own subjects have their names, whether a log holds them or not.
-- The rows of catalogs as one table, a row a log.
-- The tables of a dataset's Parquet files.
-- The tables of logs, which are read when a statement asks for them.
-
-SQL over logs, over a dataset made of them, or over catalogs, with DuckDB: a table for each subject.
-
-The tables of logs are read when a statement asks for them: of the log only chunks that hold their topics are
-unpacked, and only the columns that are asked for are made. DuckDB holds MEMORY_LIMIT and uses a directory on the
-disk beyond that. Nothing is loaded from a network: extensions are neither looked for nor installed.
+Tables of logs are read when a statement asks for them, the columns that it asks for alone. DuckDB holds
+MEMORY_LIMIT, and uses a directory beyond that. Nothing is loaded from a network.
 """
 
 from __future__ import annotations
@@ -110,12 +102,7 @@ class CatalogSource:
 
 
 class DatasetSource:
-    """Tables of a dataset's Parquet files.
-
-    Args:
-        directory: of the dataset.
-        manifest: its own.
-    """
+    """Tables of a dataset's Parquet files."""
 
     def __init__(self, directory: Path, manifest: Manifest) -> None:
         self._directory = directory.absolute()
@@ -233,14 +220,7 @@ def topics_of(log: LogFile, faults: Faults) -> list[Topic]:
 
 
 class LogSource:
-    """Tables that are read from logs while a statement runs.
-
-    Args:
-        logs: in the order of their beginnings.
-        selection: topics and time.
-        faults: takes what cannot be read, once, however often a statement reads it.
-        progress: receives the number of bytes that were read.
-    """
+    """Tables that are read from logs while a statement runs."""
 
     def __init__(
         self, logs: Sequence[LogFile], selection: Selection, faults: Faults, progress: Progress = lambda _: None
@@ -326,11 +306,7 @@ class _Scan:
 
     Arrow's own reads ahead in threads that outlive a statement that ends early, and the interpreter with it.
 
-    Args:
-        rows: with every column that the statement needs.
-        schema: of these.
-        columns: those that DuckDB wants to see.
-        wanted: the wanted rows, an expression of pyarrow's; None for all.
+    The columns are those that DuckDB wants to see; the filter is an expression of pyarrow's, None for all.
     """
 
     def __init__(
@@ -386,13 +362,7 @@ def answer(
 ) -> Generator[pa.RecordBatchReader | None, None, None]:
     """The rows that a statement gives, as they come; None if it gives none.
 
-    Args:
-        source: the tables that it may read.
-        sql: the statement.
-        stopped: turns true when nobody waits for the answer any more. DuckDB heeds no signal by itself, so it
-            works in a thread of its own.
-        may_use_files: the statement may read and write files of the user's, and not only what the source gives.
-        parameters: values of what the statement names with ``$``.
+    DuckDB heeds no signal by itself, so it works in a thread of its own; ``stopped`` ends that.
 
     Raises:
         CommandError: DuckDB does not understand it, or cannot do it; also while the rows are read, see ``told``.

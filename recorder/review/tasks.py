@@ -141,11 +141,7 @@ def look(_count: int) -> None:
 
 
 class RayCluster(Executor):
-    """Has tasks done by a cluster that is there. What a task raises is its own exception.
-
-    Args:
-        ray: the module, connected.
-    """
+    """Has tasks done by a cluster that is there. What a task raises is its own exception."""
 
     def __init__(self, ray: Any) -> None:  # noqa: ANN401 - a module that is not everywhere
         self._ray = ray
@@ -175,9 +171,6 @@ class RayCluster(Executor):
 @contextmanager
 def ray_cluster(address: str) -> Generator[RayCluster, None, None]:
     """Connect to a Ray cluster; tasks that are not done at the end are given up.
-
-    Args:
-        address: ``ray://HOST:PORT``, of the server for clients on the cluster's head.
 
     Raises:
         CommandError: Ray is not installed, or no cluster is there.

@@ -91,31 +91,13 @@ def explain(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> Explanation:
-    """Explain why the robot stopped, or did not move.
-
-    Args:
-        robot: its name.
-        logs: in the order of their beginnings.
-        found: the survey of these logs.
-        at_ns: the moment, in nanoseconds since 1970; if it is None, the last stop of the logs, or when a gateway
-            that died at work was last received, whichever is later.
-        faults: takes what cannot be read.
-        progress: receives the number of bytes that were read.
-    """
+    """Explain why the robot stopped, or did not move."""
     explainer = Explainer(robot, logs, found, faults, progress)
     return explainer.last() if at_ns is None else explainer.at(at_ns)
 
 
 class Explainer:
-    """Explains moments of one robot's logs; its events are read once for all of them.
-
-    Args:
-        robot: its name.
-        logs: in the order of their beginnings.
-        found: the survey of these logs.
-        faults: takes what cannot be read.
-        progress: receives the number of bytes that were read.
-    """
+    """Explains moments of one robot's logs; its events are read once for all of them."""
 
     def __init__(
         self,
@@ -222,12 +204,7 @@ def _silences(now: EvidenceWindow, story: Story) -> list[GatewaySilence]:
 
 
 class _Answer:
-    """Puts the links together.
-
-    Args:
-        explainer: the robot's logs and story.
-        at_ns: the moment.
-    """
+    """Puts the links together."""
 
     def __init__(self, explainer: Explainer, at_ns: int) -> None:
         self._explainer = explainer

@@ -1,8 +1,4 @@
-"""The part of a log around a moment, and the chain of what is found in it.
-
-- A chain of reasoning: links, each a sentence with its numbers as data.
-- Some seconds of one robot, out of its logs: what the arbiter saw, was asked, and did, around a moment.
-"""
+"""Some seconds of one robot's logs around a moment, and the links of the chain that explains it."""
 
 from __future__ import annotations
 
@@ -271,13 +267,8 @@ class GivenInputs(msgspec.Struct, frozen=True):
 def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> GivenInputs | None:
     """The frames that the arbiter was given before the last tick up to a moment.
 
-    Args:
-        at_ns: the moment; a tick that is so near to it that it must be meant is one of the moment.
-        journals: of one run of a gateway, by their time.
-        shift_ns: to be added to the robot's clock.
-
-    Returns:
-        None if the log does not hold the journal of the moment.
+    A tick that is so near to the moment that it must be meant is one of it. None if the log does not hold the
+    journal of it.
     """
     inputs: list[tuple[Any, ...]] = []
     next_first: int | None = None

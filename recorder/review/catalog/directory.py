@@ -1,11 +1,6 @@
-"""The catalog of a directory, or of a place in a store.
+"""The catalog of a directory: which rows still hold, which logs have to be opened, and its Parquet file.
 
-- The rows of a catalog as an Arrow table, and as a Parquet file that says of which form it is.
-- The catalog of a directory: which of its rows still hold, which logs have to be opened, and the file itself.
-
-The catalog of a place in an object store: the rows that lie beside its logs.
-
-No log is read but one whose row is missing, damaged or of another log: then a copy of it, from beginning to end.
+That of a place in an object store are the rows beside its logs; of a log whose row does not hold a copy is read.
 """
 
 from __future__ import annotations
@@ -110,10 +105,6 @@ def to_rows(table: pa.Table) -> list[CatalogRow]:
 def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
     """Read a catalog.
 
-    Args:
-        path: the file.
-        columns: these alone, ``file`` among them; all unless told otherwise.
-
     Raises:
         FileNotFoundError: there is none.
         CatalogUnreadableError: it cannot be read.
@@ -131,10 +122,6 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
 
 def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.Table:
     """Read a catalog from an open file.
-
-    Args:
-        stream: the file.
-        columns: these alone, ``file`` among them; all unless told otherwise.
 
     Raises:
         CatalogUnreadableError: it cannot be read.
@@ -235,12 +222,6 @@ class Catalog:
     A row holds as long as its file has the same length, and either the time of its last change or the checksum of
     its summary.
 
-    Args:
-        directory: of the logs.
-        columns: those of ``CatalogRow`` that are wanted.
-        path: where the catalog is kept; beside the logs unless told otherwise.
-        is_anew: believe no row that is there.
-
     Attributes:
         stale: the logs that have to be opened, and ``stale_bytes`` their length.
         being_written: logs that a recorder has open: they have no row.
@@ -297,10 +278,7 @@ class Catalog:
 
         What was found is written also where the reading is interrupted.
 
-        Args:
-            faults: takes the logs that cannot be opened, or not be read in time.
-            progress: receives the number of bytes that were read.
-            in_time: makes the progress of one log of so many bytes, which may give it up.
+        ``in_time`` makes the progress of one log of so many bytes, which may give it up.
         """
         found: list[CatalogRow] = []
         try:
@@ -520,13 +498,6 @@ class PlaceCatalog:
 
     A row holds for a log of the same name and length: nobody overwrites a log of an upload.
 
-    Args:
-        objects: of the place.
-        place: its address.
-        columns: those of ``CatalogRow`` that are wanted.
-        cache: fetches the logs that have no row.
-        is_anew: believe no row that is there.
-
     Attributes:
         stale: the logs that have to be read, and ``stale_bytes`` their length.
         being_written: always empty: a store shows a log when it is whole.
@@ -583,10 +554,7 @@ class PlaceCatalog:
     ) -> None:
         """Read copies of the logs that have no row.
 
-        Args:
-            faults: takes the logs that cannot be read, or not in time.
-            progress: receives the number of bytes that were fetched.
-            in_time: makes the progress of one log of so many bytes, which may give it up.
+        ``in_time`` makes the progress of one log of so many bytes, which may give it up.
         """
         if self.stale:
             url = shown_url(self._place.url)

@@ -112,13 +112,6 @@ def find(
 ) -> list[dict[str, Any]]:
     """Return the answers by their time, as JSON has them.
 
-    Args:
-        rows: of catalogs, with the search's columns. An incident that the other logs hold does not count.
-        search: its name.
-        conditions: what has to hold.
-        newest: the last so many alone; None is all.
-        stopped: turns true when the answer is not wanted any more.
-
     Raises:
         CommandError: it cannot be answered.
         KeyboardInterrupt: it was stopped.

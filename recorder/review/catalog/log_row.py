@@ -1,9 +1,5 @@
 """The row of a log in the catalog: what the other questions find in it.
 
-A row of the catalog: what the other questions find in one log.
-
-The row of one log as a file of its own, which lies beside the log in an object store: JSON, packed with zstd.
-
 A robot makes it with no more than it records with: the libraries for tables are needed where rows are searched.
 """
 
@@ -190,13 +186,6 @@ def summarize(
 ) -> CatalogRow:
     """Make the row of a log, which is read from its beginning to its end.
 
-    Args:
-        log: the file, as ``look_at`` gives it.
-        file: its name, as the row has it.
-        modified_ns: the time of its last change.
-        summary_crc: the checksum of its summary.
-        progress: receives the number of bytes that were read.
-
     Raises:
         CommandError: it can no longer be opened.
     """
@@ -365,11 +354,6 @@ class RowFile(msgspec.Struct, frozen=True):
 def write_row(path: Path, file: str, modified_ns: int) -> bytes:
     """Make the row of a log, which is read from its beginning to its end.
 
-    Args:
-        path: the file.
-        file: the log's name, as the row has it.
-        modified_ns: the time of its last change.
-
     Raises:
         CommandError: it cannot be opened.
     """
@@ -399,12 +383,6 @@ def read_row(data: bytes, log_bytes: int) -> CatalogRow:
 
 def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda _: None) -> CatalogRow:
     """Make the row of a log, which is read from its beginning to its end.
-
-    Args:
-        path: the file.
-        file: the log's name, as the row has it.
-        modified_ns: the time of its last change.
-        progress: receives the number of bytes that were read.
 
     Raises:
         CommandError: it cannot be opened.

@@ -1,8 +1,4 @@
-"""All of one robot for a report, from its rows.
-
-- The gateways of a robot, one after the other: variant, configuration and packages.
-- All of one robot, from its messages one by one, in memory that does not grow with them.
-"""
+"""All of one robot for a report, from its messages one by one, in memory that does not grow with them."""
 
 from __future__ import annotations
 
@@ -107,10 +103,8 @@ class Versions:
     def in_force(self, offset_ns: int = 0, from_ns: int = 0, to_ns: int = 2**64) -> list[InForce]:
         """Return the gateways, by the time since when they were in force.
 
-        Args:
-            offset_ns: to be added to the robot's times.
-            from_ns: those that another one followed before are left out...
-            to_ns: ...and those that came then or later.
+        Those that another one followed before ``from_ns`` are left out, and those that came at ``to_ns`` or
+        later.
         """
         dated = sorted(self._dated(offset_ns), key=lambda one: one[0])
         ends_ns = [since_ns for since_ns, _ in dated[1:]] + [2**64]
@@ -200,12 +194,8 @@ _Sample = tuple[int, RobotState | SafetyState, float | None, bool]
 class Account:
     """Gathers what is said of a robot.
 
-    Args:
-        name: its label.
-        key: the beginning of its keys.
-        versions: of its gateways, as far as they are known before.
-        begins_ns: its logs, or the period that is asked about, begin then. A recorder may have asked a gateway for
-            what was before; it is left out.
+    Its logs, or the period that is asked about, begin at ``begins_ns``: what a recorder asked for of before is
+    left out.
     """
 
     def __init__(self, name: str, key: str, versions: Versions | None = None, begins_ns: int = 0) -> None:
@@ -295,14 +285,7 @@ class Account:
     def sum_up(
         self, completeness: dict[str, KeyReport], facts: dict[str, str], from_ns: int = 0, to_ns: int = 2**64
     ) -> RobotReport | None:
-        """Sum up what has been found; None if nothing came.
-
-        Args:
-            completeness: the recorder's account of this robot's topics.
-            facts: other facts about it in the logs.
-            from_ns: gateways that were in force before are left out...
-            to_ns: ...and those that came then or later.
-        """
+        """Sum up what has been found; None if nothing came."""
         if not self._end_ns:
             return None
         found, motion = self.drives, self.drives.motion

@@ -1,11 +1,6 @@
-"""The findings of a report, as data and in words, with the numbers behind them.
+"""The findings of a report, as data and in words; drawings are reduced while samples stream in.
 
-- Drawings of a drive: lines over time, bands of values and the path, reduced while samples stream in.
-- The content of a report, as data. Times are nanoseconds since 1970, by the robot's own clock.
-
-A robot's figures in words: the verdict, and the lines below it.
-
-Names and texts come from the log, and may hold anything: who shows them has to make them safe.
+Times are nanoseconds since 1970, by the robot's clock. Names and texts come from the log, and may hold anything.
 """
 
 from __future__ import annotations
@@ -210,8 +205,7 @@ def _merge(bucket: list[Point], point: Point) -> None:
 class Spans:
     """One band of a chart: values, and from when to when each held. What comes late is passed over.
 
-    Args:
-        limit: spans at most; beyond it short ones become one that is ``MIXED``.
+    Beyond ``limit`` short ones become one that is ``MIXED``.
     """
 
     def __init__(self, limit: int = SPANS_MAX) -> None:

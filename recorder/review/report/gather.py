@@ -55,12 +55,7 @@ def read_report(
 ) -> Report:
     """Read what logs say of their robots, in memory that does not grow with them.
 
-    Args:
-        logs: as ``find_logs`` gives them.
-        selection: the wanted messages; of the time before it the states are read too.
-        faults: takes what cannot be read; the rest is read all the same.
-        progress: receives the number of bytes that were read.
-        version: of the program, which the report names.
+    Of the time before the selection the states are read too.
     """
     margins = [read_margins(log) for log in logs]
     fleet = _Fleet(logs, selection, margins, faults)

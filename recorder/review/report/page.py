@@ -1,13 +1,8 @@
-"""The report's page, and its charts as data for it.
+"""The report as one HTML file, which needs no network and runs no script but its own.
 
-The charts of a robot as data, which ``page.js`` draws: lines by uPlot, path, bands and marks as SVG.
-
-Times are whole milliseconds, each since the one before it: a chart has thousands of them.
-
-The report as one HTML file, which needs no network and runs no script but its own.
-
-All that comes from a log is escaped. Should that fail, the page's content security policy lets no other script run
-than those whose hashes it names, and nothing be fetched.
+``page.js`` draws the charts, lines by uPlot and path, bands and marks as SVG. All that comes from a log is
+escaped; should that fail, the policy lets no other script run than those whose hashes it names, and nothing be
+fetched.
 """
 
 from __future__ import annotations
@@ -300,10 +295,7 @@ Row = tuple[str | int | Html | None, ...]
 def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -> str:
     """The page, which is ``page.html`` filled in.
 
-    Args:
-        report: its content.
-        whys: the reasons of the stops, as far as they were looked for.
-        logs: the logs, as a shell has them, for commands that the page names.
+    ``logs`` are as a shell has them, for commands that the page names.
     """
     here, vendor = files(__package__), files(schemas) / "page" / "vendor"
     library, script = _text(vendor / "uPlot.iife.min.js"), _text(here / "page.js")
