@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
@@ -112,22 +112,11 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
     try:
         if kind := other_kind(path.stat().st_mode):
             raise CatalogUnreadableError(f"is {kind}")
-        with path.open("rb") as stream:
-            return read_stream(stream, columns)
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise CatalogUnreadableError("is damaged") from error
-
-
-def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.Table:
-    """Read a catalog from an open file.
-
-    Raises:
-        CatalogUnreadableError: it cannot be read.
-    """
-    try:
-        with bounded_memory(), pq.ParquetFile(stream, page_checksum_verification=True) as file:
+        with (
+            path.open("rb") as stream,
+            bounded_memory(),
+            pq.ParquetFile(stream, page_checksum_verification=True) as file,
+        ):
             schema = file.schema_arrow
             told: dict[bytes, bytes] = schema.metadata or {}
             version = told.get(b"version", b"").decode(errors="replace")
@@ -139,6 +128,8 @@ def read_stream(stream: BinaryIO, columns: Collection[str] | None = None) -> pa.
             if pc.count_distinct(table.column("file")).as_py() < table.num_rows:
                 raise CatalogUnreadableError("names a log twice")
             return table
+    except FileNotFoundError:
+        raise
     except MemoryError as error:
         raise CatalogUnreadableError("unpacks to too much") from error
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -169,27 +160,18 @@ def write_table(path: Path, table: pa.Table) -> None:
     beside.unlink(missing_ok=True)
     try:
         with beside.open("xb") as stream:
-            write_stream(stream, table)
+            pq.write_table(
+                table.replace_schema_metadata(SCHEMA.metadata),
+                stream,
+                row_group_size=ROWS_IN_GROUP,
+                compression="zstd",
+                write_page_checksum=True,
+            )
             stream.flush()
             os.fsync(stream.fileno())
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
-
-
-def write_stream(stream: BinaryIO, table: pa.Table) -> None:
-    """Write a catalog into an open file.
-
-    Raises:
-        OSError: the disk does not take it.
-    """
-    pq.write_table(
-        table.replace_schema_metadata(SCHEMA.metadata),
-        stream,
-        row_group_size=ROWS_IN_GROUP,
-        compression="zstd",
-        write_page_checksum=True,
-    )
 
 
 _CHECKED: Final = ["file", "bytes", "modified_ns", "summary_crc", "is_incident", "start_ns", "end_ns"]
