@@ -1,4 +1,4 @@
-"""What happened, as entries: their words, the clocks of their robots, stops, repeats and missing samples.
+"""Entries of what happened: their words, the clocks of their robots, stops, repeats and missing samples.
 
 A message's own time is better than that of its receipt, as long as the two clocks agree; else the arbiter's tick
 gives the order. A change between two states, or two healths, is an entry unless an event says it.
