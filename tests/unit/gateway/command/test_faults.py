@@ -15,13 +15,14 @@ from gateway.chassis.port import Actuation
 from gateway.guard.stopper import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
-from schemas.decisions import ArbiterState, Bound, EventKind, StopPhase
-from schemas.messages import GearPosition, ParkingStatus, Variant
+from schemas.decisions import ArbiterState, EventKind
+from schemas.messages import GearPosition, Variant
 from schemas.reasons import TEXTS, Reason
 from schemas.settings import YIELD_BURSTS, ChassisSettings, CommandSettings
 from tests.support.frames import STANDING, Feedback
 from tests.support.nights import by_night
 from tests.support.rigs.gateway import GUARDED, MS, GatewayRig, Operator, driving, ready
+from tests.support.rigs.scenes import play
 from tests.support.strategies import VARIANTS, with_checksum
 
 YEAR_NS = 365 * 24 * 3600 * 10**9
@@ -212,41 +213,70 @@ def test_what_is_engaged_without_each_message(name: str) -> None:
         assert name in rig.replies[handle].detail
 
 
-@pytest.mark.parametrize("name", REQUIRED)
-def test_silence_of_each_message_stops_the_robot(name: str) -> None:
+BODY = "Auto_MileageAndBodyFeedback"
+SPEEDS = ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback")
+REMOTE = "transmitter remote; sticks {} 0"
+AT_BUMPER = "ready; bumper {} on; wait 1; reply acquire none; reply reset none; engage"
+"""The bumper is pressed, and was reset: the robot is engaged to back off."""
+
+
+def freeze(*names: str) -> str:
+    return "; ".join(f"freeze {name}" for name in names)
+
+
+def borne_s(name: str) -> float:
     """Row 'feedback silence, per frame, over 10 periods (at least 100 ms): stop'."""
-    rig, operator = driving()
-    period_ms = load(Variant.COARSE).messages[name].period_ns // MS
-    rig.fault(f"silence {name}")
-    operator.drive(1.0, seconds=max(100, 10 * period_ms) / 1000 - 0.02)
-    assert rig.says.engaged
-    operator.drive(1.0, seconds=0.1)
-    assert rig.says.stop_reason is Reason.FEEDBACK_MISSING
-    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
-    assert rig.speed_mps == 0
+    return max(100, 10 * load(Variant.COARSE).messages[name].period_ns // MS) / 1000 - 0.02
 
 
-@pytest.mark.parametrize("name", sorted(set(STANDING) - set(REQUIRED)))
-@pytest.mark.parametrize("fault", ["silence", "checksum", "stuck"])
-def test_what_is_not_required_does_not_stop_the_robot(name: str, fault: str) -> None:
-    """Row 'engage: all but those the manual calls reserved, lamps and horn'."""
-    rig, operator = driving()
-    rig.fault(f"{fault} {name}")
-    operator.drive(1.0, seconds=2)
-    assert rig.says.engaged
+FEEDBACK: dict[str, str] = {
+    **{
+        f"silence of {name}": f"driving 1; silence {name}; drive 1 0 {borne_s(name)}; = engaged; drive 1 0 0.1; "
+        "= for feedback_missing; rest; = rests"
+        for name in REQUIRED
+    },
+    **{
+        f"{fault} of {name}, which is not required": f"driving 1; {fault} {name}; drive 1 0 2; = engaged"
+        for name, fault in product(sorted(set(STANDING) - set(REQUIRED)), ("silence", "checksum", "stuck"))
+    },
+    **{
+        f"five checksums of {name} in a second": f"driving 1; checksum {name} for 4 frames; drive 1 0 0.5; "
+        f"= engaged; wait 0; checksum {name} for 1 frames; drive 1 0 0.1; = for feedback_faulty"
+        for name in REQUIRED
+    },
+    # The counter fits again after 16, so silence is declared before.
+    **{
+        f"16 lost of {name}": f"driving 1; drop {name} next 16; drive 1 0 0.16; = for feedback_missing"
+        for name in FAST
+    },
+    **{
+        f"{', '.join(names)} frozen after {driven_s} s at 2.2 m/s": f"ready fast; engage; drive 2.2 0 {driven_s}; "
+        f"mark; {freeze(*names)}; drive 2.2 0 8; = way {most_m}, rests, first not_moving feedback_frozen"
+        for names, times_s, most_m in [
+            (("all",), (0.16, 0.2, 0.3), 4.0),
+            (SPEEDS, (0.02, 0.2, 0.3), 4.0),
+            (("all",), (0.6, 1.2, 1.8, 2.4, 3.0), 5.0),
+            (SPEEDS, (0.6, 1.2, 1.8, 2.4), 5.0),
+        ]
+        for driven_s in times_s
+    },
+    # At a command that need not show, either of pulses and mileage is enough.
+    **{
+        f"speeds and {name} frozen of a slow robot": f"ready; engage; mark; {freeze(*SPEEDS, name)}; "
+        "drive 0.2 0 20; "
+        f"= first feedback_frozen, rests, way {most_m}"
+        for name, most_m in ((BODY, 0.6), ("Auto_WheelPulseFeedback", 3.2))
+    },
+    "another scale while it stands": "ready; engage; drive 0 0 0.2; variant fine; drive 0 0 0.6; "
+    # Read in the wrong scale its wheels turn at 33 m/s.
+    "= stopped, for variant_unknown implausible_speed, told 0",
+}
 
 
-@pytest.mark.parametrize("name", REQUIRED)
-def test_checksum_faults_stop_the_robot(name: str) -> None:
-    """Row 'checksum faults: so many in 1 s on one identifier: stop', here five; four are borne."""
-    rig, operator = driving()
-    rig.fault(f"checksum {name} for 4 frames")
-    operator.drive(1.0, seconds=0.5)
-    assert rig.says.engaged
-    rig.run(0)
-    rig.fault(f"checksum {name} for 1 frames")
-    operator.drive(1.0, seconds=0.1)
-    assert rig.says.stop_reason is Reason.FEEDBACK_FAULTY
+@pytest.mark.parametrize("scene", FEEDBACK.values(), ids=FEEDBACK)
+def test_feedback_that_fails(scene: str) -> None:
+    """Rows 'feedback silence', 'checksum faults', 'commanded to move' and 'frozen feedback'."""
+    play(scene)
 
 
 @pytest.mark.parametrize("name", FAST)
@@ -255,43 +285,224 @@ def test_checksum_faults_stop_the_robot(name: str) -> None:
 )
 def test_a_counter_that_stands_or_jumps_stops_the_robot(name: str, step: int) -> None:
     """Row 'alive counter: +1 per fault, -1 per good frame, at 5: stop'; frozen, and every step from 2 to 15."""
-    rig, operator = driving()
-    rig.fault(f"skip {name} by {step}" if step else f"stuck {name}")
-    operator.drive(1.0, seconds=0.04)
-    assert rig.says.engaged
-    operator.drive(1.0, seconds=0.06)
-    assert not rig.says.engaged
-    assert rig.says.stop_reason in {Reason.FEEDBACK_FAULTY, Reason.FEEDBACK_MISSING}
+    fault = f"skip {name} by {step}" if step else f"stuck {name}"
+    play(
+        f"driving 1; {fault}; drive 1 0 0.04; = engaged; drive 1 0 0.06; = stopped, "
+        "for feedback_faulty feedback_missing"
+    )
 
 
-@pytest.mark.parametrize("name", FAST)
-def test_exactly_sixteen_lost_frames_are_found(name: str) -> None:
-    """Row 'alive counter arithmetic': the counter fits again after 16, so silence is declared before."""
-    rig, operator = driving()
-    rig.fault(f"drop {name} next 16")
-    operator.drive(1.0, seconds=0.16)
-    assert rig.says.stop_reason is Reason.FEEDBACK_MISSING
+BUS: dict[str, str] = {
+    # At zero speed the parking brake comes second in a burst; the enables stay.
+    **{
+        f"takes {taken} of each burst of a stop": f"driving 1; ask stop; takes {taken}; wait 3; = rests, "
+        + ("parked, phase hold" if taken > 1 else "unparked, phase park")
+        for taken in range(1, 5)
+    },
+    # Nobody who gave way in the hold of a stop releases the brake afterwards, not for one frame.
+    **{
+        f"a parked robot and {by}": f"driving 1; ask stop; hold; tick 20; = phase hold; mark; {by}; wait 6; "
+        "= spoken, braked"
+        for by in (
+            "transmitter remote; wait 0.5; transmitter command",
+            "bus lost; wait 1; bus again",
+            "bus lost; wait 1; bus silent",
+        )
+    },
+    # While it is away nothing reaches the chassis, which goes on; the stop comes with the first sign of auto.
+    **{
+        f"{away}": f"driving 1; {away}; tick 3; = stopping, for found_moving, told 0; wait 6; = rests"
+        for away in (
+            "links bus_losses:1; deaf; tick 1; = events takeover bus_down; hears",
+            "bus lost; tick 1; = events takeover bus_down; wait 0.1; bus again",
+            "bus lost; tick 1; = events takeover bus_down; wait 1; bus again",
+        )
+    },
+    "the controller leaves it": "driving 1; controller off; rest; = for bus_off, event fault bus_off; "
+    "reply acquire none; reply engage bus_off; controller active; engage; = engaged",
+    "another computer": "driving 1; foreign 18C4D3D0 every 10ms for 50ms; drive 1 0 0.04; = stopping, "
+    "for other_commander",
+}
 
 
-# The bus.
+@pytest.mark.parametrize("scene", BUS.values(), ids=BUS)
+def test_a_bus_that_fails(scene: str) -> None:
+    """Rows 'the bus', 'controller' and 'other commander'."""
+    play(scene)
 
 
 @pytest.mark.parametrize(("takes", "variant"), mostly_coarse(range(5)))
 def test_a_full_buffer_stops_the_robot_and_nothing_stale_leaves(takes: int, variant: Variant) -> None:
     """Five ticks in a row whose frames are not taken; what was not taken is made anew, never sent later."""
-    rig, operator = driving(1.0, variant=variant)
-    rig.takes = takes
-    operator.drive(2.0, 20.0, 0.04)
-    assert rig.says.engaged
-    rig.tick(2)
-    assert rig.says.stop_reason is Reason.SEND_FAILED
-    rig.run(0.3)
-    rig.takes = None
-    rig.tick()
-    assert rig.told_mps < 1.0
-    rig.run(6)
-    assert rig.speed_mps == 0
-    assert rig.says.state is ArbiterState.STANDBY
+    play(
+        f"driving 1; takes {takes}; drive 2 20 0.04; = engaged; tick 2; = for send_failed; wait 0.3; takes all; "
+        "tick 1; = below 1; wait 6; = rests, standby",
+        variant,
+    )
+
+
+@pytest.mark.parametrize(("takes", "variant"), mostly_coarse(range(1, 5)))
+def test_a_bus_that_takes_a_part_of_each_burst_does_not_keep_the_robot_going(takes: int, variant: Variant) -> None:
+    """As a full queue does that drains a little each tick: the speed goes first, and ramps down."""
+    play(
+        f"driving 1; mark; takes {takes}; ask stop; drive 1 0 0.05; = for remote_stop; wait 3; = rests, "
+        "falling, mute",
+        variant,
+    )
+
+
+TAKEN: dict[str, str] = {
+    **{
+        f"{name} is cleared at speed": f"driving 1; deaf; unset {name}; drive 1 0 0.06; = for mode_not_auto, "
+        "told 0, "
+        "parking; hears; drive 1 0 4; = standby, ruled not_engaged, rests"
+        for name in MOTION_FRAMES
+    },
+    **{
+        f"{name} is cleared at rest": f"ready; engage; deaf; unset {name}; drive 1 0 0.06; "
+        "= events takeover mode_not_auto; mark; hears; drive 1 0 2; = silent, ruled not_engaged"
+        for name in MOTION_FRAMES
+    },
+    # What a ramp left in the chassis is not executed when it is given back; the gateway may be gone by then.
+    **{
+        f"taken while its mode is unknown for {away_ms} ms": f"driving 1; silence {BODY} for {away_ms}ms; "
+        f"{REMOTE.format(1)}; drive 1 0 1; = standby; sticks 0 0; wait 3; mark; deaf; transmitter command; "
+        "wait 5; "
+        "= rests, parked, way 0.05"
+        for away_ms in range(400, 601, 20)
+    },
+    # The bus returns, and the remote control drives since then; a body frame that comes in time is waited for.
+    **{
+        f"owed a stop for {phase_ms} ms": f"driving 1; bus lost; {REMOTE.format(2)}; tick 2; ask stop; "
+        f"tick {phase_ms // 10 + 5}; bus again; silence {BODY} for {phase_ms}ms; mark; wait 2; = speechless, "
+        "braked" + ", unspoken" * (phase_ms <= 150)
+        for phase_ms in range(10, 410, 10)
+    },
+    "given back in motion": f"driving 1; {REMOTE.format(1)}; drive 1 0 1; mark; transmitter command; wait 4; "
+    "= rests, spoken, speechless",
+    "given back while it is latched": f"ready; ask stop; wait 1; {REMOTE.format(0.3)}; wait 1; sticks 0 0; "
+    "wait 1; "
+    "transmitter command; wait 3; = latched remote_stop, parked",
+    "moved twice soon after a stop, which says nothing about its brake": "driving 0.5; ask disengage; wait 4; "
+    + f"{REMOTE.format(0.8)}; wait 2; transmitter command; wait 5; " * 2
+    + "= event stop found_moving, latched",
+}
+
+
+@pytest.mark.parametrize("scene", TAKEN.values(), ids=TAKEN)
+def test_a_robot_that_somebody_takes(scene: str) -> None:
+    """Rows 'mode leaves auto', 'on yielding to mode remote' and 'given back'."""
+    play(scene)
+
+
+BUMPERS: dict[str, str] = {
+    **{
+        f"{side}, at {speed_mps} m/s": f"driving {speed_mps}; bumper {side} on for 50ms; "
+        f"drive {speed_mps} 0 0.04; "
+        f"= stopping; drive {speed_mps} 0 4; = rests, latched {hit}; reply engage {hit}; tick 40; "
+        "reply reset none; "
+        "= latched"
+        for (side, hit), speed_mps in product(
+            {"front": "front_bumper", "rear": "rear_bumper", "both": "front_bumper rear_bumper"}.items(), (1, -1)
+        )
+    },
+    # From the hit to rest, whenever it comes between two body frames.
+    **{
+        f"hit at {speed_mps} m/s, {phase} ticks later": f"driving {speed_mps}; tick {phase}; mark; "
+        "bumper front on; "
+        f"drive {speed_mps} 0 4; = rests, way {way_m} {way_m - 0.04}"
+        for (speed_mps, way_m), phase in product(((0.48, 0.14), (1.0, 0.41), (2.2, 1.56)), (0, 1))
+    },
+    # After a deliberate reset only motion away from the hit side until it is clear; then a hit is new.
+    **{
+        f"{side} is reset": f"{AT_BUMPER.format(side)}; drive {toward} 0 1; = rests, bound bumper; "
+        f"drive {-toward} 0 2; = moves {-toward}, engaged; bumper {side} off; drive {toward} 0 3; "
+        f"= moves {toward}; "
+        f"bumper {side} on; drive {toward} 0 0.06; = stopping"
+        for side, toward in (("front", 0.5), ("rear", -0.5))
+    },
+    "the other one while it backs off": f"{AT_BUMPER.format('front')}; drive -0.5 0 2; bumper rear on; "
+    "drive -0.5 0 0.06; = latched rear_bumper, stopping",
+    "both are reset: no way is away": f"{AT_BUMPER.format('both')}; drive 0.5 0 1; = rests; drive -0.5 0 1; "
+    "= rests",
+    "latched standing by: nothing is sent": "ready; mark; bumper front on; wait 1; = latched front_bumper; "
+    "wait 1; "
+    "= silent",
+}
+
+
+@pytest.mark.parametrize("scene", BUMPERS.values(), ids=BUMPERS)
+def test_a_bumper_that_is_hit(scene: str) -> None:
+    """Row 'bumper: immediate stop, latched', whichever way the robot goes; and row 'speed limit'."""
+    play(scene)
+
+
+LOOP: dict[str, str] = {
+    **{
+        f"a tick is {late_ms} ms late": f"driving 1; late {late_ms}; = {'' if late_ms > 50 else 'un'}event fault "
+        f"loop_late; drive 1 0 0.1; = {ruling}"
+        for late_ms, ruling in (
+            (50, "engaged"),
+            (51, "engaged"),
+            (100, "engaged"),
+            (101, "stopped, for loop_late feedback_missing, says by 101 ms"),
+            (400, "stopped, for loop_late feedback_missing, says by 400 ms"),
+        )
+    },
+    # The loop stood still meanwhile.
+    **{
+        f"a stop of the guard's that was not seen, {begin}": f"{begin}; links guard_stops:1; tick 2; "
+        "= latched guard; "
+        "wait 6; reply acquire none; reply reset none; = latched"
+        for begin in ("driving 1", "ready")
+    },
+    # The lower of the two limits, said before it is engaged.
+    **{
+        f"{lacks}": f"ready unguarded; links {lacks}; wait 0.2; = limit 1.0; engage; = limit 1.0; drive 2 0 3; "
+        "= told 1; "
+        "drive 0 0 2; reply disengage none; rest; engage 0.4; = limit 0.4"
+        for lacks in ("realtime:0", "guarded:0")
+    },
+    "no real-time priority any more, and then again": "driving 2; links realtime:0; drive 2 0 0.2; = limit 1.0, "
+    "event fault no_realtime; drive 2 0 2; = told 1, engaged; links; drive 2 0 1; = limit 1.0",
+    "no guard any more": "driving 1; links guarded:0; drive 1; = for unguarded; wait 6; reply acquire none; "
+    "reply engage unguarded",
+}
+
+
+@pytest.mark.parametrize("scene", LOOP.values(), ids=LOOP)
+def test_a_loop_that_is_late_or_alone(scene: str) -> None:
+    """Rows 'loop late', 'the guard has stopped the robot', 'without real-time priority', 'limits scale down'."""
+    play(scene)
+
+
+DRIVEN: dict[str, str] = {
+    # A robot that gathers speed slowly does not stand.
+    **{
+        f"motor {strength}, {slope_deg} deg, {payload_kg} kg": f"ready; engage; motor {strength}; "
+        f"slope {slope_deg}; "
+        f"payload {payload_kg}; drive 1 0 5; drive 0 0 3; = engaged, latched"
+        for strength, slope_deg, payload_kg in (
+            (0.3, 5, 0),
+            (0.5, 5, 100),
+            (0.5, -10, 0),
+            (1, 15, 100),
+            (1, -20, 0),
+        )
+    },
+    "it stands": "driving 0.5; drive 0 0 1.2; = moves 0, gear drive, unparking; drive 0 0 1; = gear drive, "
+    "parking; "
+    "drive -0.5 0 2; = moves -0.5",
+}
+
+
+@pytest.mark.parametrize("scene", DRIVEN.values(), ids=DRIVEN)
+def test_what_is_no_fault(scene: str) -> None:
+    """Rows 'commanded to move' and 'standing: parking brake after 1 s; unpark once allows the next'."""
+    play(scene)
+
+
+# The bus.
 
 
 @pytest.mark.parametrize(("ticks", "variant"), mostly_coarse(range(1, 5)))
@@ -324,23 +535,6 @@ def test_a_stop_that_nobody_heard_does_not_go_on_to_neutral() -> None:
     assert rig.speed_mps == 0
 
 
-@pytest.mark.parametrize(("takes", "variant"), mostly_coarse(range(1, 5)))
-def test_a_bus_that_takes_a_part_of_each_burst_does_not_keep_the_robot_going(takes: int, variant: Variant) -> None:
-    """For ever, as a full queue does that drains a little each tick. The speed goes first, and ramps down."""
-    rig, operator = driving(1.0, variant=variant)
-    begun = len(rig.heard)
-    rig.takes = takes
-    rig.put("anyone", "stop", b"")
-    operator.drive(1.0, seconds=0.05)
-    assert rig.says.stop_reason is Reason.REMOTE_STOP
-    rig.run(3)
-    assert rig.speed_mps == 0
-    falling = rig.heard[begun:]
-    assert falling == sorted(falling, reverse=True)
-    assert rig.core.command is not None
-    assert rig.core.command.is_mute, "and the guard may try"
-
-
 def test_a_stop_that_was_held_up_does_not_go_on_from_the_old_speed() -> None:
     """The bus takes nothing for 10 s; meanwhile others bring the robot to rest and switch it on anew."""
     rig, _ = driving(1.5)
@@ -357,94 +551,7 @@ def test_a_stop_that_was_held_up_does_not_go_on_from_the_old_speed() -> None:
     assert rig.says.state is ArbiterState.STANDBY
 
 
-def stopped_and_parked() -> GatewayRig:
-    """In the hold of a stop: it stands, and the parking brake is applied."""
-    rig, _ = driving(1.0)
-    rig.put("anyone", "stop", b"")
-    rig.until(lambda: rig.says.stop_phase is StopPhase.HOLD)
-    rig.tick(20)
-    assert rig.says.stop_phase is StopPhase.HOLD
-    return rig
-
-
-@pytest.mark.parametrize("by", ["remote control", "bus", "bus, and then silence"])
-def test_a_parked_robot_stays_parked_when_its_stop_is_begun_again(by: str) -> None:
-    """Nobody who gave way in the hold of a stop releases the brake afterwards, not for one frame."""
-    rig = stopped_and_parked()
-    begun = len(rig.bursts)
-    if by == "remote control":
-        rig.fault("transmitter remote")
-        rig.run(0.5)
-        rig.fault("transmitter command")
-    else:
-        rig.links = Links(bus_up=False, guarded=True, bus_losses=1, realtime=True)
-        rig.chassis_hears = False
-        rig.corrupt = lambda _frame: None
-        rig.run(1)
-        rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
-        rig.chassis_hears = True
-        if by == "bus":
-            rig.corrupt = lambda frame: frame
-    rig.run(6)
-    after = [told["Auto_ParkingCmd"]["ParkingRequest"] for _, told in rig.bursts[begun:]]
-    assert len(after) > 10
-    assert all(after)
-
-
-@pytest.mark.parametrize("seconds", [0.0, 0.1, 1.0])
-def test_a_bus_that_was_lost_and_returns_finds_the_robot_stopped(seconds: float) -> None:
-    """While it is away nothing reaches the chassis, which goes on; the stop comes with the first sign of auto."""
-    rig, _ = driving(1.0)
-    rig.links = Links(bus_up=not seconds, guarded=True, bus_losses=1, realtime=True)
-    rig.chassis_hears = False
-    rig.corrupt = lambda frame: frame if not seconds else None
-    rig.tick()
-    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.BUS_DOWN]
-    rig.run(seconds)
-    rig.links = Links(bus_up=True, guarded=True, bus_losses=1, realtime=True)
-    rig.chassis_hears = True
-    rig.corrupt = lambda frame: frame
-    rig.tick(3)
-    assert rig.says.state is ArbiterState.STOPPING
-    assert rig.says.stop_reason is Reason.FOUND_MOVING
-    assert rig.told_mps == 0, "its scale has to be found anew"
-    rig.run(6)
-    assert rig.speed_mps == 0
-
-
 # The chassis.
-
-
-@pytest.mark.parametrize("name", MOTION_FRAMES)
-def test_each_cleared_enable_at_speed_is_answered_with_the_parking_brake(name: str) -> None:
-    """Rows 'mode leaves auto: no automatic return' and 'a robot in mode stop that is seen to move is told'."""
-    rig, operator = driving()
-    rig.chassis_hears = False
-    rig.chassis.receive(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8)), rig.now_ns)
-    operator.drive(1.0, seconds=0.06)
-    assert rig.says.stop_reason is Reason.MODE_NOT_AUTO
-    assert (rig.told_mps, rig.told["Auto_ParkingCmd"]["ParkingRequest"]) == (0.0, True)
-    rig.chassis_hears = True
-    operator.drive(1.0, seconds=4)
-    assert rig.says.state is ArbiterState.STANDBY
-    assert rig.ruled() is Reason.NOT_ENGAGED
-    assert rig.speed_mps == 0
-
-
-@pytest.mark.parametrize("name", MOTION_FRAMES)
-def test_each_cleared_enable_at_rest_ends_the_output_at_once(name: str) -> None:
-    """Row 'mode leaves auto: output ceases at once, no automatic return'."""
-    rig, operator = ready()
-    operator.engage()
-    rig.chassis_hears = False
-    rig.chassis.receive(Frame(load(Variant.COARSE).messages[name].can_id, bytes(8)), rig.now_ns)
-    operator.drive(1.0, seconds=0.06)
-    assert rig.event_reasons(EventKind.TAKEOVER) == [Reason.MODE_NOT_AUTO]
-    sent = len(rig.out)
-    rig.chassis_hears = True
-    operator.drive(1.0, seconds=2)
-    assert len(rig.out) == sent
-    assert rig.ruled() is Reason.NOT_ENGAGED
 
 
 def test_a_chassis_that_reads_auto_again_is_not_left_to_its_old_command() -> None:
@@ -529,16 +636,6 @@ def test_the_hazard_lights_of_a_guards_stop_go_out_with_the_next_engage() -> Non
     assert lamps(rig) == set()
 
 
-def test_standing_by_a_latch_sends_nothing() -> None:
-    """Row 'standing by: silent on the bus' holds for the hazard lights too."""
-    rig, _ = ready()
-    sent = len(rig.out)
-    rig.fault("bumper front on")
-    rig.until(lambda: Reason.FRONT_BUMPER in rig.says.latched, 1)
-    rig.run(1)
-    assert len(rig.out) == sent
-
-
 def test_the_hand_transmitter_takes_over() -> None:
     """Row 'on yielding to mode remote: at most 10 bursts of zero speed, same gear, parking, then silence'."""
     rig, operator = driving(1.0)
@@ -557,80 +654,6 @@ def test_the_hand_transmitter_takes_over() -> None:
     operator.drive(1.0, seconds=1)
     assert len(rig.out) == sent
     assert operator.reason("engage") is Reason.HAND_TRANSMITTER
-
-
-@pytest.mark.parametrize("away_ms", range(400, 601, 20))
-def test_a_robot_that_was_taken_while_its_mode_was_unknown_is_left_at_rest(away_ms: int) -> None:
-    """Row 'on yielding to mode remote': what a ramp left in the chassis is not executed when it is given back."""
-    rig, operator = driving(1.0)
-    rig.fault(f"silence Auto_MileageAndBodyFeedback for {away_ms}ms")
-    rig.fault("transmitter remote")
-    rig.fault("sticks 1.0 0")
-    operator.drive(1.0, seconds=1)
-    assert rig.says.state is ArbiterState.STANDBY
-    rig.fault("sticks 0 0")
-    rig.run(3)
-    before_m = rig.chassis.state.x_m
-    # By what it was left with alone: the gateway and its guard may be gone by now.
-    rig.chassis_hears = False
-    rig.fault("transmitter command")
-    rig.run(5)
-    assert (rig.speed_mps, rig.chassis.state.parking_status) == (0, ParkingStatus.APPLIED)
-    assert rig.chassis.state.x_m - before_m < 0.05
-
-
-def test_a_robot_that_is_given_back_in_motion_is_told_no_speed() -> None:
-    """Row 'on yielding to mode remote': what it was left with is zero speed, and no stop begins above that."""
-    rig, operator = driving(1.0)
-    rig.fault("transmitter remote")
-    rig.fault("sticks 1.0 0")
-    operator.drive(1.0, seconds=1)
-    told = len(rig.bursts)
-    rig.fault("transmitter command")
-    rig.run(4)
-    assert rig.speed_mps == 0
-    assert len(rig.bursts) > told
-    assert not any(burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts[told:])
-
-
-@pytest.mark.parametrize("phase_ms", range(10, 410, 10))
-def test_an_owed_stop_has_no_speed_while_the_remote_control_may_have_the_robot(phase_ms: int) -> None:
-    """Row 'a stop that begins from standby': the bus returns, and the remote control drives since then."""
-    rig, operator = driving(1.0)
-    rig.links = Links(bus_up=False, guarded=True, bus_losses=1)
-    rig.chassis_hears = False
-    # No frame arrives while the bus is away.
-    rig.corrupt = lambda _: None
-    rig.fault("transmitter remote")
-    rig.fault("sticks 2.0 0")
-    rig.tick(2)
-    operator.ask("stop")
-    rig.tick(phase_ms // 10 + 5)
-    rig.links = Links(bus_up=True, guarded=True, bus_losses=1)
-    rig.chassis_hears = True
-    rig.fault(f"silence Auto_MileageAndBodyFeedback for {phase_ms}ms")
-    rig.corrupt = lambda frame: frame
-    told = len(rig.bursts)
-    rig.run(2)
-    assert not any(burst["Auto_DriveCmd"]["TargetVelocity"] for _, burst in rig.bursts[told:])
-    assert all(burst["Auto_ParkingCmd"]["ParkingRequest"] for _, burst in rig.bursts[told:])
-    assert phase_ms > 150 or not rig.bursts[told:], "a body frame that comes in time is waited for"
-
-
-def test_a_latched_robot_that_is_given_back_gets_its_parking_brake_again() -> None:
-    """Row 'a latched robot that is given back': the remote control released it, and it stands on a slope."""
-    rig, operator = ready()
-    operator.ask("stop")
-    rig.run(1)
-    rig.fault("transmitter remote")
-    rig.fault("sticks 0.3 0")
-    rig.run(1)
-    rig.fault("sticks 0 0")
-    rig.run(1)
-    rig.fault("transmitter command")
-    rig.run(3)
-    assert rig.says.latched == [Reason.REMOTE_STOP]
-    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
 def hinder(rig: GatewayRig, obstacle: Reason) -> None:
@@ -677,40 +700,6 @@ def test_a_stop_that_cannot_be_carried_out_says_so(obstacle: Reason, words: str)
     assert (reply.ok, reply.reason) == (obstacle is Reason.NONE, obstacle)
     assert reply.detail.endswith(words)
     assert rig.says.latched == [Reason.REMOTE_STOP]
-
-
-@pytest.mark.parametrize("speed_mps", [1.0, -1.0])
-@pytest.mark.parametrize("side", ["front", "rear", "both"])
-def test_a_bumper_stops_the_robot_and_latches(side: str, speed_mps: float) -> None:
-    """Row 'bumper: immediate stop, latched', whichever way it goes."""
-    rig, operator = driving(speed_mps)
-    rig.fault(f"bumper {side} on for 50ms")
-    operator.drive(speed_mps, seconds=0.04)
-    assert rig.says.state is ArbiterState.STOPPING
-    operator.drive(speed_mps, seconds=4)
-    assert rig.speed_mps == 0
-    assert {reason.value for reason in rig.says.latched} == {
-        f"{each}_bumper" for each in (("front", "rear") if side == "both" else (side,))
-    }
-    assert operator.reason("engage") in rig.says.latched
-    rig.tick(40)
-    assert operator.reason("reset") is Reason.NONE
-    assert rig.says.latched == []
-
-
-@pytest.mark.parametrize("phase_ticks", [0, 1])
-@pytest.mark.parametrize(("speed_mps", "way_m"), [(0.48, 0.14), (1.0, 0.41), (2.2, 1.56)])
-def test_a_bumper_that_is_hit_at_speed_is_followed_by_so_many_metres(
-    speed_mps: float, way_m: float, phase_ticks: int
-) -> None:
-    """Row 'speed limit': from the hit to rest, whenever it comes between two body frames."""
-    rig, operator = driving(speed_mps)
-    rig.tick(phase_ticks)
-    hit_m = rig.chassis.state.x_m
-    rig.fault("bumper front on")
-    operator.drive(speed_mps, seconds=4)
-    assert rig.speed_mps == 0
-    assert way_m - 0.04 < rig.chassis.state.x_m - hit_m < way_m
 
 
 def engaged_at_bumper(side: str) -> tuple[GatewayRig, Operator]:
@@ -768,18 +757,6 @@ def test_a_body_frame_that_is_frozen_hides_a_bumper_for_four_metres_at_most() ->
     assert rig.chassis.state.mileage_m - begun_m < 4
 
 
-@pytest.mark.parametrize("taken", [1, 2, 3, 4])
-def test_a_stop_brakes_also_where_the_bus_takes_only_a_part_of_each_burst(taken: int) -> None:
-    """Row 'a burst of which the bus took only a part': at zero speed the parking brake comes second."""
-    rig, operator = driving(1.0)
-    operator.ask("stop")
-    rig.takes = taken
-    rig.run(3)
-    assert rig.speed_mps == 0
-    assert (rig.chassis.state.parking_status is ParkingStatus.APPLIED) is (taken > 1)
-    assert rig.says.stop_phase is (StopPhase.HOLD if taken > 1 else StopPhase.PARK), "the enables stay"
-
-
 @pytest.mark.parametrize("crashed", [True, False])
 def test_the_first_robot_found_moving_after_a_crash_is_latched(*, crashed: bool) -> None:
     """Row 'guard and gateway died together, only a gateway returns'; one that is pushed by hand later is not."""
@@ -799,65 +776,9 @@ def test_the_first_robot_found_moving_after_a_crash_is_latched(*, crashed: bool)
         operator.reason("release")
 
 
-def test_a_robot_that_the_remote_control_drove_says_nothing_about_its_brake() -> None:
-    """Row 'a parking brake that does not hold': moved twice by the remote control, soon after a stop."""
-    rig, operator = driving(0.5)
-    operator.ask("disengage")
-    rig.run(4)
-    for _ in range(2):
-        rig.fault("transmitter remote")
-        rig.fault("sticks 0.8 0")
-        rig.run(2)
-        rig.fault("transmitter command")
-        rig.run(5)
-    assert rig.event_reasons(EventKind.STOP)[-1] is Reason.FOUND_MOVING
-    assert rig.says.latched == []
-
-
 AT_FULL_SPEED = CommandSettings(speed_limit_mps=2.222, travel_delay_m=3.0)
 ALL = ("all",)
 SPEEDS = ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback")
-
-
-@pytest.mark.parametrize(
-    ("frozen", "driven_s", "at_most_m"),
-    [
-        *((ALL, seconds, 4.0) for seconds in (0.16, 0.2, 0.3)),
-        *((SPEEDS, seconds, 4.0) for seconds in (0.02, 0.2, 0.3)),
-        *((ALL, seconds, 5.0) for seconds in (0.6, 1.2, 1.8, 2.4, 3.0)),
-        *((SPEEDS, seconds, 5.0) for seconds in (0.6, 1.2, 1.8, 2.4)),
-    ],
-)
-def test_frozen_feedback_stops_the_robot(frozen: tuple[str, ...], driven_s: float, at_most_m: float) -> None:
-    """Rows 'commanded to move' and 'frozen feedback': told 2.2 m/s, counters and checksums are right."""
-    rig, operator = ready(command=AT_FULL_SPEED)
-    operator.engage()
-    operator.drive(2.2, seconds=driven_s)
-    before_m = rig.chassis.state.x_m
-    for name in frozen:
-        rig.fault(f"freeze {name}")
-    operator.drive(2.2, seconds=8)
-    assert rig.chassis.state.x_m - before_m < at_most_m
-    assert rig.speed_mps == 0
-    assert rig.says.latched[0] in {Reason.NOT_MOVING, Reason.FEEDBACK_FROZEN}
-
-
-@pytest.mark.parametrize(
-    ("frozen", "at_most_m"), [("Auto_MileageAndBodyFeedback", 0.6), ("Auto_WheelPulseFeedback", 3.2)]
-)
-def test_a_slow_robot_whose_speeds_are_frozen_is_found_by_pulses_or_by_mileage(
-    frozen: str, at_most_m: float
-) -> None:
-    """Row 'frozen feedback': at a command that need not show, either of the two is enough."""
-    rig, operator = ready()
-    operator.engage()
-    before_m = rig.chassis.state.x_m
-    for name in (*SPEEDS, frozen):
-        rig.fault(f"freeze {name}")
-    operator.drive(0.2, seconds=20)
-    assert rig.says.latched[0] is Reason.FEEDBACK_FROZEN
-    assert rig.speed_mps == 0
-    assert rig.chassis.state.x_m - before_m < at_most_m
 
 
 def test_a_blocked_robot_gives_up_and_was_never_told_to_jump() -> None:
@@ -881,20 +802,6 @@ def test_the_ramp_goes_on_from_what_is_seen() -> None:
         operator.drive(2.2)
         assert rig.told_mps <= max(0.5, rig.speed_mps + 0.5 + 0.04)
     assert rig.speed_mps == pytest.approx(2.2, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("strength", "slope_deg", "payload_kg"), [(0.3, 5, 0), (0.5, 5, 100), (0.5, -10, 0), (1, 15, 100), (1, -20, 0)]
-)
-def test_a_weak_motor_and_a_slope_are_no_fault(strength: float, slope_deg: float, payload_kg: float) -> None:
-    """Row 'commanded to move': a robot that gathers speed slowly does not stand."""
-    rig, operator = ready()
-    operator.engage()
-    for fault in (f"motor {strength}", f"slope {slope_deg}", f"payload {payload_kg}"):
-        rig.fault(fault)
-    operator.drive(1.0, seconds=5)
-    operator.drive(0.0, seconds=3)
-    assert (rig.says.engaged, rig.says.latched) == (True, [])
 
 
 @pytest.mark.parametrize("acceleration_mps2", [0.4, 0.8, 1.5])
@@ -948,56 +855,6 @@ def test_a_stop_asked_in_the_last_tenth_before_standstill_is_as_good_as_any() ->
     assert list(replies)[-2:] == ["the robot comes to rest", "the robot stands"]
 
 
-def test_a_robot_that_stands_is_held_by_its_parking_brake_and_goes_on_by_a_drive_command() -> None:
-    """Row 'standing': in gear at zero speed, parking brake after 1 s; unpark once allows the next."""
-    rig, operator = driving(0.5)
-    operator.drive(0.0, seconds=1.2)
-    assert rig.speed_mps == pytest.approx(0.0, abs=0.01)
-    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
-    assert not rig.told["Auto_ParkingCmd"]["ParkingRequest"]
-    operator.drive(0.0, seconds=1)
-    assert rig.told["Auto_GearCmd"]["TargetGear"] == "drive"
-    assert rig.told["Auto_ParkingCmd"]["ParkingRequest"]
-    operator.drive(-0.5, seconds=2)
-    assert rig.speed_mps == pytest.approx(-0.5, abs=0.05)
-
-
-@pytest.mark.parametrize(("side", "toward_mps"), [("front", 0.5), ("rear", -0.5)])
-def test_after_a_reset_only_motion_away_from_the_hit_side(side: str, toward_mps: float) -> None:
-    """Row 'bumper: after a deliberate reset only motion away from the hit side until clear'; then a hit is new."""
-    rig, operator = engaged_at_bumper(side)
-    operator.drive(toward_mps, seconds=1)
-    assert rig.speed_mps == 0
-    assert rig.decided[-1].bound_by == [Bound.BUMPER]
-    operator.drive(-toward_mps, seconds=2)
-    assert rig.speed_mps == pytest.approx(-toward_mps, abs=0.05)
-    assert rig.says.engaged
-    rig.fault(f"bumper {side} off")
-    operator.drive(toward_mps, seconds=3)
-    assert rig.speed_mps == pytest.approx(toward_mps, abs=0.05)
-    rig.fault(f"bumper {side} on")
-    operator.drive(toward_mps, seconds=0.06)
-    assert rig.says.state is ArbiterState.STOPPING
-
-
-def test_the_other_bumper_still_stops_a_robot_that_backs_away() -> None:
-    """What a reset has acknowledged is the one side only."""
-    rig, operator = engaged_at_bumper("front")
-    operator.drive(-0.5, seconds=2)
-    rig.fault("bumper rear on")
-    operator.drive(-0.5, seconds=0.06)
-    assert rig.says.latched == [Reason.REAR_BUMPER]
-    assert rig.says.state is ArbiterState.STOPPING
-
-
-def test_both_bumpers_pressed_allow_no_motion() -> None:
-    """There is no way that is away."""
-    rig, operator = engaged_at_bumper("both")
-    for speed_mps in (0.5, -0.5):
-        operator.drive(speed_mps, seconds=1)
-        assert rig.speed_mps == 0
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_a_chassis_of_the_other_scale_is_found_and_told(variant: Variant) -> None:
     """Row 'plausibility: over by 0.3 m/s and 1.5 x for 300 ms: stop, latched, and say which scale fits'."""
@@ -1017,20 +874,6 @@ def test_a_chassis_of_the_other_scale_is_found_and_told(variant: Variant) -> Non
     assert rig.speed_mps == 0
 
 
-def test_a_chassis_whose_variant_is_changed_is_stopped_at_zero_speed() -> None:
-    """Once the scale is in doubt only zero is the same in both; the stop goes out all the same."""
-    rig, operator = ready()
-    operator.engage()
-    operator.drive(0.0, seconds=0.2)
-    rig.fault("variant fine")
-    operator.drive(0.0, seconds=0.6)
-    assert not rig.says.engaged
-    # Read in the wrong scale its wheels turn at 33 m/s.
-    assert rig.says.stop_reason in {Reason.VARIANT_UNKNOWN, Reason.IMPLAUSIBLE_SPEED}
-    assert rig.told_mps == 0
-    assert rig.told
-
-
 def test_a_variant_in_doubt_at_speed_does_not_silence_the_stop() -> None:
     """The gate lets no speed pass in an unknown scale: the stop begins at zero, and is heard."""
     rig, operator = driving(1.5)
@@ -1044,15 +887,6 @@ def test_a_variant_in_doubt_at_speed_does_not_silence_the_stop() -> None:
     rig.run(6)
     assert rig.speed_mps == 0
     assert rig.says.state is ArbiterState.STANDBY
-
-
-def test_another_computer_on_the_bus_stops_the_robot() -> None:
-    """Two that command one chassis: nobody knows what it obeys. ``cruiser halt`` is such a one."""
-    rig, operator = driving()
-    rig.fault("foreign 18C4D3D0 every 10ms for 50ms")
-    operator.drive(1.0, seconds=0.04)
-    assert rig.says.state is ArbiterState.STOPPING
-    assert rig.says.stop_reason is Reason.OTHER_COMMANDER
 
 
 def assert_found_moving(
@@ -1252,37 +1086,7 @@ def test_the_remote_stop_is_served_from_anyone_with_any_payload(operator: str, p
     assert first.reason("engage") is Reason.REMOTE_STOP
 
 
-def test_a_controller_that_leaves_the_bus_stops_the_robot() -> None:
-    """Nobody engages while it is off; when it is back the robot stands, and is engaged anew."""
-    rig, first = driving()
-    rig.core.receive_frame(Frame(ERROR | 0x40, bytes(8)), rig.now_ns)
-    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
-    assert rig.says.stop_reason is Reason.BUS_OFF
-    assert Reason.BUS_OFF in rig.event_reasons(EventKind.FAULT)
-    first.take_lease()
-    assert first.reason("engage") is Reason.BUS_OFF
-    rig.core.receive_frame(Frame(ERROR | 0x100, bytes(8)), rig.now_ns)
-    first.engage()
-    assert rig.says.engaged
-
-
 # The loop.
-
-
-@pytest.mark.parametrize(("late_ms", "stops"), [(50, False), (51, False), (100, False), (101, True), (400, True)])
-def test_a_late_loop(late_ms: int, stops: bool) -> None:  # noqa: FBT001 - a parameter
-    """Row 'loop late by over 50 ms: event; over 100 ms: stop'."""
-    rig, operator = driving()
-    rig.late_ns = late_ms * MS
-    rig.put(operator.name, "drive", operator.drive_payload(1.0))
-    rig.tick()
-    rig.late_ns = 0
-    assert (Reason.LOOP_LATE in rig.event_reasons(EventKind.FAULT)) is (late_ms > 50)
-    operator.drive(1.0, seconds=0.1)
-    assert rig.says.engaged is not stops
-    if stops:
-        assert rig.says.stop_reason in {Reason.LOOP_LATE, Reason.FEEDBACK_MISSING}
-        assert any(event.text.endswith(f"by {late_ms} ms") for event in rig.events if event.kind is EventKind.STOP)
 
 
 def test_a_late_stop_tells_zero_speed_before_neutral() -> None:
@@ -1331,54 +1135,6 @@ def test_a_stop_of_the_guards_before_the_start_is_latched_until_a_reset() -> Non
     operator.engage()
 
 
-@pytest.mark.parametrize("is_driven", [True, False])
-def test_a_stop_of_the_guards_that_began_and_ended_unseen_is_latched_while_standing_by_too(
-    *, is_driven: bool
-) -> None:
-    """Row 'the guard has stopped the robot: latched': the loop stood still meanwhile."""
-    rig, operator = driving() if is_driven else ready()
-    rig.links = msgspec.structs.replace(GUARDED, guard_stops=1)
-    rig.tick(2)
-    assert rig.says.latched == [Reason.GUARD]
-    rig.run(6)
-    assert operator.take_lease() is Reason.NONE
-    assert operator.reason("reset") is Reason.NONE
-    assert rig.says.latched == []
-
-
-@pytest.mark.parametrize("lacks", ["realtime", "guarded"])
-def test_without_realtime_or_a_guard_the_robot_is_engaged_to_a_lower_speed_limit(lacks: str) -> None:
-    """Row 'a gateway without real-time priority: its speed limit is a setting of its own (1.0 m/s)'."""
-    rig, operator = ready(accept_unguarded=True)
-    rig.links = msgspec.structs.replace(GUARDED, **{lacks: False})
-    rig.run(0.2)
-    assert rig.says.speed_limit_mps == 1.0, "said before it is engaged"
-    operator.engage()
-    assert rig.says.speed_limit_mps == 1.0
-    operator.drive(2.0, seconds=3.0)
-    assert rig.told_mps == pytest.approx(1.0, abs=0.04)
-    operator.drive(0.0, seconds=2.0)
-    assert operator.reason("disengage") is Reason.NONE
-    rig.until(lambda: rig.says.state is ArbiterState.STANDBY, 8)
-    operator.engage(speed_limit_mps=0.4)
-    assert rig.says.speed_limit_mps == 0.4, "the lower of the two"
-
-
-def test_the_speed_limit_falls_at_once_with_real_time_priority_and_rises_with_the_next_engage() -> None:
-    """Row 'a gateway without real-time priority', and 'limits scale down, never up, at run time'."""
-    rig, operator = driving(2.0)
-    rig.links = msgspec.structs.replace(GUARDED, realtime=False)
-    operator.drive(2.0, seconds=0.2)
-    assert rig.says.speed_limit_mps == 1.0
-    assert Reason.NO_REALTIME in rig.event_reasons(EventKind.FAULT)
-    operator.drive(2.0, seconds=2.0)
-    assert rig.told_mps == pytest.approx(1.0, abs=0.04)
-    assert rig.says.engaged
-    rig.links = GUARDED
-    operator.drive(2.0, seconds=1.0)
-    assert rig.says.speed_limit_mps == 1.0
-
-
 def test_the_guards_frames_are_not_taken_for_another_computers() -> None:
     """Read before it is known that the guard acted: what was left is stopped at once, not when it moves."""
     rig, _ = driving(1.0)
@@ -1389,14 +1145,3 @@ def test_the_guards_frames_are_not_taken_for_another_computers() -> None:
     rig.tick(3)
     assert rig.event_reasons(EventKind.STOP) == [Reason.FOUND_MOVING]
     assert Reason.OTHER_COMMANDER not in rig.says.blocked_by
-
-
-def test_without_a_guard_nothing_is_engaged_and_what_is_engaged_stops() -> None:
-    """Unless the settings accept it."""
-    rig, operator = driving()
-    rig.links = msgspec.structs.replace(GUARDED, guarded=False)
-    operator.drive(1.0)
-    assert rig.says.stop_reason is Reason.UNGUARDED
-    rig.run(6)
-    operator.take_lease()
-    assert operator.reason("engage") is Reason.UNGUARDED
