@@ -16,7 +16,7 @@ from schemas.messages import Message
 from tests.support.commands import review
 from tests.support.drives import drive_log, drive_messages, drives_over, restart, write_messages
 from tests.support.logs import GEAR_CHANNEL, Log, foreign_log, gear_message, gears, own_log, saved, small_log
-from tests.support.messages import FakeSample, gear, sample_of
+from tests.support.messages import FakeSample, gear, info, sample_of
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import acted, recorded
 
@@ -62,6 +62,14 @@ FILES: dict[str, Callable[[], bytes]] = {
     "escape.mcap": lambda: log_of(FakeSample("k/\x1b[2J\x07", "x", b"")),
     "late.mcap": lambda: log_of(FakeSample("k", "x", b""), wall_ns=2**63 - 1),
     "gear.mcap": lambda: log_of(sample_of(gear(0))),
+    "roots.mcap": lambda: log_of(
+        *(sample_of(one, root=root) for root in ("fleet", "..") for one in (gear(0), info()))
+    ),
+    "long.mcap": lambda: log_of(
+        *(sample_of(one, robot) for robot in ("a" * 250, "cruiser-1") for one in (gear(0), info()))
+    ),
+    "catalog.parquet": lambda: b"rubbish",
+    "report.html": lambda: b"old",
     "bumper.mcap": lambda: recorded(scenarios.front_bumper),
     "stub-8.mcap": lambda: recorded(scenarios.front_bumper)[:8],
     "stub-100.mcap": lambda: recorded(scenarios.front_bumper)[:100],
@@ -251,6 +259,9 @@ $ export --format csv --topic 'chassis/*' -o out drive.mcap
 2$ export --format csv --ray auto -o out whole.mcap => --format parquet
 == a time is chosen from the log's beginning [drive.mcap]
 $ export --topic chassis_gear --from 0.05 --to 0.1 -o out drive.mcap => : 5 rows in 1 files
+== a name that is no text is escaped in a manifest, also beside a damaged log [<FF>.mcap drive-cut.mcap]
+3$ export --json -o out <FF>.mcap drive-cut.mcap
+    {"inputs": [{"path": "\\udcff.mcap"}, {"path": "drive-cut.mcap"}]} | file out/manifest.json has \udcff.mcap
 == people get an aligned table with a head [drive.mcap]
 $ query 'SELECT gear_position AS g, max(alive_counter) / 2 AS x FROM chassis_gear GROUP BY 1' SOURCE
     = "  g      x\n  drive  7.5\n"
@@ -282,6 +293,11 @@ $ export -o out drive.mcap
 == a damaged log is a partial answer [drive-cut.mcap drive-stub.mcap]
 3$ query 'SELECT count(*) AS n FROM chassis_gear' drive-cut.mcap => 200 | byte
 2$ query 'SELECT * FROM odometry_of_others' drive-stub.mcap => does not exist | the file is cut off
+== a statement does not write into the dataset that it reads [drive.mcap]
+$ export -o out drive.mcap
+2$ query "COPY (SELECT 1 AS a) TO 'out/manifest.json' (FORMAT csv)" out => not a SELECT | --allow-files
+2$ query "EXPLAIN ANALYZE COPY (SELECT 1 AS a) TO 'out/manifest.json' (FORMAT csv)" out => not a SELECT
+    file out/manifest.json has "format": "cruiser-dataset"
 == what a log holds does not rule the terminal, and is cut [drive.mcap]
 $ query "SELECT chr(27) || '[2J' AS a, repeat('x', 99) AS b" SOURCE => xxx...
 $ query --csv "SELECT chr(27) || chr(155) || chr(13) || chr(8238) AS a, 'ü,<NL>' AS b" SOURCE
@@ -307,6 +323,25 @@ $ find stops logs --reason=deadman => = "nothing of that is in the logs\n"
 $ find stops logs --reason=deadman --json => = ""
 == a log that cannot be read is named, and costs no other [logs/a.mcap logs/cruiser-2-b.mcap logs/zero.mcap]
 3$ find stops logs --json => zero.mcap is empty | #4
+== what two directories hold is told once, and each has its catalog
+logs logs/a.mcap logs/cruiser-2-b.mcap depot/a.mcap depot/two.mcap
+$ find stops logs depot --json
+    {"robot": "cruiser-1"} | {"robot": "cruiser-2"} | {"robot": "r-1"} | {"robot": "r-2"} | #6
+    file logs/catalog.parquet has PAR1 | file depot/catalog.parquet has PAR1
+== a damaged catalog is told in a line, and the answer is whole
+logs logs/a.mcap logs/cruiser-2-b.mcap logs/catalog.parquet
+$ find stops logs --json
+    #4 | cruiser review: logs/catalog.parquet is damaged: it is made anew from the logs
+$ find stops logs --json => #4 | never anew
+== a catalog is kept elsewhere when told to, that of one directory [logs/a.mcap logs/cruiser-2-b.mcap]
+$ find stops logs --catalog elsewhere.parquet --json
+    #4 | only elsewhere.parquet logs logs/a.mcap logs/cruiser-2-b.mcap
+2$ find stops logs . --catalog elsewhere.parquet => one directory
+== a damaged log is answered as far as it goes each time, and marked [logs/drive-cut.mcap logs/a.mcap]
+3$ find stops logs --json => 1 of 2 logs are damaged, or not whole: 'find logs' marks them
+3$ find stops logs --json => 1 of 2 logs are damaged, or not whole: 'find logs' marks them
+3$ find logs logs --json
+    {"file": "logs/drive-cut.mcap", "faults": 1} | {"file": "logs/a.mcap", "faults": 0} | cut off
 == a directory without logs is an error
 1$ find stops . => there is no log in
 == the catalog is a table for any other question, and no more [logs/a.mcap logs/cruiser-2-b.mcap]
@@ -321,6 +356,29 @@ $ find stops logs --until=2000-01-01 --json => = ""
 == a log of no robot has no layouts, and where nothing can be written it says so [escape.mcap whole.mcap]
 1$ layouts escape.mcap -o out => no topic of a robot
 1$ layouts whole.mcap -o whole.mcap => cannot write
+== layouts as JSON are an object a file [whole.mcap]
+$ layouts whole.mcap -o out --json
+    {"robot": "fleet/cruiser-1", "path": "out/cruiser-1.layout.foxglove.json"}
+== robots of one name under two roots have layouts of their own, and no root leads out of the directory
+logs roots.mcap
+$ layouts roots.mcap -o out
+    file out/..-cruiser-1.layout.foxglove.json has { | file out/..-cruiser-1.layout.plotjuggler.xml has <
+    file out/fleet-cruiser-1.layout.foxglove.json has { | file out/fleet-cruiser-1.layout.plotjuggler.xml has <
+== a robot whose name is too long costs no other its layouts [long.mcap]
+3$ layouts long.mcap -o out
+    file out/cruiser-1.layout.foxglove.json has { | no layout of fleet/aaaa | File name too long
+== a page is written whole, with the summary on stdout [a.mcap]
+$ report a.mcap -o r.html
+    cruiser-1: 1 drive, 2.9 m; 1 stop: the front bumper was hit | written: r.html | file r.html has <!doctype html>
+    only a.mcap r.html
+== JSON alone writes no file, and nothing that is only drawn [a.mcap]
+$ report a.mcap --json
+    {"robots": [{"distance_m": 2.95, "moments": [{"reason": "front_bumper"}, {"kind": "gap"}]}]} | never "lines"
+    only a.mcap
+== without a name a report is report.html, and what is there is replaced [a.mcap report.html]
+$ report a.mcap => file report.html has Drive report
+== a damaged log gives a report of what can be read [drive-cut.mcap]
+3$ report drive-cut.mcap -o r.html => cruiser review: drive-cut.mcap: byte | file r.html has What could not be read
 == a gateway that died is told on the terminal and as JSON [restart.mcap]
 $ report restart.mcap => 1 stop: the gateway died. | Gateway silent for 2.0 s from
 $ report restart.mcap --json => "kind":"gap" | "kind":"gateway" | "variant":"coarse"
@@ -350,8 +408,9 @@ $ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
 """A name, in brackets the logs that are there, and commands with what they say, behind ``=>`` or below.
 
 Before ``$`` stands the exit code, if it is not 0. A text stands in all that is said, white space apart; JSON is a
-part of a line; ``#3`` lines are on stdout; ``= text`` is all of it, as JSON has it; ``never text`` stands nowhere.
-A line that is indented by eight goes on. SOURCE is a log, or a dataset of it.
+part of a line; ``#3`` lines are on stdout; ``= text`` is all of it, as JSON has it; ``never text`` stands nowhere;
+``only names`` are there, and ``file name has text``. A line that is indented by eight goes on. SOURCE is a log, or
+a dataset of it.
 """
 
 UNSEEN = {"<ESC>": "\x1b", "<FF>": os.fsdecode(b"\xff"), "<NL>": "\n"}
@@ -390,6 +449,11 @@ def judge(said: str, out: str, every: str) -> None:
             assert out == json.loads(wanted[2:])
         elif wanted.startswith("never "):
             assert wanted[6:] not in every
+        elif wanted.startswith("only "):
+            assert " ".join(sorted(map(str, Path().rglob("*")))) == wanted[5:]
+        elif wanted.startswith("file "):
+            name, _, words = wanted[5:].partition(" has ")
+            assert words in Path(name).read_text("utf-8", "replace")
         else:
             assert " ".join(wanted.split()) in " ".join(every.split()), (wanted, every)
 
@@ -423,4 +487,4 @@ def test_answers(
         every = shown.out + shown.err + ending
         assert code == int(wanted or 0), (command, every)
         assert "\x1b" not in every
-        judge(beside + below.replace("\n    ", " | ").removeprefix(" | "), shown.out, every)
+        judge(f"{beside}{below}".replace("\n    ", " | ").removeprefix(" | "), shown.out, every)

@@ -1,14 +1,12 @@
 """``cruiser review export``."""
 
-import json
-import os
 import sys
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError
 from tests.support.commands import review
 from tests.support.drives import drive_log
 from tests.support.logs import saved
@@ -31,15 +29,3 @@ def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(CommandError, match=r"this needs pyarrow: pip install -e '\.\[review\]'"):
         run("--format", form, "-o", tmp_path / "out", saved(tmp_path / "1.mcap", drive_log()))
-
-
-def test_a_name_that_is_not_utf_8_is_escaped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In the manifest, and in what is printed, also of a log that is damaged."""
-    log = saved(Path(os.fsdecode(bytes(tmp_path) + b"/\xff.mcap")), drive_log())
-    cut = saved(Path(os.fsdecode(bytes(tmp_path) + b"/\xfe.mcap")), drive_log(count=10)[:-100])
-    assert run("--json", "-o", tmp_path / "out", log, cut) == ExitCode.PARTIAL
-    first = json.loads(capsys.readouterr().out)
-    escaped = str(tmp_path / r"\udcff.mcap")
-    assert escaped in {one["path"] for one in first["inputs"]}
-    manifest = json.loads((tmp_path / "out" / "manifest.json").read_bytes())
-    assert escaped in {one["path"] for one in manifest["inputs"]}

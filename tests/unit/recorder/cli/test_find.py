@@ -10,10 +10,9 @@ from recorder.cli import asking, catalogs
 from recorder.cli.find import page_of
 from recorder.reading.rows import Progress
 from recorder.review.info import CATALOG_NAME
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, write_messages
-from tests.support.logs import saved
 
 
 @pytest.fixture
@@ -39,31 +38,6 @@ def test_json_is_an_object_a_line_that_says_how_to_go_on(logs: Path, capsys: pyt
     assert f'href="#t={moment.partition("&")[0]}' in Path(page).read_text()
 
 
-def test_several_directories_are_one_answer(
-    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What two of them hold is told once; each has its catalog."""
-    other = tmp_path / "depot"
-    other.mkdir()
-    (other / "c.mcap").write_bytes((logs / "cruiser-1-a.mcap").read_bytes())
-    write_messages(other / "d.mcap", drive_messages(60), robots=("cruiser-3",))
-    assert review("find", "stops", logs, other, "--json") == ExitCode.OK
-    answers = list(map(json.loads, capsys.readouterr().out.splitlines()))
-    assert [one["robot"] for one in answers].count("cruiser-1") == 1
-    assert {one["robot"] for one in answers} == {"cruiser-1", "cruiser-2", "cruiser-3"}
-    assert (logs / CATALOG_NAME).exists()
-    assert (other / CATALOG_NAME).exists()
-
-
-def test_a_damaged_catalog_is_told_in_a_line(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The answer is whole."""
-    saved(logs / CATALOG_NAME, b"rubbish")
-    assert review("find", "stops", logs, "--json") == ExitCode.OK
-    said = capsys.readouterr()
-    assert len(said.out.splitlines()) == 4
-    assert said.err == f"cruiser review: {logs}/{CATALOG_NAME} is damaged: it is made anew from the logs\n"
-
-
 def test_it_is_made_anew_when_told_to(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """For who does not believe it: a log of the same length and time may be another one."""
     assert review("find", "stops", logs) == ExitCode.OK
@@ -73,40 +47,6 @@ def test_it_is_made_anew_when_told_to(logs: Path, capsys: pytest.CaptureFixture[
     assert review("find", "stops", logs, "--rebuild") == ExitCode.OK
     assert (logs / CATALOG_NAME).stat().st_ino != before
     assert not capsys.readouterr().err
-
-
-def test_the_catalog_is_kept_elsewhere_when_told_to(
-    logs: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Nothing is written beside the logs, and only what is new is read; of several directories it cannot be."""
-    catalog = tmp_path_factory.mktemp("elsewhere") / "catalog.parquet"
-    before = sorted(logs.iterdir())
-    assert review("find", "stops", logs, "--catalog", catalog) == ExitCode.OK
-    first = capsys.readouterr().out
-    written = catalog.stat().st_mtime_ns
-    assert review("find", "stops", logs, "--catalog", catalog) == ExitCode.OK
-    assert (capsys.readouterr().out, catalog.stat().st_mtime_ns) == (first, written)
-    assert sorted(logs.iterdir()) == before
-    with pytest.raises(CommandError, match="one directory"):
-        review("find", "stops", logs, logs.parent, "--catalog", catalog)
-
-
-def test_a_damaged_log_is_answered_as_far_as_it_goes_each_time(
-    logs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exit code 3, and the words that list such logs."""
-    path = logs / "cruiser-1-a.mcap"
-    path.write_bytes(path.read_bytes()[:-200])
-    for _ in range(2):
-        assert review("find", "stops", logs, "--robot=cruiser-1", "--json") == ExitCode.PARTIAL
-        said = capsys.readouterr()
-        assert len(said.out.splitlines()) == 1
-        assert said.err == "cruiser review: 1 of 2 logs are damaged, or not whole: 'find logs' marks them\n"
-    assert review("find", "logs", logs, "--json") == ExitCode.PARTIAL
-    answer, whole = map(json.loads, capsys.readouterr().out.splitlines())
-    assert (answer["faults"] > 0, whole["faults"]) == (True, 0)
-    assert answer["file"] == str(path)
-    assert "cut off" in " ".join(answer["damage"])
 
 
 def test_a_log_that_takes_too_long_is_given_up_and_keeps_no_other_out(

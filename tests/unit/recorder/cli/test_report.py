@@ -38,44 +38,6 @@ def log(tmp_path: Path) -> Path:
     return write_messages(tmp_path / "a.mcap", drive_messages(60))
 
 
-def test_a_page_is_written_whole(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nothing else beside; the summary on stdout."""
-    assert ask(log, "-o", "r.html") == ExitCode.OK
-    assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "r.html"]
-    said = capsys.readouterr()
-    assert "cruiser-1: 1 drive, 2.9 m; 1 stop: the front bumper was hit" in said.out
-    assert "written: r.html" in said.out
-    assert not said.err
-
-
-def test_json_alone_writes_no_file(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The summary with its events; nothing that is only drawn."""
-    assert ask(log, "--json") == ExitCode.OK
-    (robot,) = json.loads(capsys.readouterr().out)["robots"]
-    assert robot["distance_m"] == pytest.approx(2.95)
-    assert robot["moments"][0]["reason"] == "front_bumper"
-    assert "lines" not in robot
-    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
-
-
-def test_without_a_name_it_is_report_html(log: Path, tmp_path: Path) -> None:
-    """In the directory at hand; one that is there is replaced."""
-    (tmp_path / "report.html").write_text("old")
-    assert ask(log.parent) == ExitCode.OK
-    assert "Drive report" in (tmp_path / "report.html").read_text()
-
-
-def test_a_damaged_log_gives_a_report_of_what_can_be_read(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And exit code 3; what is wrong is told on stderr and in the report."""
-    log.write_bytes(log.read_bytes()[:-200])
-    assert ask(log, "-o", "r.html") == ExitCode.PARTIAL
-    assert "What could not be read" in (tmp_path / "r.html").read_text()
-    assert "a.mcap" in capsys.readouterr().err
-
-
 def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
