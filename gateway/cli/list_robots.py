@@ -99,7 +99,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if not reports and not search.is_complete:
         text = f"the Zenoh node at {where} did not say within {arguments.timeout:g} s which robots are connected"
         raise CommandError(text, ExitCode.UNREACHABLE)
-    lines = (msgspec.json.encode(one).decode() for one in reports) if arguments.json else fleet.list_lines(reports)
+    shown = (line.plain for line in fleet.list_view(reports))
+    lines = (msgspec.json.encode(one).decode() for one in reports) if arguments.json else shown
     sys.stdout.writelines(f"{line}\n" for line in lines)
     sys.stdout.flush()
     expected.keep(report.robot for report in reports if report.state is not None)

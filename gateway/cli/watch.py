@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import msgspec
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
+from rich.text import Text
 
 from gateway.cli.list_robots import Expected
 from gateway.client import fleet as view
@@ -79,8 +80,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         elif console.is_terminal and not console.is_dumb_terminal:
             _live(watching, console, end_s, stopped)
         else:
-            lines = view.list_lines if not watching.robot else (lambda reports: map(view.line, reports))
-            watching.show(lambda reports: _write(lines(reports)), LINE_S, end_s, stopped)
+            watching.show(lambda reports: _write(_lines(reports, watching.robot)), LINE_S, end_s, stopped)
     return int(ExitCode.OK)
 
 
@@ -137,9 +137,14 @@ def _live(watching: _Watching, console: Console, end_s: float, stopped: Callable
     with Live(console=console, auto_refresh=False, screen=True) as live:
 
         def draw(reports: list[RobotStatus]) -> None:
-            live.update(view.panel(reports[0]) if watching.robot else view.table(reports), refresh=True)
+            several = Group(*(view.list_view(reports) or [Text("no robot is connected", style=view.BAD)]))
+            live.update(view.panel(reports[0]) if watching.robot else several, refresh=True)
 
         watching.show(draw, REFRESH_S, end_s, stopped)
+
+
+def _lines(reports: list[RobotStatus], robot: str) -> Iterable[str]:
+    return map(view.line, reports) if robot else (one.plain for one in view.list_view(reports))
 
 
 def _json_line(report: RobotStatus) -> str:

@@ -12,7 +12,7 @@ A report never gives an old value as a present one: a state or a health that is 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final, TypeVar
 
 import msgspec
@@ -520,13 +520,13 @@ def safety_facts(report: RobotStatus) -> list[Fact]:
     ]
 
 
-def list_lines(reports: Sequence[RobotStatus]) -> Iterator[str]:
+def list_view(reports: Sequence[RobotStatus]) -> list[Text]:
     """Robots, one a line with what needs attention below it; several after a line on all of them."""
-    if len(reports) > 1:
-        yield summary(reports)
+    lines = [Text(summary(reports))] if len(reports) > 1 else []
     for report in reports:
-        yield _list_line(report)
-        yield from (f"  needs attention: {note}" for note in _attention(report))
+        lines.append(Text(_list_line(report), style=(PLAIN, BAD, LOUD)[WORDS[word_of(report)[0]]]))
+        lines += [Text(f"  needs attention: {note}", style=BAD) for note in _attention(report)]
+    return lines
 
 
 def _list_line(report: RobotStatus) -> str:
@@ -539,10 +539,16 @@ def _list_line(report: RobotStatus) -> str:
         words += (
             [f"driver {plain(report.safety.lease_holder)}"] if report.safety and report.safety.lease_holder else []
         )
+        words += [_word(fact) for fact in (*state_facts(report.state), *safety_facts(report)) if _is_news(fact)]
         words += [] if report.connected else ["no liveliness token"]
         words += ["no health"] if report.health is None else []
     words += [_word(fact) for fact in health_facts(report.health)] if report.health is not None else []
     return "  ".join([*words, *([plain(report.newer)] if report.newer else [])])
+
+
+def _is_news(fact: Fact) -> bool:
+    """Return True for what is wrong, and no part of what needs attention."""
+    return fact.style == BAD and fact.label not in {"latched", "stopped by"}
 
 
 def _attention(report: RobotStatus) -> list[str]:
@@ -572,51 +578,8 @@ def panel(report: RobotStatus) -> RenderableType:
     return Panel(Group(top, _health_text(report), *safety, *newer, grid), title=Text(report.robot), expand=False)
 
 
-def table(reports: Sequence[RobotStatus]) -> RenderableType:
-    """Robots, one a row: what each does, and whatever is wrong with it."""
-    shown = Table(expand=False, title=summary(reports) if len(reports) > 1 else None)
-    for label in ("robot", "state", *_TABLE_LABELS, "age"):
-        shown.add_column(label, no_wrap=True)
-    shown.add_column("wrong")
-    for report in reports:
-        cells = [Text(NO_VALUE)] * len(_TABLE_LABELS)
-        if report.state is not None:
-            facts = {fact.label: fact for fact in state_facts(report.state)}
-            cells = [Text(facts[label].text, style=facts[label].style) for label in _TABLE_LABELS]
-        word, _ = word_of(report)
-        state = Text(label_of(word), style=(PLAIN, BAD, LOUD)[WORDS[word]])
-        shown.add_row(Text(report.robot), state, *cells, _age(report), _wrong(report))
-    return shown if reports else Group(shown, Text("no robot is connected", style=BAD))
-
-
-_TABLE_LABELS: Final = ("speed", "angle")
-
-
-def _wrong(report: RobotStatus) -> Text:
-    text = Text()
-    if report.state is None:
-        text.append(_offline(report), style=LOUD)
-    facts = [
-        *(state_facts(report.state) if report.state else ()),
-        *(health_facts(report.health) if report.health else ()),
-        *safety_facts(report),
-    ]
-    wrong = {f"{fact.label} {fact.text}": fact.style for fact in facts if fact.style == BAD}
-    if report.state is not None and report.health is None:
-        wrong["no health"] = BAD
-    for word, style in wrong.items():
-        text.append("; " if text else "").append(word, style=style)
-    return text
-
-
 def _offline(report: RobotStatus) -> str:
     return f"OFFLINE: {alarm(report)}"
-
-
-def _age(report: RobotStatus) -> Text:
-    if report.state_age_s is None:
-        return Text("never", style=LOUD)
-    return Text(f"{report.state_age_s:.1f} s", style=LOUD if report.state is None else GOOD)
 
 
 def _cells(fact: Fact) -> tuple[Text, Text]:

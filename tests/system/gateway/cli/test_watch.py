@@ -96,7 +96,7 @@ def test_a_gateway_that_leaves_is_shown_as_gone(capsys: Capture) -> None:
         assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
 
 
-@pytest.mark.parametrize(("words", "shown"), [(["cruiser-1"], "mileage"), ([], "robot")])
+@pytest.mark.parametrize(("words", "shown"), [(["cruiser-1"], "mileage"), ([], "telemetry only")])
 def test_a_terminal_gets_a_live_view(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: list[str], shown: str
 ) -> None:

@@ -50,12 +50,12 @@ def drawn(renderable: RenderableType, width: int = 200) -> str:
 
 
 def listed(report: RobotStatus) -> str:
-    return "\n".join(fleet.list_lines([report]))
+    return "\n".join(line.plain for line in fleet.list_view([report]))
 
 
 def every_view(report: RobotStatus) -> list[str]:
-    """A report as a line, as a panel and as a row of a table."""
-    return [fleet.line(report), drawn(fleet.panel(report)), drawn(fleet.table([report]))]
+    """A report as a line, as a panel and in the list."""
+    return [fleet.line(report), drawn(fleet.panel(report)), listed(report)]
 
 
 def of(safety: SafetyState = ENGAGED, **changes: object) -> RobotStatus:
@@ -77,7 +77,7 @@ FAR = msgspec.structs.replace(
     ENGAGED, link_age_s=0.43, link_age_p50_s=0.42, link_age_p99_s=0.81, deadman_s=1.0, travel_delay_m=0.71,
     travel_speed_limit_mps=0.7,
 )  # fmt: skip
-LINE_AND_PANEL, ALL = ("line", "panel"), ("line", "panel", "table")
+LINE_AND_PANEL, ALL = ("line", "panel"), ("line", "panel", "list")
 Row = tuple[RobotStatus, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 SHOWN: dict[str, Row] = {
     "what a robot does": (
@@ -105,7 +105,7 @@ SHOWN: dict[str, Row] = {
     ),
     "what is latched": (
         of(state=ArbiterState.STANDBY, latched=[Reason.REMOTE_STOP, Reason.ROLLING]),
-        ALL,
+        LINE_AND_PANEL,
         ("latched remote_stop, rolling",),
         ("limit",),
     ),
@@ -124,8 +124,13 @@ SHOWN: dict[str, Row] = {
         (),
     ),
     "a timeout is none": (of(IDLE, stop_reason=Reason.DEADMAN), ("line",), ("last stop deadman",), ()),
-    "among many, what is wrong alone": (BUS_DOWN, ("table",), ("bus_down",), ()),
-    "and nothing of what is not": (of(IDLE), ("table",), (), ("blocked",)),
+    "among many, what is wrong alone": (
+        BUS_DOWN,
+        ("list",),
+        ("bus_down", "attention: remote stop, reset"),
+        ("latched",),
+    ),
+    "and nothing of what is not": (of(IDLE), ("list",), (), ("blocked",)),
 }
 
 
@@ -170,7 +175,7 @@ def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) ->
     """A bumper hit, a bus that is down, silent frames and an unknown variant are never left out."""
     report = msgspec.structs.replace(FRESH, state=msgspec.structs.replace(STATE, **change))
     assert word in fleet.line(report)
-    assert word in drawn(fleet.table([report]))
+    assert word in listed(report)
     assert word.split(" ", 1)[1] in drawn(fleet.panel(report))
 
 
@@ -180,7 +185,7 @@ def test_what_is_wrong_with_the_gateway_is_shown() -> None:
         HEALTH, bus_up=False, bus_detail="no such device", faults={"checksum": 3, "length": 0}, realtime=False
     )
     report = msgspec.structs.replace(FRESH, health=sick)
-    for text in (listed(report), drawn(fleet.panel(report)), drawn(fleet.table([report]))):
+    for text in (listed(report), drawn(fleet.panel(report))):
         assert "checksum 3" in text
         assert "length" not in text
         assert "no such device" in text
@@ -202,27 +207,13 @@ def test_a_robot_without_health_is_said_to_have_none() -> None:
     """Connected is not healthy: the list says what it has not heard."""
     report = msgspec.structs.replace(FRESH, health=None)
     assert listed(report) == "cruiser-1  telemetry only  +1.25 m/s  no health"
-    assert "no health" in drawn(fleet.table([report]))
-
-
-def test_an_empty_fleet_is_said_to_be_empty() -> None:
-    """A table without robots says that there are none."""
-    assert "no robot is connected" in drawn(fleet.table([]))
-
-
-def test_the_table_keeps_what_matters_in_80_columns() -> None:
-    """In a small terminal the names, the motion and the alarm are still whole."""
-    text = drawn(fleet.table([FRESH, STALE]), width=80)
-    for part in ("cruiser-1", "telemetry only", "+1.25 m/s", "-3.5 deg", "OFFLINE"):
-        assert part in text
 
 
 @given(report=REPORTS)
 def test_any_report_can_be_shown(report: RobotStatus) -> None:
-    """Whatever a robot sends, a line is one printable line, and panel and table are drawn."""
+    """Whatever a robot sends, a line is one printable line, and the panel is drawn."""
     assert fleet.line(report).isprintable()
-    assert all(line.isprintable() for line in fleet.list_lines([report]))
-    for text in (drawn(fleet.panel(report), 80), drawn(fleet.table([report]), 80)):
+    for text in (listed(report), drawn(fleet.panel(report), 80)):
         assert text.replace("\n", "").isprintable()
 
 
