@@ -79,6 +79,28 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ],
     *[(f"decode --variant coarse {{here}}/{one}", USAGE, "cannot read") for one in ("missing.log", ".")],
     *[
+        (f"record {one}", USAGE, says)
+        for one, says in (
+            *(("dance", "dance"), ("status Depot", "Depot"), ("status depot/x", "depot/x"), ("status a b", "b")),
+            *(
+                ("status '\x1b[2J'", "[2J"),
+                ("mark --robot '*'", "--robot"),
+                ("mark --operator 'a b'", "--operator"),
+            ),
+            *(
+                ("mark --timeout 0", "--timeout"),
+                ("mark --timeout nan", "--timeout"),
+                ("status --text x", "--text"),
+            ),
+            *((f"--seconds={text}", "--seconds") for text in ("0", "-1", "inf", "nan", "soon")),
+            *(("--shard 5/4", "such as 2/4"), ("--shard two", "recorder.shard")),
+            ("--shard 1/2 -k 'elsewhere/**'", "names none"),
+            *((f"-k '{key}'", "is no key expression") for key in ("fleet//x", "", "/fleet", "fleet/$x*")),
+            *((f"{one}--connect nonsense", "Zenoh does not take connect/endpoints") for one in ("", "status ")),
+        )
+    ],
+    ("record -o {here}/none.pem --connect tcp/{free}", FAILURE, "cannot write {here}/none.pem: File exists"),
+    *[
         (f"metrics --listen '{one}'", USAGE, NO_ADDRESS)
         for one in ("9747", "localhost:9747", "127.0.0.1:", "127.0.0.1:65536", "127.0.0.1:-1", "")
     ],
@@ -121,11 +143,17 @@ def test_what_cannot_be_is_one_line_and_a_code(tmp_path: Path, words: str, code:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         places = {"taken": f"127.0.0.1:{taken.getsockname()[1]}", "here": str(tmp_path)}
         places["free"] = free_endpoint().removeprefix("tcp/")
-        done = run(shlex.split(words.format(**places)), XDG_CONFIG_HOME=str(tmp_path))
+        done = run(
+            shlex.split(words.format(**places)),
+            XDG_CONFIG_HOME=str(tmp_path),
+            CRUISER_RECORDER_DIRECTORY=str(tmp_path / "logs"),
+        )
     lines = [line for line in done.stderr.splitlines() if not line.startswith("demo: ")]
     assert (done.returncode, done.stdout) == (code, ""), done.stderr
     assert says.format(**places) in lines[-1]
     assert len(lines) == 1 or lines[0].startswith("usage: "), lines
+    assert "\x1b" not in done.stderr
+    assert ".rs" not in done.stderr, "no place in Zenoh's own source"
     assert not (tmp_path / "new").exists()
 
 

@@ -135,16 +135,6 @@ def test_without_a_sample_there_is_no_log(tmp_path: Path) -> None:
     assert logs_in(tmp_path) == []
 
 
-def test_a_directory_that_cannot_be_is_one_clear_line(tmp_path: Path) -> None:
-    """Exit code 1, before anything is recorded, no traceback."""
-    (tmp_path / "file").write_text("")
-    with recording("-o", str(tmp_path / "file"), "--connect", free_endpoint()) as process:
-        code, out, err = process.end(None)
-    assert code == ExitCode.FAILURE
-    assert (out, err) == ("", "")
-    assert process.ready == f"cruiser record: cannot write {tmp_path / 'file'}: File exists\n"
-
-
 def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
     """The log goes on in further files, each readable alone. The shell bounds what a file may hold."""
     endpoint = free_endpoint()

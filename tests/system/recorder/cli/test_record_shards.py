@@ -15,7 +15,7 @@ from recorder.review.info import read_info
 from recorder.zenoh.source import Shard
 from schemas import keys
 from schemas.command_line import ExitCode
-from tests.support.fakes.peer import Peer, free_endpoint
+from tests.support.fakes.peer import Peer
 from tests.support.messages import ROOT, gear, sample_of
 from tests.support.processes.recorder import Process, environment, recording
 from tests.support.waiting import wait_until
@@ -98,28 +98,3 @@ def check(directory: Path) -> list[dict[str, str]]:
     )
     between: list[dict[str, str]] = json.loads(done.stdout.splitlines()[-1])["between"]
     return between
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (["--shard", "5/4"], "such as 2/4"),
-        (["--shard", "two"], "recorder.shard"),
-        (["--shard", "1/2", "-k", "elsewhere/**"], "names none"),
-        (["-k", "fleet//x"], "is no key expression"),
-        (["--connect", "nonsense"], "Zenoh does not take connect/endpoints"),
-    ],
-)
-def test_wrong_words_are_a_usage_error(words: list[str], why: str, tmp_path: Path) -> None:
-    """What is wrong is said in one clear line, and nothing is recorded."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", "record", "--connect", free_endpoint(), *words, "-o", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        env=environment(),
-    )
-    assert done.returncode == ExitCode.USAGE
-    assert why in done.stderr
-    assert len(done.stderr.splitlines()) == 1

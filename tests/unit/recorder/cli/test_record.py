@@ -20,34 +20,6 @@ from schemas.settings import RecorderSettings, Settings, ZenohSettings
 from tests.support.messages import recorder_health
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["dance"],
-        ["status", "Depot"],
-        ["status", "depot/x"],
-        ["status", "\x1b[2J"],
-        ["status", "depot", "other"],
-        ["mark", "--robot", "*"],
-        ["mark", "--operator", "a b"],
-        ["mark", "--timeout", "0"],
-        ["mark", "--timeout", "nan"],
-        ["status", "--text", "x"],
-        *([f"--seconds={seconds}"] for seconds in ("0", "-1", "inf", "nan", "soon")),
-    ],
-)
-def test_wrong_words_are_a_usage_error(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit code 2, before anybody is asked."""
-    parser = argparse.ArgumentParser()
-    record.add_arguments(parser)
-    with pytest.raises(SystemExit) as caught:
-        parser.parse_args(words)
-    assert caught.value.code == ExitCode.USAGE
-    err = capsys.readouterr().err
-    assert "\x1b" not in err
-    assert words[-1].partition("=")[0] in err or "--" not in words[-1]
-
-
 def test_a_reply_reads_like_a_sentence() -> None:
     """A refusal is one; the figures of a status have their units."""
     reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=recorder_health(RecorderState.FULL))
