@@ -608,7 +608,7 @@ class CanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         bus: the bus's name in keys: can/{bus}/rx
         raw_frames: receive all frames of the bus, and publish them and those sent as they are; else only the
             chassis's own are asked for, and none is published raw
-        options: further arguments of the python-can interface
+        options: further arguments of the python-can interface; of socketcan, ``fd`` alone
     """
 
     interface: Annotated[str, Meta(min_length=1)] = "socketcan"

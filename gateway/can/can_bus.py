@@ -1,16 +1,10 @@
-"""A CAN bus by python-can, the kernel's SocketCAN, or socketcand.
+"""A CAN bus by the kernel's SocketCAN, by socketcand, or by a driver, with one exception for its loss.
 
-A CAN bus through python-can, whatever its interface: frames in and out, one exception when it is lost.
+SocketCAN and socketcand are spoken here. python-can opens every other interface (``gateway.can.python_can``): it
+takes 6 MiB of memory, and a third of a process's start.
 
-A client of a socketcand server as a driver of python-can.
-
-Its words for frames are python-can's; the connection is ours. python-can's client connects by IPv4 alone, tries
-for 10 s at full processor load, takes what has come for the whole answer, and the end of the stream for silence.
-
-A bus of the kernel's (SocketCAN): its receive times, what it dropped, and only the identifiers asked for.
-
-python-can opens the socket and sets the filters. Frames go through it as linux/can.h lays them out, and our words
-for them are the same.
+A bus of the kernel's has the kernel's receive times, tells what it dropped, and reads only the identifiers that
+were asked for. Frames are as linux/can.h lays them out.
 """
 
 from __future__ import annotations
@@ -28,21 +22,16 @@ import time
 from collections.abc import Collection
 from typing import Final, Protocol
 
-import can
-from can.interfaces.socketcand.socketcand import (
-    convert_ascii_message_to_can_message,
-    convert_can_message_to_ascii_message,
-)
+import msgspec
 
 from gateway.chassis.frame import (
-    BITRATE_SWITCH,
     ERROR,
-    ERROR_STATE_INDICATOR,
     EXTENDED,
     FD,
     IDENTIFIER_MASK,
     REMOTE,
     Frame,
+    hex_identifier,
 )
 
 CONNECT_TIMEOUT_S: Final = 1.0
@@ -56,20 +45,23 @@ _GREETING: Final = b"< hi >"
 _READ_BYTES: Final = 4096
 
 
-class SocketcandBus(can.BusABC):
-    """A bus that a server shows over TCP."""
+class SocketcandBus:
+    """A bus that a server shows over TCP.
+
+    Attributes:
+        stream: the connection.
+    """
 
     def __init__(self, host: str, port: int, channel: str) -> None:
         """Connect, and open the bus.
 
         Raises:
-            OSError: there is no server, or it does not answer.
-            can.CanError: it answers otherwise.
+            OSError: there is no server, or it does not answer, or otherwise.
         """
         try:
             self.stream = socket.create_connection((host, port), CONNECT_TIMEOUT_S)
         except (OSError, UnicodeError) as error:  # A host name that cannot be one is a UnicodeError.
-            raise can.CanInitializationError(f"no server there: {error}") from error
+            raise ConnectionError(f"no server there: {error}") from error
         self._buffer = b""
         try:
             self._open(channel)
@@ -77,15 +69,14 @@ class SocketcandBus(can.BusABC):
             self.stream.close()
             raise
         self.stream.settimeout(None)
-        super().__init__(channel=channel)
 
     def _open(self, channel: str) -> None:
         if self._answer(_GREETING) != _GREETING:
-            raise can.CanInitializationError("the server does not speak the socketcand protocol")
+            raise ConnectionError("the server does not speak the socketcand protocol")
         for request in (f"< open {channel} >", "< rawmode >"):
             self.stream.sendall(request.encode())
             if (said := self._answer(b"< ")) != b"< ok >":
-                raise can.CanInitializationError(f"the server answered {said.decode('ascii', 'replace')!r}")
+                raise ConnectionError(f"the server answered {said.decode('ascii', 'replace')!r}")
 
     def _answer(self, start: bytes) -> bytes:
         """Return the next answer; what has come of it once it cannot be one that begins so."""
@@ -105,30 +96,50 @@ class SocketcandBus(can.BusABC):
             raise ConnectionError("the server closed the connection")
         self._buffer += data
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if b">" not in self._buffer:
-            if not select.select([self.stream], [], [], timeout)[0]:
-                return None, False
-            self._read()
-        line, end, rest = self._buffer.partition(b">")
-        if not end and len(line) <= MESSAGE_MAX_BYTES:
-            return None, False
-        self._buffer = rest
-        # What comes before the last '<' is a message whose end was lost.
-        message = convert_ascii_message_to_can_message((line[max(line.rfind(b"<"), 0) :] + end).decode("ascii"))
-        if message is None:
-            raise ValueError(f"no message that is known: {line[:60]!r}")
-        return message, False
+    def recv(self, timeout_s: float) -> Frame | None:
+        """The next frame, with the server's time; None if there was none in time.
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        Raises:
+            ValueError: the next message is no frame.
+            OSError: the connection is gone.
+        """
+        end_s = time.monotonic() + timeout_s
+        while b">" not in self._buffer and len(self._buffer) <= MESSAGE_MAX_BYTES:
+            if not select.select([self.stream], [], [], max(0.0, end_s - time.monotonic()))[0]:
+                return None
+            self._read()
+        line, end, self._buffer = self._buffer.partition(b">")
+        # What comes before the last '<' is a message whose end was lost.
+        return frame_of((line[max(line.rfind(b"<"), 0) :] + end).decode("ascii"))
+
+    def send(self, frame: Frame) -> None:
         """Hand a frame to the connection."""
-        del timeout
-        self.stream.sendall(convert_can_message_to_ascii_message(msg).encode("ascii"))
+        self.stream.sendall(send_line(frame))
 
     def shutdown(self) -> None:
         """Hang up."""
-        super().shutdown()
         self.stream.close()
+
+
+_FRAME_LINE, _ERROR_LINE = "< frame ", "< error "
+
+
+def send_line(frame: Frame) -> bytes:
+    """The line that sends a frame, as python-can writes it: a remote one is a length without data."""
+    data = " ".join(f"{byte:x}" for byte in frame.data)
+    return f"< send {hex_identifier(frame.can_id)} {frame.length:X} {data} >".encode("ascii")
+
+
+def frame_of(line: str) -> Frame:
+    """The frame that a line shows. Raises ValueError or IndexError: it shows none."""
+    if not (line.startswith((_FRAME_LINE, _ERROR_LINE)) and line.endswith(" >")):
+        raise ValueError(f"no message that is known: {line[:60]!r}")
+    identifier, time_s, *data = line[len(_FRAME_LINE) : -2].split(" ")
+    can_id, wall_ns = int(identifier, 16) & IDENTIFIER_MASK, epoch_ns(float(time_s))
+    if line.startswith(_ERROR_LINE):
+        return Frame(ERROR | EXTENDED | can_id, b"\0", wall_ns)
+    kind = 0 if len(identifier) == 3 else EXTENDED
+    return Frame(kind | can_id, bytes.fromhex(data[0])[:DATA_MAX_BYTES], wall_ns)
 
 
 log = logging.getLogger(__name__)
@@ -184,14 +195,35 @@ class Bus(Protocol):
         ...
 
 
-class CanBus:
-    """A bus that python-can has opened. Whatever its driver raises is a garbled line, or a lost bus."""
+class BusDriver(Protocol):
+    """A reader and writer of a bus. It may raise what it likes: ``CanBus`` makes one of two things of it."""
 
-    def __init__(self, bus: can.BusABC) -> None:
+    @property
+    def stream(self) -> socket.socket | None:
+        """Its TCP connection, if it has one."""
+        ...
+
+    def recv(self, timeout_s: float) -> Frame | None:
+        """The next frame, with the time that the interface gives it; or None. An OSError is a loss."""
+        ...
+
+    def send(self, frame: Frame) -> None:
+        """Hand a frame to the bus. Raises BusFull."""
+        ...
+
+    def shutdown(self) -> None:
+        """Give the bus back."""
+        ...
+
+
+class CanBus:
+    """A bus by a driver. Whatever that raises is a garbled line, or a lost bus."""
+
+    def __init__(self, driver: BusDriver) -> None:
         self.drops = 0
         self._drops_in_row = 0
-        self._bus = bus
-        self._socket = bus.stream if isinstance(bus, SocketcandBus) else None
+        self._driver = driver
+        self._socket = driver.stream
         if self._socket is not None:
             _tune(self._socket)
         self._full_since_s: float | None = None
@@ -205,15 +237,17 @@ class CanBus:
         """
         while True:
             try:
-                message = self._bus.recv(timeout_s)
-                frame = None if message is None else to_frame(message, self._time_ns(message.timestamp))
+                frame = self._driver.recv(timeout_s)
+            except BusLost:
+                raise
             except Exception as error:  # noqa: BLE001 - foreign code raises what it likes
                 self._drop(error)
                 timeout_s = 0
                 continue
-            if frame is not None:
-                self._drops_in_row = 0
-            return frame
+            if frame is None:
+                return None
+            self._drops_in_row = 0
+            return frame if self._is_in_time(frame) else msgspec.structs.replace(frame, wall_ns=time.time_ns())
 
     def _drop(self, error: Exception) -> None:
         """Count a line that could not be read.
@@ -221,32 +255,23 @@ class CanBus:
         Raises:
             BusLost: it is one of many in a row, or the driver means the bus.
         """
-        wrapped = error.__cause__ if isinstance(error, can.CanError) else None
-        if isinstance(wrapped or error, can.CanError | OSError):
+        if isinstance(error, OSError):
             raise BusLost(first_line(error)) from error
         self.drops += 1
         self._drops_in_row += 1
         if self._drops_in_row >= GARBLED_MAX:
             raise BusLost(f"{GARBLED_MAX} lines in a row cannot be read: {first_line(error)}") from error
         log.debug("a line of the adapter cannot be read: %r", error)
-        if wrapped is not None and (flush := getattr(self._bus, "flush", None)) is not None:
-            # python-can's slcan keeps what it could not decode, and would fail at it for ever.
-            try:
-                flush()
-            except Exception as failed:
-                raise BusLost(first_line(failed)) from failed
 
-    def _time_ns(self, timestamp_s: float) -> int:
-        """Return a frame's time of receipt since the epoch: by the interface's clock, if that keeps epoch time.
+    def _is_in_time(self, frame: Frame) -> bool:
+        """Return True if the interface's clock keeps epoch time.
 
         Some interfaces count from their own start, or give no time. The first frame decides until the bus is
         closed: judged one by one, frames that waited while this process was suspended would pass for new ones.
         """
-        # Not a number, infinite or absurd, as a broken server may send it: no time at all.
-        wall_ns = int(timestamp_s * 1e9) if 0 <= timestamp_s < TIMESTAMP_MAX_S else 0
         if self._keeps_epoch is None:
-            self._keeps_epoch = abs(time.time_ns() - wall_ns) <= TIMESTAMP_TOLERANCE_NS
-        return wall_ns if self._keeps_epoch else time.time_ns()
+            self._keeps_epoch = abs(time.time_ns() - frame.wall_ns) <= TIMESTAMP_TOLERANCE_NS
+        return self._keeps_epoch
 
     def send(self, frame: Frame) -> None:
         """Hand a frame to the bus, without waiting.
@@ -258,9 +283,9 @@ class CanBus:
         if self._socket is not None:
             self._check_room(self._socket)
         try:
-            self._bus.send(to_message(frame))
-        except can.CanOperationError as error:
-            raise BusFull(first_line(error)) from error
+            self._driver.send(frame)
+        except BusFull:
+            raise
         except Exception as error:
             if self._socket is not None:
                 _abort(self._socket)
@@ -281,15 +306,15 @@ class CanBus:
 
     def close(self) -> None:
         """Give the bus back. Never raises."""
-        shut_down(self._bus)
+        try:
+            self._driver.shutdown()
+        except Exception as error:  # noqa: BLE001 - foreign code raises what it likes
+            log.debug("closing the bus: %r", error)
 
 
-def shut_down(bus: can.BusABC) -> None:
-    """Give a bus of python-can back, whatever its driver makes of that."""
-    try:
-        bus.shutdown()
-    except Exception as error:  # noqa: BLE001 - foreign code raises what it likes
-        log.debug("closing the bus: %r", error)
+def epoch_ns(time_s: float) -> int:
+    """A time that an interface gives. Not a number, infinite or absurd, as from a broken server, is none: 0."""
+    return int(time_s * 1e9) if 0 <= time_s < TIMESTAMP_MAX_S else 0
 
 
 def first_line(error: Exception) -> str:
@@ -321,63 +346,25 @@ def _abort(stream: socket.socket) -> None:
         log.debug("the socket is gone already: %s", error)
 
 
-def to_frame(message: can.Message, wall_ns: int) -> Frame:
-    """Our frame of python-can's message, received at this time since the epoch."""
-    can_id = message.arbitration_id & IDENTIFIER_MASK
-    if message.is_extended_id:
-        can_id |= EXTENDED
-    if message.is_error_frame:
-        can_id |= ERROR
-    remote_length = 0
-    if message.is_remote_frame:
-        can_id |= REMOTE
-        remote_length = message.dlc
-    fd_flags = 0
-    if message.is_fd:
-        fd_flags = (
-            FD
-            | (BITRATE_SWITCH if message.bitrate_switch else 0)
-            | (ERROR_STATE_INDICATOR if message.error_state_indicator else 0)
-        )
-    return Frame(can_id, bytes(message.data[:DATA_MAX_BYTES]), wall_ns, fd_flags, remote_length)
-
-
-def to_message(frame: Frame) -> can.Message:
-    """python-can's message of our frame."""
-    remote = bool(frame.can_id & REMOTE)
-    return can.Message(
-        timestamp=frame.wall_ns / 1e9,
-        arbitration_id=frame.identifier,
-        is_extended_id=bool(frame.can_id & EXTENDED),
-        is_remote_frame=remote,
-        is_error_frame=bool(frame.can_id & ERROR),
-        is_fd=bool(frame.fd_flags & FD),
-        bitrate_switch=bool(frame.fd_flags & BITRATE_SWITCH),
-        error_state_indicator=bool(frame.fd_flags & ERROR_STATE_INDICATOR),
-        dlc=frame.length,
-        data=None if remote else frame.data,
-    )
-
-
 RECEIVE_BUFFER_BYTES: Final = 4_000_000
 """Asked for. The kernel counts twice this, and 770 to 900 for a frame: a second of a saturated bus, and more."""
 
 SEND_BUFFER_BYTES: Final = 3_400
 """The same for sending: eight frames or nine; a tick has eight at most. What is not taken must not wait."""
 
-_UNFILTERED_MAX_FRAMES: Final = 1_000
-"""More than a new socket holds, as long as no larger buffer was asked for."""
-
 _FRAME: Final = struct.Struct("=IB3x8s")
 _FD_FRAME: Final = struct.Struct("=IBB2x64s")
+_FILTER: Final = struct.Struct("=II")
 _TIME: Final = struct.Struct("@ll")
 _COUNT: Final = struct.Struct("@I")
 _FULL: Final = frozenset({errno.ENOBUFS, errno.EAGAIN})
 
-# From the kernel's headers: asm-generic/socket.h, linux/sockios.h, linux/if.h.
+# From the kernel's headers: asm-generic/socket.h, linux/sockios.h, linux/if.h, linux/can/raw.h.
 _SO_RCVBUFFORCE: Final = 33
 _SO_TIMESTAMPNS: Final = 35
 _SO_RXQ_OVFL: Final = 40
+_CAN_RAW_ERR_FILTER: Final = 2
+_ALL_ERRORS: Final = 0x1FFFFFFF
 _SIOCGIFFLAGS: Final = 0x8913
 _IFF_UP: Final = 1
 _NAME_MAX_BYTES: Final = 15
@@ -385,50 +372,50 @@ _FLAGS_REQUEST: Final = struct.Struct("@16sh14x")
 _ANCILLARY_BYTES: Final = socket.CMSG_SPACE(_TIME.size) + socket.CMSG_SPACE(_COUNT.size)
 
 
+def open_socket(channel: str, identifiers: Collection[int] = (), *, fd: bool = False) -> socket.socket:
+    """Open an interface of the kernel's.
+
+    Args:
+        identifiers: with their flags; the kernel hands over these alone. All, if there are none.
+        fd: CAN FD frames too.
+
+    Raises:
+        OSError: there is no such interface, or the kernel has no CAN.
+    """
+    bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.CAN_RAW)
+    try:
+        if fd:
+            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
+        bus.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        if identifiers:
+            # Before the socket is bound: nothing else comes in meanwhile.
+            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed_filters(identifiers))
+        bus.bind((channel,))
+    except BaseException:
+        bus.close()
+        raise
+    return bus
+
+
+def packed_filters(identifiers: Collection[int]) -> bytes:
+    """``struct can_filter`` of each identifier: all its bits, of its own kind, and no requests for it."""
+    mask = IDENTIFIER_MASK | EXTENDED | REMOTE
+    return b"".join(_FILTER.pack(can_id & (IDENTIFIER_MASK | EXTENDED), mask) for can_id in identifiers)
+
+
 class SocketCanBus:
-    """A SocketCAN interface that python-can has opened.
+    """A SocketCAN interface.
 
     Attributes:
         drops: frames that the kernel dropped since this was opened, because they were not read in time.
     """
 
-    def __init__(self, bus: can.BusABC, identifiers: Collection[int] = ()) -> None:
-        """Use python-can's bus.
-
-        Args:
-            bus: of python-can's interface ``socketcan``.
-            identifiers: with their flags; the kernel hands over these alone. All, if there are none.
-
-        Raises:
-            BusLost: the interface is down, or gone.
-        """
+    def __init__(self, bus: socket.socket) -> None:
+        """Own a socket of ``open_socket``."""
         self.drops = 0
-        self._bus = bus
-        self._socket: socket.socket = bus.socket  # type: ignore[attr-defined] # of its SocketcanBus
-        if identifiers:
-            bus.set_filters(
-                [
-                    {
-                        "can_id": can_id & IDENTIFIER_MASK,
-                        "can_mask": IDENTIFIER_MASK | REMOTE,
-                        "extended": bool(can_id & EXTENDED),
-                    }
-                    for can_id in identifiers
-                ]
-            )
-            self._discard_waiting()
+        self._socket = bus
         _tune_kernel(self._socket)
-
-    def _discard_waiting(self) -> None:
-        """A socket takes everything until its filters are set, and that was not asked for."""
-        try:
-            for _ in range(_UNFILTERED_MAX_FRAMES):
-                self._socket.recv(_FD_FRAME.size, socket.MSG_DONTWAIT)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self.close()
-            raise BusLost(_in_words(error)) from error
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time.
@@ -478,7 +465,10 @@ class SocketCanBus:
 
     def close(self) -> None:
         """Give the interface back. Never raises."""
-        shut_down(self._bus)
+        try:
+            self._socket.close()
+        except OSError as error:
+            log.debug("closing the bus: %s", error)
 
 
 def check_up(channel: str) -> None:

@@ -1,6 +1,6 @@
 """Open a bus by its settings, claim it, and open it again when it goes away.
 
-- Opening the CAN bus of the settings, through python-can.
+- Opening the CAN bus of the settings.
 - One gateway on a machine commands a bus: whoever comes second learns that there is another.
 - A CAN bus that is opened again when it is lost, without the caller ever waiting for it.
 """
@@ -16,9 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Any, Final, Self
-
-import can
+from typing import Final, Self
 
 from gateway.can.can_bus import (
     CONNECT_TIMEOUT_S,
@@ -30,14 +28,16 @@ from gateway.can.can_bus import (
     SocketCanBus,
     SocketcandBus,
     check_up,
-    first_line,
+    open_socket,
 )
 from gateway.chassis.frame import Frame
-from schemas.command_line import CommandError, ExitCode, how_to_get
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RECONNECT_MAX_S, RECONNECT_MIN_S, CanSettings
 
 SOCKETCAN: Final = "socketcan"
 SOCKETCAND: Final = "socketcand"
+FD: Final = "fd"
+"""The option by which SocketCAN gives CAN FD frames too."""
 
 
 def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
@@ -50,38 +50,25 @@ def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
         CommandError: the settings name an interface that python-can does not have.
         BusLost: the bus is not there (yet).
     """
-    # Its messages hold tracebacks; what matters of them is in the BusLost that we raise.
-    logging.getLogger("can").setLevel(logging.CRITICAL)
-    if settings.interface == SOCKETCAN:
-        check_up(settings.channel)
-    place = _socketcand_place(settings) if settings.interface == SOCKETCAND else None
     try:
-        bus = SocketcandBus(*place) if place else can.Bus(**_bus_arguments(settings), ignore_config=True)
-        return SocketCanBus(bus, identifiers) if settings.interface == SOCKETCAN else CanBus(bus)
-    except (can.CanInterfaceNotImplementedError, ImportError, TypeError, NotImplementedError) as error:
-        cure = how_to_get("serial") if "serial module" in str(error) else ""
-        raise CommandError(
-            f"can.interface {settings.interface!r} cannot be used: {error}{cure}", ExitCode.USAGE
-        ) from error
-    except Exception as error:
-        # Each vendor's driver raises errors of its own.
-        if _is_library_missing(error):
-            raise CommandError(
-                f"can.interface {settings.interface!r} cannot be used: its driver is not installed "
-                f"({first_line(error)})",
-                ExitCode.USAGE,
-            ) from error
+        if settings.interface == SOCKETCAN:
+            if other := sorted(settings.options.keys() - {FD}):
+                raise CommandError(f"can.options: socketcan has {FD} alone, and not {other[0]!r}", ExitCode.USAGE)
+            check_up(settings.channel)
+            return SocketCanBus(open_socket(settings.channel, identifiers, fd=bool(settings.options.get(FD))))
+        if settings.interface == SOCKETCAND:
+            return CanBus(SocketcandBus(*_socketcand_place(settings)))
+    except OSError as error:
         raise BusLost(f"{describe(settings)}: {error}") from error
+    # For the other interfaces alone: it takes memory and time. A bus is opened before the loop begins.
+    from gateway.can.python_can import open_driver  # noqa: PLC0415
+
+    return CanBus(open_driver(settings))
 
 
 def describe(settings: CanSettings) -> str:
     """The bus in a few words, for people."""
     return f"{settings.interface} {settings.channel}"
-
-
-def _bus_arguments(settings: CanSettings) -> dict[str, Any]:
-    arguments = {"interface": settings.interface, **settings.options, "channel": settings.channel}
-    return arguments | ({"bitrate": settings.bitrate} if settings.bitrate else {})
 
 
 def _socketcand_place(settings: CanSettings) -> tuple[str, int, str]:
@@ -93,15 +80,6 @@ def _socketcand_place(settings: CanSettings) -> tuple[str, int, str]:
             f"can.channel {settings.channel!r}: socketcand wants HOST:PORT or HOST:PORT/BUS", ExitCode.USAGE
         )
     return host.strip("[]"), int(port), name or settings.bus
-
-
-def _is_library_missing(error: Exception) -> bool:
-    """Report whether the vendor's library could not be loaded: waiting for the bus is then in vain.
-
-    ctypes, and python-can's pcan, say so with an OSError that has no number, as no system call failed. Its kvaser
-    continues without the library, and fails at the first name from it.
-    """
-    return (type(error) is OSError and error.errno is None) or isinstance(error, NameError)
 
 
 _PREFIX: Final = "\0cruiser-gateway/"

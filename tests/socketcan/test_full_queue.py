@@ -4,10 +4,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-import can
 import pytest
 
-from gateway.can.can_bus import BusFull, SocketCanBus
+from gateway.can.can_bus import BusFull, SocketCanBus, open_socket
 from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.supervision import controller_state
 from schemas.messages import ControllerState
@@ -27,7 +26,7 @@ TRIES: Final = 100
 @contextmanager
 def opened(adapter: SerialAdapter) -> Iterator[SocketCanBus]:
     """The bus of an adapter."""
-    bus = SocketCanBus(can.Bus(interface="socketcan", channel=adapter.name))
+    bus = SocketCanBus(open_socket(adapter.name))
     try:
         yield bus
     finally:

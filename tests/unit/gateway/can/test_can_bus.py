@@ -7,14 +7,8 @@ import can
 import pytest
 from hypothesis import given
 
-from gateway.can.can_bus import (
-    GARBLED_MAX,
-    BusFull,
-    BusLost,
-    CanBus,
-    to_frame,
-    to_message,
-)
+from gateway.can.can_bus import GARBLED_MAX, BusFull, BusLost, CanBus
+from gateway.can.python_can import PythonCan, to_frame, to_message
 from gateway.chassis.frame import ERROR, EXTENDED, REMOTE, Frame
 from tests.support.strategies import frames
 
@@ -59,7 +53,7 @@ class StampedBus(can.BusABC):
 @pytest.mark.parametrize("start_s", [0.0, 12.5, 1e12, float("nan"), float("inf"), -1e300])
 def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -> None:
     """Interfaces that count from their own start would put frames into 1970 or the far future."""
-    bus = CanBus(StampedBus([start_s, start_s + 1, time.time()]))
+    bus = CanBus(PythonCan(StampedBus([start_s, start_s + 1, time.time()])))
     for _ in range(3):
         frame = bus.receive(1)
         assert frame is not None
@@ -70,7 +64,7 @@ def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -
 def test_frames_that_waited_keep_their_times() -> None:
     """Once the interface's clock is known to keep epoch time, a frame that comes late is old, not new."""
     now_s = time.time()
-    bus = CanBus(StampedBus([now_s, now_s - 20, now_s - 19.99]))
+    bus = CanBus(PythonCan(StampedBus([now_s, now_s - 20, now_s - 19.99])))
     times_ns = [frame.wall_ns for _ in range(3) if (frame := bus.receive(1)) is not None]
     assert times_ns == pytest.approx([now_s * 1e9, (now_s - 20) * 1e9, (now_s - 19.99) * 1e9], abs=1000)
     bus.close()
@@ -99,7 +93,7 @@ class FailingDriver(can.BusABC):
 def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss(separator: str) -> None:
     """A full transmit buffer and a lost cable look alike to who sends; ``receive`` tells them apart."""
     said = f"Transmit buffer full{separator}Traceback (most recent call last):\n  File ..."
-    with closing(CanBus(FailingDriver(can.CanOperationError(said)))) as bus:
+    with closing(CanBus(PythonCan(FailingDriver(can.CanOperationError(said))))) as bus:
         with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
             bus.send(FRAME)
         with pytest.raises(BusLost, match=r"^Transmit buffer full$"):
@@ -111,7 +105,7 @@ def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_
 )
 def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
     """Nothing that a driver raises leaves the port, nor when it is closed."""
-    bus = CanBus(FailingDriver(error))
+    bus = CanBus(PythonCan(FailingDriver(error)))
     with pytest.raises(BusLost, match=str(error)):
         bus.send(FRAME)
     bus.close()
@@ -157,7 +151,7 @@ GARBLED = [IndexError("string index out of range"), ValueError("non-hexadecimal 
 def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> None:
     """The next frame is read at once; a frame in between ends a row."""
     for row in (1, GARBLED_MAX - 1):
-        bus = CanBus(GarblingDriver(*([error] * row + [None]) * 3))
+        bus = CanBus(PythonCan(GarblingDriver(*([error] * row + [None]) * 3)))
         assert all(bus.receive(1) is not None for _ in range(3))
         assert bus.drops == 3 * row
         bus.close()
@@ -166,7 +160,7 @@ def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> 
 @pytest.mark.parametrize("error", GARBLED)
 def test_many_lines_in_a_row_that_cannot_be_read_are_a_lost_bus(error: Exception) -> None:
     """Such as a wrong bit rate, or a driver whose port is gone."""
-    bus = CanBus(GarblingDriver(*[error] * 2 * GARBLED_MAX))
+    bus = CanBus(PythonCan(GarblingDriver(*[error] * 2 * GARBLED_MAX)))
     with pytest.raises(BusLost, match=f"^{GARBLED_MAX} lines in a row cannot be read"):
         bus.receive(1)
     bus.close()

@@ -4,15 +4,23 @@ import errno
 import os
 import socket
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-import can
 import pytest
 from hypothesis import given
 
-from gateway.can.can_bus import RECEIVE_BUFFER_BYTES, SEND_BUFFER_BYTES, BusFull, BusLost, SocketCanBus, check_up
+from gateway.can.can_bus import (
+    RECEIVE_BUFFER_BYTES,
+    SEND_BUFFER_BYTES,
+    BusFull,
+    BusLost,
+    SocketCanBus,
+    check_up,
+    open_socket,
+)
 from gateway.can.open_bus import open_bus
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
+from schemas.command_line import CommandError
 from schemas.settings import CanSettings
 from tests.support.strategies import frames
 from tests.unit.gateway.can.test_can_bus import consistent
@@ -48,7 +56,8 @@ class FakeSocket:
         """Who waits for it sees that there is something."""
         self._other.send(b"!")
 
-    def setsockopt(self, level: int, option: int, value: int) -> None:
+    def setsockopt(self, level: int, option: int, value: int | bytes) -> None:
+        assert isinstance(value, int)
         assert level == socket.SOL_SOCKET
         if option == SO_RCVBUFFORCE and not self.may_force:
             raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
@@ -82,33 +91,15 @@ class FakeSocket:
         self._other.close()
 
 
-class FakePythonCan:
-    """As much of python-can's bus as is used."""
-
-    def __init__(self) -> None:
-        self.socket = FakeSocket()
-        self.filters: list[dict[str, object]] = []
-        self.on_filters: Callable[[], None] = lambda: None
-        self.closed = 0
-
-    def set_filters(self, filters: list[dict[str, object]]) -> None:
-        self.filters = filters
-        self.on_filters()
-
-    def shutdown(self) -> None:
-        self.closed += 1
-        self.socket.close()
-
-
 @pytest.fixture
-def below() -> Iterator[FakePythonCan]:
-    fake = FakePythonCan()
+def below() -> Iterator[FakeSocket]:
+    fake = FakeSocket()
     yield fake
-    fake.socket.close()
+    fake.close()
 
 
-def opened(below: FakePythonCan, *identifiers: int) -> SocketCanBus:
-    return SocketCanBus(below, identifiers)  # type: ignore[arg-type] # it has what is used
+def opened(below: FakeSocket) -> SocketCanBus:
+    return SocketCanBus(below)  # type: ignore[arg-type] # it has what is used
 
 
 def error(number: int) -> OSError:
@@ -132,24 +123,24 @@ def error(number: int) -> OSError:
     ],
     ids=["empty", "extended", "short", "remote", "error", "fd-unmarked", "fd-short", "fd-long"],
 )
-def test_a_frame_is_read_as_linux_lays_it_out(below: FakePythonCan, content: bytes, frame: Frame) -> None:
+def test_a_frame_is_read_as_linux_lays_it_out(below: FakeSocket, content: bytes, frame: Frame) -> None:
     """Sixteen bytes, or seventy-two for CAN FD, whose flag need not be set; and sent as the same."""
     bus = opened(below)
-    below.socket.waiting.append((content, (0, 1), 0))
+    below.waiting.append((content, (0, 1), 0))
     assert bus.receive(0) == frame
     assert bus.receive(0) is None
     bus.send(frame)
-    (sent,) = below.socket.sent
+    (sent,) = below.sent
     assert (len(sent), sent[:5]) == (len(content), content[:5])
 
 
 @given(frame=frames.map(consistent))
 def test_a_frame_that_was_sent_is_read_as_the_same(frame: Frame) -> None:
     """Whatever it is."""
-    below = FakePythonCan()
+    below = FakeSocket()
     bus = opened(below)
     bus.send(frame)
-    below.socket.waiting.append((below.socket.sent[0], divmod(frame.wall_ns, 10**9), 0))
+    below.waiting.append((below.sent[0], divmod(frame.wall_ns, 10**9), 0))
     received = bus.receive(0)
     bus.close()
     assert received is not None
@@ -159,23 +150,23 @@ def test_a_frame_that_was_sent_is_read_as_the_same(frame: Frame) -> None:
         assert received == frame
 
 
-def test_drops_are_the_kernels_count(below: FakePythonCan) -> None:
+def test_drops_are_the_kernels_count(below: FakeSocket) -> None:
     """It comes with the frame after them, and stays."""
     bus = opened(below)
     frame = CLASSIC.pack(0x123, 0, bytes(8))
-    below.socket.waiting += [(frame, (1, 0), drops) for drops in (0, 3, 3, 5)]
+    below.waiting += [(frame, (1, 0), drops) for drops in (0, 3, 3, 5)]
     drops = []
     while bus.receive(0) is not None:
         drops.append(bus.drops)
     assert drops == [0, 3, 3, 5]
 
 
-def test_who_waits_is_woken_by_a_frame(below: FakePythonCan) -> None:
+def test_who_waits_is_woken_by_a_frame(below: FakeSocket) -> None:
     """Or by the end of the time."""
     bus = opened(below)
     assert bus.receive(0.001) is None
-    below.socket.wake()
-    below.socket.waiting += [BlockingIOError(), (CLASSIC.pack(0x123, 0, bytes(8)), (0, 1), 0)]
+    below.wake()
+    below.waiting += [BlockingIOError(), (CLASSIC.pack(0x123, 0, bytes(8)), (0, 1), 0)]
     assert bus.receive(100) == Frame(0x123, b"", 1)
     assert bus.receive(100) is None, "what had woken it was no frame"
 
@@ -183,84 +174,116 @@ def test_who_waits_is_woken_by_a_frame(below: FakePythonCan) -> None:
 @pytest.mark.parametrize(
     ("number", "text"), [(errno.ENETDOWN, "the interface is down"), (errno.ENODEV, "No such device")]
 )
-def test_a_lost_interface_is_told_by_reading_and_sending(below: FakePythonCan, number: int, text: str) -> None:
+def test_a_lost_interface_is_told_by_reading_and_sending(below: FakeSocket, number: int, text: str) -> None:
     """In words that say what it is."""
     bus = opened(below)
-    below.socket.waiting.append(error(number))
+    below.waiting.append(error(number))
     with pytest.raises(BusLost, match=text):
         bus.receive(0)
-    below.socket.fails = error(number)
+    below.fails = error(number)
     with pytest.raises(BusLost, match=text):
         bus.send(Frame(0x123, b""))
 
 
 @pytest.mark.parametrize("number", [errno.ENOBUFS, errno.EAGAIN])
-def test_a_full_queue_is_no_loss(below: FakePythonCan, number: int) -> None:
+def test_a_full_queue_is_no_loss(below: FakeSocket, number: int) -> None:
     """Whether it is the interface's or the socket's own; the next frame may have room."""
     bus = opened(below)
-    below.socket.fails = error(number)
+    below.fails = error(number)
     with pytest.raises(BusFull):
         bus.send(Frame(0x123, b"\x01"))
-    below.socket.fails = None
+    below.fails = None
     bus.send(Frame(0x123, b"\x02"))
-    assert below.socket.sent == [CLASSIC.pack(0x123, 1, b"\x02")]
+    assert below.sent == [CLASSIC.pack(0x123, 1, b"\x02")]
 
 
-def test_the_kernel_is_asked_for_the_identifiers_alone(below: FakePythonCan) -> None:
-    """Each of its own kind, all its bits, and no requests for it. What came before the filters is not read."""
-    below.socket.waiting.append((CLASSIC.pack(0x7FF, 0, bytes(8)), (0, 1), 0))
-    bus = opened(below, EXTENDED | 0x18C4D1EF, 0x123)
-    mask = 0x1FFFFFFF | REMOTE
-    assert below.filters == [
-        {"can_id": 0x18C4D1EF, "can_mask": mask, "extended": True},
-        {"can_id": 0x123, "can_mask": mask, "extended": False},
-    ]
-    assert bus.receive(0) is None
+class OpeningSocket:
+    """A socket that notes in order what it is asked for; an interface with the name ``gone`` is gone."""
+
+    def __init__(self, *_kind: int) -> None:
+        self.asked: list[tuple[object, ...]] = []
+        self.is_closed = False
+        OPENED.append(self)
+
+    def setsockopt(self, level: int, option: int, value: int | bytes) -> None:
+        self.asked.append((level, option, value))
+
+    def bind(self, address: tuple[str]) -> None:
+        self.asked.append(address)
+        if address == ("gone",):
+            raise error(errno.ENODEV)
+
+    def close(self) -> None:
+        self.is_closed = True
 
 
-def test_without_identifiers_everything_is_read(below: FakePythonCan) -> None:
-    """Also what waits already."""
-    below.socket.waiting.append((CLASSIC.pack(0x7FF, 0, bytes(8)), (0, 1), 0))
-    bus = opened(below)
-    assert below.filters == []
-    assert bus.receive(0) == Frame(0x7FF, b"", 1)
+OPENED: list[OpeningSocket] = []
+RAW = socket.SOL_CAN_RAW
+ALWAYS = [(RAW, 2, 0x1FFFFFFF), (socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)]
+MASK = EXTENDED | REMOTE | 0x1FFFFFFF
 
 
-def test_a_bus_that_never_stops_filling_is_opened_all_the_same(below: FakePythonCan) -> None:
-    """An end there is to what is thrown away."""
-    below.socket.waiting += [(CLASSIC.pack(0x123, 0, bytes(8)), (0, 1), 0)] * 10_000
-    assert opened(below, 0x123).receive(0) is not None
+@pytest.mark.parametrize(
+    ("identifiers", "fd", "asked"),
+    [
+        ((), False, ALWAYS),
+        ((), True, [(RAW, socket.CAN_RAW_FD_FRAMES, 1), *ALWAYS]),
+        (
+            (EXTENDED | 0x18C4D1EF, 0x123),
+            False,
+            [
+                *ALWAYS,
+                (RAW, socket.CAN_RAW_FILTER, struct.pack("=IIII", EXTENDED | 0x18C4D1EF, MASK, 0x123, MASK)),
+            ],
+        ),
+    ],
+    ids=["all", "fd", "some"],
+)
+def test_the_kernel_is_asked_for_the_identifiers_alone(
+    monkeypatch: pytest.MonkeyPatch, identifiers: tuple[int, ...], *, fd: bool, asked: list[tuple[object, ...]]
+) -> None:
+    """Each of its own kind, all its bits, and no requests for it; before the socket hears anything of the bus."""
+    monkeypatch.setattr("gateway.can.can_bus.socket.socket", OpeningSocket)
+    open_socket("can0", identifiers, fd=fd)
+    assert OPENED.pop().asked == [*asked, ("can0",)]
 
 
-def test_an_interface_that_goes_down_while_it_is_opened_is_lost(below: FakePythonCan) -> None:
-    """And given back: nobody else would."""
-    below.on_filters = lambda: below.socket.waiting.append(error(errno.ENETDOWN))
-    with pytest.raises(BusLost, match="the interface is down"):
-        opened(below, 0x123)
-    assert below.closed == 1
+def test_an_interface_that_goes_while_it_is_opened_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever opens a bus again and again must not run out of sockets."""
+    monkeypatch.setattr("gateway.can.can_bus.socket.socket", OpeningSocket)
+    with pytest.raises(OSError, match="No such device"):
+        open_socket("gone")
+    assert OPENED.pop().is_closed
+
+
+def test_socketcan_has_one_option() -> None:
+    """Another one is a wrong setting, and not ignored."""
+    with pytest.raises(CommandError, match=r"socketcan has fd alone, and not 'loopback'"):
+        open_bus(CanSettings(interface="socketcan", channel="can0", options={"fd": True, "loopback": False}))
 
 
 @pytest.mark.parametrize("may_force", [True, False])
-def test_the_buffers_are_asked_for(below: FakePythonCan, *, may_force: bool) -> None:
+def test_the_buffers_are_asked_for(below: FakeSocket, *, may_force: bool) -> None:
     """A large one to receive, beyond the system's limit if that is allowed; a small one to send."""
-    below.socket.may_force = may_force
+    below.may_force = may_force
     opened(below)
-    assert below.socket.options == {
+    assert below.options == {
         SO_RXQ_OVFL: 1,
         socket.SO_SNDBUF: SEND_BUFFER_BYTES,
         SO_RCVBUFFORCE if may_force else socket.SO_RCVBUF: RECEIVE_BUFFER_BYTES,
     }
 
 
-def test_closing_never_raises(below: FakePythonCan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the driver thinks of it."""
+def test_closing_never_raises(below: FakeSocket, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the kernel says to it."""
 
     def fail() -> None:
-        raise can.CanOperationError("it cannot be closed")
+        raise error(errno.EIO)
 
     bus = opened(below)
-    monkeypatch.setattr(below, "shutdown", fail)
-    bus.close()
+    with monkeypatch.context() as patched:
+        patched.setattr(below, "close", fail)
+        bus.close()
 
 
 def test_an_interface_that_is_up_is_no_problem() -> None:

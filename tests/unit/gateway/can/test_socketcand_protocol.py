@@ -11,6 +11,8 @@ from can.interfaces.socketcand.socketcand import (
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.can.can_bus import epoch_ns, frame_of, send_line
+from gateway.can.python_can import to_frame
 from gateway.can.socketcand_server import (
     ECHO,
     MAX_MESSAGE_BYTES,
@@ -108,14 +110,16 @@ def test_it_understands_what_python_can_sends(frame: Frame) -> None:
     message = can.Message(
         arbitration_id=frame.identifier, is_extended_id=bool(frame.can_id & EXTENDED), data=frame.data
     )
-    assert joined().receive_bytes(convert_can_message_to_ascii_message(message).encode()) == [Sent(frame)]
+    assert convert_can_message_to_ascii_message(message).encode() == send_line(frame)
+    assert joined().receive_bytes(send_line(frame)) == [Sent(frame)]
 
 
 def test_it_understands_python_cans_remote_frame() -> None:
     """A length without data, which is how python-can writes one."""
     message = can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4)
-    events = joined().receive_bytes(convert_can_message_to_ascii_message(message).encode())
-    assert events == [Sent(Frame(0x123 | REMOTE, b"", remote_length=4))]
+    frame = Frame(0x123 | REMOTE, b"", remote_length=4)
+    assert convert_can_message_to_ascii_message(message).encode() == send_line(frame)
+    assert joined().receive_bytes(send_line(frame)) == [Sent(frame)]
 
 
 @given(frame=sendable, wall_ns=st.integers(0, 2**61))
@@ -128,13 +132,19 @@ def test_python_can_understands_what_it_sends(frame: Frame, wall_ns: int) -> Non
     assert message.is_extended_id == bool(frame.can_id & EXTENDED)
     assert bytes(message.data) == frame.data
     assert message.timestamp == pytest.approx(wall_ns / 1e9, abs=2e-6)
+    assert frame_of(line.decode()) == to_frame(message, epoch_ns(message.timestamp))
 
 
 def test_an_error_frame_is_shown_as_one() -> None:
     """The protocol has a line of its own for it."""
     line = frame_line(Frame(0x4 | ERROR, bytes(8), 1_500_000_000))
     assert line == b"< error 004 1.500000 >"
-    assert convert_ascii_message_to_can_message(line.decode()).is_error_frame
+    message = convert_ascii_message_to_can_message(line.decode())
+    assert (
+        frame_of(line.decode())
+        == to_frame(message, 1_500_000_000)
+        == Frame(0x4 | ERROR | EXTENDED, b"\0", 1_500_000_000)
+    )
 
 
 @pytest.mark.parametrize("frame", [Frame(0x123 | REMOTE, b"", remote_length=4), Frame(0x123, bytes(12), 0, FD)])
