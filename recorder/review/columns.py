@@ -95,10 +95,7 @@ class Field(msgspec.Struct, frozen=True, eq=False):
             itself as bytes.
         oneof: the group of which a message holds one at most, itself alone if it may be absent in any other way;
             empty for a number or text that has its default where it is absent.
-        names: of an enumeration.
         within: the fields of a message; None if it is none.
-        type: the column's type.
-        unit: by the schema; empty if there is none.
     """
 
     name: str
@@ -247,7 +244,6 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
     """The columns of a topic's table.
 
     Attributes:
-        topic: the topic.
         table: its name in SQL: ``chassis_drive``, ``can_rx``.
         place: the topic without root and robot, if it is a key of ours: ``chassis/drive``, ``can/can0/rx``.
         robot: the robot's name; empty if it is no robot's.
@@ -312,7 +308,6 @@ class Decoder:
     """Turns the messages of a topic into record batches.
 
     Attributes:
-        schema: of the batches.
         broken: messages so far that could not be read.
     """
 
@@ -447,12 +442,7 @@ BATCH_BYTES: Final = 4_000_000
 
 
 class Batch(msgspec.Struct, frozen=True, eq=False):
-    """Messages of one topic.
-
-    Attributes:
-        columns: the topic's.
-        rows: their columns.
-    """
+    """Messages of one topic."""
 
     columns: Columns
     rows: pa.RecordBatch

@@ -191,11 +191,8 @@ class Drives:
 
     Attributes:
         more: drives for which there was no room.
-        motion: of all of it.
         stops: number of stops, by cause; ``ends`` of what was asked for, by reason.
-        counts: entries by kind.
         entries: those that are kept; of a stop the reason is its cause.
-        outages: when the gateway fell silent or was replaced.
         more_outages: those for which there was no room.
         worst: the worst entry; None if nothing is worse than news.
     """

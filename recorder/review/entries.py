@@ -218,12 +218,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
         last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
         robot: whose; empty where it is about all.
         count: number of alike ones that are shown as one.
-        reason: why; ``none`` where nothing is wrong.
-        operator: the operator behind it; empty if there is none.
         holder: the lease's holder then, as far as the log shows; empty if there was none.
-        request: the verb; empty where it is about none.
-        tick: the arbiter's; None where there is none.
-        text: the event in a sentence.
         is_late: entries that happened later come before it.
         is_stop: a stop begins with it; what is said of that stop afterwards is none.
     """

@@ -128,7 +128,6 @@ class LogEnding(msgspec.Struct, frozen=True):
     """A notable end of a robot's log.
 
     Attributes:
-        entry: that in words.
         is_silent: the gateway fell silent, and the log continues; else the log ends.
         is_commanding: the chassis was under command in the gateway's last message.
     """
@@ -154,7 +153,6 @@ class RobotTrack:
 
     Attributes:
         name: empty for what is no robot's.
-        stops: its stops.
         state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
             ``state_sequence``; its run was heard first at ``run_since_ns``.
         ended_tick: the tick of the last announcement of a shutdown; None if there was none.

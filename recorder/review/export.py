@@ -46,7 +46,6 @@ class Column(msgspec.Struct, frozen=True):
     """A column.
 
     Attributes:
-        type: by Arrow's name.
         unit: empty if it has none, or none is known.
     """
 
@@ -79,7 +78,6 @@ class Part(msgspec.Struct, frozen=True):
     Attributes:
         path: within the dataset.
         table: its table's name in SQL.
-        topic: the log's topic.
         robot: empty if it is no robot's.
         date: of the log times, UTC.
         start_ns, end_ns: the earliest and the latest log time.
@@ -195,12 +193,7 @@ COMPRESSION_LEVEL: Final = 1
 
 
 class Parts:
-    """Takes batches and writes them below a directory.
-
-    Attributes:
-        closed: the files that are whole.
-        schemas: their columns.
-    """
+    """Takes batches and writes them below a directory."""
 
     def __init__(self, root: Path, sha256: str) -> None:
         self._root = root
@@ -336,14 +329,7 @@ class ExportRange(msgspec.Struct, frozen=True):
 
 
 class ExportTask(msgspec.Struct, frozen=True):
-    """A log to be exported.
-
-    Attributes:
-        log: the log.
-        sha256: of it.
-        directory: the place of the parts.
-        wanted: the part of it.
-    """
+    """A log to be exported."""
 
     log: LogFile
     sha256: str
@@ -489,12 +475,7 @@ Runner = Callable[[Act[ExportTask, ExportOutcome], Sequence[ExportTask], Progres
 
 
 class Exported(msgspec.Struct, frozen=True):
-    """The result of an export.
-
-    Attributes:
-        inputs: the logs that were read.
-        files: that were written.
-    """
+    """The result of an export."""
 
     directory: str
     inputs: list[Input]

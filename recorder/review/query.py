@@ -38,11 +38,7 @@ WHOSE: Final = (pa.field(ROBOT, pa.string()), pa.field(TOPIC, pa.string()))
 
 
 class TableInfo(msgspec.Struct, frozen=True):
-    """A table.
-
-    Attributes:
-        topics: those whose messages it holds.
-    """
+    """A table."""
 
     name: str
     topics: list[str]

@@ -60,12 +60,9 @@ class Explanation(msgspec.Struct, frozen=True):
     Attributes:
         at_ns: the moment, in nanoseconds since 1970.
         state: the arbiter's at that moment; None if the log does not have it.
-        reason: that of the stop that is explained; ``none`` if there is none.
         stop_ns: when that stop began; None if there is none.
         silent_ns: when the gateway fell silent, if another one began after it or a recorder saw it die; None if it
             did not, or long before or after the moment.
-        headline: the answer in one sentence.
-        chain: the links that lead to it.
     """
 
     robot: str
@@ -158,8 +155,6 @@ class GatewaySilence(msgspec.Struct, frozen=True):
     It is dated by the last state of its arbiter, as in ``events`` and ``report``.
 
     Attributes:
-        was: the last state before it.
-        then: the first state after it.
         is_hang: both are of one run.
         speed_mps: the robot's, when it began; None if the log does not have it.
         was_told: the gateway shut down as requested, at rest.

@@ -68,7 +68,6 @@ class Link(msgspec.Struct, frozen=True):
     """A link.
 
     Attributes:
-        text: a sentence.
         time_ns: when it was, in nanoseconds since 1970; None where it is of no one time.
         data: its numbers, with the units in their names.
     """
@@ -335,17 +334,14 @@ class EvidenceWindow:
     """The messages of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
 
     Attributes:
-        at_ns: the moment.
         what: it is, in words.
         detail: the arbiter's own remark; may be empty.
-        limits: the settings in force.
         frames: received ones by identifier. As far as the journal is in the log, those before the moment are what
             the arbiter had been given.
         waiting: by identifier, those that the bus had before the moment, and the arbiter was given behind it.
         is_journaled: the journal of the moment is in the log, and shows when the arbiter was given a frame.
         sent: likewise those that the gateway sent.
         received: number of frames received in the last second before the moment.
-        gaps: the gaps of this time that the recorder reports.
     """
 
     def __init__(

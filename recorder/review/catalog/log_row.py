@@ -53,7 +53,6 @@ class LoggedMoment(msgspec.Struct, frozen=True):
         kind: those of ``events``, or ``incident``.
         operator: who did it; empty if it was nobody's doing.
         holder: the lease's holder then.
-        is_stop: a stop begins with it.
     """
 
     time_ns: int
@@ -123,7 +122,6 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     """A log.
 
     Attributes:
-        file: its name in the directory.
         modified_ns: the time of its last change, as the file system has it.
         summary_crc: the checksum of the summary at its end; None if it has none.
         start_ns, end_ns: the first and the last log time, both 0 if it holds no message; at most NEVER_NS.
@@ -135,7 +133,6 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
         distance_m, moving_s, top_mps: of all robots together; the highest speed in either direction.
         accepted, refused: requests.
         events, stops, ends: their numbers by kind, by cause, and of ends that were asked for by reason.
-        outages: times that a gateway fell silent or began anew.
         lost, lost_bus, lost_source: by the recorder's own account; None if it gives none.
         gap_s: time for which nothing is known of a robot's motion.
         versions: of the recorder, and of each robot's gateway and packages.

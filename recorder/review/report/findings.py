@@ -309,10 +309,8 @@ class Moment(msgspec.Struct, frozen=True):
         last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
         kind: stop, latch, takeover, ..., gateway, gap: those of ``cruiser review events``.
         reason: of a stop its cause.
-        operator: the operator behind it; empty if there is none.
         holder: the lease's holder then, as far as the log shows; empty if nobody.
         x_m, y_m: where, as far as the path is known.
-        is_stop: a stop begins with it.
     """
 
     time_ns: int
@@ -333,7 +331,6 @@ class Why(msgspec.Struct, frozen=True):
     """The reason of a stop, as ``cruiser review why --at`` words it.
 
     Attributes:
-        headline: in one sentence.
         links: the chain that leads to it: time since the stop, time of day, step and sentence of each.
     """
 
@@ -346,8 +343,6 @@ class InForce(msgspec.Struct, frozen=True):
 
     Attributes:
         since_ns: since when: since it was started, as far as it is the first of this start.
-        configuration_sha256: of its configuration.
-        versions: of its packages.
         settings: changed settings, as far as the log holds both configurations; in words.
     """
 
@@ -389,18 +384,14 @@ class RobotSummary(msgspec.Struct, frozen=True):
     """A robot in figures.
 
     Attributes:
-        name: as it is called in this report.
         key: the beginning of its keys.
         distance_m: the length of its path, by speed and time; at least that where ``gap_s`` is not 0.
         moving_s: the time that it moved, of ``known_s`` of which its speed is known.
         top_mps: its highest speed, negative in reverse; at ``top_ns``.
-        stops: number of stops, by cause.
         ends: number of times that a drive was ended by request, by reason.
-        worst: the worst moment; None if nothing is worse than news.
         outages: when the gateway fell silent or was replaced; ``more_outages`` are left out.
         ends_commanding: the recording ends while the chassis was under command.
         events: their number, by kind.
-        drivers: its operators.
         accepted: requests that were; ``refused`` those that were not.
         refusals: these, with ``other_refusals`` of further kinds.
         gaps: number of gaps in its known motion; ``gap_s`` in all.
@@ -408,7 +399,6 @@ class RobotSummary(msgspec.Struct, frozen=True):
         health: the gateway's counts while this log was written: lost frames, faults, losses.
         lost_samples: of the recorder's account; None if it gives none.
         lost_frames: likewise, of the bus and of the gateway's raw frames.
-        completeness: the recorder's own account of each topic.
         unwritten: messages that reached the recorder and are not in the log.
         facts: variant, bus, versions and hash of the configuration, as the logs' metadata have them.
         in_force: all gateways that the logs mention, one after the other, with their configurations;
@@ -454,11 +444,8 @@ class Drawn(msgspec.Struct, frozen=True):
 
     Attributes:
         start_ns, end_ns: the first and the last time that is drawn.
-        drive: the drive; None if the robot has none.
         lines: by name: times and values, None where a line is broken.
         bands: by name: what was so from when to when.
-        places: the path.
-        moments: the events.
         outages: beginning and end of each silence of the gateway, before another one began.
     """
 
@@ -509,11 +496,9 @@ class Report(msgspec.Struct, frozen=True):
     """All that a report says.
 
     Attributes:
-        files: the logs.
         from_ns, to_ns: the log times that were asked about; 0 and None if all were.
         robots: one by one; ``more_robots`` are left out.
         faults: parts that could not be read, the first of ``fault_count``.
-        version: of the program that made it.
     """
 
     files: list[ReportedFile]

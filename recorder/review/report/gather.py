@@ -77,7 +77,6 @@ class Margins(msgspec.Struct):
 
     Attributes:
         facts: its metadata about each robot, one after the other, by the robot's key; by its name if that is all.
-        completeness: by topic.
     """
 
     facts: dict[str, list[Facts]]

@@ -133,7 +133,6 @@ class Curve(msgspec.Struct, frozen=True):
     """A line of a chart: 0 of speed, 1 of angle.
 
     Attributes:
-        key: its name in ``Drawn``.
         name: in the legend.
         dash: lengths of dashes and of what is between them, in pixels.
         is_stepped: each value holds until the next one; else the line goes straight from one to the next.
