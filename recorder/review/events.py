@@ -537,7 +537,8 @@ class Timeline:
         hung = since_ns - SILENT_NS <= death.entry.time_ns <= until_ns
         how = "its loop had stood still" if hung else "it had run on: the recorder or the link stood still"
         text = (
-            f"the recorder heard nothing of the gateway for {heard_ns / 1e9:.1f} s, and then the same again: {how}"
+            f"the recorder received nothing of the gateway for {heard_ns / 1e9:.1f} s, "
+            f"then the same run again: {how}"
         )
         death.correct(text=text, severity=Severity.WARNING)
         robot.died = None

@@ -284,7 +284,7 @@ class Catalog:
         except FileNotFoundError:
             pass
         except CatalogUnreadableError as error:
-            self.notes.append(f"{plain(str(self._path))} {error}: it is made anew from the logs")
+            self.notes.append(f"{plain(str(self._path))} {error}: rebuilt from the logs")
             self._is_changed = True
         return SCHEMA.empty_table()
 

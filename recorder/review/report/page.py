@@ -407,7 +407,7 @@ class _Page:
         yield '<section aria-labelledby="overview"><h2 id="overview">Drives</h2><div class="card overview">'
         yield from table_of(caption, ("robot", "when, UTC", "how long", "distance", "stops", "worst moment"), rows)
         if more:
-            yield f"<p>{counted(more, 'more drive')} for which there was no room.</p>"
+            yield f"<p>{counted(more, 'more drive')}, not listed.</p>"
         yield "</div></section>"
 
     def _drawn(self, robot: RobotReport, one: Drawn) -> Iterator[str]:

@@ -331,8 +331,8 @@ $ find stops logs depot --json
 == a damaged catalog is told in a line, and the answer is whole
 logs logs/a.mcap logs/cruiser-2-b.mcap logs/catalog.parquet
 $ find stops logs --json
-    #4 | cruiser review: logs/catalog.parquet is damaged: it is made anew from the logs
-$ find stops logs --json => #4 | never anew
+    #4 | cruiser review: logs/catalog.parquet is damaged: rebuilt from the logs
+$ find stops logs --json => #4 | never rebuilt
 == a catalog is kept elsewhere when told to, that of one directory [logs/a.mcap logs/cruiser-2-b.mcap]
 $ find stops logs --catalog elsewhere.parquet --json
     #4 | only elsewhere.parquet logs logs/a.mcap logs/cruiser-2-b.mcap

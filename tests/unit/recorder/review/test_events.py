@@ -363,11 +363,11 @@ A 0-200; stop 150; A 200-400 -360000; stop 350 -360000
 A 0-200 driven; health 100; gone 210; A 200-300 +398 driven; health 700 dropped; A 300-305 +398 driven
     100 fault warning 10x: requests were dropped unread: the loop did not read for 4.0 s AFTER
     195 gap warning 1x: nothing of the arbiter for 4.0 s: the gateway made 5 ticks meanwhile: its loop stood still
-    210 gateway warning 1x: the recorder heard nothing of the gateway for 4.0 s, and then the same again: \
+    210 gateway warning 1x: the recorder received nothing of the gateway for 4.0 s, then the same run again: \
 its loop had stood still
 == a recorder that stood still heard of no death
 A 0-200; gone 210; A 200-1000 held 200-800
-    210 gateway warning 1x: the recorder heard nothing of the gateway for 6.0 s, and then the same again: \
+    210 gateway warning 1x: the recorder received nothing of the gateway for 6.0 s, then the same run again: \
 it had run on: the recorder or the link stood still
 == a gateway that another run follows has died
 A 0-200 driven; gone 210; B 500-600

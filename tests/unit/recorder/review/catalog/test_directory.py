@@ -163,7 +163,7 @@ def test_a_catalog_that_cannot_be_read_is_made_anew_with_a_line(tmp_path: Path, 
     assert to_rows(catalog.table) == truth
     [note] = catalog.notes
     assert str(path) in note
-    assert "made anew from the logs" in note
+    assert "rebuilt from the logs" in note
     assert not refreshed(tmp_path).notes
 
 
