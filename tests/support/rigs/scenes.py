@@ -13,7 +13,9 @@ import pytest
 
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import ERROR, Frame
-from schemas.decisions import ArbiterState, EventKind, StopPhase
+from gateway.sim.body import Conditions
+from gateway.sim.model import VirtualChassis
+from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
 from schemas.messages import ParkingStatus, Variant
 from schemas.settings import CommandSettings
 from tests.support.rigs.gateway import GUARDED, MS, driving, ready
@@ -29,6 +31,12 @@ class Scene:
         how, _, what = begin.partition(" ")
         if how == "driving":
             self.rig, self.operator = driving(float(what), variant=variant)
+        elif how == "hill":
+            slope_deg, *delay_s = map(float, what.split())
+            self.rig, self.operator = ready(variant)
+            conditions = Conditions(slope_deg, parking_delay_s=delay_s[0] if delay_s else 0.05)
+            self.rig.chassis = VirtualChassis(load(variant), self.rig.now_ns, conditions=conditions)
+            self.operator.engage()
         else:
             command = FAST if what == "fast" else None
             self.rig, self.operator = ready(variant, command, accept_unguarded=what == "unguarded")
@@ -57,6 +65,11 @@ class Scene:
         self.rig.tick()
         self.rig.late_ns = 0
 
+    def drive_until(self, speed_mps: str, claim: str) -> None:
+        self.operator.drive(float(speed_mps))
+        while not self.claims()[claim]():
+            self.operator.drive(float(speed_mps))
+
     def reply(self, verb: str, *reasons: str) -> None:
         """A verb gets one of these replies."""
         reason = self.operator.take_lease(verb) if verb in {"acquire", "take"} else self.operator.reason(verb)
@@ -74,6 +87,10 @@ class Scene:
             "reply": self.reply,
             "engage": lambda limit="": operator.engage(**({"speed_limit_mps": float(limit)} if limit else {})),
             "takes": lambda count: setattr(rig, "takes", None if count == "all" else int(count)),
+            "stands": lambda: rig.until(lambda: abs(rig.speed_mps) < 0.01),
+            "parks": lambda speed_mps: self.drive_until(speed_mps, "parking"),
+            "neutral": lambda speed_mps: self.drive_until(speed_mps, "neutral"),
+            "forget": rig.chassis._commands.clear,
             "deaf": lambda: setattr(rig, "chassis_hears", False),
             "hears": lambda: setattr(rig, "chassis_hears", True),
             "unset": lambda name: rig.chassis.receive(
@@ -106,6 +123,10 @@ class Scene:
         since = [burst for _, burst in rig.bursts[self.burst :]]
         way_m = abs(rig.chassis.state.x_m - self.from_m)
 
+        severities: dict[tuple[str, str], list[Severity]] = {}
+        for event in rig.events:
+            severities.setdefault((event.kind.value, event.reason.value), []).append(event.severity)
+
         def values(ones: Any) -> list[str]:  # noqa: ANN401 - of any enumeration
             return [one.value for one in ones]
 
@@ -114,6 +135,7 @@ class Scene:
             "stopped": lambda: not says.engaged,
             "for": lambda *reasons: says.stop_reason.value in reasons,
             "latched": lambda *reasons: {*values(says.latched)} == {*reasons},
+            "has": lambda reason: reason in values(says.latched),
             "first": lambda *reasons: says.latched[0].value in reasons,
             "phase": lambda phase: says.stop_phase.value == phase,
             "limit": lambda speed_mps: says.speed_limit_mps == float(speed_mps),
@@ -122,6 +144,7 @@ class Scene:
             "bound": lambda *by: values(rig.decided[-1].bound_by) == [*by],
             "events": lambda kind, *reasons: values(rig.event_reasons(EventKind(kind))) == [*reasons],
             "event": lambda kind, reason: reason in values(rig.event_reasons(EventKind(kind))),
+            "error": lambda *of: severities.get(of) == [Severity.ERROR],
             "says": lambda *words: any(event.text.endswith(" ".join(words)) for event in rig.events),
             "rests": lambda: rig.speed_mps == 0,
             "moves": lambda speed_mps: rig.speed_mps == pytest.approx(float(speed_mps), abs=0.05),
@@ -129,6 +152,8 @@ class Scene:
             "way": lambda most_m, least_m="0": float(least_m) <= way_m < float(most_m),
             "told": lambda speed_mps: told and rig.told_mps == pytest.approx(float(speed_mps), abs=0.04),
             "below": lambda speed_mps: told and rig.told_mps < float(speed_mps),
+            "mode": lambda mode: rig.chassis.state.mode.value == mode,
+            "neutral": lambda: told["Auto_GearCmd"]["TargetGear"] == "neutral",
             "gear": lambda gear: told["Auto_GearCmd"]["TargetGear"] == gear,
             "parking": lambda: told["Auto_ParkingCmd"]["ParkingRequest"],
             "spoken": lambda: since,
@@ -136,7 +161,9 @@ class Scene:
             "speechless": lambda: not any(burst["Auto_DriveCmd"]["TargetVelocity"] for burst in since),
             "braked": lambda: all(burst["Auto_ParkingCmd"]["ParkingRequest"] for burst in since),
             "falling": lambda: rig.heard[self.speed :] == sorted(rig.heard[self.speed :], reverse=True),
-            **{f"un{name}": partial(self.denies, name) for name in ("parked", "parking", "event", "spoken")},
+            **{
+                f"un{name}": partial(self.denies, name) for name in ("parked", "parking", "event", "spoken", "has")
+            },
         }
 
 

@@ -12,12 +12,13 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Encoder
 from gateway.sim.body import Conditions
 from gateway.sim.model import VirtualChassis
-from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
-from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
+from schemas.decisions import ArbiterState, EventKind, StopPhase
+from schemas.messages import GearPosition, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import HOLD_NS, CommandSettings
 from tests.support.nights import by_night, every_pair
 from tests.support.rigs.gateway import MS, GatewayRig, Operator, driving
+from tests.support.rigs.scenes import play
 
 SLOPES = (-20.0, 8.0, 20.0)
 MORE_SLOPES = (-8.0, 3.0, 15.0)
@@ -83,11 +84,6 @@ class Hill(GatewayRig):
     def assert_parked(self) -> None:
         """It stands under its parking brake."""
         assert (self.speed_mps, self.chassis.state.parking_status) == (0, ParkingStatus.APPLIED)
-
-    def assert_held_by_motor(self, stood_m: float, most_m: float = STOP_MAX_M) -> None:
-        """It stands near this place, and its motor has it."""
-        assert abs(self.chassis.state.x_m - stood_m) < most_m
-        assert (self.speed_mps, self.says.stop_phase) == (0, StopPhase.MOTOR)
 
     def tick(self, count: int = 1) -> None:
         for _ in range(count):
@@ -202,84 +198,85 @@ def test_a_motor_that_holds_is_not_taken_for_one_that_died(cause: str) -> None:
     assert (hill.says.engaged, hill.says.latched) == (True, [])
 
 
-@pytest.mark.parametrize("grip", [0.0, 0.2, 0.45])
-@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
-def test_a_brake_that_slips_gives_the_robot_back_to_its_motor(slope_deg: float, grip: float) -> None:
-    """Row 'a parking brake that reads applied and does not hold': auto-hold hands it over, and takes it back."""
-    hill = Hill(slope_deg)
-    hill.operator.drive(0.5, seconds=2.0)
-    hill.fault(f"brake {grip}")
-    hill.operator.drive(0.0, seconds=1.0)
-    stood_m = hill.chassis.state.x_m
-    hill.operator.drive(0.0, seconds=5.0)
-    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
-    assert hill.speed_mps == 0
-    assert hill.says.latched[0] is Reason.BRAKE_SLIPS
-    assert hill.says.stop_phase is StopPhase.MOTOR
-    [event] = [
-        event for event in hill.events if event.kind is EventKind.LATCH and event.reason is Reason.BRAKE_SLIPS
-    ]
-    assert event.severity is Severity.ERROR
-    assert hill.operator.reason("reset") is Reason.STOPPING
-    hill.run(30)
-    assert abs(hill.chassis.state.x_m - stood_m) < STOP_MAX_M
+STEEP = (-20.0, 20.0)
+BY_MOTOR = "rests, phase motor, way"
+SLIPS: dict[str, str] = {
+    # Auto-hold hands it over, and takes it back; the latch is an error, and no reset lets it go.
+    **{
+        f"held at {slope_deg} deg with grip {grip}": f"hill {slope_deg}; drive 0.5 0 2; brake {grip}; "
+        f"drive 0 0 1; mark; drive 0 0 5; = {BY_MOTOR} 0.3, first brake_slips, error latch brake_slips; "
+        "reply reset stopping; wait 30; = way 0.3"
+        for slope_deg, grip in product(STEEP, (0.0, 0.2, 0.45))
+    },
+    # It would roll away behind a brake that reads applied, and cuts the motor off.
+    **{
+        f"a stop at {slope_deg} deg with grip {grip}": f"hill {slope_deg}; drive 0.5 0 2; brake {grip}; ask stop; "
+        f"stands; mark; wait 30; = {BY_MOTOR} 0.3, has brake_slips"
+        for slope_deg, grip in product(STEEP, (0.0, 0.3))
+    },
+    # The brake is not tried again, whatever interrupts that stop.
+    **{
+        f"then {interruption}": "hill -15; drive 0.5 0 2; brake 0.3; drive 0 0 4; = phase motor; mark; "
+        f"{interruption}; wait 6; = {BY_MOTOR} 0.3"
+        for interruption in (
+            "links bus_up:0 bus_losses:1; wait 0.5; links bus_losses:1",
+            "transmitter remote; wait 1; transmitter command",
+            "ask stop",
+        )
+    },
+    # Who sees it creep and presses STOP must not let it roll away.
+    **{
+        f"{asked} {after_ms} ms later": "hill -20; drive 0.5 0 2; brake 0.2; parks 0; mark; "
+        f"drive 0 0 {after_ms / 1e3}; {asked}; wait 6; = {BY_MOTOR} 0.3"
+        for asked, after_ms in product(("ask stop", "ask disengage", "drive -0.5 0 2"), (60, 100, 140, 180))
+    },
+    # The brake is applied to change the gear, before the robot has stood for a second.
+    **{
+        f"a reversal at {slope_deg} deg, delay {delay_s} s": f"hill {slope_deg} {delay_s}; drive 0.5 0 2; "
+        f"brake 0.2; drive 0 0 0.7; mark; drive -0.5 0 2; wait 4; = {BY_MOTOR} 0.3"
+        for slope_deg, delay_s in product(STEEP, (0.05, 0.15))
+    },
+    # The motor held it until the gear went. A brake that is slow to open has to open first: it becomes faster.
+    **{
+        f"in neutral at {slope_deg} deg, grip {grip}, delay {delay_s} s": f"hill {slope_deg} {delay_s}; "
+        f"drive 0.5 0 2; neutral -0.5; brake {grip}; mark; drive -0.5 0 2; wait 4; = {BY_MOTOR} {most_m}"
+        for slope_deg, (grip, delay_s, most_m) in product(
+            STEEP, ((0.0, 0.05, STOP_MAX_M), (0.0, 0.15, 0.5), (0.2, 0.15, 0.3))
+        )
+    },
+    # The motor has it since, so a brake that is asked for at speed is not let go of again.
+    "driven on downhill by a weak motor": "hill -14; drive 0.5 0 2; brake 0.1; parks 0; drive 0 0 0.08; "
+    "motor 0.3; drive 0.5 0 2.5; = has implausible_speed, unhas brake_slips",
+}
 
 
-@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
-@pytest.mark.parametrize("grip", [0.0, 0.3])
-def test_a_stop_behind_a_brake_that_slips_gives_the_robot_back_to_its_motor(slope_deg: float, grip: float) -> None:
-    """The same in a stop: it would roll away behind a brake that reads applied, and cuts the motor off."""
-    hill = Hill(slope_deg)
-    hill.operator.drive(0.5, seconds=2.0)
-    hill.fault(f"brake {grip}")
-    hill.operator.ask("stop")
-    hill.until(lambda: abs(hill.speed_mps) < 0.01)
-    stood_m = hill.chassis.state.x_m
-    hill.run(30)
-    hill.assert_held_by_motor(stood_m)
-    assert Reason.BRAKE_SLIPS in hill.says.latched
+@pytest.mark.parametrize("scene", SLIPS.values(), ids=SLIPS)
+def test_a_brake_that_slips_gives_the_robot_back_to_its_motor(scene: str) -> None:
+    """Row 'a parking brake that reads applied and does not hold', in a stop and in a change of direction too."""
+    play(scene)
 
 
-@pytest.mark.parametrize("interruption", ["bus", "remote", "stop"])
-def test_a_robot_that_its_motor_holds_is_not_given_to_its_brake_again(interruption: str) -> None:
-    """Whatever interrupts that stop: the bus is lost, the remote control takes it, somebody asks for a stop."""
-    hill = Hill(-15.0)
-    hill.operator.drive(0.5, seconds=2.0)
-    hill.fault("brake 0.3")
-    hill.operator.drive(0.0, seconds=4.0)
-    assert hill.says.stop_phase is StopPhase.MOTOR
-    stood_m = hill.chassis.state.x_m
-    match interruption:
-        case "bus":
-            hill.links = msgspec.structs.replace(hill.links, bus_up=False, bus_losses=1)
-            hill.run(0.5)
-            hill.links = msgspec.structs.replace(hill.links, bus_up=True)
-        case "remote":
-            hill.fault("transmitter remote")
-            hill.run(1)
-            hill.fault("transmitter command")
-        case _:
-            hill.put("anyone", "stop", b"")
-    hill.run(6)
-    hill.assert_held_by_motor(stood_m)
+COASTS: dict[str, str] = {
+    **{
+        f"in mode stop at {slope_deg} deg": f"hill {slope_deg}; drive 1 0 2.5; reboot for 200ms; wait 6; = rests, "
+        "parked, mode stop"
+        for slope_deg in (-20.0, -8.0, 0.0)
+    },
+    "after a takeover, having forgotten what it was told": "hill -8; drive 0.5 0 2; transmitter remote; "
+    "sticks 0.5 0; wait 1; forget; transmitter command; wait 5; = rests, parked",
+    # Nothing ever resumes by itself, also where another node switches lamps: they command no motion.
+    **{
+        f"given back, {meanwhile}": "driving 2; transmitter remote; drive 2 0 0.2; wait 3; "
+        f"{meanwhile}; wait 0.5; mark; transmitter command; wait 5; = way 0.05, parked"
+        for meanwhile in ("wait 0", "foreign 18C4D7D0 every 50ms")
+    },
+}
 
 
-@pytest.mark.parametrize("what", ["stop", "disengage", "reverse"])
-@pytest.mark.parametrize("after_ms", [60, 100, 140, 180])
-def test_whatever_is_asked_while_the_brake_slips_the_motor_gets_the_robot_back(what: str, after_ms: int) -> None:
-    """Row 'a parking brake that does not hold': who sees it creep and presses STOP must not let it roll away."""
-    hill = Hill(-20.0)
-    hill.operator.drive(0.5, seconds=2.0)
-    hill.fault("brake 0.2")
-    hill.drive_until_parked(0.0)
-    stood_m = hill.chassis.state.x_m
-    hill.operator.drive(0.0, seconds=after_ms / 1e3)
-    if what == "reverse":
-        hill.operator.drive(-0.5, seconds=2.0)
-    else:
-        hill.operator.ask(what)
-    hill.run(6)
-    hill.assert_held_by_motor(stood_m)
+@pytest.mark.parametrize("scene", COASTS.values(), ids=COASTS)
+def test_a_robot_that_coasts_gets_its_parking_brake(scene: str) -> None:
+    """Rows 'a stop that cannot be carried out' and 'in mode stop and seen to move': it is told to park."""
+    play(scene)
 
 
 @pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
@@ -300,57 +297,6 @@ def test_who_drives_on_uphill_while_the_brake_slips_does_not_roll_away(
     hill.run(6)
     assert hill.rolled_back_m < STOP_MAX_M
     assert (hill.speed_mps, hill.says.stop_phase) == (0, StopPhase.MOTOR)
-
-
-def test_who_drives_on_downhill_is_braked_where_the_motor_does_not_hold() -> None:
-    """The same: the motor has it since, so a brake that is asked for at speed is not let go of again."""
-    hill = Hill(-14.0)
-    hill.operator.drive(0.5, seconds=2.0)
-    hill.fault("brake 0.1")
-    hill.drive_until_parked(0.0)
-    hill.operator.drive(0.0, seconds=0.08)
-    hill.fault("motor 0.3")
-    hill.operator.drive(0.5, seconds=2.5)
-    assert Reason.IMPLAUSIBLE_SPEED in hill.says.latched
-    assert Reason.BRAKE_SLIPS not in hill.says.latched
-
-
-@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
-@pytest.mark.parametrize("parking_delay_s", [0.05, 0.15])
-def test_a_brake_that_slips_behind_a_change_of_direction_gives_the_robot_back(
-    slope_deg: float, parking_delay_s: float
-) -> None:
-    """The same where the brake is applied to change the gear, before the robot has stood for a second."""
-    hill = Hill(slope_deg, parking_delay_s=parking_delay_s)
-    hill.operator.drive(0.5, seconds=2.0)
-    hill.fault("brake 0.2")
-    hill.operator.drive(0.0, seconds=0.7)
-    stood_m = hill.chassis.state.x_m
-    hill.operator.drive(-0.5, seconds=2.0)
-    hill.run(4)
-    hill.assert_held_by_motor(stood_m)
-
-
-@pytest.mark.parametrize("slope_deg", [-20.0, 20.0])
-@pytest.mark.parametrize(
-    ("grip", "parking_delay_s", "most_m"), [(0.0, 0.05, STOP_MAX_M), (0.0, 0.15, 0.5), (0.2, 0.15, 0.3)]
-)
-def test_a_brake_that_fails_in_neutral_gives_the_robot_back(
-    slope_deg: float, grip: float, parking_delay_s: float, most_m: float
-) -> None:
-    """The same where it fails only then, as where the motor has held the robot with it until the gear went.
-
-    A brake that is slow to open has to open first: the robot becomes faster until then.
-    """
-    hill = Hill(slope_deg, parking_delay_s=parking_delay_s)
-    hill.operator.drive(0.5, seconds=2.0)
-    while hill.told["Auto_GearCmd"]["TargetGear"] != "neutral":
-        hill.operator.drive(-0.5)
-    hill.fault(f"brake {grip}")
-    stood_m = hill.chassis.state.x_m
-    hill.operator.drive(-0.5, seconds=2.0)
-    hill.run(4)
-    hill.assert_held_by_motor(stood_m, most_m)
 
 
 def test_a_robot_that_is_pushed_before_its_brake_reads_applied_gets_its_brake() -> None:
@@ -495,17 +441,6 @@ def test_a_robot_that_rolls_off_before_a_speed_is_told_is_braked(acceleration_mp
     assert Reason.ROLLING in hill.says.latched
 
 
-@pytest.mark.parametrize("slope_deg", [-20.0, -8.0, 0.0])
-def test_a_chassis_that_coasts_in_mode_stop_gets_its_parking_brake(slope_deg: float) -> None:
-    """Row 'a stop that cannot be carried out': a robot in mode stop that moves is told to park all the same."""
-    hill = Hill(slope_deg)
-    hill.operator.drive(1.0, seconds=2.5)
-    hill.fault("reboot for 200ms")
-    hill.run(6.0)
-    hill.assert_parked()
-    assert hill.chassis.state.mode is Mode.STOP
-
-
 def test_a_slope_that_changes_is_borne() -> None:
     """Up, over the top and down again, and a stop at the steepest place."""
     hill = Hill(15.0, 0.0)
@@ -539,36 +474,6 @@ def test_a_stop_that_was_barred_is_carried_out_when_the_remote_control_gives_the
     rig.run(3)
     assert (before, rig.chassis.state.parking_status) == (ParkingStatus.RELEASED, ParkingStatus.APPLIED)
     assert rig.says.state is ArbiterState.STANDBY
-
-
-def test_a_robot_that_coasts_after_a_takeover_gets_its_parking_brake() -> None:
-    """Row 'a robot in mode stop that is seen to move, while nobody else commands': we had left it."""
-    hill = Hill(-8.0)
-    hill.operator.drive(0.5, seconds=2.0)
-    hill.fault("transmitter remote")
-    hill.fault("sticks 0.5 0")
-    hill.run(1.0)
-    hill.chassis._commands.clear()  # it has forgotten what it was told
-    hill.fault("transmitter command")
-    hill.run(5.0)
-    hill.assert_parked()
-
-
-@pytest.mark.parametrize("lamps", [False, True])
-def test_a_robot_that_is_given_back_does_not_resume(*, lamps: bool) -> None:
-    """Row 'nothing ever resumes by itself', also where another node switches lamps: they command no motion."""
-    rig, operator = driving(2.0)
-    rig.fault("transmitter remote")
-    operator.drive(2.0, seconds=0.2)
-    rig.run(3)
-    if lamps:
-        rig.fault("foreign 18C4D7D0 every 50ms")
-    rig.run(0.5)
-    at_m = rig.chassis.state.x_m
-    rig.fault("transmitter command")
-    rig.run(5)
-    assert abs(rig.chassis.state.x_m - at_m) < 0.05
-    assert rig.chassis.state.parking_status is ParkingStatus.APPLIED
 
 
 @pytest.mark.parametrize("late_ms", [0, 30, 60])
