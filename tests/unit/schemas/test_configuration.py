@@ -1,3 +1,5 @@
+"""Settings, from wherever they come."""
+
 import re
 import string
 import tomllib
@@ -8,8 +10,16 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from schemas.command_line import GONE_SETTINGS, CommandError, ExitCode
-from schemas.configuration import SETTINGS, TomlSource, merge, to_toml
-from schemas.settings import NEEDED_FEEDBACK, CanSettings, RecorderSettings, RobotSettings, Settings, ZenohSettings
+from schemas.configuration import CONFIG_VARIABLE, SETTINGS, Setting, TomlSource, merge, to_toml
+from schemas.settings import (
+    DEFAULT_ENDPOINT,
+    NEEDED_FEEDBACK,
+    CanSettings,
+    RecorderSettings,
+    RobotSettings,
+    Settings,
+    ZenohSettings,
+)
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]))
 OPTIONS = st.dictionaries(
@@ -264,3 +274,25 @@ def test_a_configuration_out_of_a_log_is_no_longer_than_any_of_ours(text: str) -
     """Whoever made the log could else have a gigabyte used for one key in very many parts."""
     with pytest.raises(CommandError, match="no settings are that long"):
         merge(TomlSource("log", text, is_recorded=True), {}, {})
+
+
+@pytest.mark.parametrize("setting", SETTINGS.values(), ids=SETTINGS)
+def test_every_setting_is_described(setting: Setting) -> None:
+    """Each setting says what it is, and its start value is one of its right values."""
+    assert setting.about
+    assert setting.wants
+    if setting.choices:
+        assert setting.start in setting.choices
+
+
+def test_each_setting_has_a_variable_of_its_own() -> None:
+    """No two settings share a variable, and none takes the one that names the file."""
+    variables = [setting.variable for setting in SETTINGS.values()]
+    assert len(set(variables)) == len(variables)
+    assert CONFIG_VARIABLE not in variables
+
+
+def test_the_default_endpoint_is_named_where_nothing_is_given() -> None:
+    """A docstring cannot hold a constant: its text names the endpoint itself."""
+    for name in ("connect", "listen"):
+        assert DEFAULT_ENDPOINT in SETTINGS[f"zenoh.{name}"].about

@@ -1,3 +1,6 @@
+"""Keys, and the names in them."""
+
+import re
 from fnmatch import fnmatchcase
 
 import pytest
@@ -6,6 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from schemas import keys
+from schemas.keys import OPERATOR_PATTERN, fitting, login_operator
 from schemas.subjects import BY_NAME, BY_VERB, COMMAND_CHUNK, RECORDER_SUBJECTS, SUBJECTS, Subject
 
 ROOTS = st.from_regex(keys.ROOT_PATTERN, fullmatch=True)
@@ -181,3 +185,24 @@ def test_a_number_may_have_any_length() -> None:
     """And zeros before it."""
     longest = f"a-{'9' * 5000}"
     assert sorted([longest, "a-8", "a-007"], key=keys.in_order) == ["a-007", "a-8", longest]
+
+
+@given(login=st.text())
+def test_any_login_name_becomes_a_chunk_of_a_key(login: str) -> None:
+    """Whatever a login name holds, the operator's name is of its form."""
+    assert re.fullmatch(OPERATOR_PATTERN, fitting(login))
+
+
+def test_a_login_name_that_fits_stays() -> None:
+    """Nothing is changed without need."""
+    assert fitting("first.b-2") == "first.b-2"
+
+
+def test_nobody_is_an_operator_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process whose user has no name commands as operator."""
+
+    def nobody() -> str:
+        raise KeyError
+
+    monkeypatch.setattr("getpass.getuser", nobody)
+    assert login_operator() == "operator"

@@ -1,3 +1,5 @@
+"""``cruiser decode``, and the lines that it reads."""
+
 import json
 
 import pytest
@@ -5,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.cruiser import frames
-from gateway.chassis.frame import hex_identifier
+from gateway.chassis.frame import BITRATE_SWITCH, ERROR, EXTENDED, FD, REMOTE, Frame, hex_identifier
 from gateway.chassis.layout import Encoder, FrameDecoder, MessageLayout
-from gateway.cli.decode import MAX_LINE_BYTES, describe
+from gateway.cli.decode import MAX_LINE_BYTES, CandumpLine, describe, parse
 from schemas.messages import Variant
 from schemas.subjects import BY_DBC_MESSAGE
 
@@ -89,3 +91,98 @@ def test_no_data_make_decoding_raise(data: bytes, identifier: str) -> None:
     record = describe(DECODER, f"(1.0) can0 18C4{identifier}EF#{data.hex()}".encode(), 1)
     assert record is not None
     assert ("signals" in record) != ("fault" in record)
+
+
+TIME = "(1436509052.249713) "
+TIME_NS = 1_436_509_052_249_713_000
+
+
+@pytest.mark.parametrize(
+    ("text", "frame"),
+    [
+        ("18C4D1EF#0104000000000005", Frame(0x18C4D1EF | EXTENDED, bytes.fromhex("0104000000000005"))),
+        ("123#", Frame(0x123, b"")),
+        ("7ff#aB R", Frame(0x7FF, b"\xab")),
+        ("00000123#00", Frame(0x123 | EXTENDED, b"\x00")),
+        ("123#R", Frame(0x123 | REMOTE, b"")),
+        ("123#R8", Frame(0x123 | REMOTE, b"", remote_length=8)),
+        ("123##5AABB", Frame(0x123, b"\xaa\xbb", fd_flags=FD | BITRATE_SWITCH)),
+        ("123##0" + "00" * 64, Frame(0x123, bytes(64), fd_flags=FD)),
+        ("20000004#0004000000000000", Frame(ERROR | 4, bytes.fromhex("0004000000000000"))),
+        ("123#0011223344556677_B", Frame(0x123, bytes.fromhex("0011223344556677"))),
+    ],
+)
+def test_a_log_line_is_its_frame(text: str, frame: Frame) -> None:
+    """Data, remote, CAN FD and error frames of the log format are read with identifier, flags and data."""
+    line = parse(f"{TIME}vcan0 {text}\r")
+    assert line is not None
+    assert line.bus == "vcan0"
+    assert line.time_ns == TIME_NS
+    assert line.frame == Frame(frame.can_id, frame.data, TIME_NS, frame.fd_flags, frame.remote_length)
+
+
+@pytest.mark.parametrize(
+    ("text", "frame"),
+    [
+        ("  vcan0  18C4D1EF   [2]  01 04", Frame(0x18C4D1EF | EXTENDED, b"\x01\x04")),
+        ("  vcan0       123   [0] ", Frame(0x123, b"")),
+        ("  vcan0       123   [0]  remote request", Frame(0x123 | REMOTE, b"")),
+        ("  vcan0  TX B -       123  [02]  01 04", Frame(0x123, b"\x01\x04", fd_flags=FD)),
+        ("  vcan0       123   [2]  41 42   'AB'", Frame(0x123, b"AB")),
+        ("  vcan0  20000004   [2]  00 04   ERRORFRAME", Frame(ERROR | 4, b"\x00\x04")),
+    ],
+)
+def test_a_classic_line_is_its_frame(text: str, frame: Frame) -> None:
+    """The format that candump writes for people is read too; its time may be missing."""
+    line = parse(text)
+    assert line is not None
+    assert (line.frame, line.time_ns) == (frame, None)
+    timed = parse(f" {TIME} {text}")
+    assert timed is not None
+    assert timed.time_ns == TIME_NS
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "vcan0",
+        f"{TIME}vcan0 123",
+        f"{TIME}vcan0 1234#00",
+        f"{TIME}vcan0 800#00",
+        f"{TIME}vcan0 80000000#00",
+        f"{TIME}vcan0 123#0",
+        f"{TIME}vcan0 123#{'00' * 9}",
+        f"{TIME}vcan0 123##1{'00' * 65}",
+        f"{TIME}vcan0 123#R9",
+        f"{TIME}vcan0 123#00 11",
+        "(1436509052) vcan0 123#00",
+        "vcan0 123#00",
+        "  vcan0  123   [2]  01",
+        "  vcan0  123   [1]  01 02",
+        "  vcan0  123   [9]  01 02 03 04 05 06 07 08 09",
+        "  vcan0  FFF   [1]  01",
+    ],
+)
+def test_what_candump_would_not_write_is_no_line_of_it(text: str) -> None:
+    """Half bytes, too much data, identifiers out of range and missing parts are not read as something else."""
+    assert parse(text) is None
+
+
+@given(
+    can_id=st.integers(0, 0x7FF) | st.integers(0, 0x1FFF_FFFF).map(lambda value: value | EXTENDED),
+    data=st.binary(max_size=8),
+    time_ns=st.integers(0, 10**19 - 1),
+)
+def test_every_data_frame_is_read_back(can_id: int, data: bytes, time_ns: int) -> None:
+    """A frame written as candump writes it is the same frame again, and its time to the nanosecond."""
+    word = f"{can_id & 0x1FFF_FFFF:08X}" if can_id & EXTENDED else f"{can_id:03X}"
+    text = f"({time_ns // 10**9:010}.{time_ns % 10**9:09}) can0 {word}#{data.hex().upper()}"
+    assert parse(text) == CandumpLine(Frame(can_id, data, time_ns), "can0", word, time_ns)
+
+
+@given(text=st.text() | st.text("()0123456789. canRTX[]#_ABCDEF'\t"))
+def test_no_text_makes_reading_raise(text: str) -> None:
+    """Any text is a line of candump or it is not."""
+    line = parse(text)
+    assert line is None or len(line.frame.data) <= 64

@@ -310,17 +310,25 @@ def test_everybody_is_told_where_not_all_robots_are_shown() -> None:
     assert [one.full for one in told(browser, words.DeskRows)] == [False]
 
 
-def test_what_holds_for_all_is_told_where_no_robot_changes() -> None:
-    """That Zenoh is gone, and back; that a robot is not shown, although those that are shown are as before."""
+@pytest.mark.parametrize("seen", [(), (STATE, HEALTH)], ids=["no robot", "a robot"])
+def test_that_zenoh_is_gone_and_back_is_told_once(seen: tuple[Message, ...]) -> None:
+    """To everybody, also where no robot changes; robots are silent meanwhile."""
     scene = Scene()
+    scene.step(*seen)
     browser = scene.hub.join()
+    browser.outbox.take()
     for linked in (False, True):
+        scene.listener.linked = linked
+        scene.step(seconds=2)
+        (rows,) = told(browser, words.DeskRows)
+        assert rows.linked is linked
+        assert linked or [row and row.word for row in rows.rows.values()] == ["offline"] * bool(seen)
         scene.step()
         browser.outbox.take()
-        scene.listener.linked = linked
-        scene.step()
-        assert [(one.linked, one.rows) for one in told(browser, words.DeskRows)] == [(linked, {})]
 
+
+def test_a_robot_that_is_not_shown_is_told_where_no_row_changes() -> None:
+    """Those that are shown are as before."""
     full = Scene()
     full.listener.waiting += [received(STATE, f"robot-{number}") for number in range(BOUNDS.robots)]
     full.step()
@@ -329,22 +337,6 @@ def test_what_holds_for_all_is_told_where_no_robot_changes() -> None:
     full.listener.waiting.append(received(STATE, "stranger"))
     full.step()
     assert [(one.full, one.rows) for one in told(browser, words.DeskRows)] == [(True, {})]
-
-
-def test_a_desk_that_has_lost_zenoh_says_so() -> None:
-    """Once, to everybody; the robots are silent then."""
-    scene = Scene()
-    scene.step(STATE, HEALTH)
-    browser = scene.hub.join()
-    browser.outbox.take()
-    scene.listener.linked = False
-    scene.step(seconds=2)
-    (rows,) = told(browser, words.DeskRows)
-    assert not rows.linked
-    assert rows.rows["cruiser-1"].word == "offline"
-    scene.listener.linked = True
-    scene.step()
-    assert [one.linked for one in told(browser, words.DeskRows)] == [True]
 
 
 @pytest.mark.parametrize("robot", ["*", "**", "c$*", "../x", "cruiser-1/x", "@adv"])

@@ -1,16 +1,24 @@
-"""``cruiser stop``: what it prints, and its exit code."""
+"""``cruiser stop`` and ``cruiser why``: what they print."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
+from contextlib import nullcontext
+from types import SimpleNamespace
 
+import msgspec
 import pytest
 
-from gateway.cli import stop
+from gateway.cli import stop, why
 from gateway.client import remote_stop
+from gateway.client.link import Sighting
 from gateway.client.remote_stop import StopReport, Unverified
 from schemas.command_line import CommandError, ExitCode
+from schemas.decisions import EventKind
+from schemas.settings import Settings
 from tests.support.commands import run_command
+from tests.support.messages import HEALTH, ROBOT, SECOND, STANDBY, WALL_NS, safety_event
 
 
 def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int:
@@ -66,3 +74,19 @@ def test_a_viewer_who_stops_all_learns_that_it_may_not_have_reached_them(
         "cruiser-1: NO ANSWER; a viewer's certificate stops one robot at a time: 'cruiser stop cruiser-1'; "
         "its states say: no remote stop is latched, and it moves at 0.40 m/s. Use the button on the robot\n"
     )
+
+
+def test_events_are_dated_by_the_robots_clock(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It need not be that of the machine on which somebody asks."""
+    state = msgspec.structs.replace(STANDBY, time_ns=WALL_NS + 3 * SECOND)
+    robot = SimpleNamespace(
+        name=ROBOT,
+        state=lambda: Sighting(state, 0.5, None, HEALTH),
+        events=lambda: [safety_event(EventKind.STOP)],
+    )
+    monkeypatch.setattr(why, "connect", lambda *_: nullcontext(robot))
+    monkeypatch.setattr(why, "EVENTS_S", 0)
+    why.run(argparse.Namespace(json=False), Settings(), lambda: False)
+    assert "lately:\n  3.5 s ago: warning: as it were\n" in capsys.readouterr().out

@@ -1,9 +1,9 @@
-"""What an operator is told instead of success."""
+"""Refusals and reasons, in words."""
 
 import pytest
 
-from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, refused
-from schemas.decisions import Reply
+from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, event_line, refused
+from schemas.decisions import EventKind, Reply, SafetyEvent, Severity
 from schemas.reasons import TEXTS, Reason, cure_of
 
 
@@ -38,3 +38,20 @@ def test_another_session_of_the_same_person_is_called_so() -> None:
     said = refused("cruiser-7", "acquire", held, "ann")
     assert "another session of ann holds the lease; it expires in 1.9 s" in str(said)
     assert "by ann, expires" in str(refused("cruiser-7", "acquire", held, "bob"))
+
+
+AT_NS = 1_800_000_000 * 10**9
+EVENT = SafetyEvent(AT_NS, 0, 0, Severity.INFO, EventKind.ENGAGED, Reason.NONE, "", "engaged")
+
+
+@pytest.mark.parametrize(
+    ("later_s", "told"),
+    [
+        (3.24, "3.2 s ago"),
+        (-0.05, "0.0 s ago"),
+        (-3585.5, "at 08:00:00 UTC by the robot's clock"),
+    ],
+)
+def test_an_event_is_told_by_its_age_or_by_its_clock(later_s: float, told: str) -> None:
+    """A moment newer than the state is now; far ahead of it, by a clock that was set back, no age can be told."""
+    assert event_line(EVENT, AT_NS + round(later_s * 1e9)) == f"{told}: info: engaged"
