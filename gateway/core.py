@@ -30,6 +30,7 @@ from gateway.chassis.cruiser.frames import (
 from gateway.chassis.cruiser.tracker import ChassisTracker
 from gateway.chassis.frame import ERROR, FaultKind, Frame
 from gateway.chassis.layout import check, unknown_frame
+from gateway.chassis.odometry import DeadReckoning
 from gateway.chassis.supervision import controller_state
 from gateway.command.flow import CommandFlow, TickEffects
 from gateway.command.restart import (
@@ -48,7 +49,7 @@ from gateway.journal import FRAME, LINKS, JournalWriter, checkpoint, resume
 from gateway.telemetry.feedback import FeedbackStream, FrameBatch
 from gateway.telemetry.health import HealthMeter, LatestMessages, Links, robot_state
 from schemas.codec import Sample, encode, sample_of
-from schemas.cruiser import DBC_FILES
+from schemas.cruiser import DBC_FILES, WHEELBASE_M
 from schemas.decisions import ArbiterState, EventKind, Severity
 from schemas.journal import Kind
 from schemas.messages import SEQUENCE_MAX, ControllerState, Variant
@@ -58,6 +59,7 @@ from schemas.settings import (
     BATCH_PERIOD_NS,
     COMMANDER_NS,
     HEALTH_PERIOD_NS,
+    ODOMETRY_PERIOD_NS,
     STATE_PERIOD_NS,
     Settings,
 )
@@ -115,7 +117,8 @@ class Core:
         self._wheel_speed = layout.messages[WHEEL_SPEED].can_id
         self._body = layout.messages[BODY].can_id
         self._apply_variant()
-        self._state_due_ns = self._batch_due_ns = now_ns
+        self._state_due_ns = self._batch_due_ns = self._odometry_due_ns = now_ns
+        self._odometry = DeadReckoning(WHEELBASE_M)
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         self._state_sequence = 0
         self.command = None if settings.gateway.listen_only else CommandFlow(settings, run)
@@ -150,8 +153,10 @@ class Core:
         if frame.can_id == self._wheel_speed and check(frame) is None:
             self._detect_variant(frame)
         sample = stream.receive(frame, now_ns)
-        if frame.can_id == self._body and sample is not None:
-            self._tracker.note_body()
+        if sample is not None:
+            self._tracker.follow(stream.latest, self._odometry)
+            if frame.can_id == self._body:
+                self._tracker.note_body()
         return sample
 
     def receive_request(self, request: RawRequest, now_ns: int) -> None:
@@ -197,6 +202,13 @@ class Core:
         due = TickEffects([], [], [], [])
         if self.command is not None:
             due = self._command(self.command, now_ns, wall_ns, late_ns, challenge)
+            if due.resets_odometry:
+                self._odometry.reset()
+        if now_ns >= self._odometry_due_ns:
+            self._odometry_due_ns = _next_due(self._odometry_due_ns, ODOMETRY_PERIOD_NS, now_ns)
+            odometry = self._odometry.report()
+            if odometry is not None:
+                due.samples.append(sample_of(odometry))
         if now_ns >= self._batch_due_ns:
             self._batch_due_ns = _next_due(self._batch_due_ns, BATCH_PERIOD_NS, now_ns)
             self._take_batches(due.samples, wall_ns)

@@ -34,6 +34,7 @@ from gateway.chassis.cruiser.frames import StandstillEvidence, VariantDetector
 from gateway.chassis.cruiser.gate import Gate, MotionBurst
 from gateway.chassis.cruiser.tracker import ChassisTracker, Encoders
 from gateway.chassis.frame import FaultKind, Frame
+from gateway.chassis.odometry import DeadReckoning
 from gateway.chassis.port import Actuation, ChassisState
 from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period
 from gateway.command.arbiter import Arbiter, Reporter
@@ -218,6 +219,7 @@ CLASSES: Final[dict[str, type]] = {
     "CommandFlow": CommandFlow,
     "ControllerState": ControllerState,
     "Credentials": Credentials,
+    "DeadReckoning": DeadReckoning,
     "Drive": Drive,
     "Encoders": Encoders,
     "Engagement": Engagement,
@@ -283,6 +285,9 @@ CLASSES: Final[dict[str, type]] = {
 
 RENAMED: Final[dict[str, dict[str, str]]] = {}
 """By alias: attributes that were renamed, and what checkpoints call them."""
+
+ADDED: Final[dict[str, tuple[str, ...]]] = {"Core": ("_odometry", "_odometry_due_ns")}
+"""By alias: attributes that earlier checkpoints lack, and that no decision depends on. A new core's are taken."""
 
 
 Tree = Any
@@ -419,6 +424,8 @@ class _Restoring:
 
     def _object(self, kind: type, name: str, stored: dict[str, Tree], new: object) -> object:
         kept = _as_named_now(name, stored)
+        for added in ADDED.get(_alias(name), ()):
+            kept.setdefault(added, [_CONSTANT])
         if new is not None and (type(new) is not kind or kept.keys() != set(_names(new))):
             raise CheckpointError(f"{type(new).__name__} holds other things in this version")
         made = object.__new__(kind) if new is None else new

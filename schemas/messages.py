@@ -51,6 +51,14 @@ Pulses = Annotated[int, Meta(ge=-32768, le=32767, description="Signed 16-bit enc
 SpeedMps = Annotated[float, Meta(extra_json_schema=unit_keyword("m/s"))]
 AngleDeg = Annotated[float, Meta(description="Left is positive.", extra_json_schema=unit_keyword("deg"))]
 YawRateRadps = Annotated[float, Meta(description="Left is positive.", extra_json_schema=unit_keyword("rad/s"))]
+HeadingRad = Annotated[
+    float, Meta(description="From -pi to pi, left is positive.", extra_json_schema=unit_keyword("rad"))
+]
+PlaceM = Annotated[float, Meta(extra_json_schema=unit_keyword("m"))]
+VarianceM2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m2"))]
+VarianceRad2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("rad2"))]
+VarianceM2ps2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m2/s2"))]
+VarianceRad2ps2 = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("rad2/s2"))]
 MileageKm = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("km"))]
 DistanceM = Annotated[float, Meta(ge=0, extra_json_schema=unit_keyword("m"))]
 DurationS = Annotated[float, Meta(extra_json_schema=unit_keyword("s"))]
@@ -213,6 +221,33 @@ class Speaker(Feedback, frozen=True, gc=False):
     """Auto_SpeakerFeedback."""
 
     horn: bool
+
+
+class Odometry(Message, frozen=True, gc=False):
+    """Pose and speeds of the middle of the rear axle, from drive and steering feedback by the bicycle model.
+
+    The pose is zero where the gateway started, or at the last ``reset_odometry``: x forward, y left, heading from
+    x to y. It drifts: the variances grow with the way, with what is turned, in gaps of the feedback, and where
+    the wheel pulses count another way. Speeds are those of the robot itself, along x and about z.
+
+    Attributes:
+        time_ns: of the newest drive feedback that it holds.
+        x_m: where the axle is; with ``y_m``.
+        heading_rad: where x of the robot points to.
+        distance_m: the way driven, forward and in reverse.
+    """
+
+    x_m: PlaceM
+    y_m: PlaceM
+    heading_rad: HeadingRad
+    speed_mps: SpeedMps
+    yaw_rate_radps: YawRateRadps
+    distance_m: DistanceM
+    x_variance_m2: VarianceM2
+    y_variance_m2: VarianceM2
+    heading_variance_rad2: VarianceRad2
+    speed_variance_m2ps2: VarianceM2ps2
+    yaw_rate_variance_rad2ps2: VarianceRad2ps2
 
 
 class CanFrames(Message, frozen=True):

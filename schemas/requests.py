@@ -175,6 +175,13 @@ class ClearOdometer(Leased, frozen=True, forbid_unknown_fields=True):
     """Set the total mileage to zero. The reply comes when the mileage reads zero, or when it failed to."""
 
 
+class ResetOdometry(Leased, frozen=True, forbid_unknown_fields=True):
+    """Set pose, way and variances of ``chassis/odometry`` to zero here and now, at rest or not.
+
+    The mileage that the chassis counts stays: see ``clear_odometer``.
+    """
+
+
 class Stop(Request, frozen=True, forbid_unknown_fields=True):
     """The remote stop, from anyone. Its payload is never read: any bytes will do.
 

@@ -37,9 +37,10 @@ _DECODED: Final = tuple(subject.name for subject in SUBJECTS if subject.name.sta
 
 PROFILES: Final[dict[str, dict[str, float]]] = {
     FULL: {},
-    OPERATOR: dict.fromkeys((*_RAW, *_DECODED), 0.0) | {"state": 10.0, "safety/state": 25.0},
+    OPERATOR: dict.fromkeys((*_RAW, *_DECODED), 0.0)
+    | {"state": 10.0, "chassis/odometry": 5.0, "safety/state": 25.0},
     THIN: dict.fromkeys((*_RAW, *_DECODED, "safety/decision"), 0.0)
-    | {"state": 2.0, "safety/state": 2.0, "gateway/health": 0.5},
+    | {"state": 2.0, "chassis/odometry": 1.0, "safety/state": 2.0, "gateway/health": 0.5},
 }
 """Of each profile the highest rates in Hz, by subject: 0 leaves it out, and what is not named leaves as it is."""
 
@@ -297,6 +298,8 @@ STANDSTILL_MPS: Final = 0.05
 
 STATE_PERIOD_NS: Final = 50_000_000
 """`state` goes out every 50 ms, 20 Hz."""
+
+ODOMETRY_PERIOD_NS: Final = 20_000_000
 
 BATCH_PERIOD_NS: Final = 50_000_000
 """Raw frames go out in batches of 50 ms."""

@@ -128,6 +128,13 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
     _chassis("light", messages.Light, "Auto_LightFeedback", "20 Hz", "headlamp and indicators"),
     _chassis("speaker", messages.Speaker, "Auto_SpeakerFeedback", "20 Hz", "horn"),
     Subject(
+        "chassis/odometry",
+        messages.Odometry,
+        "pose, way and speeds from drive and steering feedback, with variances that grow",
+        "50 Hz while the speed is known",
+        _FEEDBACK,
+    ),
+    Subject(
         "can/{bus}/rx",
         messages.CanFrames,
         "every frame received, raw, in batches; lossless, with receive times",
@@ -304,6 +311,7 @@ SIGNED: Final = ("safety/state", "state")
 """Subjects that people decide by: in signed mode each sample is signed."""
 
 STOP_VERB: Final = "stop"
+RESET_ODOMETRY_VERB: Final = "reset_odometry"
 DRIVE_VERB: Final = "drive"
 """The verb that is taken from anyone, as a put too."""
 
@@ -339,6 +347,7 @@ COMMANDS: Final[tuple[Command, ...]] = (
         "total mileage to zero; replies when it reads so",
         engaged_only=True,
     ),
+    Command(RESET_ODOMETRY_VERB, requests.ResetOdometry, _Reply, "the pose of `chassis/odometry` to zero"),
     Command(DRIVE_VERB, requests.Drive, _Reply, "the stream that moves the robot, 10 to 50 Hz", Asking.PUT),
 )
 

@@ -59,7 +59,10 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "unpark": ("gateway.cli.verbs:UNPARK", "engage a robot and allow drive commands to release its parking brake"),
     "light": ("gateway.cli.verbs:LIGHT", "engage a robot and switch headlamp and indicators"),
     "horn": ("gateway.cli.verbs:HORN", "engage a robot and sound its horn"),
-    "odometer": ("gateway.cli.verbs:ODOMETER", "engage a robot and set its total mileage to zero"),
+    "odometer": (
+        "gateway.cli.verbs:ODOMETER",
+        "set a robot's total mileage, or the pose of its odometry, to zero",
+    ),
     "router": ("gateway.cli.router", "where robots and people meet: a Zenoh router with access by role"),
     "provision": ("gateway.cli.provision", "keys, certificates and grants: who is who, and who may do what"),
     "decode": ("gateway.cli.decode", "candump lines to JSON lines"),

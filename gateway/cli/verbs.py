@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Final
 
 import msgspec
@@ -15,7 +16,7 @@ from gateway.client.fleet import BY_REQUEST
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import ending_after, seconds
 from schemas.command_line import ExitCode
-from schemas.requests import ClearOdometer, Horn, Light, Park, Request, Unpark
+from schemas.requests import ClearOdometer, Horn, Light, Park, Request, ResetOdometry, Unpark
 from schemas.settings import Settings
 
 LAMPS: Final = ("headlamp", "left", "right")
@@ -60,8 +61,10 @@ class VerbCommand(msgspec.Struct, frozen=True):
             if arguments.lease is not None:
                 self._ask(robot, arguments, arguments.lease)
                 return int(ExitCode.OK)
-            sys.stderr.write(f"{robot.name}: engages the robot for this; it stands by again afterwards\n")
-            with robot.lease() as lease, engaged(lease, robot):
+            verb = BY_REQUEST[type(self.request(arguments, 0))]
+            if verb.engaged_only:
+                sys.stderr.write(f"{robot.name}: engages the robot for this; it stands by again afterwards\n")
+            with robot.lease() as lease, engaged(lease, robot) if verb.engaged_only else nullcontext():
                 self._ask(robot, arguments, lease.number)
                 if self.lasts:
                     _keep(lease, ending_after(stopped, arguments.seconds, time.monotonic))
@@ -86,6 +89,13 @@ def _keep(lease: Lease, stopped: Callable[[], bool]) -> None:
 def _add_lamps(parser: argparse.ArgumentParser) -> None:
     for lamp in LAMPS:
         parser.add_argument(f"--{lamp}", action="store_true", help="on; off if not given")
+
+
+def _add_odometers(parser: argparse.ArgumentParser) -> None:
+    which = parser.add_mutually_exclusive_group(required=True)
+    about = "set the total mileage of the chassis to zero; there is no way back"
+    which.add_argument("--clear", action="store_true", help=about)
+    which.add_argument("--reset-pose", action="store_true", help="set the pose of chassis/odometry to zero")
 
 
 PARK: Final = VerbCommand(
@@ -115,7 +125,8 @@ HORN: Final = VerbCommand(
     keep_s=1.0,
 )
 ODOMETER: Final = VerbCommand(
-    "  cruiser odometer cruiser-1 --clear",
-    lambda _, lease: ClearOdometer(lease=lease),
-    lambda parser: parser.add_argument("--clear", action="store_true", required=True, help="there is no way back"),
+    "  cruiser odometer cruiser-1 --clear\n"
+    "  cruiser odometer cruiser-1 --reset-pose        of a robot that stands by; it is not engaged",
+    lambda arguments, lease: ResetOdometry(lease=lease) if arguments.reset_pose else ClearOdometer(lease=lease),
+    _add_odometers,
 )

@@ -42,6 +42,7 @@ from schemas.requests import (
     Release,
     Request,
     Reset,
+    ResetOdometry,
     Role,
     Take,
     Unpark,
@@ -417,6 +418,10 @@ class Lease:
     def clear_odometer(self) -> None:
         """Set the total mileage to zero. Returns once it reads so."""
         self._ask(ClearOdometer(lease=self.number))
+
+    def reset_odometry(self) -> None:
+        """Set the pose of ``chassis/odometry`` to zero here, at rest or not."""
+        self._ask(ResetOdometry(lease=self.number))
 
     def _ask(self, request: Request) -> Reply:
         return self._link.ask(request, ANSWER_TIMEOUT_S)

@@ -19,7 +19,9 @@ from gateway.command.arbiter import Arbiter, Reporter, reply
 from gateway.command.rulings import RawRequest, TickOutcome
 from schemas.codec import Sample, sample_of
 from schemas.decisions import COMMANDING, ArbiterState, SafetyEvent
+from schemas.reasons import Reason
 from schemas.settings import MUTE_FAILURES, Settings
+from schemas.subjects import RESET_ODOMETRY_VERB
 
 
 class PendingReply(msgspec.Struct, frozen=True):
@@ -38,6 +40,7 @@ class TickEffects(msgspec.Struct):
     replies: list[PendingReply]
     samples: list[Sample]
     events: list[SafetyEvent]
+    resets_odometry: bool = False
 
 
 class CommandFlow:
@@ -84,7 +87,10 @@ class CommandFlow:
         replies = [
             PendingReply(answer.handle, answer.verb, _ENCODER.encode(reply(answer))) for answer in outcome.answers
         ]
-        return TickEffects(self._offered, replies, samples, events)
+        resets_odometry = any(
+            one.request.verb == RESET_ODOMETRY_VERB and one.ruling.reason is Reason.NONE for one in outcome.judged
+        )
+        return TickEffects(self._offered, replies, samples, events, resets_odometry)
 
     def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Sample]:
         """So many of the tick's frames were taken by the bus; the rest are lost and are never sent later."""

@@ -62,6 +62,7 @@ class Verbs:
             requests.Light: self._light,
             requests.Horn: self._horn,
             requests.ClearOdometer: self._clear_odometer,
+            requests.ResetOdometry: self._reset_odometry,
             requests.Drive: self._drive,
         }
 
@@ -282,6 +283,12 @@ class Verbs:
             return Ruling(Reason.MOVING, lease=request.lease)
         self._auxiliary.clear_odometer(now_ns)
         return Ruling(is_pending=True, lease=request.lease)
+
+    def _reset_odometry(self, request: requests.ResetOdometry, operator: str, _now_ns: int) -> Ruling:
+        """Accept it at any time, also in motion: no rule of the arbiter depends on the pose."""
+        text = "the pose of the odometry is zero here"
+        self._outbox.add_event(Severity.INFO, EventKind.RESET, Reason.NONE, text, operator)
+        return Ruling(lease=request.lease)
 
     def _drive(self, request: requests.Drive, _operator: str, now_ns: int) -> Ruling:
         asked_deg = steering_angle_deg(request)

@@ -16,10 +16,11 @@ from gateway.chassis.cruiser.frames import (
     WHEEL_SPEED,
     VariantDetector,
 )
+from gateway.chassis.odometry import DeadReckoning
 from gateway.chassis.port import ChassisState
 from gateway.chassis.supervision import silence_ns
 from gateway.telemetry.feedback import FeedbackStream
-from gateway.telemetry.health import Links
+from gateway.telemetry.health import Links, signed_speed_mps
 from schemas.can_word import COUNTER_SPAN
 from schemas.cruiser import TURNING_RAW_MIN
 from schemas.messages import (
@@ -78,6 +79,16 @@ class ChassisTracker:
         if body is not None:
             self._hits[0] |= body.front_bumper
             self._hits[1] |= body.rear_bumper
+
+    def follow(self, message: Feedback | None, odometry: DeadReckoning) -> None:
+        """A feedback message came: the odometry goes on with what it, and those beside it, say."""
+        if isinstance(message, Drive):
+            wheels, gear = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(GEAR, Gear)
+            steering = self._latest(STEERING, Steering)
+            angle_deg = None if steering is None else steering.angle_deg
+            odometry.move(message.time_ns, signed_speed_mps(message, wheels, gear), angle_deg)
+        elif isinstance(message, WheelPulse) and message.valid:
+            odometry.count(message.time_ns, message.rear_left_pulses, message.rear_right_pulses)
 
     def state(
         self,

@@ -423,7 +423,7 @@ def test_a_listening_gateway_has_no_command_flow() -> None:
         due = made.tick(at_ms * MS, WALL_NS, 0, CHALLENGE)
         assert (due.frames, due.replies, made.sent(0, at_ms * MS, WALL_NS)) == ([], [], [])
         subjects |= {sample.subject for sample in due.samples}
-    assert subjects == {"can/{bus}/rx", "state", "gateway/health"}
+    assert subjects == {"can/{bus}/rx", "state", "gateway/health", "chassis/odometry"}
     assert made.lease_holder == ""
     made.shut_down(0)
     assert made.is_at_rest

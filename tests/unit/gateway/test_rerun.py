@@ -25,11 +25,12 @@ from schemas.journal import COMMAND_RULES, Kind
 from schemas.messages import Message, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings
-from schemas.subjects import BY_NAME
+from schemas.subjects import BY_DBC_MESSAGE, BY_NAME
 from tests.support.nights import by_night
 from tests.support.rigs.day import DAY_TICKS, MINUTE_TICKS, STARTED_NS, Day
 from tests.support.rigs.gateway import Operator
 
+OF_FRAMES = {subject.name for subject in BY_DBC_MESSAGE.values()}
 SAFETY: dict[str, type[Message]] = {
     "safety/decision": Decision,
     "safety/event": SafetyEvent,
@@ -116,8 +117,8 @@ def test_a_recorded_day_run_again_comes_out_the_same(seed: int, variant: Variant
     assert frames_of(samples) == log.sent
     bursts = [frames for frames in offered if frames]
     assert bursts == [frames for frames in day.rig.offered if frames]
-    chassis = [sample for sample in samples if sample.subject.startswith("chassis/")]
-    assert chassis == [s for _, s in day.rig.recorded if s.subject.startswith("chassis/")][: len(chassis)]
+    chassis = [sample for sample in samples if sample.subject in OF_FRAMES]
+    assert chassis == [s for _, s in day.rig.recorded if s.subject in OF_FRAMES][: len(chassis)]
 
 
 def test_the_day_is_worth_running_again() -> None:

@@ -17,6 +17,11 @@ from schemas.subjects import COMMANDS, SUBJECTS, Command
 from tests.support.strategies import ANYTHING, any_of, commands_and_requests
 
 UNIT_SUFFIXES = {
+    "_m2ps2": "m2/s2",
+    "_rad2ps2": "rad2/s2",
+    "_m2": "m2",
+    "_rad2": "rad2",
+    "_rad": "rad",
     "_ns": "ns",
     "_ms": "ms",
     "_mps": "m/s",

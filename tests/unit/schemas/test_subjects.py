@@ -72,7 +72,7 @@ def test_the_verbs_are_those_of_the_contract() -> None:
     """All are queries with a typed reply but drive, a stream of puts; a stop is taken either way."""
     assert set(BY_VERB) == {
         *("acquire", "renew", "release", "take", "engage", "disengage", "stop", "reset"),
-        *("park", "unpark", "light", "horn", "clear_odometer", "drive"),
+        *("park", "unpark", "light", "horn", "clear_odometer", "reset_odometry", "drive"),
     }
     asking = {command.verb: command.asking for command in COMMANDS if command.asking is not Asking.QUERY}
     assert asking == {"stop": Asking.EITHER, "drive": Asking.PUT}

@@ -1,0 +1,321 @@
+"""The odometry: what drive and steering feedback make of the pose, and when it says that it may be wrong."""
+
+from collections.abc import Callable
+from itertools import pairwise
+from math import cos, degrees, hypot, pi, radians, sin, tan
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.chassis.odometry import GAP_NS, SLIP_M, DeadReckoning
+from schemas.cruiser import WHEELBASE_M
+from schemas.messages import Odometry, RobotState, Variant
+from schemas.reasons import Reason
+from tests.support.rigs.gateway import GatewayRig, Operator, driving, ready
+
+MS = 1_000_000
+PERIOD_NS = 10 * MS
+PULSES_PER_M = 800.0
+
+Part = tuple[float, float, float]
+"""Speed in m/s, angle in degrees, seconds."""
+
+
+def after(
+    *parts: Part, pulses: Callable[[float], float] | None = None, period_ns: int = PERIOD_NS
+) -> DeadReckoning:
+    """Drive parts, one behind the other; ``pulses`` makes of the true way what the wheels count."""
+    made, now_ns, way_m = DeadReckoning(WHEELBASE_M), 0, 0.0
+    for speed_mps, angle_deg, seconds in parts:
+        for _ in range(round(seconds * 1e9 / period_ns)):
+            now_ns += period_ns
+            way_m += speed_mps * period_ns / 1e9
+            made.move(now_ns, speed_mps, angle_deg)
+            if pulses is not None and now_ns % (50 * MS) == 0:
+                count = round(pulses(way_m)) % 0x1_0000
+                made.count(now_ns, count - 0x8000, count - 0x8000)
+    return made
+
+
+def place_on_circle(way_m: float, angle_deg: float) -> tuple[float, float, float]:
+    """Return the end of an arc from zero."""
+    turn_rad = way_m * tan(radians(angle_deg)) / WHEELBASE_M
+    radius_m = way_m / turn_rad
+    return radius_m * sin(turn_rad), radius_m * (1 - cos(turn_rad)), turn_rad
+
+
+def turned(heading_rad: float, wanted_rad: float) -> float:
+    """The difference of two headings."""
+    return abs((heading_rad - wanted_rad + pi) % (2 * pi) - pi)
+
+
+LAP_S = 2 * pi * WHEELBASE_M / tan(radians(20.0))
+
+
+@pytest.mark.parametrize(
+    ("parts", "x_m", "y_m", "heading_deg"),
+    [
+        pytest.param([(1.0, 0.0, 10.0)], 10.0, 0.0, 0.0, id="straight on is along x"),
+        pytest.param([(-1.0, 0.0, 10.0)], -10.0, 0.0, 0.0, id="reverse"),
+        pytest.param([(1.0, 20.0, LAP_S / 4)], 1.813, 1.813, 90.0, id="left is positive"),
+        pytest.param([(1.0, -20.0, LAP_S / 4)], 1.813, -1.813, -90.0, id="right"),
+        pytest.param([(-1.0, 20.0, LAP_S / 4)], -1.813, 1.813, -90.0, id="reverse, steered left"),
+        pytest.param([(1.0, 20.0, LAP_S)], 0.0, 0.0, 0.0, id="a lap"),
+        pytest.param([(0.5, 12.0, 9.0), (0.0, 12.0, 1.0), (-0.5, 12.0, 9.0)], 0.0, 0.0, 0.0, id="there and back"),
+        pytest.param([(0.0, 24.0, 60.0)], 0.0, 0.0, 0.0, id="standing"),
+    ],
+)
+def test_the_pose_is_that_of_the_bicycle_model(
+    parts: list[Part], x_m: float, y_m: float, heading_deg: float
+) -> None:
+    """To a centimetre, which is the way of the first period; by the signs of ISO 8855."""
+    pose = after(*parts)
+    assert hypot(pose.x_m - x_m, pose.y_m - y_m) < 0.02
+    assert turned(pose.heading_rad, radians(heading_deg)) < radians(0.6)
+    assert pose.distance_m == pytest.approx(sum(abs(speed) * seconds for speed, _, seconds in parts), abs=0.02)
+
+
+@given(
+    st.floats(0.05, 2.2),
+    st.floats(0.5, 24.0),
+    st.sampled_from((-1, 1)),
+    st.sampled_from((-1, 1)),
+    st.floats(1, 20),
+)
+def test_any_circle(speed_mps: float, angle_deg: float, way: int, side: int, seconds: float) -> None:
+    """The pose stays on it, at any speed, angle and sense."""
+    pose = after((way * speed_mps, side * angle_deg, seconds))
+    x_m, y_m, heading_rad = place_on_circle(way * pose.distance_m, side * angle_deg)
+    assert hypot(pose.x_m - x_m, pose.y_m - y_m) < 1e-3
+    assert turned(pose.heading_rad, heading_rad) < 1e-6
+
+
+PARTS = st.lists(st.tuples(st.floats(-2.2, 2.2), st.floats(-24, 24), st.floats(0.0, 3.0)), min_size=1, max_size=5)
+
+
+@given(PARTS)
+def test_variances_never_fall(parts: list[Part]) -> None:
+    """They are finite, and grow as long as the robot is driven anywhere but on a circle that leads it back."""
+    poses = [after(*parts[: number + 1]) for number in range(len(parts))]
+    for before, now in pairwise(said for pose in poses if (said := pose.report()) is not None):
+        assert now.heading_variance_rad2 >= before.heading_variance_rad2
+        assert now.x_variance_m2 >= 0 <= now.y_variance_m2
+    for pose in poses:
+        assert pose.distance_m + 1e-9 >= hypot(pose.x_m, pose.y_m)
+        assert -pi <= pose.heading_rad <= pi
+
+
+def sd(pose: DeadReckoning) -> tuple[float, float]:
+    """Return standard deviations of the place, in metres, and of the heading, in degrees."""
+    pose.last_ns = (pose.last_ns or 0) + 1  # So that it is told again.
+    said = pose.report()
+    assert said is not None
+    return (said.x_variance_m2 + said.y_variance_m2) ** 0.5, degrees(said.heading_variance_rad2**0.5)
+
+
+def test_variances_grow_with_the_way_and_with_turning() -> None:
+    """A bend makes the heading less sure than as much way straight on, and standing changes nothing."""
+    short, long, bent = (sd(after(part)) for part in ((1.0, 0.0, 5.0), (1.0, 0.0, 50.0), (1.0, 20.0, 5.0)))
+    assert short < long
+    assert short[1] < bent[1]
+    assert sd(after((1.0, 0.0, 5.0), (0.0, 0.0, 600.0)))[0] == pytest.approx(short[0], abs=0.01)
+
+
+@pytest.mark.parametrize("seconds", [0.51, 2.0, 30.0])
+@pytest.mark.parametrize(
+    "missing", ["nothing comes", "no speed is known", "no angle is known", "the clock is set back"]
+)
+def test_a_gap_moves_nothing_and_is_unsure(missing: str, seconds: float) -> None:
+    """No jump; the way that may have been driven is in the variances, and the pose goes on as before."""
+    pose, whole = after((1.0, 0.0, 5.0)), after((1.0, 0.0, 5.0))
+    last_ns = pose.last_ns
+    assert last_ns is not None
+    before_m, before = pose.x_m, sd(pose)
+    pose.last_ns = last_ns
+    if missing == "the clock is set back":
+        back_ns = last_ns - round(seconds * 1e9)
+        seconds = 0.5
+    else:
+        back_ns = last_ns + round(seconds * 1e9)
+        for at_ns in range(last_ns + 50 * MS, back_ns, 50 * MS):
+            if missing != "nothing comes":
+                pose.move(at_ns, *((None, 0.0) if missing == "no speed is known" else (1.0, None)))
+    pose.move(back_ns, 1.0, 0.0)
+    assert pose.x_m == before_m
+    unsure = sd(pose)
+    assert unsure[0] > max(before[0], seconds * 0.99)
+    assert unsure[1] > before[1]
+    pose.last_ns = back_ns
+    pose.move(back_ns + PERIOD_NS, 1.0, 0.0)
+    whole.move(last_ns + PERIOD_NS, 1.0, 0.0)
+    assert pose.x_m == whole.x_m
+
+
+@pytest.mark.parametrize("holes", [5, 10, 40])
+def test_frames_that_are_lost_are_bridged(holes: int) -> None:
+    """Within half a second the way between is known by both ends, a little less surely."""
+    lossy = after((1.0, 0.0, 20.0), period_ns=holes * PERIOD_NS)
+    whole = after((1.0, 0.0, 20.0))
+    assert holes * PERIOD_NS <= GAP_NS
+    assert lossy.x_m == pytest.approx(whole.x_m, abs=holes * 0.011)
+    lossy_said, whole_said = lossy.report(), whole.report()
+    assert lossy_said is not None
+    assert whole_said is not None
+    assert lossy_said.x_variance_m2 > whole_said.x_variance_m2
+
+
+@pytest.mark.parametrize(
+    ("parts", "pulses", "is_doubted"),
+    [
+        pytest.param([(1.0, 0.0, 20.0)], lambda way: PULSES_PER_M * way, False, id="agree"),
+        pytest.param([(-2.0, 9.0, 90.0)], lambda way: PULSES_PER_M * way, False, id="agree in reverse, and wrap"),
+        pytest.param([(1.0, 0.0, 20.0)], lambda way: PULSES_PER_M * min(way, 10.0), True, id="stand still"),
+        pytest.param([(1.0, 0.0, 20.0)], lambda way: -PULSES_PER_M * way, True, id="count the other way"),
+        pytest.param([(1.0, 0.0, 1.0)], lambda _: 7.0, True, id="stand still from the first"),
+        pytest.param(
+            [(1.0, 0.0, 20.0)],
+            lambda way: PULSES_PER_M * (way + max(0, way - 10)),
+            True,
+            id="slip, and count twice",
+        ),
+        pytest.param([(1.0, 0.0, 20.0)], lambda way: PULSES_PER_M * way * (1 + way / 400), False, id="wear"),
+    ],
+)
+def test_pulses_that_count_another_way_make_it_unsure(
+    *, parts: list[Part], pulses: Callable[[float], float], is_doubted: bool
+) -> None:
+    """The pose stays that of drive and steering: which of the two is wrong nobody knows."""
+    alone, checked = after(*parts), after(*parts, pulses=pulses)
+    assert (checked.x_m, checked.y_m, checked.heading_rad) == (alone.x_m, alone.y_m, alone.heading_rad)
+    assert (sd(checked) > sd(alone)) is is_doubted
+
+
+def test_a_speed_that_is_frozen_at_zero_is_noticed_by_the_pulses() -> None:
+    """Once a metre's pulses are known."""
+    made, way_m = after((1.0, 0.0, 5.0), pulses=lambda way: PULSES_PER_M * way), 5.0
+    sure = sd(made)
+    last_ns = made.last_ns
+    assert last_ns is not None
+    for number in range(1, 41):
+        way_m += 0.05
+        made.move(last_ns + number * 50 * MS, 0.0, 0.0)
+        made.count(last_ns + number * 50 * MS, *[round(PULSES_PER_M * way_m) - 0x8000] * 2)
+    assert sd(made)[0] > sure[0] + 0.3
+
+
+def test_a_reset_is_zero_here() -> None:
+    """Pose, way and variances; the count of the messages goes on."""
+    pose = after((1.0, 20.0, 3.0))
+    first = pose.report()
+    pose.reset()
+    pose.move((pose.last_ns or 0) + PERIOD_NS, 0.0, 20.0)
+    again = pose.report()
+    assert first is not None
+    assert again is not None
+    assert again.sequence == first.sequence + 1
+    assert again.distance_m == pytest.approx(0.005)
+    assert again.heading_variance_rad2 < first.heading_variance_rad2 / 100
+
+
+# In the core.
+
+
+def odometry_of(rig: GatewayRig) -> list[Odometry]:
+    """All that was published."""
+    return [
+        msgspec.msgpack.decode(sample.payload, type=Odometry)
+        for _, sample in rig.recorded
+        if sample.subject == "chassis/odometry"
+    ]
+
+
+TRIPS: dict[str, list[Part]] = {
+    "straight": [(1.5, 0.0, 8.0)],
+    "circle": [(1.0, 18.0, 15.0)],
+    "slalom": [(1.0, 15.0, 3.0), (1.0, -15.0, 3.0), (1.0, 15.0, 3.0)],
+    "reversal": [(1.0, 10.0, 4.0), (0.0, 10.0, 3.0), (-1.0, -10.0, 6.0)],
+}
+
+
+def driven(
+    parts: list[Part], variant: Variant = Variant.FINE, slope_deg: float = 0.0
+) -> tuple[GatewayRig, Operator]:
+    """A robot after a trip, at rest."""
+    rig, operator = ready(variant)
+    if slope_deg:
+        rig.fault(f"slope {slope_deg}")
+    operator.engage()
+    for part in parts:
+        operator.drive(*part)
+    operator.drive(0.0, seconds=3.0)
+    return rig, operator
+
+
+@pytest.mark.parametrize("slope_deg", [0.0, 12.0, -12.0])
+@pytest.mark.parametrize("trip", TRIPS)
+def test_it_follows_the_virtual_chassis(trip: str, slope_deg: float) -> None:
+    """To 2 % of the way and 2 degrees, within three standard deviations, on any slope; 50 times a second."""
+    rig, _ = driven(TRIPS[trip], slope_deg=slope_deg)
+    said, truth = odometry_of(rig), rig.chassis.state
+    last = said[-1]
+    assert last.distance_m > 3
+    off_m = hypot(last.x_m - truth.x_m, last.y_m - truth.y_m)
+    assert off_m < 0.02 * last.distance_m
+    assert turned(last.heading_rad, truth.yaw_rad) < radians(2)
+    assert off_m < 3 * (last.x_variance_m2 + last.y_variance_m2) ** 0.5
+    assert {now.time_ns - before.time_ns for before, now in pairwise(said)} == {20 * MS}
+    assert [now.sequence - before.sequence for before, now in pairwise(said)] == [1] * (len(said) - 1)
+
+
+@pytest.mark.parametrize("trip", TRIPS)
+def test_state_alone_gives_the_same_path(trip: str) -> None:
+    """The review integrates ``state``, at 20 Hz, where a log has no odometry: to 2 cm and half a degree."""
+    rig, _ = driven(TRIPS[trip])
+    again = DeadReckoning(WHEELBASE_M)
+    for _, sample in rig.recorded:
+        if sample.subject == "state":
+            state = msgspec.msgpack.decode(sample.payload, type=RobotState)
+            again.move(state.time_ns, state.speed_mps, state.angle_deg)
+    last = odometry_of(rig)[-1]
+    assert hypot(again.x_m - last.x_m, again.y_m - last.y_m) < 0.02
+    assert turned(again.heading_rad, last.heading_rad) < radians(0.5)
+    assert again.distance_m == pytest.approx(last.distance_m, abs=0.02)
+
+
+def test_a_hole_in_the_frames_is_no_jump() -> None:
+    """The pose waits where it was, nothing is published meanwhile, and what follows is unsure."""
+    rig, operator = driving(1.0, 5.0, Variant.FINE)
+    before = odometry_of(rig)[-1]
+    rig.fault("silence all for 1s")
+    operator.drive(0.0, seconds=2.0)
+    behind = next(one for one in odometry_of(rig) if one.time_ns - before.time_ns > 500 * MS)
+    assert hypot(behind.x_m - before.x_m, behind.y_m - before.y_m) < 0.15
+    assert behind.x_variance_m2 > before.x_variance_m2 + 0.2
+
+
+def test_reset_odometry_wants_the_lease_alone() -> None:
+    """In motion too; the reply, the decision and an event say so, and the next sample begins at zero."""
+    rig, operator = driving(1.0, 5.0)
+    stranger = Operator(rig, "stranger")
+    stranger.lease = operator.lease + 1
+    assert stranger.reason("reset_odometry") is not Reason.NONE
+    assert odometry_of(rig)[-1].distance_m > 0.5
+    assert operator.reason("reset_odometry") is Reason.NONE
+    assert (rig.events[-1].text, rig.events[-1].operator) == (
+        "the pose of the odometry is zero here",
+        operator.name,
+    )
+    rig.tick(2)
+    last = odometry_of(rig)[-1]
+    assert 0 < last.distance_m < 0.05
+    assert last.x_variance_m2 < SLIP_M**2
+
+
+def test_a_robot_that_stands_by_is_reset_without_being_engaged() -> None:
+    """The lease is enough."""
+    rig, operator = ready()
+    operator.take_lease()
+    assert operator.reason("reset_odometry") is Reason.NONE
+    assert not rig.says.engaged
