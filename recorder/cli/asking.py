@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Collection, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from functools import partial
@@ -321,6 +321,11 @@ def end_with(faults: Faults) -> int:
     if faults.count > len(faults.told):
         sys.stderr.write(f"cruiser review: and {faults.count - len(faults.told)} more faults\n")
     return int(ExitCode.PARTIAL if faults else ExitCode.OK)
+
+
+def worst(codes: Iterable[int]) -> int:
+    """The exit code that outweighs the others: a failure, then a partial answer."""
+    return int(max(codes, key=(ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE).index))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> list[str]:

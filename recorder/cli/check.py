@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from recorder.cli.asking import add_logs, end_with, find, needing_extra, progress_bar, table
+from recorder.cli.asking import add_logs, end_with, find, needing_extra, progress_bar, table, worst
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.flaws import About, Finding
@@ -63,8 +63,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if len(ends) > 1:
         missing = between(ends)
         show({"between": missing}, _missing(missing), as_json=arguments.json)
-    code = end_with(asked.faults)
-    return code if is_sound else int(ExitCode.FAILURE)
+    return worst([end_with(asked.faults), ExitCode.OK if is_sound else ExitCode.FAILURE])
 
 
 def _missing(found: Sequence[Between]) -> Iterator[str]:

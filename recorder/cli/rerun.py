@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from recorder.cli.asking import add_logs, add_task_runner, end_with, find, progress_bar, task_runner
+from recorder.cli.asking import add_logs, add_task_runner, end_with, find, progress_bar, task_runner, worst
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.rerun import RerunResult
@@ -69,15 +69,14 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Run again."""
     tried = _tried_settings(arguments)
     asked = find(arguments, settings, stopped)
-    worst = ExitCode.OK
-    logs, otherwise = 0, list[str]()
+    logs, otherwise, codes = 0, list[str](), list[int]()
     with progress_bar("running again", asked.bytes, stopped, prints=True, is_bounded=False) as progress:
         tasks = rerun_tasks(asked.logs, tried, asked.faults)
         outcomes = task_runner(arguments, asked)(run_task, tasks, progress)
         for task, outcome in zip(tasks, outcomes, strict=True):
             asked.faults.add_all(outcome.faults)
             for result in outcome.results:
-                worst = max(worst, _outcome(result), key=_GRAVITY.index)
+                codes.append(_outcome(result))
                 show(result, _describe(result), as_json=arguments.json)
             logs += bool(outcome.results)
             found = [result.differs_ns for result in outcome.results if result.differs_ns is not None]
@@ -85,19 +84,16 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if logs > 1 and not arguments.json:
         first = f", the first: {otherwise[0]}" if otherwise else ""
         sys.stdout.write(f"{len(otherwise)} of {logs} logs decide otherwise{first}\n")
-    ending = ExitCode(end_with(asked.faults))
+    codes.append(end_with(asked.faults))
     if not logs:
         raise CommandError("there is no journal in it, so nothing can be run again", ExitCode.PARTIAL)
-    return int(max(worst, ending, key=_GRAVITY.index))
+    return worst(codes)
 
 
 def _place(task: RerunTask, time_ns: int) -> str:
     """The file of a log that holds a moment, and the moment."""
     files = [log for log in task.logs if log.start_ns <= time_ns <= log.end_ns]
     return f"{plain((files or task.logs)[0].name)}, {in_words(time_ns)}"
-
-
-_GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
 
 
 def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:

@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 
-from recorder.cli.asking import add_logs, end_with, find, progress_bar, table
+from recorder.cli.asking import add_logs, end_with, find, progress_bar, table, worst
 from recorder.reading.times import in_words
 from recorder.review.verify import RobotProofReport, verify_logs
 from recorder.review.verifying import GrantInfo, ProofFault, ProofFinding, RefusedProof, SignedFile, SignedVerb
@@ -51,13 +51,13 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     given = {path: read_authority(path) for path in arguments.authority}
     # Nobody has signed a catalog.
     asked = find(arguments, settings, stopped, with_covered=True, with_catalog=False)
-    codes = []
+    codes = list[int]()
     with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
         for report in verify_logs(asked.logs, asked.faults, [keys.trust for keys in given.values()], progress):
             codes.append(code_of(report))
             text = msgspec.json.encode(report).decode() if arguments.json else describe(report)
             sys.stdout.write(f"{text}\n")
-    codes.append(ExitCode(end_with(asked.faults)))
+    codes.append(end_with(asked.faults))
     if len(codes) == 1:
         sys.stderr.write("cruiser review: no robot is in it, so there is nothing to verify\n")
         codes.append(ExitCode.PARTIAL)
@@ -65,10 +65,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stdout.writelines(
             f"{plain(str(path))}: keys {keys_fingerprint(keys)}\n" for path, keys in given.items()
         )
-    return int(max(codes, key=_GRAVITY.index))
-
-
-_GRAVITY: Final = (ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE)
+    return worst(codes)
 
 
 def code_of(report: RobotProofReport) -> ExitCode:

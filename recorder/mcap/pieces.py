@@ -245,15 +245,6 @@ class PackedChunk(msgspec.Struct, frozen=True):
             self.stream.seek(self.offset + RECORD_HEADER.size)
             return MessageBlock(self.offset, _content(self.stream.read(size)), self.room)
 
-    def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
-        """The records one by one; a Fault is the last, and the only one of a chunk that cannot be unpacked."""
-        try:
-            block = self.unpack()
-        except DamagedError as error:
-            yield Fault(self.offset, f"a chunk cannot be read: {error}")
-        else:
-            yield from block.messages()
-
     def read_index(self) -> tuple[Index, list[Declared | Fault]]:
         """As ``MessageBlock.read_index``, whatever the message indexes say."""
         try:

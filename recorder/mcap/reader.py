@@ -2,7 +2,7 @@
 
     for piece in read_pieces(stream, size):
         match piece:
-            case PackedChunk():     # .index and times are known; .unpack() reads it, .messages() one by one
+            case PackedChunk():     # .index and times are known; .unpack() reads it, .read_index() again
             case MessageBlock():    # a message outside of chunks: .messages()
             case records.Schema() | records.Channel() | records.Metadata() | ...:
             case Fault():           # what is wrong, and where; the reading continues where it can

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import msgspec
 
@@ -29,6 +29,7 @@ from recorder.reading.rows import Progress, Row, Selection, read_rows
 from recorder.reading.survey import Configurations, settings_from
 from recorder.reading.topics import UNREADABLE, typed_decoder
 from schemas import codec
+from schemas.codec import Sample
 from schemas.decisions import Journal
 from schemas.journal import COMMAND_RULES
 from schemas.settings import Settings
@@ -351,16 +352,7 @@ DETAIL_MAX: Final = 300
 """Characters of an error that are shown."""
 
 
-class SampleAgain(Protocol):
-    """A sample that comes out again: the subject's name and the MessagePack payload."""
-
-    @property
-    def subject(self) -> str: ...  # noqa: D102 - the class says it
-    @property
-    def payload(self) -> bytes: ...  # noqa: D102
-
-
-Rerun = Callable[[Settings, Iterable[Journal]], Iterator[SampleAgain]]
+Rerun = Callable[[Settings, Iterable[Journal]], Iterator[Sample]]
 """Settings, and the journals of one run from its first input on, to all that comes out."""
 
 
@@ -540,7 +532,7 @@ _IDENTIFIER_TAG: Final = b"\x1d"
 """The field 3, of 4 bytes, follows: fixed widths come first, see ``recorder.encoding.protobuf``."""
 
 
-def message_of(sample: SampleAgain) -> Any:  # noqa: ANN401 - of any subject
+def message_of(sample: Sample) -> Any:  # noqa: ANN401 - of any subject
     """The message of a sample.
 
     Raises:
@@ -552,7 +544,7 @@ def message_of(sample: SampleAgain) -> Any:  # noqa: ANN401 - of any subject
     return message
 
 
-def records_of(sample: SampleAgain) -> Iterator[tuple[Key, bytes]]:
+def records_of(sample: Sample) -> Iterator[tuple[Key, bytes]]:
     """The records that a recorder would write of a sample."""
     message = message_of(sample)
     for time_ns, data in _ROUTES[sample.subject].transcode(message):

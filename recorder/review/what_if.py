@@ -22,8 +22,9 @@ from recorder.reading.logs import Faults, LogFile, logs_of
 from recorder.reading.rows import Progress
 from recorder.reading.survey import CONFIGURATION, Configurations, configurations_of, settings_from, survey
 from recorder.reading.topics import UNREADABLE
-from recorder.review.rerun import NO_CONFIGURATION, RerunPlayer, RerunResult, SampleAgain, rerun_parts
+from recorder.review.rerun import NO_CONFIGURATION, RerunPlayer, RerunResult, rerun_parts
 from schemas import codec
+from schemas.codec import Sample
 from schemas.configuration import TomlSource, merge
 from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
 from schemas.journal import COMMAND_RULES
@@ -291,7 +292,7 @@ class _RunsCompared:
         self._sides = {False: _Side(), True: _Side()}
         self._decisions = 0
 
-    def take(self, sample: SampleAgain, *, is_other: bool) -> None:
+    def take(self, sample: Sample, *, is_other: bool) -> None:
         """Take a sample of one of them."""
         if sample.subject not in _TAKEN:
             return

@@ -69,21 +69,6 @@ def received(subscriber: Received, count: int) -> list[zenoh.Sample]:
     return found
 
 
-def test_a_subscriber_gets_what_was_sent_in_its_order(peer: tuple[Peer, str]) -> None:
-    """Payload and encoding of each; the end of the replay cuts nothing off."""
-    one, endpoint = peer
-    subscriber = subscribe(one)
-    samples = [gear_sample(number) for number in range(2000)]
-    with outlet_at(endpoint) as outlet:
-        assert outlet.wait_for_subscriber(20, never)
-        for sample in samples:
-            outlet.send(sample, 0)
-        assert (outlet.sent, outlet.failed) == (2000, 0)
-    found = received(subscriber, 2000)
-    assert [sample.payload.to_bytes() for sample in found] == [sample.payload() for sample in samples]
-    assert {str(sample.encoding) for sample in found} == {GEAR.encoding}
-
-
 def test_the_quality_of_service_is_that_of_the_subject(peer: tuple[Peer, str]) -> None:
     """As the table has it; whether a sample may be lost is decided by the replay's speed."""
     one, endpoint = peer

@@ -54,18 +54,6 @@ def both() -> Iterator[Both]:
         yield Both(peer, client)
 
 
-def test_all_recorders_can_be_asked_at_once(both: Both) -> None:
-    """Each reply comes with who it is from."""
-    with (
-        answering(both.peer, "depot", a_reply("depot here")),
-        answering(both.peer, "cruiser-1", a_reply("refused", ok=False)),
-    ):
-        wait_until(lambda: both.names() == ["cruiser-1", "depot"])
-        found = dict(both.ask())
-    assert (found["depot"].ok, found["depot"].detail) == (True, "depot here")
-    assert not found["cruiser-1"].ok
-
-
 def test_one_recorder_alone_is_asked_by_its_name(both: Both) -> None:
     """With who asks in the key, and what is asked."""
     with answering(both.peer, "depot", a_reply()) as depot, answering(both.peer, "other", a_reply()) as other:
@@ -75,13 +63,6 @@ def test_one_recorder_alone_is_asked_by_its_name(both: Both) -> None:
     assert [name for name, _ in replies] == ["depot"]
     assert depot[-1] == "fleet/@recorder/depot/@cmd/operator-1/mark"
     assert other == []
-
-
-def test_two_recorders_of_one_name_are_two_replies(both: Both) -> None:
-    """They may not know of each other."""
-    with answering(both.peer, "depot", a_reply("here"), a_reply("and here")):
-        wait_until(lambda: both.names() == ["depot", "depot"])
-        assert {reply.detail for _, reply in both.ask()} == {"here", "and here"}
 
 
 @pytest.mark.parametrize("name", ["\x1b[2J", "Depot", "a b", "\N{RIGHT-TO-LEFT OVERRIDE}x"])
@@ -96,12 +77,6 @@ def test_who_says_what_no_recorder_says_is_none(both: Both, payload: bytes) -> N
     """The others are heard all the same."""
     with answering(both.peer, "liar", payload, payload) as asked, answering(both.peer, "depot", a_reply()):
         assert both.names_heard_after(asked) == {"depot"}
-
-
-def test_when_nobody_answers_there_are_no_replies(both: Both) -> None:
-    """It ends by itself."""
-    assert both.ask() == []
-    assert both.ask("depot") == []
 
 
 def test_a_time_longer_than_zenoh_knows_is_a_long_time(both: Both) -> None:

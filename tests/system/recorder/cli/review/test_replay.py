@@ -80,6 +80,7 @@ def test_a_log_is_published_under_another_root(
     # Between keys of different priority there is no order.
     for sample in heard.wait(len(samples)):
         found.setdefault(str(sample.key_expr), []).append(sample.payload.to_bytes())
+    assert sorted(str(one.encoding) for one in heard.samples()) == sorted(one.encoding for one in samples)
     assert found.keys() == {"replay" + one.key.removeprefix("fleet") for one in samples}
     for key, payloads in found.items():
         if key != "replay/cruiser-1/can/can0/rx":
