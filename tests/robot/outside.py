@@ -12,7 +12,6 @@ from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from select import select
-from types import TracebackType
 from typing import Final, NamedTuple, Self
 
 from gateway.chassis.cruiser.early_stop import DRIVE, DRIVE_COMMAND, EXTENDED, EXTRAS, MOTION
@@ -105,9 +104,7 @@ class Outside:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._is_over = True
         self._thread.join()
         for each in (self._server, self._chassis, self._guest):

@@ -2,7 +2,6 @@
 
 import itertools
 import subprocess
-from types import TracebackType
 from typing import Final, Self
 
 _NUMBERS: Final = itertools.count()
@@ -21,9 +20,7 @@ class Cable:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         _ip("link", "delete", self.near)
 
     def up(self) -> None:

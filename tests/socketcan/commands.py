@@ -32,7 +32,6 @@ LAMP_FEEDBACK: Final = "18C4DAEF:1FFFFFFF"
 WHEEL_SPEEDS: Final = 0x18C4D7EF
 """The feedback by which time is seen to pass, every 50 ms, and the robot to move."""
 
-NEUTRAL_GEAR: Final = 3
 FORWARD_GEAR: Final = 4
 ANGLE_DEG_PER_BIT: Final = 0.043945
 

@@ -2,7 +2,6 @@
 
 import itertools
 import subprocess
-from types import TracebackType
 from typing import Final, Self
 
 _NUMBERS: Final = itertools.count()
@@ -18,9 +17,7 @@ class Vcan:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self.exists:
             self.remove()
 

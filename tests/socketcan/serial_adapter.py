@@ -7,7 +7,6 @@ import struct
 import subprocess
 import termios
 import tty
-from types import TracebackType
 from typing import Final, Self
 
 import pytest
@@ -40,9 +39,7 @@ class SerialAdapter:
         assert not _set(self.name, "up"), self.name
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._adapter)
         os.close(self._line)
 

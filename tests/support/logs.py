@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from mcap import records
 from mcap.reader import make_reader
 from mcap.records import Message as McapMessage
 from mcap.writer import CompressionType, IndexType, Writer
@@ -17,7 +16,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_name
 from recorder.encoding.samples import SCHEMA_NAME as FOXGLOVE_LOG
 from recorder.encoding.samples import ReceivedSample
-from recorder.mcap.framing import encode
 from recorder.mcap.writer import Chunk as PackedMessages
 from recorder.mcap.writer import ChunkBuilder, LogChannel, McapFile
 from recorder.record.actions import QUERIES_PER_TICK, Action, LogAction, Opened, OpenLog, Query
@@ -236,14 +234,6 @@ def saved(path: Path, data: bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
     return path
-
-
-def with_record_replaced(data: bytes, before: records.McapRecord, after: records.McapRecord) -> bytes:
-    """The file with another record, of the same length, in the place of one."""
-    old, new = encode(before), encode(after)
-    assert len(old) == len(new)
-    assert data.count(old) == 1
-    return data.replace(old, new)
 
 
 def read_records(data: bytes, *, lines: bool = False) -> list[tuple[str, str, McapMessage, Any]]:

@@ -13,7 +13,6 @@ from tests.support.logs import gears, own_log, saved
 from tests.support.waiting import wait_until
 
 LOG = "cruiser-1-20270115T080000Z.mcap"
-NEXT = "cruiser-1-20270115T090000Z.mcap"
 
 
 def words(logs: Path, store: Path, rate: int, *more: str) -> list[str]:

@@ -17,10 +17,8 @@ from schemas.keys import DeclaredKeys
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_VERB
 from tests.support.fakes.peer import Peer
-from tests.support.messages import FakeSample, gear, info, sample_of
+from tests.support.messages import FakeSample, info, sample_of
 from tests.support.waiting import wait_until
-
-SAMPLE = sample_of(gear(1))
 
 
 def source(endpoint: str, *expressions: str, queue: int = 1000) -> ZenohSource:
