@@ -9,7 +9,7 @@ The DBC files: their names and their text.
 
 from __future__ import annotations
 
-from importlib import resources
+from pathlib import Path
 from typing import Final
 
 from schemas.messages import Variant
@@ -47,4 +47,4 @@ def dbc_text(variant: Variant) -> str:
     Raises:
         KeyError: the variant is unknown.
     """
-    return resources.files("schemas").joinpath(DBC_FILES[variant]).read_text(encoding="ascii")
+    return Path(__file__).with_name(DBC_FILES[variant]).read_text(encoding="ascii")

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +33,7 @@ from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_
 from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, installed_version, plain
 from schemas.configuration import to_toml
 from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.json_schema import robot_schema_texts
@@ -113,7 +112,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
     # Before anything is read: what is replaced meanwhile is new.
     renewal = _renewal(settings)
-    core = Core(settings, version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
+    core = Core(settings, installed_version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
     with ExitStack() as closing:
         latch_note = _recall_latched(core, settings)
         closing.callback(latch_note.close)
@@ -365,7 +364,7 @@ def _first_bus(settings: Settings) -> Bus | None:
 def _info(settings: Settings, core: Core, place: ZenohPlace) -> Callable[[], bytes]:
     """The payload of gateway/info. All but the variant is the same for ever, so it is made once."""
     configuration = to_toml(settings)
-    versions = {name: version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}
+    versions = {name: installed_version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}
     schemas = robot_schema_texts()
     started_ns = time.time_ns()
 

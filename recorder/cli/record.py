@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Final
@@ -37,7 +36,7 @@ from recorder.zenoh.remote_control import RemoteControl, host_name
 from recorder.zenoh.source import RING_SAMPLE_BYTES, ShardedSource, ZenohSource, shard_of
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode, installed_version
 from schemas.decisions import EventKind
 from schemas.settings import ROBOT_LIMIT, AuthoritySettings, Settings
 
@@ -150,7 +149,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
     recorder, root = settings.recorder, settings.robot.root
     expressions = recorder.keys or [f"{root}/**"]
     check_recording(settings.zenoh, expressions)
-    release = version("cruiser-gateway")
+    release = installed_version("cruiser-gateway")
     library = f"cruiser-gateway {release}"
     path = Path(recorder.directory)
     log_limit = allow_many_files()
