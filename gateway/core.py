@@ -18,20 +18,11 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.chassis.cruiser.frames import (
-    BODY,
-    MOTION_FRAMES,
-    SCALED_BY_VARIANT,
-    WHEEL_SPEED,
-    VariantDetector,
-    compile_feedback,
-    load,
-)
-from gateway.chassis.cruiser.tracker import ChassisTracker
 from gateway.chassis.frame import ERROR, FaultKind, Frame
 from gateway.chassis.layout import check, unknown_frame
 from gateway.chassis.odometry import DeadReckoning
-from gateway.chassis.supervision import controller_state
+from gateway.chassis.port import Chassis, ChassisState
+from gateway.chassis.supervision import VariantDetector, controller_state
 from gateway.command.flow import CommandFlow, TickEffects
 from gateway.command.restart import (
     QUIET_NS,
@@ -49,7 +40,6 @@ from gateway.journal import FRAME, LINKS, JournalWriter, checkpoint, resume
 from gateway.telemetry.feedback import FeedbackStream, FrameBatch
 from gateway.telemetry.health import HealthMeter, LatestMessages, Links, robot_state
 from schemas.codec import Sample, encode, sample_of
-from schemas.cruiser import DBC_FILES, WHEELBASE_M
 from schemas.decisions import ArbiterState, EventKind, Severity
 from schemas.journal import Kind
 from schemas.messages import SEQUENCE_MAX, ControllerState, Variant
@@ -81,10 +71,13 @@ RX, TX = "can/{bus}/rx", "can/{bus}/tx"
 class Core:
     """The gateway without its surroundings."""
 
-    def __init__(self, settings: Settings, gateway_version: str, now_ns: int, run: int = 0) -> None:
+    def __init__(
+        self, chassis: Chassis, settings: Settings, gateway_version: str, now_ns: int, run: int = 0
+    ) -> None:
         """Begin in standby.
 
         Args:
+            chassis: the one on the bus.
             settings: all of them; ``gateway.listen_only`` leaves the command flow out.
             gateway_version: published in ``gateway/health``.
             now_ns: monotonic.
@@ -94,35 +87,35 @@ class Core:
         kept = BATCH_MAX_FRAMES if settings.can.raw_frames else 0
         self._received = FrameBatch(settings.can.bus, kept)
         self._sent = FrameBatch(settings.can.bus, kept)
-        self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
+        self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant], chassis.evidence())
         self._links = Links()
         self._told = _told(self._links)
-        # Until the variant is known the coarse layout serves for the frames that are the same in both.
-        layout = load(Variant.COARSE)
+        self._chassis = chassis
+        layout = chassis.common
         self._streams = {
-            message.can_id: FeedbackStream(compile_feedback(message), self._health.faults)
+            message.can_id: FeedbackStream(chassis.decoder(message), self._health.faults)
             for message in layout.feedback
         }
         self._commands = {message.can_id for message in layout.commands}
-        self._motion_commands = {layout.messages[name].can_id for name in MOTION_FRAMES}
+        self._motion_commands = {layout.messages[name].can_id for name in chassis.motion_frames}
         self._known = self._streams.keys() | self._commands
-        # Both variants, here and once: to compile a decoder takes a millisecond, too long for the loop.
+        # All variants, here and once: to compile a decoder takes a millisecond, too long for the loop.
         self._scaled = [
             (
                 self._streams[layout.messages[name].can_id],
-                {variant: compile_feedback(load(variant).messages[name]) for variant in DBC_FILES},
+                {one: chassis.decoder(chassis.layout(one).messages[name]) for one in chassis.dbc_files},
             )
-            for name in SCALED_BY_VARIANT
+            for name in chassis.scaled_frames
         ]
-        self._wheel_speed = layout.messages[WHEEL_SPEED].can_id
-        self._body = layout.messages[BODY].can_id
+        self._wheel_speed = layout.messages[chassis.evidence_frame].can_id
+        self._body = layout.messages[chassis.bumper_frame].can_id
         self._apply_variant()
         self._state_due_ns = self._batch_due_ns = self._odometry_due_ns = now_ns
-        self._odometry = DeadReckoning(WHEELBASE_M)
+        self._odometry = DeadReckoning(chassis.wheelbase_m)
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         self._state_sequence = 0
-        self.command = None if settings.gateway.listen_only else CommandFlow(settings, run)
-        self._tracker = ChassisTracker(self._streams.values(), self._detector, settings.chassis.required_feedback)
+        self.command = None if settings.gateway.listen_only else CommandFlow(chassis, settings, run)
+        self._tracker = chassis.tracker(self._streams.values(), self._detector, settings.chassis.required_feedback)
         self._commander_ns: int | None = None
         self._motion_ns: int | None = None
         self._requests: list[RawRequest] = []
@@ -134,7 +127,7 @@ class Core:
     @property
     def variant(self) -> Variant:
         """The firmware variant in force; UNKNOWN while there is no evidence, or evidence against it."""
-        return Variant.UNKNOWN if self._detector.contradicted else self._detector.variant
+        return self._detector.in_force
 
     @property
     def newest_frames(self) -> list[Frame]:
@@ -156,7 +149,7 @@ class Core:
         if sample is not None:
             self._tracker.follow(stream.latest, self._odometry)
             if frame.can_id == self._body:
-                self._tracker.note_body()
+                self._tracker.note_hits()
         return sample
 
     def receive_request(self, request: RawRequest, now_ns: int) -> None:
@@ -365,8 +358,8 @@ class Core:
             if now_ns >= self._rest_due_ns:
                 self._remember(command, self._journal, now_ns)
             self._journal.add((Kind.TICK, now_ns, wall_ns, late_ns, challenge))
-        links, controller = self._links, self._health.controller
-        chassis = self._tracker.state(links, controller, self.variant, self._commander_ns, now_ns)
+        seen = self._tracker.state(self._health.controller, self.variant, self._commander_ns, now_ns)
+        chassis = as_linked(seen, self._links)
         requests, self._requests = self._requests, []
         due = command.tick(chassis, requests, now_ns, wall_ns, late_ns, challenge)
         self._offered = due.frames
@@ -409,7 +402,7 @@ class Core:
 
     def _detect_variant(self, frame: Frame) -> None:
         before = self.variant
-        fault = self._detector.receive_wheel_speed(frame.data)
+        fault = self._detector.receive(frame.data)
         if fault is not None:
             self._health.faults[fault] += 1
         if self.variant is not before:
@@ -426,6 +419,7 @@ class Core:
         streams = self._streams.values()
         state = robot_state(
             LatestMessages([stream.latest for stream in streams if stream.latest is not None]),
+            wheelbase_m=self._chassis.wheelbase_m,
             time_ns=wall_ns,
             sequence=self._state_sequence,
             bus_up=self._links.bus_up,
@@ -440,6 +434,11 @@ _STATE: Final = msgspec.msgpack.Encoder()
 
 _told: Final[Callable[[Links], tuple[Any, ...]]] = attrgetter(*LINKS)
 """The links that the command flow decides by, and the journal holds."""
+
+
+def as_linked(seen: ChassisState, links: Links) -> ChassisState:
+    """The chassis, as it was seen on the bus, with what the loop knows of the bus and the guard."""
+    return msgspec.structs.replace(seen, **dict(zip(LINKS, _told(links), strict=True)))
 
 
 def _next_due(due_ns: int, period_ns: int, now_ns: int) -> int:

@@ -29,15 +29,16 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.chassis.cruiser.bursts import Auxiliary, AuxiliaryFrame, FrameMaker
-from gateway.chassis.cruiser.frames import StandstillEvidence, VariantDetector
+from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.cruiser.frames import StandstillEvidence
 from gateway.chassis.cruiser.gate import Gate, MotionBurst
 from gateway.chassis.cruiser.tracker import ChassisTracker, Encoders
 from gateway.chassis.frame import FaultKind, Frame
 from gateway.chassis.odometry import DeadReckoning
-from gateway.chassis.port import Actuation, ChassisState
-from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period
+from gateway.chassis.port import Actuation, AuxiliaryFrame, Chassis, ChassisState
+from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period, VariantDetector
 from gateway.command.arbiter import Arbiter, Reporter
+from gateway.command.auxiliary import Auxiliary
 from gateway.command.engagement import Engagement, Standing
 from gateway.command.flow import CommandFlow
 from gateway.command.lease import ChallengeLog, HeldLease, Leases, LinkAge, OperatorLink
@@ -507,9 +508,13 @@ def _is_immutable(kind: type) -> bool:
 
 
 def _names(value: object) -> list[str]:
-    """The attributes of an object that is no Struct, in the order in which they were set."""
+    """The attributes of an object that is no Struct, in the order in which they were set.
+
+    But for the chassis: it is never the state of anything, and logs of before do not name it.
+    """
     slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
-    return [*getattr(value, "__dict__", ()), *(name for name in slots if hasattr(value, name))]
+    names = [*getattr(value, "__dict__", ()), *(name for name in slots if hasattr(value, name))]
+    return [name for name in names if type(getattr(value, name)) is not Chassis]
 
 
 def _alias(name: str) -> str:

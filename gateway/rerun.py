@@ -20,6 +20,7 @@ from typing import Any, Final
 import msgspec
 
 from gateway.chassis.frame import Frame
+from gateway.choice import CHASSIS
 from gateway.command.flow import TickEffects
 from gateway.command.lease import HeldLease
 from gateway.command.restart import Carried, Snapshot
@@ -72,7 +73,7 @@ class Run(msgspec.Struct, frozen=True):
 
     def core(self, settings: Settings) -> Core:
         """A core as it was when the run, or the part, began."""
-        core = Core(settings, "", self.begins_ns, self.run)
+        core = Core(CHASSIS, settings, "", self.begins_ns, self.run)
         if self.state:
             core.resume(self.state)
         if self.warm_up:
@@ -150,7 +151,7 @@ def run_of(journals: Iterable[Journal], *, at_rest: bool = False) -> Run | None:
 def _fits(state: bytes) -> bool:
     """This version's core can be resumed from the state."""
     try:
-        Core(Settings(), "", 0).resume(state)
+        Core(CHASSIS, Settings(), "", 0).resume(state)
     except CheckpointError:
         return False
     return True
@@ -331,7 +332,7 @@ class RunPair:
         if stand_in is None:
             if self.core.variant is Variant.UNKNOWN:
                 return one
-            stand_in = self._stand_in = StandIn(self.core.variant)
+            stand_in = self._stand_in = StandIn(CHASSIS, self.core.variant)
             for before in self.core.newest_frames:
                 stand_in.show(before, one[1])
         frame = Frame(*one[2])

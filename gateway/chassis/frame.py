@@ -73,6 +73,13 @@ class FrameFault(msgspec.Struct, frozen=True):
     detail: str = ""
 
 
+class GateFault(msgspec.Struct, frozen=True):
+    """The fault for which the gate refused a burst."""
+
+    can_id: int
+    detail: str
+
+
 class Frame(msgspec.Struct, frozen=True, gc=False, array_like=True):
     """A CAN frame. Flags are those of linux/can.h, so that one word holds identifier and kind.
 

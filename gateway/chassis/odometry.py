@@ -16,6 +16,7 @@ from typing import Final
 
 from schemas import messages
 from schemas.messages import SEQUENCE_MAX
+from schemas.settings import STANDSTILL_MPS
 
 GAP_NS: Final = 500_000_000
 """Beyond that nothing is integrated: ten periods of ``state``."""
@@ -52,6 +53,28 @@ _HEADING_VARIANCE_MAX_RAD2: Final = pi**2 / 3
 
 _SPEED_ERROR_MPS, _TURN_RATE_ERROR_RADPS = 0.02, 0.01
 """Of a standing robot: rounding of the feedback."""
+
+
+_DIRECTIONS: Final = {messages.GearPosition.DRIVE: 1, messages.GearPosition.REVERSE: -1}
+
+
+def signed_speed_mps(
+    drive: messages.Drive | None, wheels: messages.WheelSpeed | None, gear: messages.Gear | None
+) -> float | None:
+    """The drive feedback, a magnitude, with the direction of the wheels if they turn, else of the gear.
+
+    None if the robot moves and neither gives the direction: half of the guesses would be wrong.
+    """
+    if drive is None:
+        return None
+    if wheels is not None and wheels.valid:
+        mean_mps = (wheels.rear_left_speed_mps + wheels.rear_right_speed_mps) / 2
+        if abs(mean_mps) > STANDSTILL_MPS:
+            return -drive.speed_mps if mean_mps < 0 else drive.speed_mps
+    if drive.speed_mps <= STANDSTILL_MPS:
+        return drive.speed_mps
+    direction = 0 if gear is None else _DIRECTIONS.get(gear.gear_position, 0)
+    return direction * drive.speed_mps if direction else None
 
 
 def yaw_rate_radps(speed_mps: float, angle_deg: float, wheelbase_m: float) -> float:

@@ -1,4 +1,4 @@
-"""Supervision: of streams of frames, and of the CAN controller.
+"""Supervision: of streams of frames, of the CAN controller, and of the firmware variant.
 
 The CAN controller's state by an error frame, in the words of ISO 11898-1.
 
@@ -16,12 +16,13 @@ declared before that, and after a silence any counter is right. Lost frames are 
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import Final, Protocol
 
 from gateway.chassis.frame import FaultKind, Frame
 from schemas import settings
 from schemas.can_word import COUNTER_SPAN, UnseenRounds
-from schemas.messages import ControllerState
+from schemas.messages import ControllerState, Variant
+from schemas.settings import VARIANT_EVIDENCE_FRAMES
 
 _CONTROLLER: Final = 0x004
 """Data byte 1 says what it is."""
@@ -259,3 +260,60 @@ class FrameSupervisor:
             if elapsed_ns >= self._rounds.window_ns:
                 steps = steps or COUNTER_SPAN
             self._rounds.follow(now_ns, elapsed_ns, steps)
+
+
+class VariantEvidence(Protocol):
+    """Reads the firmware variant in a frame of the chassis."""
+
+    def of(self, data: bytes) -> Variant:
+        """The variant for which these data speak; UNKNOWN if they speak for none."""
+        ...
+
+    def turns(self, data: bytes) -> bool | None:
+        """Return True if these data are of no standing robot in any variant; None if they are not valid."""
+        ...
+
+
+class VariantDetector:
+    """Collects evidence until it is enough; afterwards watches for evidence to the contrary.
+
+    Attributes:
+        variant: the configured variant, or the one that the evidence confirmed, or UNKNOWN.
+        confirmed: the evidence agrees with ``variant``.
+        contradicted: the evidence is against it; no speed can be trusted.
+        evidence: reads it in a frame.
+    """
+
+    def __init__(self, configured: Variant, evidence: VariantEvidence) -> None:
+        self._configured = configured
+        self.evidence = evidence
+        self.reset()
+
+    @property
+    def in_force(self) -> Variant:
+        """The variant in force; UNKNOWN while there is no evidence, or evidence against it."""
+        return Variant.UNKNOWN if self.contradicted else self.variant
+
+    def reset(self) -> None:
+        """Forget the evidence: the bus was away, and another chassis may be on it now."""
+        self.variant = self._configured
+        self.confirmed = False
+        self.contradicted = False
+        self._candidate = Variant.UNKNOWN
+        self._streak = 0
+
+    def receive(self, data: bytes) -> FaultKind | None:
+        """Take a valid frame as evidence. Returns a fault if it speaks for another variant."""
+        evidence = self.evidence.of(data)
+        self._streak = self._streak + 1 if evidence == self._candidate else 1
+        self._candidate = evidence
+        if evidence is Variant.UNKNOWN:
+            return None
+        contrary = self.variant not in {Variant.UNKNOWN, evidence}
+        if self._streak >= VARIANT_EVIDENCE_FRAMES:
+            if self._configured is Variant.UNKNOWN:
+                # Nobody has said which it is, so the evidence decides, also when the chassis has been changed.
+                self.variant = evidence
+            self.confirmed = evidence == self.variant
+            self.contradicted = not self.confirmed
+        return FaultKind.VARIANT_CONTRADICTED if contrary else None

@@ -31,7 +31,6 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.chassis.cruiser import frames
 from gateway.chassis.frame import (
     BITRATE_SWITCH,
     ERROR,
@@ -44,6 +43,7 @@ from gateway.chassis.frame import (
     Frame,
 )
 from gateway.chassis.layout import CHECKSUM, Decoded, FrameDecoder
+from gateway.choice import CHASSIS
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.messages import Variant
 from schemas.settings import Settings
@@ -172,7 +172,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Decode until the input ends. Exit code 3 if a line was not candump's."""
-    decoder = FrameDecoder(frames.load(_variant(settings)))
+    decoder = FrameDecoder(CHASSIS.layout(_variant(settings)))
     all_read = True
     source = _open(arguments.file)
     name = "standard input" if source == _STANDARD_INPUT else repr(plain(arguments.file))

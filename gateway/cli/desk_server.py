@@ -47,6 +47,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import gateway.desk
+from gateway.choice import CHASSIS
 from gateway.cli.desk_logs import DeskLogs
 from gateway.client.remote_stop import StopReport, stop_from_here
 from gateway.desk import fleet_view, words
@@ -57,7 +58,6 @@ from gateway.zenoh.client import DeskListener, PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.command_line import CommandError
-from schemas.cruiser import WHEELBASE_M
 from schemas.peers import (
     PIECES_MAX,
     REQUEST_S,
@@ -548,7 +548,7 @@ class Hub:
                 reasons=reasons_in_words(),
                 statement_reply=STATEMENT_REPLY_ENCODING,
                 period_s=fleet_view.PERIOD_NS / 1e9,
-                wheelbase_m=WHEELBASE_M,
+                wheelbase_m=CHASSIS.wheelbase_m,
                 has_logs=self._has_logs,
             )
         )

@@ -33,6 +33,7 @@ from rich.live import Live
 from rich.panel import Panel
 from rich.text import Text
 
+from gateway.choice import CHASSIS
 from gateway.cli.operator_arguments import (
     add_robot_arguments,
     add_take_arguments,
@@ -47,7 +48,6 @@ from gateway.client.refusal import Refused, Stopped, link_line, reason_line, sta
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import seconds
 from schemas.command_line import CommandError, ExitCode, plain
-from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S, Settings
@@ -451,7 +451,7 @@ class _Keys:
             self._reset()
         elif key in {"+", "-"}:
             step_mps = SPEED_STEP_MPS if key == "+" else -SPEED_STEP_MPS
-            self._speed_mps = round(min(SPEED_TOP_MPS, max(SPEED_STEP_MPS, self._speed_mps + step_mps)), 3)
+            self._speed_mps = round(min(CHASSIS.top_speed_mps, max(SPEED_STEP_MPS, self._speed_mps + step_mps)), 3)
 
     def _engage(self) -> None:
         try:
@@ -505,11 +505,11 @@ def _deadman(text: str) -> float:
 
 
 def _speed(text: str) -> float:
-    return _number(text, SPEED_TOP_MPS, "m/s")
+    return _number(text, CHASSIS.top_speed_mps, "m/s")
 
 
 def _angle(text: str) -> float:
-    return _number(text, STEERING_TOP_DEG, "deg")
+    return _number(text, CHASSIS.top_angle_deg, "deg")
 
 
 def _number(text: str, top: float, unit: str) -> float:

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import BusClaim, ReconnectingBus, describe, open_bus
-from gateway.chassis.cruiser.frames import load
-from gateway.chassis.cruiser.guard_view import ChassisView
+from gateway.choice import CHASSIS
 from gateway.cli.shut_out import why_away, why_shut_out
 from gateway.command.restart import Carried
 from gateway.core import Core
@@ -35,7 +34,6 @@ from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.command_line import CommandError, ExitCode, installed_version, plain
 from schemas.configuration import to_toml
-from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.json_schema import robot_schema_texts
 from schemas.messages import GatewayInfo, Variant
 from schemas.reasons import TEXTS, Reason
@@ -112,7 +110,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
     # Before anything is read: what is replaced meanwhile is new.
     renewal = _renewal(settings)
-    core = Core(settings, installed_version("cruiser-gateway"), time.monotonic_ns(), secrets.randbits(RUN_BITS))
+    started_ns, run_number = time.monotonic_ns(), secrets.randbits(RUN_BITS)
+    core = Core(CHASSIS, settings, installed_version("cruiser-gateway"), started_ns, run_number)
     with ExitStack() as closing:
         latch_note = _recall_latched(core, settings)
         closing.callback(latch_note.close)
@@ -293,8 +292,8 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
     told = None if core.command is None else core.command.arbiter.output.actuation
     if core.command is None or told is None or guard.look().is_watching:
         return
-    view = ChassisView()
-    stopper = Stopper(view, settings.command)
+    view = CHASSIS.view()
+    stopper = Stopper(CHASSIS, view, settings.command)
     counters = bytes(core.command.maker.counters.values())
     stopper.begin(told, core.command.arbiter.output.variant, counters, time.monotonic_ns())
     outcome = stop_alone(bus, stopper, view, lambda: guard.look().is_sending)
@@ -349,7 +348,7 @@ def _unguarded(settings: Settings, why: str) -> str:
 
 
 def _open_bus(settings: Settings) -> Bus:
-    return open_bus(settings.can, () if settings.can.raw_frames else load(Variant.COARSE).identifiers)
+    return open_bus(settings.can, () if settings.can.raw_frames else CHASSIS.common.identifiers)
 
 
 def _first_bus(settings: Settings) -> Bus | None:
@@ -381,8 +380,8 @@ def _info(settings: Settings, core: Core, place: ZenohPlace) -> Callable[[], byt
                 versions=versions,
                 configuration=configuration,
                 configuration_sha256=hashlib.sha256(configuration.encode()).hexdigest(),
-                dbc_name=DBC_FILES.get(variant, ""),
-                dbc=dbc_text(variant) if variant in DBC_FILES else "",
+                dbc_name=CHASSIS.dbc_files.get(variant, ""),
+                dbc=CHASSIS.dbc_text(variant) if variant in CHASSIS.dbc_files else "",
                 schemas=schemas,
                 listen=place.listen,
                 command_listen=place.command_listen,

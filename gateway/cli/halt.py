@@ -13,16 +13,16 @@ import msgspec
 
 from gateway.can.can_bus import Bus, BusFull, BusLost
 from gateway.can.open_bus import describe, open_bus
-from gateway.chassis.cruiser.frames import VariantDetector, load
-from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
+from gateway.chassis.supervision import VariantDetector
+from gateway.choice import CHASSIS
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
 from gateway.host.notes import NoteWriter, StopNote
 from gateway.host.process import request_realtime
 from schemas.arguments import seconds
 from schemas.command_line import CommandError, ExitCode
-from schemas.messages import Mode, Variant
+from schemas.messages import Mode
 from schemas.settings import (
     GUARD_GIVES_UP_NS,
     GUARD_POLL_NS,
@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Halt the robot."""
     try:
-        bus = open_bus(settings.can, load(Variant.COARSE).identifiers)
+        bus = open_bus(settings.can, CHASSIS.common.identifiers)
     except BusLost as error:
         raise CommandError(str(error), ExitCode.UNREACHABLE) from error
     # What has ended the gateway may be a machine that is too busy.
@@ -106,9 +106,9 @@ class HaltSequence:
         self._wait_ns = wait_ns
         self.outcome = ""
         self.frames = 0
-        self._view = ChassisView()
-        self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant])
-        self._wheels: bytes | None = None
+        self._view = CHASSIS.view()
+        self._detector = VariantDetector(CONFIGURED_VARIANT[settings.chassis.variant], CHASSIS.evidence())
+        self._evidence: bytes | None = None
 
     def run(self, *, force: bool) -> ExitCode:
         """Halt the robot.
@@ -127,7 +127,7 @@ class HaltSequence:
             if not self._wait_while(self._is_remote):
                 return self._end(f"{REMOTE}, so nothing is sent", ExitCode.REFUSED)
         now_ns = time.monotonic_ns()
-        mode, stands = self._view.mode(now_ns), self._view.stands(self._variant, now_ns)
+        mode, stands = self._view.mode(now_ns), self._view.stands(self._detector.in_force, now_ns)
         if not self._view.has_feedback(now_ns):
             _say(f"no feedback on {self._where}: stopping blindly")
         else:
@@ -142,10 +142,6 @@ class HaltSequence:
         (say or _say)(outcome)
         self.outcome = outcome
         return code
-
-    @property
-    def _variant(self) -> Variant:
-        return Variant.UNKNOWN if self._detector.contradicted else self._detector.variant
 
     def _is_commanded(self) -> bool:
         """Return True if a sender was heard while we listened. A guard begins only once its gateway is late."""
@@ -168,7 +164,7 @@ class HaltSequence:
         end_ns = time.monotonic_ns() + duration_ns
         while (now_ns := time.monotonic_ns()) < end_ns:
             self._receive_until(min(end_ns, now_ns + GUARD_POLL_NS))
-            self._view.stands(self._variant, time.monotonic_ns())
+            self._view.stands(self._detector.in_force, time.monotonic_ns())
 
     def _receive_until(self, end_ns: int) -> None:
         while (now_ns := time.monotonic_ns()) < end_ns:
@@ -176,14 +172,14 @@ class HaltSequence:
             if frame is None:
                 continue
             self._view.receive(frame, now_ns)
-            wheels = self._view.wheel_speed_data(now_ns)
-            if wheels is not None and wheels is not self._wheels:
-                self._wheels = wheels
-                self._detector.receive_wheel_speed(wheels)
+            evidence = self._view.evidence_data(now_ns)
+            if evidence is not None and evidence is not self._evidence:
+                self._evidence = evidence
+                self._detector.receive(evidence)
 
     def _send(self) -> ExitCode:
-        variant, now_ns = self._variant, time.monotonic_ns()
-        stopper = Stopper(self._view, self._settings.command)
+        variant, now_ns = self._detector.in_force, time.monotonic_ns()
+        stopper = Stopper(CHASSIS, self._view, self._settings.command)
         stopper.begin(None, variant, None, now_ns)
         note = NoteWriter(StopNote.of(self._settings), _say)
         try:

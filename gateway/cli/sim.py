@@ -23,8 +23,8 @@ import msgspec
 
 from gateway.can.can_bus import Bus, BusFull
 from gateway.can.socketcand_server import SocketcandServer
-from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import ERROR, Frame
+from gateway.choice import CHASSIS
 from gateway.sim.body import (
     CONDITION_BOUNDS,
     MAX_RATE_MULTIPLIER,
@@ -336,16 +336,16 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if not attached and flags.get("can.channel") is not None:
         raise CommandError("--channel needs --interface", ExitCode.USAGE)
     faults = [_scheduled(text) for text in arguments.fault]
-    layout = load(Variant(settings.sim.variant))
+    variant = Variant(settings.sim.variant)
     with _bus(settings.can) if attached else _server(settings.sim.listen) as (link, place):
         clock = SimClock()
         now_ns = clock.monotonic_ns()
         chassis = VirtualChassis(
-            layout, now_ns, rate_multiplier=arguments.rate_multiplier, conditions=_conditions(flags)
+            CHASSIS, variant, now_ns, rate_multiplier=arguments.rate_multiplier, conditions=_conditions(flags)
         )
         for fault in faults:
             chassis.inject(fault.line, now_ns + fault.after_ns)
-        _say(f"{layout.variant.value} chassis on {place}")
+        _say(f"{variant.value} chassis on {place}")
         summary = live(
             chassis,
             link,

@@ -21,6 +21,7 @@ from typing import Final
 import msgspec
 
 from gateway.authority.session import UNSIGNED, Unmet
+from gateway.choice import CHASSIS
 from gateway.client.fleet import (
     BY_REQUEST,
     CONTRADICTION,
@@ -190,7 +191,7 @@ class DriveStream:
         )
         if not 0 < hold_s <= HOLD_MAX_S:
             raise ValueError(f"hold_s must be above 0 and at most {HOLD_MAX_S:g} s")
-        angle_deg = steering_angle_deg(set_point.command(0, 0, b"", 0))
+        angle_deg = steering_angle_deg(set_point.command(0, 0, b"", 0), CHASSIS.wheelbase_m)
         if isinstance(angle_deg, str):
             raise ValueError(angle_deg)  # noqa: TRY004 - it is the value that is wrong
         self._set_point = set_point
@@ -237,7 +238,7 @@ class DriveStream:
             return None
         self._sequence += 1
         drive = self._in_force(state, now_ns).command(self.lease, self._sequence, state.challenge, state.tick)
-        angle_deg = steering_angle_deg(drive)
+        angle_deg = steering_angle_deg(drive, CHASSIS.wheelbase_m)
         if self.engaged and isinstance(angle_deg, float):
             self._sent[drive.seq] = drive.speed_mps, angle_deg
             self._sent.pop(drive.seq - SENT_KEPT, None)
@@ -268,7 +269,7 @@ class DriveStream:
             return SetPoint(0.0, angle_deg=state.output_angle_deg)
         if now_ns < self._until_ns or not wanted.speed_mps:
             return wanted
-        angle_deg = steering_angle_deg(wanted.command(0, 0, b"", 0))
+        angle_deg = steering_angle_deg(wanted.command(0, 0, b"", 0), CHASSIS.wheelbase_m)
         self._set_point = SetPoint(0.0, angle_deg=angle_deg if isinstance(angle_deg, float) else 0.0)
         self._note = "the set point was not renewed in time: zero speed"
         return self._set_point

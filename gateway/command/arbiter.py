@@ -14,7 +14,7 @@ from __future__ import annotations
 from random import Random
 from typing import Final
 
-from gateway.chassis.port import AT_REST, Actuation, ChassisState
+from gateway.chassis.port import AT_REST, Actuation, Chassis, ChassisState
 from gateway.command.engagement import Engagement
 from gateway.command.lease import Leases, OperatorLink
 from gateway.command.motion import MotionLimits, Target
@@ -54,10 +54,11 @@ class Arbiter:
             ``setpoint``, ``output``, ``auxiliary``, ``handover``, ``latches``, ``outbox``.
     """
 
-    def __init__(self, settings: Settings, run: int) -> None:
+    def __init__(self, chassis: Chassis, settings: Settings, run: int) -> None:
         """Begin in standby.
 
         Args:
+            chassis: the robot's.
             settings: limits and times.
             run: a random number of this run, which distinguishes its leases and ticks from others'. Public.
         """
@@ -66,7 +67,7 @@ class Arbiter:
         self.tick_number = random.getrandbits(_TICK_BITS)
         self.leases = Leases(round(command.lease_s * _NS_PER_S), random)
         self.link = OperatorLink(command)
-        self.engagement = Engagement(command, needs_guard=not settings.gateway.accept_unguarded)
+        self.engagement = Engagement(chassis, command, needs_guard=not settings.gateway.accept_unguarded)
         self.monitor = self.engagement.monitor
         self.setpoint = self.engagement.setpoint
         self.output = self.engagement.output
@@ -74,7 +75,7 @@ class Arbiter:
         self.handover = self.engagement.handover
         self.latches = self.engagement.latches
         self.outbox = self.engagement.outbox
-        self._verbs = Verbs(settings, self.leases, self.link, self.engagement)
+        self._verbs = Verbs(chassis, settings, self.leases, self.link, self.engagement)
         self._notices = Notices()
         self._speed_limit_without_realtime_mps = command.speed_limit_without_realtime_mps
         self._guard_stops: int | None = None

@@ -11,8 +11,8 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.cruiser.bursts import Auxiliary
-from gateway.chassis.port import Actuation
+from gateway.chassis.port import Actuation, Chassis
+from gateway.command.auxiliary import Auxiliary
 from gateway.command.monitor import ChassisMonitor
 from gateway.command.motion import MotionLimits, MotionProfile, Setpoint, Target
 from gateway.command.output import (
@@ -106,13 +106,14 @@ class Engagement:
         bars: why nobody may engage the robot, found outside the command flow, each with its words.
     """
 
-    def __init__(self, settings: CommandSettings, *, needs_guard: bool) -> None:
+    def __init__(self, chassis: Chassis, settings: CommandSettings, *, needs_guard: bool) -> None:
+        self._design = chassis
         self.state = ArbiterState.STANDBY
-        self.monitor = ChassisMonitor()
+        self.monitor = ChassisMonitor(chassis)
         self.setpoint = Setpoint(settings)
-        self.output = Output()
+        self.output = Output(chassis)
         self.standing = Standing(settings)
-        self.auxiliary = Auxiliary()
+        self.auxiliary = Auxiliary(chassis)
         self.handover = Handover()
         self.latches = Latches()
         self.outbox = Outbox()
@@ -356,7 +357,8 @@ class Engagement:
         """Return the chassis's last command, known or inferred: a stop begins from it."""
         if self.output.actuation is not None:
             return self.output.actuation
-        return inferred_actuation(self.monitor.chassis, self.setpoint.configured_limits, self.handover.left)
+        limits, left = self.setpoint.configured_limits, self.handover.left
+        return inferred_actuation(self.monitor.chassis, limits, self._design.wheelbase_m, left)
 
     def forget_rest(self) -> None:
         """Others command the chassis: that it moves says nothing about its parking brake."""

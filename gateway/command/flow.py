@@ -10,11 +10,8 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.cruiser.bursts import FrameMaker
-from gateway.chassis.cruiser.frames import MOTION_FRAMES
-from gateway.chassis.cruiser.gate import Gate
 from gateway.chassis.frame import Frame
-from gateway.chassis.port import ChassisState
+from gateway.chassis.port import Chassis, ChassisState
 from gateway.command.arbiter import Arbiter, Reporter, reply
 from gateway.command.rulings import RawRequest, TickOutcome
 from schemas.codec import Sample, sample_of
@@ -54,11 +51,12 @@ class CommandFlow:
         asked_ns: when somebody last asked something, or the chassis was commanded, monotonic.
     """
 
-    def __init__(self, settings: Settings, run: int) -> None:
-        self.arbiter = Arbiter(settings, run)
+    def __init__(self, chassis: Chassis, settings: Settings, run: int) -> None:
+        self._design = chassis
+        self.arbiter = Arbiter(chassis, settings, run)
         self.is_mute = False
-        self.maker = FrameMaker()
-        self.gate = Gate()
+        self.maker = chassis.maker()
+        self.gate = chassis.gate(False)  # noqa: FBT003 - a value of the chassis takes no keywords
         self.reporter = Reporter(self.arbiter)
         self.busy_ns = self.asked_ns = 0
         self._tellings = 0
@@ -104,7 +102,7 @@ class CommandFlow:
         monitor = self.arbiter.monitor
         monitor.send_failures = monitor.send_failures + 1 if len(sent) < len(offered) else 0
         bounds = self.arbiter.output.motion.bounds if self.arbiter.state is ArbiterState.ENGAGED else []
-        if len(sent) >= len(MOTION_FRAMES):
+        if len(sent) >= len(self._design.motion_frames):
             self.arbiter.output.told_ns = now_ns
             self.arbiter.note_left()
         elif offered:

@@ -18,10 +18,8 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT
-from gateway.chassis.port import AT_REST, Actuation, ChassisState
+from gateway.chassis.port import AT_REST, Actuation, Chassis, ChassisState
 from gateway.command.rulings import BUMPERS
-from schemas.cruiser import SCALE_RATIO
 from schemas.messages import ControllerState, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
 from schemas.settings import (
@@ -77,12 +75,12 @@ def fits(one_mps: float, other_mps: float) -> bool:
     return not exceeds(one_mps, other_mps) and not exceeds(other_mps, one_mps)
 
 
-def fitting_scale(drive_mps: float, wheel_mps: float) -> str:
+def fitting_scale(drive_mps: float, wheel_mps: float, scale_ratio: float) -> str:
     """Return the scale of the drive frames in which their speed fits that of the wheels, in words; or nothing."""
     if fits(drive_mps, wheel_mps):
         return ""
-    # A coarse bit that is taken for a fine one is worth a fortieth; and the other way round.
-    for factor, words in ((SCALE_RATIO, "the coarse scale"), (1 / SCALE_RATIO, "the fine scale")):
+    # A coarse bit that is taken for a fine one is worth so much less; and the other way round.
+    for factor, words in ((scale_ratio, "the coarse scale"), (1 / scale_ratio, "the fine scale")):
         if fits(drive_mps * factor, wheel_mps):
             return f"; {words} of the drive frames would fit"
     return ""
@@ -189,7 +187,8 @@ class Plausibility:
         runs_away: the robot is faster than commanded, and becomes faster: its motor does not hold it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, chassis: Chassis) -> None:
+        self._design = chassis
         # How far it was driven since the mileage has changed outlasts an engagement.
         self._mileage_km: float | None = None
         self._driven_m = 0.0
@@ -266,7 +265,8 @@ class Plausibility:
         reference_mps = envelope.forward_mps if wheel_mps >= 0 else envelope.backward_mps
         way = "forward" if wheel_mps >= 0 else "backward"
         wheel_mps = abs(wheel_mps)
-        fit = fitting_scale(drive_mps, wheel_mps) or fitting_scale(reference_mps, wheel_mps)
+        ratio = self._design.scale_ratio
+        fit = fitting_scale(drive_mps, wheel_mps, ratio) or fitting_scale(reference_mps, wheel_mps, ratio)
         if exceeds(wheel_mps, reference_mps):
             return f"the wheels turn {way} at {wheel_mps:.2f} m/s, commanded is {reference_mps:.2f} m/s{fit}"
         if not fits(wheel_mps, drive_mps):
@@ -364,13 +364,14 @@ class ChassisMonitor:
     _driven_ns: int | None = None
     """When it was last driven, or fast. Checkpoints of before do not have it."""
 
-    def __init__(self) -> None:
+    def __init__(self, chassis: Chassis) -> None:
+        self._design = chassis
         self.chassis = ChassisState()
         self.stands = False
         self.pressed: set[Reason] = set()
         self.struck: set[Reason] = set()
         self.is_rest_confirmed = True
-        self.plausibility = Plausibility()
+        self.plausibility = Plausibility(chassis)
         self.send_failures = 0
         self._has_risen = self._was_released = self._is_parking_asked = False
         self._speeds: tuple[float | None, ...] = ()
@@ -470,7 +471,7 @@ class ChassisMonitor:
         """Return the causes to stop a robot that has this command, under this speed limit."""
         chassis = self.chassis
         found = self.chassis_faults()
-        if chassis.absurd and not set(SCALED_BY_VARIANT).isdisjoint(chassis.absurd):
+        if chassis.absurd and not set(self._design.scaled_frames).isdisjoint(chassis.absurd):
             # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
             found.insert(0, Reason.IMPLAUSIBLE_SPEED)
         found += self.plausibility.check(chassis, told, limit_mps, now_ns, is_engaged=is_engaged)
@@ -493,7 +494,7 @@ class ChassisMonitor:
     def _absurd_speed(self, reason: Reason) -> str:
         if reason is not Reason.IMPLAUSIBLE_SPEED:
             return ""
-        frames = ", ".join(name for name in self.chassis.absurd if name in SCALED_BY_VARIANT)
+        frames = ", ".join(name for name in self.chassis.absurd if name in self._design.scaled_frames)
         other = {Variant.COARSE: "the fine scale", Variant.FINE: "the coarse scale"}.get(self.chassis.variant)
         return f"{frames} reads beyond what the chassis can do" + (f"; {other} may fit" if other else "")
 

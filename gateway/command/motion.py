@@ -13,7 +13,6 @@ from typing import Final, Self
 import msgspec
 
 from gateway.chassis.port import Actuation
-from schemas.cruiser import WHEELBASE_M
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
 from schemas.requests import Drive
@@ -50,23 +49,23 @@ class MotionLimits(msgspec.Struct, frozen=True):
             return self
         return msgspec.structs.replace(self, speed_mps=max(0.0, speed_mps))
 
-    def speed_at(self, angle_deg: float) -> float:
+    def speed_at(self, angle_deg: float, wheelbase_m: float) -> float:
         """The highest speed, m/s, at this steering angle: v^2 tan(angle) / wheelbase within the lateral limit."""
         bend = tan(radians(abs(angle_deg)))
         if bend == 0:
             return self.speed_mps
-        return min(self.speed_mps, sqrt(self.lateral_acceleration_mps2 * WHEELBASE_M / bend))
+        return min(self.speed_mps, sqrt(self.lateral_acceleration_mps2 * wheelbase_m / bend))
 
-    def angle_at(self, speed_mps: float) -> float:
+    def angle_at(self, speed_mps: float, wheelbase_m: float) -> float:
         """Return the largest steering angle, deg, at this speed, by the same rule."""
         square_m2ps2 = speed_mps * speed_mps
         if square_m2ps2 == 0:  # also that of a speed too small to be squared
             return self.steering_deg
-        bend = self.lateral_acceleration_mps2 * WHEELBASE_M / square_m2ps2
+        bend = self.lateral_acceleration_mps2 * wheelbase_m / square_m2ps2
         return min(self.steering_deg, degrees(atan(bend)))
 
 
-def steering_angle_deg(drive: Drive) -> float | str:
+def steering_angle_deg(drive: Drive, wheelbase_m: float) -> float | str:
     """The steering angle that a drive command asks for, before any limit, or what is wrong with the command.
 
     The bicycle model: curvature = tan(angle) / wheelbase, yaw rate = speed * curvature (ISO 8855: left positive).
@@ -77,14 +76,14 @@ def steering_angle_deg(drive: Drive) -> float | str:
     if drive.angle_deg is not None:
         return drive.angle_deg
     if drive.curvature_1pm is not None:
-        return degrees(atan(drive.curvature_1pm * WHEELBASE_M))
+        return degrees(atan(drive.curvature_1pm * wheelbase_m))
     yaw_rate_radps = drive.yaw_rate_radps or 0.0
     if yaw_rate_radps == 0:
         return 0.0
     if drive.speed_mps == 0:
         return "the robot cannot turn on the spot: a yaw rate needs a speed"
     curvature_1pm = yaw_rate_radps / drive.speed_mps
-    return degrees(atan(curvature_1pm * WHEELBASE_M)) if abs(curvature_1pm) < inf else "the curve is too tight"
+    return degrees(atan(curvature_1pm * wheelbase_m)) if abs(curvature_1pm) < inf else "the curve is too tight"
 
 
 AUTO_HOLD_TICKS: Final = AUTO_HOLD_NS // TICK_NS
@@ -101,6 +100,7 @@ class MotionConstraints(msgspec.Struct, frozen=True):
     """Bounds of the motion in a tick besides the limits.
 
     Attributes:
+        wheelbase_m: the chassis's.
         stands: the measured speed is that of a standing robot.
         gear, brake: the feedback of gear and parking brake.
         parked: the parking brake is to be applied, whatever is asked.
@@ -108,6 +108,7 @@ class MotionConstraints(msgspec.Struct, frozen=True):
         forward, backward: motion in this direction is allowed; a bumper that is still pressed forbids it.
     """
 
+    wheelbase_m: float
     stands: bool
     gear: GearPosition
     brake: ParkingStatus
@@ -178,7 +179,9 @@ class MotionProfile:
         self._step_speed(speed_mps, limits, constraints.speed_mps, dt_s, dt_s if elapsed_s is None else elapsed_s)
         # While the speed is still on its way down to what the angle allows, the steering waits for it.
         fastest_mps = max(abs(self.speed_mps), constraints.speed_mps)
-        angle_deg = self._within(angle_deg, limits.angle_at(fastest_mps), Bound.LATERAL_ACCELERATION)
+        angle_deg = self._within(
+            angle_deg, limits.angle_at(fastest_mps, constraints.wheelbase_m), Bound.LATERAL_ACCELERATION
+        )
         self._step_angle(angle_deg, limits, dt_s)
         return Actuation(
             enabled=True,
@@ -201,7 +204,9 @@ class MotionProfile:
         speed_mps = self._within(speed_mps, limits.speed_mps, Bound.SPEED)
         # The wheels may still be turned further than they shall be.
         furthest_deg = max(abs(angle_deg), abs(self.angle_deg), abs(constraints.angle_deg))
-        return self._within(speed_mps, limits.speed_at(furthest_deg), Bound.LATERAL_ACCELERATION)
+        return self._within(
+            speed_mps, limits.speed_at(furthest_deg, constraints.wheelbase_m), Bound.LATERAL_ACCELERATION
+        )
 
     def _stand(self, constraints: MotionConstraints) -> float:
         """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""

@@ -12,13 +12,11 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.cruiser.bursts import toward_zero
-from gateway.chassis.port import AT_REST, Actuation, ChassisState
+from gateway.chassis.port import AT_REST, Actuation, Chassis, ChassisState, toward_zero
 from gateway.command.lease import LinkAge
 from gateway.command.monitor import ChassisMonitor
 from gateway.command.motion import MotionConstraints, MotionLimits, MotionProfile, Setpoint, Target
 from gateway.command.stop import StopFeedback, StopSequence
-from schemas.cruiser import SPEED_BIT_MPS
 from schemas.decisions import Bound, StopPhase
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
 from schemas.reasons import Reason
@@ -141,12 +139,15 @@ def inferred_angle_deg(chassis: ChassisState, limits: MotionLimits) -> float:
     return max(-limits.steering_deg, min(limits.steering_deg, chassis.angle_deg or 0.0))
 
 
-def inferred_actuation(chassis: ChassisState, limits: MotionLimits, left: Actuation | None = None) -> Actuation:
+def inferred_actuation(
+    chassis: ChassisState, limits: MotionLimits, wheelbase_m: float, left: Actuation | None = None
+) -> Actuation:
     """Infer the command that the chassis must have had.
 
     Args:
         chassis: the chassis now.
         limits: the configured ones; no speed is above them, nor above what they allow at the steering angle.
+        wheelbase_m: the chassis's.
         left: the command that we left it with, if it may execute that again: no speed is above that one. If
             others left it, the parking brake is applied where the gear is that of a parked robot, or is not known:
             released, it may set a standing robot going.
@@ -158,7 +159,8 @@ def inferred_actuation(chassis: ChassisState, limits: MotionLimits, left: Actuat
         angle_deg = left.angle_deg
     gear = GearPosition.NEUTRAL if left is None else left.gear
     parking = chassis.gear in {GearPosition.PARK, GearPosition.UNDEFINED} if left is None else left.parking
-    speed_mps = min(chassis.slowest_mps, limits.speed_at(max(abs(angle_deg), abs(chassis.angle_deg or 0.0))))
+    furthest_deg = max(abs(angle_deg), abs(chassis.angle_deg or 0.0))
+    speed_mps = min(chassis.slowest_mps, limits.speed_at(furthest_deg, wheelbase_m))
     if left is not None:
         speed_mps = min(speed_mps, left.speed_mps) if left.gear is chassis.gear else 0.0
     return Actuation(
@@ -189,7 +191,8 @@ class Output:
         sequence: the stop under way, if there is one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, chassis: Chassis) -> None:
+        self._design = chassis
         self.actuation: Actuation | None = None
         self.variant = Variant.UNKNOWN
         self.begun = 0
@@ -207,7 +210,7 @@ class Output:
     def told(self) -> Actuation:
         """The chassis's command as its frames say it: at rest if there is none, and down to the bit."""
         actuation = self.actuation or AT_REST
-        bit_mps = SPEED_BIT_MPS.get(self.variant)
+        bit_mps = self._design.speed_bit_mps.get(self.variant)
         if bit_mps is None or not actuation.speed_mps:
             return actuation
         return msgspec.structs.replace(actuation, speed_mps=toward_zero(actuation.speed_mps, bit_mps))
@@ -257,6 +260,7 @@ class Output:
         """
         chassis, pressed = monitor.chassis, monitor.pressed
         constraints = MotionConstraints(
+            wheelbase_m=self._design.wheelbase_m,
             stands=monitor.stands,
             gear=chassis.gear,
             brake=chassis.brake,
@@ -268,7 +272,7 @@ class Output:
         )
         limits = setpoint.limits
         bounded = age.bounded(target, limits.speed_mps, now_ns)
-        if abs(bounded.speed_mps) < SPEED_BIT_MPS.get(self.variant, 0.0):
+        if abs(bounded.speed_mps) < self._design.speed_bit_mps.get(self.variant, 0.0):
             # On the wire that is zero: the robot is told to stand, and is held.
             bounded = Target(0.0, bounded.angle_deg)
         elapsed_s = min(max((now_ns - self.told_ns) / _NS_PER_S, _TICK_S), LATE_STEP_S)

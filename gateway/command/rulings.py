@@ -20,8 +20,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.cruiser.bursts import AuxiliaryFrame
-from gateway.chassis.port import Actuation, ChassisState
+from gateway.chassis.port import Actuation, AuxiliaryFrame, ChassisState
 from gateway.command.motion import Target
 from schemas.decisions import GUARD_STOP_ENDED, ArbiterState, EventKind, Severity
 from schemas.messages import ControllerState

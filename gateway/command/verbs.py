@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
+from gateway.chassis.port import Chassis
 from gateway.command.engagement import Engagement
 from gateway.command.lease import HeldLease, Leases, OperatorLink
 from gateway.command.motion import Target, steering_angle_deg
@@ -38,7 +39,15 @@ _UNPROVEN: Final = " (unproven)"
 class Verbs:
     """Rules on each request, and acts on the states that its verb concerns."""
 
-    def __init__(self, settings: Settings, leases: Leases, link: OperatorLink, engagement: Engagement) -> None:
+    def __init__(
+        self,
+        chassis: Chassis,
+        settings: Settings,
+        leases: Leases,
+        link: OperatorLink,
+        engagement: Engagement,
+    ) -> None:
+        self._design = chassis
         self._max_age_s = settings.command.max_age_s
         self._is_signed = settings.authority.mode == "signed"
         self._leases = leases
@@ -291,7 +300,7 @@ class Verbs:
         return Ruling(lease=request.lease)
 
     def _drive(self, request: requests.Drive, _operator: str, now_ns: int) -> Ruling:
-        asked_deg = steering_angle_deg(request)
+        asked_deg = steering_angle_deg(request, self._design.wheelbase_m)
         asked = Target(request.speed_mps, asked_deg) if isinstance(asked_deg, float) else None
         age_ns = self._link.challenges.age_ns(request.challenge, now_ns)
         known_age_ns = age_ns if isinstance(age_ns, int) else None

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
+from gateway.chassis.port import Chassis
 from gateway.guard.stopper import (
     MOTOR,
     NOT_OBEYED,
@@ -46,14 +46,14 @@ class Guardian:
         outcome: the end of the last one; NONE while one is under way.
     """
 
-    def __init__(self, settings: CommandSettings) -> None:
-        self.view = ChassisView()
+    def __init__(self, chassis: Chassis, settings: CommandSettings) -> None:
+        self.view = chassis.view()
         self.is_ended = False
         self.is_sending = False
         self.stops = 0
         self.cause = Cause.NONE
         self.outcome = StopOutcome.NONE
-        self._stopper = Stopper(self.view, settings)
+        self._stopper = Stopper(chassis, self.view, settings)
         # One stop for each failure: after it, only a loop that is well again can fail again.
         self._is_armed = True
         self._late_looks = 0

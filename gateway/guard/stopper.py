@@ -14,23 +14,11 @@ from typing import Final
 import msgspec
 from msgspec.structs import replace
 
-from gateway.chassis.cruiser.bursts import HAZARD, AuxiliaryFrame, FrameMaker
-from gateway.chassis.cruiser.frames import (
-    LIGHT_COMMAND,
-    MOTION_FRAMES,
-    ODOMETER_COMMAND,
-    SPEAKER_COMMAND,
-    odometer_signals,
-    speaker_signals,
-)
-from gateway.chassis.cruiser.gate import Gate
-from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
-from gateway.chassis.port import AT_REST, Actuation
+from gateway.chassis.port import AT_REST, Actuation, BusView, Chassis
 from gateway.command.motion import MotionLimits
 from gateway.command.stop import StopFeedback, StopSequence
 from schemas.can_word import COUNTER_SPAN
-from schemas.cruiser import SPEED_TOP_MPS, STEERING_TOP_DEG
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode, Variant
 from schemas.settings import GUARD_LOOK_NS, GUARD_SILENT_NS, OFF_BURSTS, TICK_NS, YIELD_BURSTS, CommandSettings
@@ -139,13 +127,6 @@ MOTOR: Final = StopOutcome.MOTOR.value
 NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
 """Ends of a stop, and reasons to wait."""
 
-_LAST: Final = (
-    AuxiliaryFrame(LIGHT_COMMAND, HAZARD),
-    AuxiliaryFrame(SPEAKER_COMMAND, speaker_signals()),
-    AuxiliaryFrame(ODOMETER_COMMAND, odometer_signals()),
-)
-"""The chassis keeps these for ever too, and nobody else ends them any more. The indicators are hazard lights."""
-
 _HEARD_AHEAD_MAX: Final = 3
 """A counter received from the bus may be this far ahead of the heartbeat's: the gateway died between the two."""
 
@@ -164,11 +145,14 @@ class Stopper:
         outcome: its end, in words; empty before.
     """
 
-    def __init__(self, view: ChassisView, settings: CommandSettings) -> None:
+    def __init__(self, chassis: Chassis, view: BusView, settings: CommandSettings) -> None:
+        self._chassis = chassis
         self._view = view
         self._deceleration_mps2 = MotionLimits.of(settings).emergency_deceleration_mps2
-        self._maker = FrameMaker()
-        self._gate = Gate()
+        self._maker = chassis.maker()
+        self._gate = chassis.gate(False)  # noqa: FBT003 - a value of the chassis takes no keywords
+        # The chassis keeps these for ever too, and nobody else ends them any more.
+        self._last = (chassis.hazard, chassis.horn[False], chassis.odometer[False])
         self._sequence: StopSequence | None = None
         self._before: StopSequence | None = None
         self._variant = Variant.UNKNOWN
@@ -214,7 +198,7 @@ class Stopper:
         self._told = last
         self._told_ns = now_ns if told_ns is None else told_ns
         # What was sent by others is not this gate's to judge: it begins anew.
-        self._gate = Gate(may_release=last is not None and not is_released)
+        self._gate = self._chassis.gate(self._may_release)
         self._maker.counters, self._maker.is_torn = self._counters(counters, now_ns), False
         self._due_ns = now_ns
         self.is_over = self.is_paused = False
@@ -252,7 +236,9 @@ class Stopper:
         actuation = self._sequence.tick(now_ns, self._stop_feedback(now_ns, stands=stands))
         if actuation is None:
             return self._end(STANDS if stands else UNSEEN)
-        frames = self._maker.make(actuation, list(_LAST) if self._bursts_off < OFF_BURSTS else [], self._variant)
+        frames = self._maker.make(
+            actuation, list(self._last) if self._bursts_off < OFF_BURSTS else [], self._variant
+        )
         fault = self._gate.admit(frames, self._variant, now_ns, stopping=True)
         self.outcome = "" if fault is None else f"the gate refused: {fault.detail}"
         self._actuation = actuation
@@ -268,7 +254,7 @@ class Stopper:
         self._before = self._sequence
         # Where the motor alone held it, the parking brake would let it roll once it is given back.
         is_released = self._sequence is not None and self._sequence.phase is StopPhase.MOTOR
-        self._actuation = replace(_possible(left, self._variant), speed_mps=0.0, parking=not is_released)
+        self._actuation = replace(self._possible(left), speed_mps=0.0, parking=not is_released)
         frames = self._maker.make(self._actuation, [], self._variant)
         self._offered = [] if self._gate.admit(frames, self._variant, now_ns, stopping=True) else frames
         return self._offered
@@ -276,7 +262,7 @@ class Stopper:
     def sent(self, count: int, now_ns: int) -> None:
         """So many of the frames of this tick were taken by the bus."""
         sent = self._offered[:count]
-        if count >= len(MOTION_FRAMES):
+        if count >= len(self._chassis.motion_frames):
             self._told, self._told_ns, self._went_on_ns = self._actuation, now_ns, now_ns
             self._bursts_off += count == len(self._offered)
         elif self._offered:
@@ -327,7 +313,7 @@ class Stopper:
         if slowest_mps is not None:
             first = replace(first, speed_mps=_lower(first.speed_mps, slowest_mps))
         self._sequence = StopSequence(
-            _possible(first, self._variant),
+            self._possible(first),
             self._deceleration_mps2,
             now_ns,
             self._returns,
@@ -349,7 +335,7 @@ class Stopper:
     def _seen(self, now_ns: int) -> Actuation:
         """Infer the chassis's command from its feedback. One without feedback may stand, parked."""
         gear = self._view.gear(now_ns)
-        speed_mps = self._view.speed_mps(self._variant, now_ns)
+        speed_mps = self._view.slowest_mps(self._variant, now_ns) or 0.0
         return Actuation(
             enabled=True,
             gear=gear,
@@ -399,23 +385,23 @@ class Stopper:
             return known
         return {name: _further(counter, view.next_counters.get(name)) for name, counter in known.items()}
 
+    def _possible(self, last: Actuation) -> Actuation:
+        """Limit the command to what the chassis can do: nothing in it may keep the stop from passing the gate."""
+        top_mps, top_deg = self._chassis.top_speed_mps, self._chassis.top_angle_deg
+        in_gear = last.gear in _MOVING_GEARS
+        moves = in_gear and not last.parking and self._variant is not Variant.UNKNOWN
+        return Actuation(
+            enabled=True,
+            gear=last.gear if in_gear else GearPosition.NEUTRAL,
+            speed_mps=_clamped(last.speed_mps, 0.0, top_mps) if moves else 0.0,
+            angle_deg=_clamped(last.angle_deg, -top_deg, top_deg),
+            parking=last.parking,
+        )
+
     def _end(self, outcome: str) -> list[Frame]:
         self.is_over = True
         self.outcome = outcome
         return []
-
-
-def _possible(last: Actuation, variant: Variant) -> Actuation:
-    """Limit the command to what the chassis can do: nothing in it may keep the stop from passing the gate."""
-    in_gear = last.gear in _MOVING_GEARS
-    moves = in_gear and not last.parking and variant is not Variant.UNKNOWN
-    return Actuation(
-        enabled=True,
-        gear=last.gear if in_gear else GearPosition.NEUTRAL,
-        speed_mps=_clamped(last.speed_mps, 0.0, SPEED_TOP_MPS) if moves else 0.0,
-        angle_deg=_clamped(last.angle_deg, -STEERING_TOP_DEG, STEERING_TOP_DEG),
-        parking=last.parking,
-    )
 
 
 def _lower(told_mps: float, slowest_mps: float) -> float:

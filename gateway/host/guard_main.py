@@ -33,15 +33,14 @@ import msgspec
 
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import ReconnectingBus, open_bus
-from gateway.chassis.cruiser.frames import load
-from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
+from gateway.chassis.port import BusView
+from gateway.choice import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat, GuardStatus, Stopper
 from gateway.host.notes import NoteWriter, StopNote
 from gateway.host.process import request_realtime
 from schemas.command_line import CommandError
-from schemas.messages import Variant
 from schemas.settings import GUARD_GIVES_UP_NS, GUARD_POLL_NS, GUARD_SILENT_NS, Settings
 
 Kind = TypeVar("Kind")
@@ -215,7 +214,7 @@ def _skip_what_waits(bus: GuardBus) -> None:
             return
 
 
-def stop_alone(bus: GuardBus, stopper: Stopper, view: ChassisView, is_relieved: Callable[[], bool]) -> str:
+def stop_alone(bus: GuardBus, stopper: Stopper, view: BusView, is_relieved: Callable[[], bool]) -> str:
     """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended.
 
     Args:
@@ -291,7 +290,7 @@ def main() -> None:
     memory = Heartbeat(int(sys.argv[1]))
     order = msgspec.json.decode(sys.stdin.buffer.read(), type=GuardOrder)
     settings = order.settings
-    guardian = Guardian(settings.command)
+    guardian = Guardian(CHASSIS, settings.command)
     _spare_from_memory_killer()
     priority = settings.gateway.realtime_priority
     if priority:
@@ -316,7 +315,7 @@ def main() -> None:
 
 
 def _open_bus(settings: Settings) -> Bus:
-    return open_bus(settings.can, load(Variant.COARSE).identifiers)
+    return open_bus(settings.can, CHASSIS.common.identifiers)
 
 
 def _first_bus(settings: Settings) -> Bus | None:

@@ -23,8 +23,8 @@ import msgspec
 from gateway.authority.robot_authority import Kept
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import SOCKETCAN, open_bus
-from gateway.chassis.cruiser.frames import MOTION_FRAMES, load
 from gateway.chassis.layout import check
+from gateway.choice import CHASSIS
 from gateway.core import Core
 from gateway.doctor.facts import BusReport, CanInterface, Credential, LogDisk, ServiceUnit
 from gateway.host.notes import StopNote
@@ -35,7 +35,7 @@ from schemas.authority.key_files import directory_of, read_identity
 from schemas.authority.trust import Objection
 from schemas.codec import Sample, decode
 from schemas.command_line import CommandError, plain
-from schemas.messages import GatewayHealth, Message, RobotState, Variant
+from schemas.messages import GatewayHealth, Message, RobotState
 from schemas.reasons import TEXTS
 from schemas.settings import TICK_NS, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
@@ -144,11 +144,11 @@ def listen(
 def _listen(
     bus: Bus, settings: Settings, stopped: Callable[[], bool], monotonic_ns: Callable[[], int]
 ) -> BusReport:
-    layout = load(Variant.COARSE)
-    motion = {layout.messages[name].can_id for name in MOTION_FRAMES}
+    motion = {CHASSIS.common.messages[name].can_id for name in CHASSIS.motion_frames}
     deaf = msgspec.structs.replace(settings.gateway, listen_only=True)
     start_ns = tick_ns = monotonic_ns()
-    core = Core(msgspec.structs.replace(settings, gateway=deaf), version("cruiser-gateway"), start_ns)
+    deaf_settings = msgspec.structs.replace(settings, gateway=deaf)
+    core = Core(CHASSIS, deaf_settings, version("cruiser-gateway"), start_ns)
     core.update_links(Links(bus_up=True), start_ns)
     looks: list[GatewayHealth] = []
     state: RobotState | None = None

@@ -3,8 +3,7 @@
 The figures of the virtual chassis, each with its unit: the one file for them.
 
 What the manual states is cited. What it leaves open is marked *chosen*: plausible for 116 kg on four wheels, and
-nothing outside the simulation may rest on it. The wheelbase, which the gateway needs too, is in
-``schemas.cruiser``.
+nothing outside the simulation may rest on it. The wheelbase, which the gateway needs too, comes with the chassis.
 
 Motion of the chassis: a bicycle model on a slope, with a lagging drive, brakes and a steering motor. Pure.
 
@@ -19,7 +18,6 @@ from typing import Final
 
 import msgspec
 
-from schemas.cruiser import WHEELBASE_M
 from schemas.messages import GearPosition
 
 GRAVITY_MPS2: Final = 9.81
@@ -186,7 +184,8 @@ class Motion:
         mileage_m: distance driven in either direction.
     """
 
-    def __init__(self, conditions: Conditions = NOMINAL) -> None:
+    def __init__(self, wheelbase_m: float, conditions: Conditions = NOMINAL) -> None:
+        self._wheelbase_m = wheelbase_m
         self.conditions = conditions
         self.parked = False
         self._parking_s = 0.0
@@ -203,7 +202,7 @@ class Motion:
     @property
     def yaw_rate_radps(self) -> float:
         """Turn rate by the bicycle model: left is positive, going forward."""
-        return self.speed_mps * math.tan(math.radians(self.angle_deg)) / WHEELBASE_M
+        return self.speed_mps * math.tan(math.radians(self.angle_deg)) / self._wheelbase_m
 
     @property
     def wheel_speeds_mps(self) -> tuple[float, float]:

@@ -24,12 +24,12 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import ChassisLayout, Decoded, Encoder, FrameDecoder, Signals, Value, check, checksum
+from gateway.chassis.odometry import signed_speed_mps
+from gateway.chassis.port import Chassis
 from gateway.sim.body import FULL_PEDAL_PERCENT, NOMINAL, Conditions, Demand, Motion, StopMode
 from gateway.sim.disturbances import Disturbance, Disturbances, FaultLine
-from gateway.telemetry.health import signed_speed_mps
 from schemas.messages import BrakingStatus, Drive, Gear, GearPosition, Mode, ParkingStatus, Variant, WheelSpeed
 
 Values = Mapping[str, Value]
@@ -154,7 +154,8 @@ class VirtualChassis:
 
     def __init__(
         self,
-        layout: ChassisLayout,
+        chassis: Chassis,
+        variant: Variant,
         now_ns: int,
         *,
         rate_multiplier: float = 1.0,
@@ -163,16 +164,19 @@ class VirtualChassis:
         """Powers up: standing, parked, nothing commanded, the remote control on command control.
 
         Args:
-            layout: the firmware variant.
+            chassis: which one it is.
+            variant: of its firmware.
             now_ns: the time of the first ``advance``; the first frames are due one period later.
             rate_multiplier: the feedback comes this many times as often as the DBC says, to load a bus.
             conditions: its place and properties, until a fault changes them.
         """
+        layout = chassis.layout(variant)
+        self._chassis = chassis
         self._first_layout = layout
         self._disturbances = Disturbances(tuple(message.name for message in layout.feedback))
         self._feedback = FeedbackSender(layout, now_ns, rate_multiplier)
         self._conditions = conditions
-        self._motion = Motion(conditions)
+        self._motion = Motion(chassis.wheelbase_m, conditions)
         self._motion.parked = True
         self._park_wanted = True
         self._commands: dict[str, Signals] = {}
@@ -264,7 +268,7 @@ class VirtualChassis:
     def _live(self, instant_ns: int) -> None:
         self._disturbances.advance(instant_ns)
         firmware = self._disturbances.firmware
-        wanted = self._first_layout if firmware is None else load(firmware)
+        wanted = self._first_layout if firmware is None else self._chassis.layout(firmware)
         if wanted is not self._layout:
             self._use_firmware(wanted)
         self._motion.conditions = self._disturbances.conditions(self._conditions)
@@ -334,7 +338,9 @@ class VirtualChassis:
         self._decoder = FrameDecoder(layout)
         self._encoder = Encoder(layout)
         own = layout.messages["Auto_DriveCmd"].signal("TargetVelocity").scale
-        other = load(_OTHER[layout.variant]).messages["Auto_DriveCmd"].signal("TargetVelocity").scale
+        other = (
+            self._chassis.layout(_OTHER[layout.variant]).messages["Auto_DriveCmd"].signal("TargetVelocity").scale
+        )
         self._other_scale_ratio = other / own
 
     def _drive_scale_ratio(self, *, command: bool) -> float:
@@ -426,11 +432,13 @@ class StandIn:
     """Shows recorded frames as they would have been.
 
     Args:
-        variant: of the chassis that was recorded; not UNKNOWN.
+        design: the chassis that was recorded.
+        variant: of its firmware; not UNKNOWN.
     """
 
-    def __init__(self, variant: Variant) -> None:
-        self._layout = load(variant)
+    def __init__(self, design: Chassis, variant: Variant) -> None:
+        self._design = design
+        self._layout = design.layout(variant)
         self._decoder = FrameDecoder(self._layout)
         self._encoder = Encoder(self._layout)
         self._names = {message.can_id: message.name for message in self._layout.feedback}
@@ -454,7 +462,7 @@ class StandIn:
     def begin(self, now_ns: int) -> None:
         """Begin to simulate the chassis, from its last recorded state: its commands differ from here on."""
         if self._chassis is None:
-            chassis = self._chassis = VirtualChassis(self._layout, now_ns)
+            chassis = self._chassis = VirtualChassis(self._design, self._layout.variant, now_ns)
             for frame in self._heard.values():
                 chassis.receive(frame, now_ns)
             self._adopt(chassis)

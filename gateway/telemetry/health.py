@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from math import radians, tan
 from typing import Final, TypeVar
 
 import msgspec
 
 from gateway.chassis.frame import FaultKind, hex_identifier
+from gateway.chassis.odometry import signed_speed_mps, yaw_rate_radps
 from gateway.telemetry.feedback import FeedbackStream
-from schemas.cruiser import WHEELBASE_M
 from schemas.messages import (
     SEQUENCE_MAX,
     Body,
@@ -38,7 +37,6 @@ from schemas.messages import (
     WheelPulse,
     WheelSpeed,
 )
-from schemas.settings import STANDSTILL_MPS
 
 UNKNOWN_IDENTIFIERS_MAX: Final = 64
 """Identifiers that are counted by name; a bus full of strangers must not fill the memory."""
@@ -209,30 +207,15 @@ class LatestMessages:
         return message if isinstance(message, kind) else None
 
 
-def signed_speed_mps(drive: Drive | None, wheels: WheelSpeed | None, gear: Gear | None) -> float | None:
-    """The drive feedback, a magnitude, with the direction of the wheels if they turn, else of the gear.
-
-    None if the robot moves and neither gives the direction: half of the guesses would be wrong.
-    """
-    if drive is None:
-        return None
-    if wheels is not None and wheels.valid:
-        mean_mps = (wheels.rear_left_speed_mps + wheels.rear_right_speed_mps) / 2
-        if abs(mean_mps) > STANDSTILL_MPS:
-            return -drive.speed_mps if mean_mps < 0 else drive.speed_mps
-    if drive.speed_mps <= STANDSTILL_MPS:
-        return drive.speed_mps
-    direction = 0 if gear is None else {GearPosition.DRIVE: 1, GearPosition.REVERSE: -1}.get(gear.gear_position, 0)
-    return direction * drive.speed_mps if direction else None
-
-
-def yaw_rate_radps(speed_mps: float, angle_deg: float) -> float:
-    """The yaw rate of the bicycle model (ISO 8855: left positive)."""
-    return speed_mps * tan(radians(angle_deg)) / WHEELBASE_M
-
-
 def robot_state(
-    messages: LatestMessages, *, time_ns: int, sequence: int, bus_up: bool, variant: Variant, silent: list[str]
+    messages: LatestMessages,
+    *,
+    wheelbase_m: float,
+    time_ns: int,
+    sequence: int,
+    bus_up: bool,
+    variant: Variant,
+    silent: list[str],
 ) -> RobotState:
     """The state. A field whose feedback is missing, silent or marked invalid is None, or ``undefined``.
 
@@ -254,7 +237,7 @@ def robot_state(
         speed_mps=speed_mps,
         angle_deg=steering.angle_deg if steering else None,
         yaw_rate_radps=(
-            round(yaw_rate_radps(speed_mps, steering.angle_deg), DECIMALS) + 0.0  # + 0.0: no -0.0
+            round(yaw_rate_radps(speed_mps, steering.angle_deg, wheelbase_m), DECIMALS) + 0.0  # + 0.0: no -0.0
             if steering and speed_mps is not None
             else None
         ),

@@ -25,8 +25,8 @@ from mcap import records
 from msgspec import inspect
 from numpy.typing import NDArray
 
-from gateway.chassis.cruiser.frames import load
 from gateway.chassis.layout import MessageLayout
+from gateway.choice import CHASSIS
 from recorder.encoding.protobuf import (
     LOGGED,
     compile_encoder,
@@ -43,7 +43,7 @@ from recorder.review.flaws import Findings
 from schemas import keys
 from schemas.can_word import COUNTER_SPAN, IDENTIFIER_MASK, UnseenRounds
 from schemas.decisions import Journal
-from schemas.messages import CanFrame, GatewayInfo, RawSample, Variant
+from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.recording import RecorderEvent, RecordGap
 from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
 
@@ -427,7 +427,7 @@ _ENCODE: Final = compile_encoder(CanFrame)
 def feedback_frames() -> dict[int, MessageLayout]:
     """The chassis's periodic feedback frames by identifier; all are extended."""
     # Either variant would do: both have the same frames and cycle times.
-    return {frame.can_id & IDENTIFIER_MASK: frame for frame in load(Variant.COARSE).feedback if frame.period_ns}
+    return {frame.can_id & IDENTIFIER_MASK: frame for frame in CHASSIS.common.feedback if frame.period_ns}
 
 
 class ClockStep(msgspec.Struct, frozen=True):

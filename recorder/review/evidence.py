@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
+from gateway.chassis.layout import Within
+from gateway.choice import CHASSIS
 from recorder.review.window import (
     BODY,
     BY_IDENTIFIER,
@@ -25,7 +27,6 @@ from recorder.review.window import (
     span,
 )
 from schemas.can_word import COUNTER_SPAN
-from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG
 from schemas.decisions import Decision, EventKind, SafetyEvent, SafetyState, Verdict
 from schemas.messages import (
     Body,
@@ -67,12 +68,7 @@ from schemas.settings import (
 
 _MODES: Final = {0: "auto", 1: "remote", 2: "stop"}
 
-_ABSURD: Final = {
-    "Angle": STEERING_PLAUSIBLE_DEG,
-    "Speed": SPEED_PLAUSIBLE_MPS,
-    "RearLeftSpeed": SPEED_PLAUSIBLE_MPS,
-    "RearRightSpeed": SPEED_PLAUSIBLE_MPS,
-}
+_ABSURD: Final = {signal: rule.maximum for _, signal, rule in CHASSIS.rules if isinstance(rule, Within)}
 
 WAITED_NS: Final = 1_000_000
 """Reading a frame takes less; one that waited for longer is reported to have waited."""

@@ -11,8 +11,8 @@ from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 
-from gateway.chassis.cruiser.frames import load
 from gateway.chassis.layout import MessageLayout
+from gateway.choice import CHASSIS
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE
@@ -208,7 +208,7 @@ class DecodedFrame(msgspec.Struct, frozen=True):
 
 
 BY_IDENTIFIER: Final[dict[int, MessageLayout]] = {
-    frame.can_id & IDENTIFIER_MASK: frame for frame in load(Variant.COARSE).messages.values()
+    frame.can_id & IDENTIFIER_MASK: frame for frame in CHASSIS.common.messages.values()
 }
 """Every frame of the DBC. Both variants have the same frames and cycle times."""
 
@@ -229,7 +229,9 @@ def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str,
     known = BY_IDENTIFIER.get(frame.identifier)
     if known is None or len(frame.data) != 8:
         return {}
-    return {signal.name: signal.value(frame.data) for signal in load(variant).messages[known.name].signals}
+    return {
+        signal.name: signal.value(frame.data) for signal in CHASSIS.layout(variant).messages[known.name].signals
+    }
 
 
 class Limits(msgspec.Struct, frozen=True):

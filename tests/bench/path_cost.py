@@ -22,6 +22,7 @@ import cantools
 from cantools.database.can import Database
 
 from gateway.chassis.frame import Frame
+from gateway.choice import CHASSIS
 from gateway.core import Core
 from gateway.loop import LoopPorts, Reader
 from gateway.telemetry.health import Links
@@ -70,7 +71,7 @@ def rows(rounds: int) -> list[Row]:
         database = cantools.database.load_string(dbc_text(Variant.COARSE), database_format="dbc")
         assert isinstance(database, Database)
 
-        core = Core(settings, "bench", 0)
+        core = Core(CHASSIS, settings, "bench", 0)
         core.update_links(Links(bus_up=True), 0)
         begin_ns = itertools.count(0, 1_000_000_000 * SECONDS_OF_FRAMES)
 

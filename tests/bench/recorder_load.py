@@ -25,6 +25,7 @@ import zenoh
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Value
+from gateway.choice import CHASSIS
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from schemas import codec, keys
@@ -114,7 +115,7 @@ def make_script(profile: str = FULL) -> Script:
     subjects = [
         name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED and rates.get(name, math.inf)
     ]
-    core = Core(Settings(chassis=ChassisSettings(variant="coarse")), "bench", 0)
+    core = Core(CHASSIS, Settings(chassis=ChassisSettings(variant="coarse")), "bench", 0)
     core.update_links(Links(bus_up=True), 0)
     frames = deque(_frames())
     slots = []

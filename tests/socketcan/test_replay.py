@@ -9,6 +9,7 @@ from typing import Final
 import msgspec
 import zenoh
 
+from gateway import choice
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.sim.model import VirtualChassis
@@ -35,7 +36,7 @@ CHASSIS: Final = {
 
 def feedback() -> list[Frame]:
     """What a chassis says in so many seconds."""
-    chassis = VirtualChassis(load(Variant.COARSE), 0)
+    chassis = VirtualChassis(choice.CHASSIS, Variant.COARSE, 0)
     times_ns = range(1_000_000, LOG_S * 1_000_000_000, 1_000_000)
     return [frame for now_ns in times_ns for frame in chassis.advance(now_ns, WALL_NS + now_ns)]
 

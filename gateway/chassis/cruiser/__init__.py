@@ -5,10 +5,8 @@
 - ``gate``        the last look at each frame before the bus
 - ``tracker``     feedback as the state that the arbiter sees
 - ``guard_view``  the same for the guard
+- ``profile``     all of these as one value, by which everybody else knows them
 - ``early_stop``  a program of its own: the stop while the computer starts
 
-A second chassis is a folder beside this one, and more than that: a DBC, figures, messages and subjects of its
-own in ``schemas``; rules of the gate, where a burst is not these five frames; and a setting that chooses it. The
-arbiter and the stop sequence know the chassis as ``ChassisState`` and ``Actuation`` alone, but for the two scales
-of speed that plausibility compares.
+A second chassis is a folder beside this one, and more than that: see docs/architecture.md, 'A second chassis'.
 """

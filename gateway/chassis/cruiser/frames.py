@@ -14,7 +14,7 @@ bits, a brake on its way may well say 2, and a dropped frame would hide the brak
 Both are published as ``undefined``, which permits nothing, and counted. Lamps, horn and encoder counts have no
 value that is wrong.
 
-The firmware variant, by the wheel speed frame of a standing robot.
+Evidence of the firmware variant: the wheel speed frame of a standing robot.
 
 Standing still, it reads about 200 raw in the coarse variant and about 32768 in the fine one; read in the wrong
 variant a standing robot shows -8 m/s or -32.6 m/s (protocol notes, 'Two firmware variants').
@@ -30,22 +30,19 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.frame import FaultKind
 from gateway.chassis.layout import (
     ChassisLayout,
-    MessageDecoder,
     MessageLayout,
     Named,
     Requires,
     Rule,
     Signals,
     Within,
-    compile_message,
     compile_signals,
 )
 from schemas.cruiser import DBC_FILES, SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG, dbc_text
 from schemas.messages import GearPosition, Variant
-from schemas.settings import STANDSTILL_MPS, VARIANT_EVIDENCE_FRAMES
+from schemas.settings import STANDSTILL_MPS
 
 GEAR: Final = "Auto_GearFeedBack"
 STEERING: Final = "Auto_SteeringFeedBack"
@@ -88,21 +85,6 @@ def motion_signals(
         BRAKING_COMMAND: {"Enable": enabled, "BrakePedal": 0.0},
         PARKING_COMMAND: {"Enable": enabled, "ParkingRequest": parking},
     }
-
-
-def light_signals(*, headlamp: bool = False, left: bool = False, right: bool = False) -> Signals:
-    """Return the signals of the light command."""
-    return {"Headlamp": headlamp, "RightIndicator": right, "LeftIndicator": left}
-
-
-def speaker_signals(*, horn: bool = False) -> Signals:
-    """Return the signals of the speaker command."""
-    return {"Horn": horn}
-
-
-def odometer_signals(*, clears: bool = False) -> Signals:
-    """Return the signals of the odometer command."""
-    return {"Enable": clears, "ClearMileage": clears}
 
 
 LAYOUTS: Final = "layouts.json"
@@ -148,16 +130,6 @@ PLAUSIBLE: Final[tuple[tuple[str, str, Rule], ...]] = (
 """Frame, signal, rule. Every rule of a frame must hold."""
 
 
-def compile_feedback(layout: MessageLayout) -> MessageDecoder:
-    """Return the decoder of a feedback frame, which rejects implausible values.
-
-    Raises:
-        KeyError: no subject is made from this frame.
-        ValueError: the fields of the message class are not the signals of the frame.
-    """
-    return compile_message(layout, [(signal, rule) for name, signal, rule in PLAUSIBLE if name == layout.name])
-
-
 _KNOWN: Final = (Variant.COARSE, Variant.FINE)
 
 
@@ -193,43 +165,3 @@ class StandstillEvidence:
         """Return True if these eight bytes are of no standing robot in any variant; None if they are not valid."""
         read, _ = self._readers[Variant.COARSE]
         return self.of(data) is Variant.UNKNOWN if read(data)["Valid"] else None
-
-
-class VariantDetector:
-    """Collects evidence until it is enough; afterwards watches for evidence to the contrary.
-
-    Attributes:
-        variant: the configured variant, or the one that the evidence confirmed, or UNKNOWN.
-        confirmed: the evidence agrees with ``variant``.
-        contradicted: the evidence is against it; no speed can be trusted.
-        evidence: reads it in a frame.
-    """
-
-    def __init__(self, configured: Variant) -> None:
-        self._configured = configured
-        self.evidence = StandstillEvidence()
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the evidence: the bus was away, and another chassis may be on it now."""
-        self.variant = self._configured
-        self.confirmed = False
-        self.contradicted = False
-        self._candidate = Variant.UNKNOWN
-        self._streak = 0
-
-    def receive_wheel_speed(self, data: bytes) -> FaultKind | None:
-        """Take a valid wheel speed frame as evidence. Returns a fault if it speaks for another variant."""
-        evidence = self.evidence.of(data)
-        self._streak = self._streak + 1 if evidence == self._candidate else 1
-        self._candidate = evidence
-        if evidence is Variant.UNKNOWN:
-            return None
-        contrary = self.variant not in {Variant.UNKNOWN, evidence}
-        if self._streak >= VARIANT_EVIDENCE_FRAMES:
-            if self._configured is Variant.UNKNOWN:
-                # Nobody has said which it is, so the evidence decides, also when the chassis has been changed.
-                self.variant = evidence
-            self.confirmed = evidence == self.variant
-            self.contradicted = not self.confirmed
-        return FaultKind.VARIANT_CONTRADICTED if contrary else None

@@ -18,7 +18,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.chassis.frame import EXTENDED, Frame
+from gateway.chassis.frame import EXTENDED, Frame, GateFault
 from schemas.messages import Variant
 
 _GEAR: Final = 0x18C4D1D0 | EXTENDED
@@ -115,13 +115,6 @@ RATE_WINDOW_NS: Final = 100_000_000
 
 FORGET_NS: Final = 200_000_000
 """After a pause the next burst is not held against the one before."""
-
-
-class GateFault(msgspec.Struct, frozen=True):
-    """The fault for which the gate refused a burst."""
-
-    can_id: int
-    detail: str
 
 
 class Gate:

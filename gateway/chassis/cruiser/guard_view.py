@@ -44,6 +44,7 @@ class ChassisView:
             variant: {name: compile_signals(load(variant).messages[name]) for name in _WATCHED}
             for variant in (Variant.COARSE, Variant.FINE)
         }
+        self._silence_ns = {name: silence_ns(layout.messages[name].period_ns) for name in _WATCHED}
         self._evidence = StandstillEvidence()
         self._latest: dict[str, tuple[bytes, int]] = {}
         self._remote_frames = 0
@@ -110,10 +111,6 @@ class ChassisView:
         drive_mps, wheels_mps = self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns)
         return drive_mps if drive_mps is None or wheels_mps is None else min(drive_mps, wheels_mps)
 
-    def speed_mps(self, variant: Variant, now_ns: int) -> float:
-        """The same; zero where that is None."""
-        return self.slowest_mps(variant, now_ns) or 0.0
-
     def fastest_mps(self, variant: Variant, now_ns: int) -> float | None:
         """Return the higher speed of drive feedback and wheels, a magnitude; None if neither shows any."""
         speeds = (self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns))
@@ -144,7 +141,7 @@ class ChassisView:
         """All that a stop has to begin from: mode, gear, angle and speed."""
         return all(self._fresh(name, now_ns) is not None for name in (GEAR, STEERING, DRIVE, BODY))
 
-    def wheel_speed_data(self, now_ns: int) -> bytes | None:
+    def evidence_data(self, now_ns: int) -> bytes | None:
         """The latest wheel speed frame: evidence of the variant."""
         return self._fresh(WHEEL_SPEED, now_ns)
 
@@ -179,7 +176,7 @@ class ChassisView:
 
     def _fresh(self, name: str, now_ns: int) -> bytes | None:
         latest = self._latest.get(name)
-        if latest is None or now_ns - latest[1] > _SILENCE_NS[name]:
+        if latest is None or now_ns - latest[1] > self._silence_ns[name]:
             return None
         return latest[0]
 
@@ -187,7 +184,6 @@ class ChassisView:
         return self._read[Variant.COARSE][BODY](data)
 
 
-_SILENCE_NS: Final = {name: silence_ns(load(Variant.COARSE).messages[name].period_ns) for name in _WATCHED}
 _GEARS: Final = {gear.value: gear for gear in GearPosition}
 _MODES: Final = {mode.value: mode for mode in Mode}
 

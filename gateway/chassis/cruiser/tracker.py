@@ -14,13 +14,10 @@ from gateway.chassis.cruiser.frames import (
     STEERING,
     WHEEL_PULSE,
     WHEEL_SPEED,
-    VariantDetector,
 )
-from gateway.chassis.odometry import DeadReckoning
-from gateway.chassis.port import ChassisState
-from gateway.chassis.supervision import silence_ns
-from gateway.telemetry.feedback import FeedbackStream
-from gateway.telemetry.health import Links, signed_speed_mps
+from gateway.chassis.odometry import DeadReckoning, signed_speed_mps
+from gateway.chassis.port import ChassisState, FeedbackRow
+from gateway.chassis.supervision import VariantDetector, silence_ns
 from schemas.can_word import COUNTER_SPAN
 from schemas.cruiser import TURNING_RAW_MIN
 from schemas.messages import (
@@ -52,9 +49,7 @@ _Kind = TypeVar("_Kind", bound=Feedback)
 class ChassisTracker:
     """Makes the chassis's state of the newest feedback, each tick."""
 
-    def __init__(
-        self, streams: Iterable[FeedbackStream], detector: VariantDetector, required: Iterable[str]
-    ) -> None:
+    def __init__(self, streams: Iterable[FeedbackRow], detector: VariantDetector, required: Iterable[str]) -> None:
         """Nothing was seen yet.
 
         Args:
@@ -73,7 +68,7 @@ class ChassisTracker:
         }
         self._valid_ns = dict.fromkeys(self._patience_ns, 0)
 
-    def note_body(self) -> None:
+    def note_hits(self) -> None:
         """A body frame came: a bumper that it says was hit counts at the next tick, whatever comes after it."""
         body = self._latest(BODY, Body)
         if body is not None:
@@ -91,17 +86,11 @@ class ChassisTracker:
             odometry.count(message.time_ns, message.rear_left_pulses, message.rear_right_pulses)
 
     def state(
-        self,
-        links: Links,
-        controller: ControllerState,
-        variant: Variant,
-        commander_ns: int | None,
-        now_ns: int,
+        self, controller: ControllerState, variant: Variant, commander_ns: int | None, now_ns: int
     ) -> ChassisState:
-        """The chassis now.
+        """The chassis now, but for what the loop knows of the bus and the guard.
 
         Args:
-            links: the bus and the guard.
             controller: the CAN controller's error state.
             variant: the firmware variant in force.
             commander_ns: when another computer's command frame was last received.
@@ -113,8 +102,6 @@ class ChassisTracker:
         (front, rear), self._hits = self._hits, [False, False]
         parking = self._latest(PARKING, Parking)
         return ChassisState(
-            bus_up=links.bus_up,
-            bus_losses=links.bus_losses,
             controller=controller,
             missing=tuple(self._missing(wheels, body, now_ns)),
             faulty=tuple(self._faulty(now_ns)),
@@ -135,12 +122,6 @@ class ChassisTracker:
             rear_bumper=rear or (_bumper(body, body.rear_bumper) if body is not None else None),
             total_mileage_km=body.total_mileage_km if body is not None and body.valid else None,
             commander_ns=commander_ns,
-            guarded=links.guarded,
-            guard_sends=links.guard_sends,
-            guard_stops=links.guard_stops,
-            guard_says=links.guard_says,
-            is_behind=links.is_behind,
-            realtime=links.realtime,
         )
 
     def _latest(self, name: str, kind: type[_Kind]) -> _Kind | None:

@@ -11,11 +11,11 @@ from typing import Final
 
 import msgspec
 
+from gateway.choice import CHASSIS
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport, total
 from recorder.review.drives import DIED, GAP_NS, Outage, RecordedDrive, Silence, operators_stops
 from recorder.review.entries import EntryKind
-from schemas.cruiser import WHEELBASE_M
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import Mode, RobotState
 from schemas.reasons import TEXTS
@@ -272,7 +272,7 @@ class Path:
         if begins or not self._places:
             self._keep(time_ns, begins=True)
             return
-        turn_rad = step_m * tan((before_rad + self._last_rad) / 2) / WHEELBASE_M
+        turn_rad = step_m * tan((before_rad + self._last_rad) / 2) / CHASSIS.wheelbase_m
         self._x_m += step_m * cos(self._heading_rad + turn_rad / 2)
         self._y_m += step_m * sin(self._heading_rad + turn_rad / 2)
         self._heading_rad = (self._heading_rad + turn_rad + pi) % (2 * pi) - pi

@@ -13,6 +13,7 @@ import zenoh
 from zenoh import ext
 
 from gateway.chassis.port import ChassisState
+from gateway.choice import CHASSIS
 from gateway.client.robot import Lease, Robot
 from gateway.command.flow import CommandFlow
 from gateway.command.rulings import RawRequest
@@ -91,7 +92,7 @@ class FakeRobot:
         self._handle = 0
         self._mileage_km = 1.0
         self.now_ns = time.monotonic_ns()
-        self.flow = CommandFlow(self.settings, run=self.now_ns)
+        self.flow = CommandFlow(CHASSIS, self.settings, run=self.now_ns)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()

@@ -73,7 +73,7 @@ class Listener:
         return self.view.stands(Variant.COARSE, time.monotonic_ns())
 
     def speed_mps(self) -> float:
-        return self.view.speed_mps(Variant.COARSE, time.monotonic_ns())
+        return self.view.slowest_mps(Variant.COARSE, time.monotonic_ns()) or 0.0
 
     def by_guard(self) -> list[Burst]:
         """The guard's bursts, but for one that may still be coming in."""

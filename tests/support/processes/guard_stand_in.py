@@ -16,8 +16,8 @@ import time
 from types import FrameType
 
 from gateway.can.open_bus import ReconnectingBus, open_bus
-from gateway.chassis.cruiser.bursts import AuxiliaryFrame, FrameMaker
-from gateway.chassis.port import AT_REST, Actuation
+from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.port import AT_REST, Actuation, AuxiliaryFrame
 from gateway.host.guard_process import GuardProcess, start_guard
 from schemas.messages import GearPosition, Variant
 from schemas.settings import TICK_NS, CanSettings, GatewaySettings, Settings

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import can
 
 from gateway.can.socketcand_server import SocketcandServer
-from gateway.chassis.cruiser.frames import load
+from gateway.choice import CHASSIS
 from gateway.cli.sim import SimClock, SimSummary, TypedLines, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
@@ -21,7 +21,7 @@ class Served:
     def __init__(self, server: SocketcandServer) -> None:
         self.server = server
         self.host, self.port = server.address
-        self.chassis = VirtualChassis(load(Variant.COARSE), SimClock().monotonic_ns())
+        self.chassis = VirtualChassis(CHASSIS, Variant.COARSE, SimClock().monotonic_ns())
         self.summary: SimSummary | None = None
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self.serve)

@@ -5,6 +5,7 @@ from typing import Any
 import msgspec
 
 from gateway.chassis.port import ChassisState
+from gateway.choice import CHASSIS
 from gateway.command.arbiter import Arbiter
 from gateway.command.rulings import Credentials, Event, RawRequest, Ruling, TickOutcome
 from schemas.cruiser import SPEED_TOP_MPS
@@ -58,6 +59,7 @@ class ArbiterRig:
         credentials: Credentials | None = None,
     ) -> None:
         self.arbiter = Arbiter(
+            CHASSIS,
             Settings(
                 command=command or CommandSettings(speed_limit_mps=SPEED_TOP_MPS),
                 gateway=GatewaySettings(accept_unguarded=accept_unguarded),

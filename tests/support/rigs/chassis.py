@@ -3,6 +3,7 @@
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, Encoder, FrameDecoder, Value
+from gateway.choice import CHASSIS
 from gateway.sim.body import NOMINAL, Conditions
 from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis
@@ -31,7 +32,7 @@ class ChassisRig:
         conditions: Conditions = NOMINAL,
     ) -> None:
         layout = load(variant)
-        self.chassis = VirtualChassis(layout, 0, rate_multiplier=rate_multiplier, conditions=conditions)
+        self.chassis = VirtualChassis(CHASSIS, variant, 0, rate_multiplier=rate_multiplier, conditions=conditions)
         self.encoder = Encoder(layout)
         self.decoder = FrameDecoder(layout)
         self.now_ns = 0

@@ -16,6 +16,7 @@ import msgspec
 from gateway.chassis.cruiser.frames import BRAKE_FIRST_FRAMES, MOTION_FRAMES, load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, FrameDecoder, Value
+from gateway.choice import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.sim.model import VirtualChassis
@@ -84,8 +85,8 @@ class GatewayRig:
             gateway=GatewaySettings(accept_unguarded=accept_unguarded),
         )
         self.now_ns = now_ns
-        self.core = Core(self.settings, "1.2.3", now_ns, run)
-        self.chassis = VirtualChassis(load(variant), now_ns)
+        self.core = Core(CHASSIS, self.settings, "1.2.3", now_ns, run)
+        self.chassis = VirtualChassis(CHASSIS, variant, now_ns)
         self.links = GUARDED
         self.takes: int | None = None
         self.corrupt: Callable[[Frame], Frame | None] = lambda frame: frame

@@ -6,10 +6,10 @@ from typing import Any, Union
 import msgspec
 
 from gateway.chassis.cruiser.bursts import FrameMaker
-from gateway.chassis.cruiser.frames import load
 from gateway.chassis.cruiser.gate import Gate
 from gateway.chassis.frame import Frame
 from gateway.chassis.port import Actuation
+from gateway.choice import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat
 from gateway.sim.model import VirtualChassis
@@ -43,8 +43,8 @@ class GuardRig:
     def __init__(self, variant: Variant = Variant.COARSE, settings: CommandSettings | None = None) -> None:
         self.now_ns = S
         self.variant = variant
-        self.chassis = VirtualChassis(load(variant), self.now_ns)
-        self.guardian = Guardian(settings or CommandSettings())
+        self.chassis = VirtualChassis(CHASSIS, variant, self.now_ns)
+        self.guardian = Guardian(CHASSIS, settings or CommandSettings())
         self.gate = Gate(may_release=True)
         self.loop_lives = self.parent_lives = self.bus_up = True
         self.mute = False

@@ -13,6 +13,7 @@ import pytest
 
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import ERROR, Frame
+from gateway.choice import CHASSIS
 from gateway.sim.body import Conditions
 from gateway.sim.model import VirtualChassis
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
@@ -35,7 +36,7 @@ class Scene:
             slope_deg, *delay_s = map(float, what.split())
             self.rig, self.operator = ready(variant)
             conditions = Conditions(slope_deg, parking_delay_s=delay_s[0] if delay_s else 0.05)
-            self.rig.chassis = VirtualChassis(load(variant), self.rig.now_ns, conditions=conditions)
+            self.rig.chassis = VirtualChassis(CHASSIS, variant, self.rig.now_ns, conditions=conditions)
             self.operator.engage()
         else:
             command = FAST if what == "fast" else None

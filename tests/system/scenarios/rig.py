@@ -14,6 +14,7 @@ import msgspec
 
 from gateway.chassis.frame import EXTENDED, IDENTIFIER_MASK, Frame
 from gateway.chassis.port import AT_REST
+from gateway.choice import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.guard.guardian import Guardian
@@ -61,7 +62,7 @@ class Gateway:
         self._settings = settings
         self._random = random
         self._run = random.getrandbits(48)
-        self._core = Core(settings, "", now_ns, self._run)
+        self._core = Core(CHASSIS, settings, "", now_ns, self._run)
         if crashed:
             self._core.note_crash(now_ns)
         if stopped_before:
@@ -177,7 +178,7 @@ class Guard:
     """The guard's process, as long as the gateway's does what it should, and after."""
 
     def __init__(self, settings: CommandSettings) -> None:
-        self._guardian = Guardian(settings)
+        self._guardian = Guardian(CHASSIS, settings)
         self._beat: Beat | None = None
         self.lines: list[str] = []
 

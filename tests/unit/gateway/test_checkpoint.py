@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from gateway import core as core_module
 from gateway import journal as module
 from gateway.chassis.layout import Encoder, MessageDecoder, MessageLayout
+from gateway.choice import CHASSIS
 from gateway.command.flow import TickEffects
 from gateway.core import Core
 from gateway.journal import RENAMED, CheckpointError, Input, JournalWriter, checkpoint, follow, inputs_of
@@ -70,7 +71,7 @@ def test_whatever_happens_it_goes_on_as_before(seed: int, variant: Variant, plac
     inputs = inputs_of_day(day)
     ticks = [place for place, one in enumerate(inputs) if one[0] == Kind.TICK]
     chosen = set(Random(seed).sample(ticks, places))  # noqa: S311 - the same ones each time
-    first = Core(day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)
+    first = Core(CHASSIS, day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)
     taken: dict[int, bytes] = {}
     then: dict[int, bytes] = {}
     before: list[object] = []
@@ -85,7 +86,7 @@ def test_whatever_happens_it_goes_on_as_before(seed: int, variant: Variant, plac
         before.append(effects(give(first, one)))
     assert {ArbiterState.ENGAGED, ArbiterState.STANDBY} < states
     for place, state in taken.items():
-        second = Core(day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)
+        second = Core(CHASSIS, day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)
         second.resume(state)
         for number in range(place, min(len(inputs), place + FOLLOWED)):
             assert effects(give(second, inputs[number])) == before[number], (place, inputs[number])
@@ -100,7 +101,7 @@ def test_taking_one_changes_nothing() -> None:
     core = day.rig.core
     one = msgspec.msgpack.encode(checkpoint(core))
     assert msgspec.msgpack.encode(checkpoint(core)) == one
-    again = Core(day.rig.settings, "", 0)
+    again = Core(CHASSIS, day.rig.settings, "", 0)
     again.resume(one)
     # What the journal of the first has written is its own.
     assert msgspec.msgpack.encode(checkpoint(again)) == one
@@ -182,7 +183,7 @@ def test_one_that_does_not_fit_is_refused() -> None:
     """Damaged, made up, or of a version whose core holds other things; no class of others is ever made."""
     for state in damaged():
         with pytest.raises(CheckpointError):
-            Core(Settings(), "", 0).resume(state)
+            Core(CHASSIS, Settings(), "", 0).resume(state)
 
 
 @given(st.binary(max_size=200), st.integers(0, 30_000))
@@ -191,7 +192,7 @@ def test_no_bytes_do_anything_else(junk: bytes, place: int) -> None:
     state = bytearray(msgspec.msgpack.encode(checkpoint(lived(1, ticks=300).rig.core)))
     state[place % len(state) : place % len(state) + len(junk)] = junk
     try:
-        Core(Settings(), "", 0).resume(bytes(state))
+        Core(CHASSIS, Settings(), "", 0).resume(bytes(state))
     except CheckpointError:
         return
 
@@ -234,7 +235,7 @@ def test_nothing_is_left_out_but_what_a_core_is_made_with() -> None:
     """Whoever gives the core a state of another class sees here that the class has no alias."""
     day = lived(1)
     inputs = inputs_of_day(day)
-    core = Core(day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)
+    core = Core(CHASSIS, day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)
     kinds: set[type] = set()
     for place, one in enumerate(inputs):
         give(core, one)
@@ -258,7 +259,7 @@ def test_a_renamed_attribute_keeps_its_name_in_checkpoints(monkeypatch: pytest.M
     monkeypatch.setitem(RENAMED, "Arbiter", {"tick_number": "number_at_first"})
     renamed = msgspec.msgpack.encode(checkpoint(core))
     assert b"number_at_first" in renamed
-    again = Core(lived(1).rig.settings, "", 0)
+    again = Core(CHASSIS, lived(1).rig.settings, "", 0)
     again.resume(renamed)
     assert msgspec.msgpack.encode(checkpoint(again)) == renamed
     monkeypatch.undo()

@@ -7,10 +7,11 @@ import msgspec
 import pytest
 from hypothesis import given
 
-from gateway import core as core_module
+from gateway.chassis import port
 from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT, load
 from gateway.chassis.frame import ERROR, EXTENDED, Frame
 from gateway.chassis.layout import Encoder
+from gateway.choice import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.telemetry.health import Links
@@ -42,7 +43,7 @@ Kind = TypeVar("Kind", bound=Message)
 
 def core(variant: str = "auto") -> Core:
     """A core whose bus is up."""
-    made = Core(Settings(chassis=ChassisSettings(variant=variant)), "1.2.3", 0)  # type: ignore[arg-type]
+    made = Core(CHASSIS, Settings(chassis=ChassisSettings(variant=variant)), "1.2.3", 0)  # type: ignore[arg-type]
     made.update_links(UP, 0)
     return made
 
@@ -246,8 +247,7 @@ def test_a_speed_in_the_other_scale_is_implausible() -> None:
 def test_no_decoder_is_compiled_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """To compile one takes a millisecond: both variants' are made at the start, and changed for one another."""
     made, fine, coarse = core(), Feedback(Variant.FINE), Feedback(Variant.COARSE)
-    monkeypatch.setattr(core_module, "compile_feedback", None)
-    monkeypatch.setattr(core_module, "load", None)
+    monkeypatch.setattr(port, "compile_message", None)
     for feedback, variant in ((fine, Variant.FINE), (coarse, Variant.COARSE)):
         confirm(made, feedback)
         assert made.variant is variant
@@ -412,7 +412,7 @@ def test_each_failure_is_told_of_its_own_frame() -> None:
 
 def test_a_listening_gateway_has_no_command_flow() -> None:
     """It judges nothing, offers no frame, publishes neither decisions nor a journal, and is always at rest."""
-    made = Core(Settings(gateway=GatewaySettings(listen_only=True)), "1.2.3", 0)
+    made = Core(CHASSIS, Settings(gateway=GatewaySettings(listen_only=True)), "1.2.3", 0)
     made.update_links(UP, 0)
     assert made.command is None
     made.receive_request(RawRequest(1, "acquire", "first", b"", 0), 0)
@@ -432,7 +432,7 @@ def test_a_listening_gateway_has_no_command_flow() -> None:
 def test_raw_frames_may_be_left_out() -> None:
     """With can.raw_frames off they are counted and journalled, and not published as they are."""
     settings = Settings(can=CanSettings(raw_frames=False), chassis=ChassisSettings(variant="coarse"))
-    made = Core(settings, "1.2.3", 0)
+    made = Core(CHASSIS, settings, "1.2.3", 0)
     made.update_links(UP, 0)
     confirm(made, Feedback(Variant.COARSE))
     published = ticks(made, 1000)
@@ -462,7 +462,7 @@ def test_error_frames_tell_the_state_of_the_controller_until_the_bus_is_lost() -
 )
 def test_whose_command_frames_are_another_computers(*, guard_sends: bool, spoilt: bool, is_other: bool) -> None:
     """Valid ones, while the guard does not send: its frames are ours."""
-    made = Core(Settings(), "1.2.3", 0)
+    made = Core(CHASSIS, Settings(), "1.2.3", 0)
     made.update_links(Links(bus_up=True, guard_sends=guard_sends), 0)
     frame = Encoder(load(Variant.COARSE)).encode("Auto_DriveCmd", {}, 0)
     made.receive_frame(Frame(frame.can_id, b"\1" + frame.data[1:]) if spoilt else frame, 7)

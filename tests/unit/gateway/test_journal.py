@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from gateway.chassis.frame import EXTENDED, FD, REMOTE, Frame
+from gateway.choice import CHASSIS
 from gateway.command.restart import Carried
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
@@ -88,7 +89,7 @@ def test_the_journals_of_two_runs_are_refused() -> None:
 
 def test_every_input_of_the_core_is_written_down() -> None:
     """Each kind with its time and all that the core was given; of the links only what the core decides by."""
-    core = Core(Settings(), "1.2.3", 0, run=7)
+    core = Core(CHASSIS, Settings(), "1.2.3", 0, run=7)
     frames = [
         Frame(EXTENDED | 0x18C4D1EF, bytes(8), WALL_NS),
         Frame(0x123 | REMOTE, b"", 5, 0, 3),

@@ -14,6 +14,7 @@ from gateway import loop as loop_module
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Encoder
+from gateway.choice import CHASSIS
 from gateway.command.flow import CommandFlow, PendingReply, TickEffects
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
@@ -117,7 +118,9 @@ class FakeZenoh:
 def core() -> Core:
     """A core of a known variant."""
     command = CommandSettings(speed_limit_mps=2.222)
-    return Core(Settings(chassis=ChassisSettings(variant="coarse"), command=command), "0", clock.monotonic_ns())
+    return Core(
+        CHASSIS, Settings(chassis=ChassisSettings(variant="coarse"), command=command), "0", clock.monotonic_ns()
+    )
 
 
 def test_frames_come_out_as_samples_and_ticks_go_on() -> None:
@@ -334,7 +337,7 @@ class Chassis(FakeBus):
         super().__init__([])
         self.order = order
         self.takes = 100
-        self._chassis = VirtualChassis(load(Variant.COARSE), clock.monotonic_ns())
+        self._chassis = VirtualChassis(CHASSIS, Variant.COARSE, clock.monotonic_ns())
 
     def receive(self, timeout_s: float) -> Frame | None:
         self.frames += self._chassis.advance(clock.monotonic_ns(), clock.time_ns())

@@ -12,6 +12,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gateway import rerun as module
 from gateway.chassis.frame import Frame
+from gateway.choice import CHASSIS
 from gateway.core import Core
 from gateway.journal import BrokenJournalError, JournalGapError, read
 from gateway.rerun import give, rerun, run_again, run_of
@@ -65,7 +66,7 @@ class ReadBack:
     def run_again(self) -> Iterator[tuple[list[Frame], list[Sample]]]:
         """The core, run again."""
         inputs = list(read(self.journals))
-        core = Core(self.settings, "", inputs[0][1], self.journals[0].run)
+        core = Core(CHASSIS, self.settings, "", inputs[0][1], self.journals[0].run)
         return run_again(core, inputs)
 
 
@@ -181,7 +182,7 @@ def test_what_a_run_began_with_a_warning_of_is_run_again_so() -> None:
 
 def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> None:
     """It does not say whether there was real-time priority, which lowered no limit then."""
-    core = Core(Settings(), "", 0)
+    core = Core(CHASSIS, Settings(), "", 0)
     give(core, (Kind.LINKS, 5, True, 1, True, False, 2, False))
     give(core, (Kind.TICK, 10, 11, 0))
     assert core.command is not None

@@ -11,7 +11,7 @@ from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.frames import compile_feedback, load
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import ERROR, EXTENDED, FD, REMOTE, FaultKind, Frame, FrameFault
 from gateway.chassis.layout import (
     Decoded,
@@ -24,6 +24,7 @@ from gateway.chassis.layout import (
     compile_message,
     compile_signals,
 )
+from gateway.choice import CHASSIS
 from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG, dbc_text
 from schemas.messages import Variant
 from tests.support import SUPPORT
@@ -77,7 +78,7 @@ def test_every_message_decodes_as_cantools_decodes_it(variant: Variant, data: by
 @given(drawn=st.data())
 def test_a_message_says_what_the_signals_say(layout: MessageLayout, drawn: st.DataObject) -> None:
     """The typed message holds the same values as the signals, under the fields' names."""
-    decoder, data = compile_feedback(layout), drawn.draw(plausible_payloads(layout))
+    decoder, data = CHASSIS.decoder(layout), drawn.draw(plausible_payloads(layout))
     message = decoder.build(data, 17, 4)
     fields: dict[str, Any] = msgspec.to_builtins(message)
     assert (fields.pop("time_ns"), fields.pop("sequence")) == (17, 4)
@@ -95,7 +96,7 @@ def test_a_message_says_what_the_signals_say(layout: MessageLayout, drawn: st.Da
 @given(drawn=st.data())
 def test_undefined_is_told_when_a_value_table_has_no_name(layout: MessageLayout, drawn: st.DataObject) -> None:
     """``undefined`` is true exactly when the message says ``undefined`` somewhere."""
-    decoder, data = compile_feedback(layout), drawn.draw(plausible_payloads(layout))
+    decoder, data = CHASSIS.decoder(layout), drawn.draw(plausible_payloads(layout))
     fields = msgspec.to_builtins(decoder.build(data, 0, 0))
     has_undefined = decoder.undefined is not None and decoder.undefined(data)
     assert has_undefined == ("undefined" in fields.values())
@@ -112,7 +113,7 @@ ROUNDING = 1e-9
 def test_a_number_beyond_its_bound_makes_no_message(layout: MessageLayout, signal: SignalLayout) -> None:
     """Every raw value of a steering angle or a speed: 25 deg and 3 m/s, in either direction, and no step more."""
     assert len(BOUNDED) == 8
-    build = compile_feedback(layout).build
+    build = CHASSIS.decoder(layout).build
     standing = int.from_bytes(
         Encoder(load(Variant.COARSE if layout in COARSE else Variant.FINE))
         .encode(layout.name, dict.fromkeys((s.name for s in layout.signals if s.name in BOUNDS), 0.0), 0)
@@ -147,10 +148,10 @@ def test_a_bound_that_is_a_raw_values_own_includes_it(
 def test_a_gear_or_a_mode_that_the_manual_does_not_know_makes_no_message(variant: Variant, data: bytes) -> None:
     """Gears are 1 to 4 and modes 0 to 2; auto, which is 0, only in a frame that says that it is valid."""
     messages = load(variant).messages
-    gear = compile_feedback(messages["Auto_GearFeedBack"]).build(data, 0, 0)
+    gear = CHASSIS.decoder(messages["Auto_GearFeedBack"]).build(data, 0, 0)
     assert (gear is not None) == (data[1] & 7 in {1, 2, 3, 4})
     mode, valid = data[5] & 3, data[0] & 1
-    body = compile_feedback(messages["Auto_MileageAndBodyFeedback"]).build(data, 0, 0)
+    body = CHASSIS.decoder(messages["Auto_MileageAndBodyFeedback"]).build(data, 0, 0)
     assert (body is not None) == (mode in {1, 2} or (mode == 0 and valid == 1))
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gateway.can.can_bus import BusLost
-from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import ERROR, Frame
+from gateway.choice import CHASSIS
 from gateway.cli.sim import CanBusLink, Inject, SimClock, SimSummary, TypedLines, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
@@ -80,7 +80,7 @@ class Bench:
     def __init__(self) -> None:
         self.clock = FakeClock()
         self.link = FakeLink(self.clock)
-        self.chassis = VirtualChassis(load(Variant.COARSE), 0)
+        self.chassis = VirtualChassis(CHASSIS, Variant.COARSE, 0)
         self.lines = FakeLines()
         self.answers: list[str] = []
 
@@ -156,7 +156,7 @@ def test_faults_come_from_the_link_and_from_typed_lines() -> None:
 def test_it_stops_when_told() -> None:
     """The flag is looked at on every wake, and at least 20 times a second."""
     bench = Bench()
-    bench.chassis = VirtualChassis(load(Variant.COARSE), 0, rate_multiplier=0.1)
+    bench.chassis = VirtualChassis(CHASSIS, Variant.COARSE, 0, rate_multiplier=0.1)
     bench.run(stopped=lambda: bench.clock.now_ns > S)
     assert bench.clock.now_ns <= S + 50 * MS
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from gateway.chassis.cruiser.bursts import AuxiliaryFrame
-from gateway.chassis.port import Actuation
+from gateway.chassis.port import Actuation, AuxiliaryFrame
 from gateway.command.motion import Target
 from gateway.command.rulings import Ruling
 from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
+from gateway.choice import CHASSIS
 from gateway.command.restart import QUIET_NS, Carried
 from gateway.core import Core
 from gateway.journal import inputs_of
@@ -33,7 +34,7 @@ def start_again(rig: GatewayRig) -> Carried:
     rig.tick()
     latches = rig.core.command.arbiter.engagement.latches  # type: ignore[union-attr]
     carried = Carried({reason.value: detail for reason, detail in latches.details.items()})
-    rig.core = Core(rig.settings, "1.2.3", rig.now_ns, BEFORE[1])
+    rig.core = Core(CHASSIS, rig.settings, "1.2.3", rig.now_ns, BEFORE[1])
     rig.core.take_over(carried, rig.now_ns)
     rig.events.clear()
     rig.recorded.clear()
@@ -200,7 +201,7 @@ def test_the_journal_of_the_second_run_begins_with_what_was_carried_over() -> No
     said = [one for _, one in rig.recorded if one.subject.startswith("safety/")]
     inputs = [one for journal in rig.journals for one in inputs_of(journal)]
     assert inputs[0][0] == Kind.CARRIED
-    again = Core(rig.settings, "", inputs[0][1], BEFORE[1])
+    again = Core(CHASSIS, rig.settings, "", inputs[0][1], BEFORE[1])
     repeated = [one for _, samples in run_again(again, inputs) for one in samples]
     repeated = [one for one in repeated if one.subject.startswith("safety/")]
     assert len(repeated) > 10

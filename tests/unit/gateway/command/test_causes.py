@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from gateway.chassis.port import Actuation, ChassisState
+from gateway.choice import CHASSIS
 from gateway.command.monitor import ChassisMonitor
 from gateway.command.rulings import STOPS
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
@@ -24,7 +25,7 @@ def but(chassis: ChassisState = STANDING, /, **changes: object) -> ChassisState:
 
 def monitoring(*chassis: ChassisState) -> ChassisMonitor:
     """A monitor that has seen these, a tick each, the last of them at zero."""
-    monitor = ChassisMonitor()
+    monitor = ChassisMonitor(CHASSIS)
     for number, each in enumerate(chassis, 1 - len(chassis)):
         monitor.update(each, number * 10 * MS)
     return monitor

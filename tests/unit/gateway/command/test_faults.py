@@ -12,6 +12,7 @@ from gateway.chassis.cruiser.frames import MOTION_FRAMES, load
 from gateway.chassis.frame import ERROR, FD, Frame
 from gateway.chassis.layout import check
 from gateway.chassis.port import Actuation
+from gateway.choice import CHASSIS
 from gateway.guard.stopper import Cause
 from gateway.sim.model import VirtualChassis
 from gateway.telemetry.health import Links
@@ -542,7 +543,7 @@ def test_a_stop_that_was_held_up_does_not_go_on_from_the_old_speed() -> None:
     rig.tick(5)
     rig.takes = 0
     rig.run(10)
-    rig.chassis = VirtualChassis(load(Variant.COARSE), rig.now_ns)
+    rig.chassis = VirtualChassis(CHASSIS, Variant.COARSE, rig.now_ns)
     rig.takes = None
     heard = len(rig.heard)
     rig.run(6)

@@ -3,7 +3,8 @@
 import msgspec
 import pytest
 
-from gateway.chassis.cruiser.gate import GateFault
+from gateway.chassis.frame import GateFault
+from gateway.choice import CHASSIS
 from gateway.command.flow import CommandFlow
 from gateway.command.rulings import RawRequest
 from gateway.telemetry.health import Links
@@ -31,7 +32,7 @@ def refuse(made: CommandFlow, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_tick_makes_replies_and_messages() -> None:
     """And decisions come once it is known what was sent."""
-    made = CommandFlow(Settings(), 7)
+    made = CommandFlow(CHASSIS, Settings(), 7)
     request = RawRequest(5, "acquire", "first", b"\x80", 1)
     due = made.tick(STANDING, [request], 10 * MS, WALL_NS, 0, CHALLENGE)
     assert due.frames == []
@@ -48,7 +49,7 @@ def test_a_tick_makes_replies_and_messages() -> None:
 
 def test_events_come_before_the_state_that_they_explain() -> None:
     """A state is not sent where nothing is due."""
-    made = CommandFlow(Settings(), 7)
+    made = CommandFlow(CHASSIS, Settings(), 7)
     [state] = map(message_of, made.tick(STANDING, [], 10 * MS, WALL_NS, 0, CHALLENGE).samples)
     assert isinstance(state, SafetyState)
     assert made.tick(STANDING, [], 20 * MS, WALL_NS, 0, CHALLENGE).samples == []

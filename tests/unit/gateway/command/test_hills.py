@@ -10,6 +10,7 @@ import pytest
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Encoder
+from gateway.choice import CHASSIS
 from gateway.sim.body import Conditions
 from gateway.sim.model import VirtualChassis
 from schemas.decisions import ArbiterState, EventKind, StopPhase
@@ -61,7 +62,7 @@ class Hill(GatewayRig):
     ) -> None:
         super().__init__(variant, command)
         conditions = Conditions(slope_deg, payload_kg, pedal_gain, parking_delay_s=parking_delay_s)
-        self.chassis = VirtualChassis(load(variant), 0, conditions=conditions)
+        self.chassis = VirtualChassis(CHASSIS, variant, 0, conditions=conditions)
         self._sign = 0.0
         self._furthest_m = self.rolled_back_m = 0.0
         self.stood_ns = self.braked_ns = 0

@@ -6,10 +6,14 @@ import msgspec
 import pytest
 
 from gateway.chassis.port import Actuation, ChassisState
+from gateway.choice import CHASSIS
 from gateway.command.motion import MotionLimits
 from gateway.command.output import inferred_actuation, inferred_angle_deg
 from schemas.messages import GearPosition
 from schemas.settings import CommandSettings
+
+L_M = CHASSIS.wheelbase_m
+"""The wheelbase."""
 
 LIMITS = MotionLimits.of(CommandSettings(speed_limit_mps=1.5, steering_limit_deg=10.0))
 DRIVE, REVERSE, NEUTRAL, PARK, UNDEFINED = (
@@ -38,7 +42,7 @@ def test_the_lower_speed_is_told_and_the_higher_one_is_feared(
     """No single faulty sensor sets a robot going, and none hides a motion."""
     chassis = ChassisState(speed_mps=drive_mps, fastest_wheel_mps=wheels_mps, gear=DRIVE)
     assert (chassis.slowest_mps, chassis.fastest_mps) == (slowest_mps, fastest_mps)
-    assert inferred_actuation(chassis, LIMITS).speed_mps == slowest_mps
+    assert inferred_actuation(chassis, LIMITS, L_M).speed_mps == slowest_mps
 
 
 SLOW = ChassisState(speed_mps=0.0499, fastest_wheel_mps=0.0499, turns=False, confirmed=True)
@@ -73,7 +77,7 @@ def test_no_speed_is_told_that_the_angle_does_not_allow(seen_deg: float) -> None
     """Row 'lateral acceleration', of a robot that is given back in a bend: v^2 tan(angle) / 0.660 m."""
     chassis = ChassisState(speed_mps=3.0, fastest_wheel_mps=3.0, gear=DRIVE, angle_deg=seen_deg)
     limits = MotionLimits.of(CommandSettings(speed_limit_mps=2.222))
-    told = inferred_actuation(chassis, limits)
+    told = inferred_actuation(chassis, limits, L_M)
     assert told.speed_mps**2 * tan(radians(abs(seen_deg))) / 0.660 == pytest.approx(1.5)
 
 
@@ -98,7 +102,7 @@ def test_only_in_gear_is_there_a_speed(
 ) -> None:
     """Within the limit; the brake is asked for where the robot may be parked."""
     chassis = ChassisState(speed_mps=2.0, fastest_wheel_mps=2.0, gear=gear)
-    assert inferred_actuation(chassis, LIMITS) == Actuation(True, told, speed_mps, parking=parking)  # noqa: FBT003
+    assert inferred_actuation(chassis, LIMITS, L_M) == Actuation(True, told, speed_mps, parking=parking)  # noqa: FBT003
 
 
 @pytest.mark.parametrize(
@@ -118,5 +122,5 @@ def test_what_was_left_bounds_what_is_told(
 ) -> None:
     """Row 'given back: never a speed above the lower of what it was left on and what is seen'; parked it stays."""
     chassis = ChassisState(speed_mps=slowest_mps, fastest_wheel_mps=slowest_mps, gear=gear)
-    told = inferred_actuation(chassis, LIMITS, left)
+    told = inferred_actuation(chassis, LIMITS, L_M, left)
     assert (told.speed_mps, told.parking) == (told_mps, left.parking)

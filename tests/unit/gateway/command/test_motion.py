@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.port import AT_REST, Actuation
+from gateway.choice import CHASSIS
 from gateway.command.motion import MotionConstraints, MotionLimits, MotionProfile, Target
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
@@ -51,6 +52,7 @@ class Robot:
         for _ in range(count):
             told = self.told
             seen = MotionConstraints(
+                wheelbase_m=CHASSIS.wheelbase_m,
                 stands=told.speed_mps == 0 if self.stands is None else self.stands,
                 gear=self.gear or (PARK if told.parking else told.gear),
                 brake=self.brake or (APPLIED if told.parking else RELEASED),
@@ -239,7 +241,7 @@ def test_a_robot_that_is_faster_than_it_was_told_is_not_turned_further() -> None
     robot = going(1.0)
     robot.speed_mps = 2.2
     told = robot.tick(1.0, 24.0, count=100)
-    assert told.angle_deg == pytest.approx(LIMITS.angle_at(2.2))
+    assert told.angle_deg == pytest.approx(LIMITS.angle_at(2.2, CHASSIS.wheelbase_m))
     assert Bound.LATERAL_ACCELERATION in robot.motion.bounds
     robot.speed_mps = None
     assert robot.tick(1.0, 24.0, count=100).angle_deg == 24.0
@@ -364,7 +366,7 @@ def test_every_step_is_within_every_limit(
 @given(speed_mps=st.floats(-2.222, 2.222), share=st.floats(-0.999, 0.999))
 def test_what_is_within_the_limits_is_reached_unchanged(speed_mps: float, share: float) -> None:
     """To the last bit, and nothing is told to have bound it."""
-    angle_deg = share * LIMITS.angle_at(speed_mps)
+    angle_deg = share * LIMITS.angle_at(speed_mps, CHASSIS.wheelbase_m)
     robot = Robot()
     told = robot.tick(speed_mps, angle_deg, count=450)
     assert (told.signed_speed_mps, told.angle_deg) == (speed_mps, angle_deg)

@@ -7,6 +7,7 @@ import pytest
 
 from gateway.chassis.cruiser.tracker import Encoders
 from gateway.chassis.port import AT_REST, Actuation, ChassisState
+from gateway.choice import CHASSIS
 from gateway.command.monitor import Plausibility, exceeds, fits, fitting_scale
 from schemas.messages import GearPosition, WheelPulse
 from schemas.reasons import Reason
@@ -38,7 +39,7 @@ class Watched:
     """A robot that is told and seen something, tick by tick."""
 
     def __init__(self, start_mps: float = 0.0, angle_deg: float = 0.0) -> None:
-        self.made = Plausibility()
+        self.made = Plausibility(CHASSIS)
         self.made.forget(start_mps, angle_deg)
         self.now_ms = 0
 
@@ -145,7 +146,7 @@ def test_what_is_not_known_does_not_misfit(chassis: ChassisState) -> None:
 )
 def test_which_scale_fits(drive_mps: float, wheel_mps: float, words: str) -> None:
     """Row 'plausibility: and say which scale fits'."""
-    assert fitting_scale(drive_mps, wheel_mps) == words
+    assert fitting_scale(drive_mps, wheel_mps, CHASSIS.scale_ratio) == words
 
 
 # Rolling.

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
+from gateway.choice import CHASSIS
 from gateway.command.flow import CommandFlow
 from gateway.command.restart import QUIET_NS, Snapshot, is_at_rest, restore, snapshot
 from schemas.messages import Variant
@@ -44,7 +45,7 @@ def test_what_is_remembered_is_restored() -> None:
     assert len(memory.challenges) > 50
     read = msgspec.convert(msgspec.msgpack.decode(msgspec.msgpack.encode(memory)), Snapshot)
     assert read == memory
-    flow = CommandFlow(rig.settings, 7)
+    flow = CommandFlow(CHASSIS, rig.settings, 7)
     restore(flow, read, rig.now_ns)
     assert snapshot(flow) == memory
     assert flow.maker.counters == flow_of(rig).maker.counters
@@ -57,7 +58,7 @@ def test_what_is_remembered_is_restored() -> None:
 def test_the_next_lease_has_the_number_that_it_would_have_had() -> None:
     """It goes on where the run's numbers are."""
     rig = rested()
-    flow = CommandFlow(rig.settings, 7)
+    flow = CommandFlow(CHASSIS, rig.settings, 7)
     restore(flow, snapshot(flow_of(rig)), rig.now_ns)
     operator = Operator(rig, "third")
     operator.take_lease()

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from gateway.chassis.cruiser.bursts import AuxiliaryFrame
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.cruiser.gate import MOTION
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, Encoder, FrameDecoder, Value
-from gateway.chassis.port import AT_REST, Actuation
+from gateway.chassis.port import AT_REST, Actuation, AuxiliaryFrame
+from gateway.choice import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Cause
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
@@ -309,7 +309,7 @@ def drive_by_other(rig: GuardRig, speed_mps: float) -> None:
 
 def replace_guard(rig: GuardRig) -> None:
     """Another guard is started."""
-    rig.guardian = Guardian(CommandSettings())
+    rig.guardian = Guardian(CHASSIS, CommandSettings())
 
 
 def cut_short(rig: GuardRig) -> None:

@@ -9,6 +9,7 @@ from gateway.chassis.cruiser.frames import load
 from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.layout import Decoded, Encoder, FrameDecoder
 from gateway.chassis.port import Actuation
+from gateway.choice import CHASSIS
 from gateway.guard.stopper import Stopper
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Variant
@@ -19,14 +20,14 @@ DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parkin
 
 
 def begun(view: ChassisView, counters: bytes | None, now_ns: int = 0) -> Stopper:
-    stopper = Stopper(view, CommandSettings())
+    stopper = Stopper(CHASSIS, view, CommandSettings())
     stopper.begin(DRIVING, Variant.COARSE, counters, now_ns)
     return stopper
 
 
 def test_nothing_is_sent_before_it_begins() -> None:
     """And it counts as over."""
-    stopper = Stopper(ChassisView(), CommandSettings())
+    stopper = Stopper(CHASSIS, ChassisView(), CommandSettings())
     assert stopper.is_over
     assert stopper.tick(0) == []
     assert stopper.phase is StopPhase.IDLE
@@ -35,7 +36,7 @@ def test_nothing_is_sent_before_it_begins() -> None:
 @pytest.mark.parametrize("nonsense", [nan, inf])
 def test_what_is_not_a_number_counts_as_zero(nonsense: float) -> None:
     """Never as the furthest that is allowed."""
-    stopper = Stopper(ChassisView(), CommandSettings())
+    stopper = Stopper(CHASSIS, ChassisView(), CommandSettings())
     last = msgspec.structs.replace(DRIVING, speed_mps=nonsense, angle_deg=nonsense)
     stopper.begin(last, Variant.COARSE, bytes(8), 0)
     decoder = FrameDecoder(load(Variant.COARSE))

@@ -6,6 +6,7 @@ import pytest
 
 from gateway.chassis.cruiser.gate import MOTION
 from gateway.chassis.frame import Frame
+from gateway.choice import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat, GuardStatus
 from gateway.host.guard_main import run
@@ -62,7 +63,7 @@ class World:
 
 def live(world: World) -> Guardian:
     """Let the guard live on this bus to its end."""
-    guardian = Guardian(CommandSettings(deceleration_mps2=2, emergency_deceleration_mps2=3))
+    guardian = Guardian(CHASSIS, CommandSettings(deceleration_mps2=2, emergency_deceleration_mps2=3))
     run(world, world, guardian, world.parent_lives, world.asked_to_end, world.say)
     return guardian
 

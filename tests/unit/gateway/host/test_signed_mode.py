@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from gateway.authority.robot_authority import Kept
+from gateway.choice import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.host.signed_mode import SignedMode, note_path
@@ -36,7 +37,7 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ProvisionedFleet:
 def started(fleet: ProvisionedFleet, name: str = "cruiser-1") -> str:
     """The robot's own grant after a start, as it publishes it."""
     settings = settings_of(fleet, name)
-    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
     signed.close()
     return chain_text(signed.authority._own)
 
@@ -78,7 +79,7 @@ def test_a_grant_that_is_shown_before_the_first_tick_is_judged_by_the_present(fl
     """As after a restart: it had begun long ago, and 1970 is longer ago."""
     settings = settings_of(fleet)
     text = (fleet.place / "cruiser-1" / "robot.grant").read_bytes().strip()
-    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
     reply = signed.authority.receive(RawRequest(1, "", "", text, len(text)), 0)
     signed.close()
     said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
@@ -115,7 +116,7 @@ def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: Provisione
     place = tmp_path / "state"
     settings = settings_of(fleet)
     settings = msgspec.structs.replace(settings, gateway=GatewaySettings(state_dir=str(place / "below")))
-    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
     place.write_text("a file where the directory should be")
     authority = signed.authority
     bars: dict[Reason, str] = {}
@@ -141,7 +142,7 @@ def test_the_ends_of_the_robots_certificate_and_grant_are_known(fleet: Provision
     """Of the certificate that the Zenoh file names, and of the first grant of the chain that ends."""
     place = fleet.place / "cruiser-1"
     settings = msgspec.structs.replace(settings_of(fleet), zenoh=ZenohSettings(config=str(place / "robot.json5")))
-    signed = SignedMode(settings, Core(settings, "0", 0, secrets.randbits(53)))
+    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
     signed.close()
     grants = [one.statement for one in chain(place / "robot.grant")]
     assert signed.authority.grant_ends_s == min(one.not_after for one in grants if isinstance(one, Grant))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
 from gateway.chassis.layout import Decoded, FrameDecoder
+from gateway.choice import CHASSIS
 from gateway.sim.body import NOMINAL, Conditions, StopMode
 from gateway.sim.model import VirtualChassis
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus, Variant
@@ -53,7 +54,7 @@ def test_frames_do_not_depend_on_how_often_they_are_asked_for(cuts: list[int]) -
 
 def test_the_next_due_time_is_when_frames_come() -> None:
     """Nothing comes before the time it names, and something at that time."""
-    chassis = VirtualChassis(load(Variant.COARSE), 5)
+    chassis = VirtualChassis(CHASSIS, Variant.COARSE, 5)
     assert chassis.next_due_ns == 10 * MS + 5
     assert chassis.advance(chassis.next_due_ns - 1) == []
     assert len(chassis.advance(chassis.next_due_ns)) == 5
@@ -61,7 +62,7 @@ def test_the_next_due_time_is_when_frames_come() -> None:
 
 def test_frames_carry_the_wall_time_they_are_given() -> None:
     """The caller's clock is the only clock."""
-    chassis = VirtualChassis(load(Variant.COARSE), 0)
+    chassis = VirtualChassis(CHASSIS, Variant.COARSE, 0)
     assert {frame.wall_ns for frame in chassis.advance(50 * MS, 77)} == {77}
 
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from gateway.choice import CHASSIS
 from gateway.sim.body import (
     ACCELERATION_MPS2,
     BRAKING_DECELERATION_MPS2,
@@ -22,6 +23,10 @@ from gateway.sim.body import (
     Motion,
 )
 from schemas.messages import GearPosition
+
+L_M = CHASSIS.wheelbase_m
+"""The wheelbase."""
+
 
 DT_S = 0.01
 GEARS = st.sampled_from([GearPosition.DRIVE, GearPosition.REVERSE, GearPosition.NEUTRAL])
@@ -42,7 +47,7 @@ def demand(gear: GearPosition = GearPosition.DRIVE, speed_mps: float = 0.0, angl
 
 def moving(what: Demand, seconds: float, motion: Motion | None = None) -> Motion:
     """The motion after this long under one demand."""
-    motion = motion or Motion()
+    motion = motion or Motion(L_M)
     for _ in range(round(seconds / DT_S)):
         motion.step(what, DT_S)
     return motion
@@ -51,7 +56,7 @@ def moving(what: Demand, seconds: float, motion: Motion | None = None) -> Motion
 @given(st.lists(st.tuples(DEMANDS, st.integers(1, 40)), max_size=30), st.sampled_from([0.0, 0.3, 1.0]))
 def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: float) -> None:
     """Whatever is asked for, speed, steering and their changes stay within what the machine can do."""
-    motion = Motion(Conditions(pedal_gain=pedal_gain))
+    motion = Motion(L_M, Conditions(pedal_gain=pedal_gain))
     most_mps2 = max(
         ACCELERATION_MPS2, DECELERATION_MPS2, BRAKING_DECELERATION_MPS2 + 0.3, PARKING_DECELERATION_MPS2
     )
@@ -71,7 +76,7 @@ def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: f
 
 def test_it_reaches_what_is_asked_for_with_a_lag() -> None:
     """Speed follows its target late, and gets there without overshoot."""
-    motion = Motion()
+    motion = Motion(L_M)
     speeds = []
     for _ in range(300):
         motion.step(demand(speed_mps=1.0), DT_S)
@@ -97,7 +102,7 @@ def test_a_reversal_goes_through_standstill() -> None:
 @pytest.mark.parametrize(("gain", "speed_mps"), [(0.0, 2.0), (1.0, 0.0)])
 def test_the_pedal_wins_over_the_drive(gain: float, speed_mps: float) -> None:
     """Where the pedal has its gain, braking with the speed still asked for stops it; else it changes nothing."""
-    motion = moving(demand(speed_mps=2.0), 3, Motion(Conditions(pedal_gain=gain)))
+    motion = moving(demand(speed_mps=2.0), 3, Motion(L_M, Conditions(pedal_gain=gain)))
     moving(Demand(GearPosition.DRIVE, 2.0, 0.0, 100.0, parked=False), 0.7, motion)
     assert motion.speed_mps == speed_mps
 
@@ -126,7 +131,7 @@ def test_the_outer_wheel_is_faster() -> None:
 
 def test_pulses_wrap_as_signed_16_bit() -> None:
     """Forward counts up and passes from 32767 to -32768; reverse counts back to where it began."""
-    motion = Motion()
+    motion = Motion(L_M)
     forward = []
     for _ in range(3000):
         motion.step(demand(speed_mps=2.0), DT_S)
@@ -155,7 +160,7 @@ PARKS = Demand(GearPosition.NEUTRAL, 0.0, 0.0, 0.0, parked=True)
 @given(slope_deg=st.floats(-30, 30), payload_kg=st.floats(0, 100))
 def test_in_neutral_it_rolls_downhill(slope_deg: float, payload_kg: float) -> None:
     """Gravity less rolling resistance, whatever the load; where resistance holds the robot, it stands."""
-    motion = moving(ROLLS, 2, Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
+    motion = moving(ROLLS, 2, Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
     pull_mps2 = GRAVITY_MPS2 * math.sin(math.radians(slope_deg))
     rolls_mps2 = max(0.0, abs(pull_mps2) - ROLLING_DECELERATION_MPS2)
     assert motion.speed_mps == pytest.approx(math.copysign(2 * rolls_mps2, -slope_deg), abs=1e-6)
@@ -175,7 +180,7 @@ def test_in_neutral_it_does_not_creep() -> None:
 @pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (-20, 0), (18, 100), (-18, 100), (25, 0)])
 def test_in_gear_the_motor_holds_zero_speed(gear: GearPosition, slope_deg: float, payload_kg: float) -> None:
     """Uphill and downhill, as far as the motor's force goes."""
-    motion = moving(demand(gear), 10, Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
+    motion = moving(demand(gear), 10, Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
     assert (motion.speed_mps, motion.x_m) == (0, 0)
 
 
@@ -183,10 +188,16 @@ def test_in_gear_the_motor_holds_zero_speed(gear: GearPosition, slope_deg: float
 def test_it_climbs_what_the_manual_says(slope_deg: float, payload_kg: float) -> None:
     """20 deg empty and 15 deg with full payload (manual V2.0, 2.2); 20 deg with full payload is too much."""
     assert (
-        moving(demand(speed_mps=0.5), 20, Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg))).speed_mps
+        moving(
+            demand(speed_mps=0.5),
+            20,
+            Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)),
+        ).speed_mps
         == 0.5
     )
-    assert moving(demand(speed_mps=0.5), 20, Motion(Conditions(slope_deg=20.0, payload_kg=100.0))).speed_mps < 0
+    assert (
+        moving(demand(speed_mps=0.5), 20, Motion(L_M, Conditions(slope_deg=20.0, payload_kg=100.0))).speed_mps < 0
+    )
 
 
 @pytest.mark.parametrize(("slope_deg", "speed_mps", "downhill"), [(20, 0.0, -1), (20, 1.0, -1), (-20, 0.0, 1)])
@@ -197,14 +208,18 @@ def test_with_full_payload_the_motor_slips_on_20_deg(slope_deg: float, speed_mps
         - ROLLING_DECELERATION_MPS2
         - MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + 100)
     )
-    motion = moving(demand(speed_mps=speed_mps), 2, Motion(Conditions(slope_deg=slope_deg, payload_kg=100.0)))
+    motion = moving(
+        demand(speed_mps=speed_mps),
+        2,
+        Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=100.0)),
+    )
     assert slips_mps2 > 0
     assert motion.speed_mps == pytest.approx(downhill * 2 * slips_mps2)
 
 
 def test_a_motor_that_weakens_lets_the_robot_go() -> None:
     """On 20 deg half its force is too little; whole again, it catches the robot and holds it."""
-    motion = Motion(Conditions(slope_deg=20.0))
+    motion = Motion(L_M, Conditions(slope_deg=20.0))
     moving(demand(), 1, motion)
     assert motion.speed_mps == 0
     motion.conditions = Conditions(slope_deg=20.0, motor_strength=0.5)
@@ -225,7 +240,10 @@ def test_a_slope_that_the_motor_masters_does_not_show(
     slope_deg: float, payload_kg: float, gear: GearPosition, speeds_mps: list[float]
 ) -> None:
     """Within its force the motor follows its target as on the flat."""
-    flat, hilly = Motion(), Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg))
+    flat, hilly = (
+        Motion(L_M),
+        Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)),
+    )
     most_mps2 = GRAVITY_MPS2 * math.sin(math.radians(abs(slope_deg))) + 2.0 + ROLLING_DECELERATION_MPS2
     assume(most_mps2 < hilly.conditions.drive_mps2)
     for speed_mps in speeds_mps:
@@ -238,7 +256,7 @@ def test_a_slope_that_the_motor_masters_does_not_show(
 @pytest.mark.parametrize("payload_kg", [0, 100])
 def test_the_parking_brake_stops_a_rolling_robot(slope_deg: float, payload_kg: float) -> None:
     """Within v^2 / 2a of where it applies, a its grip less or more gravity; then it holds."""
-    motion = Motion(Conditions(slope_deg=slope_deg, payload_kg=payload_kg, parking_delay_s=0.0))
+    motion = Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg, parking_delay_s=0.0))
     motion.adopt(speed_mps=2.0, angle_deg=0.0, gear=GearPosition.NEUTRAL, parked=False)
     moving(PARKS, 3, motion)
     grip_mps2 = PARKING_DECELERATION_MPS2 + GRAVITY_MPS2 * math.sin(math.radians(slope_deg))
@@ -251,7 +269,7 @@ def test_the_parking_brake_stops_a_rolling_robot(slope_deg: float, payload_kg: f
 @given(delay_steps=st.integers(1, 30), begins_parked=st.booleans())
 def test_the_parking_brake_takes_its_time(delay_steps: int, begins_parked: bool) -> None:  # noqa: FBT001
     """To apply and to release; a demand that is taken back meanwhile has had no effect."""
-    motion = Motion(Conditions(parking_delay_s=delay_steps * DT_S))
+    motion = Motion(L_M, Conditions(parking_delay_s=delay_steps * DT_S))
     motion.parked = begins_parked
     other = PARKS if not begins_parked else ROLLS
     same = ROLLS if not begins_parked else PARKS
@@ -282,7 +300,7 @@ def test_the_drive_ends_when_the_parking_brake_applies() -> None:
 @pytest.mark.parametrize("gain", [0.0, 0.3, 1.0])
 def test_the_pedal_helps_by_its_gain(gain: float) -> None:
     """In neutral on a slope, gravity against resistance and gain times 3 m/s^2; by default it does nothing."""
-    motion = Motion(Conditions(slope_deg=15.0, pedal_gain=gain))
+    motion = Motion(L_M, Conditions(slope_deg=15.0, pedal_gain=gain))
     moving(Demand(GearPosition.NEUTRAL, 0.0, 0.0, 50.0, parked=False), 2, motion)
     rolls_mps2 = max(0.0, GRAVITY_MPS2 * math.sin(math.radians(15)) - 0.3 - 0.5 * gain * BRAKING_DECELERATION_MPS2)
     assert motion.speed_mps == pytest.approx(-2 * rolls_mps2)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, Encoder, Value, check, checksum
+from gateway.choice import CHASSIS
 from gateway.sim.model import StandIn
 from schemas.messages import Variant
 from tests.support.rigs.chassis import ENABLES, MS, ChassisRig
@@ -18,7 +19,7 @@ class Beside:
 
     def __init__(self, variant: Variant = Variant.COARSE) -> None:
         self.rig = ChassisRig(variant)
-        self.stand_in = StandIn(variant)
+        self.stand_in = StandIn(CHASSIS, variant)
         self._encoder = Encoder(load(variant))
         self.recorded: dict[str, dict[str, object]] = {}
         self.shown: dict[str, dict[str, object]] = {}
@@ -159,7 +160,7 @@ VALID = st.builds(
 @given(st.lists(any_frames | VALID, max_size=40), st.integers(0, 40))
 def test_whatever_was_on_the_bus_is_shown(frames: list[Frame], begins: int) -> None:
     """Nothing that a log may hold raises, however impossible it is."""
-    stand_in = StandIn(Variant.COARSE)
+    stand_in = StandIn(CHASSIS, Variant.COARSE)
     for number, frame in enumerate(frames):
         if number == begins:
             stand_in.begin(number * 10 * MS)

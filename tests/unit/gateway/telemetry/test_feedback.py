@@ -3,9 +3,10 @@
 from collections import Counter
 from collections.abc import Iterable
 
-from gateway.chassis.cruiser.frames import compile_feedback, load
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import FaultKind
 from gateway.chassis.supervision import silence_ns
+from gateway.choice import CHASSIS
 from gateway.telemetry.feedback import FeedbackStream
 from schemas.messages import Variant
 from schemas.settings import PERIOD_WINDOW_FRAMES
@@ -20,7 +21,7 @@ class Gears:
 
     def __init__(self) -> None:
         self.faults: Counter[FaultKind] = Counter()
-        self.stream = FeedbackStream(compile_feedback(load(Variant.COARSE).messages[GEAR]), self.faults)
+        self.stream = FeedbackStream(CHASSIS.decoder(load(Variant.COARSE).messages[GEAR]), self.faults)
         self._feedback = Feedback(Variant.COARSE)
 
     def receive(self, times_ns: Iterable[int]) -> None:

@@ -5,6 +5,7 @@ from typing import Any, Final
 import msgspec
 import pytest
 
+from gateway.choice import CHASSIS
 from gateway.telemetry.health import LatestMessages, robot_state
 from schemas.messages import (
     Body,
@@ -69,7 +70,13 @@ FIELDS: Final = [name for _, name, _ in SIGNALS]
 def state_of(messages: list[Feedback]) -> RobotState:
     """The state that these messages make."""
     return robot_state(
-        LatestMessages(messages), time_ns=1, sequence=2, bus_up=True, variant=Variant.COARSE, silent=[]
+        LatestMessages(messages),
+        wheelbase_m=CHASSIS.wheelbase_m,
+        time_ns=1,
+        sequence=2,
+        bus_up=True,
+        variant=Variant.COARSE,
+        silent=[],
     )
 
 

@@ -11,16 +11,16 @@ from gateway.chassis.cruiser.frames import (
     DRIVE,
     MOTION_FRAMES,
     WHEEL_SPEED,
-    VariantDetector,
-    compile_feedback,
+    StandstillEvidence,
     load,
 )
 from gateway.chassis.cruiser.tracker import ChassisTracker
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Value
 from gateway.chassis.port import ChassisState
-from gateway.chassis.supervision import silence_ns
-from gateway.core import Core
+from gateway.chassis.supervision import VariantDetector, silence_ns
+from gateway.choice import CHASSIS
+from gateway.core import Core, as_linked
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links
 from schemas.messages import ControllerState, GearPosition, Mode, ParkingStatus, Variant
@@ -50,10 +50,10 @@ class Eye:
     def __init__(self, variant: Variant = Variant.COARSE, required: Iterable[str] = REQUIRED) -> None:
         faults: Counter[object] = Counter()
         self.streams = {
-            layout.name: FeedbackStream(compile_feedback(layout), faults)  # type: ignore[arg-type]
+            layout.name: FeedbackStream(CHASSIS.decoder(layout), faults)  # type: ignore[arg-type]
             for layout in load(variant).feedback
         }
-        self.detector = VariantDetector(variant)
+        self.detector = VariantDetector(variant, StandstillEvidence())
         self.tracker = ChassisTracker(self.streams.values(), self.detector, required)
         self.feedback = Feedback(variant)
         self.links = UP
@@ -74,7 +74,9 @@ class Eye:
     def look(self, at_ms: int = 0) -> ChassisState:
         for stream in self.streams.values():
             stream.tick(at_ms * MS)
-        return self.tracker.state(self.links, self.controller, self.variant, self.commander_ns, at_ms * MS)
+        return as_linked(
+            self.tracker.state(self.controller, self.variant, self.commander_ns, at_ms * MS), self.links
+        )
 
 
 STANDS = msgspec.structs.replace(
@@ -377,7 +379,7 @@ def test_a_variant_is_confirmed_by_evidence_alone() -> None:
     for _ in range(VARIANT_EVIDENCE_FRAMES):
         seen = eye.look()
         assert (seen.variant, seen.confirmed) == (Variant.FINE, False)
-        eye.detector.receive_wheel_speed(eye.feedback.frame(WHEEL_SPEED).data)
+        eye.detector.receive(eye.feedback.frame(WHEEL_SPEED).data)
     assert eye.look().confirmed
 
 
@@ -395,7 +397,7 @@ def test_a_variant_is_confirmed_by_evidence_alone() -> None:
 )
 def test_motion_is_seen_while_the_variant_is_not_known(variant: Variant, speed_mps: float, turns: bool) -> None:  # noqa: FBT001 - a case of the table
     """Beyond one bit, in either scale: a gateway that starts beside a moving robot must see that it moves."""
-    made = Core(Settings(chassis=ChassisSettings(variant="auto")), "1.2.3", 0)
+    made = Core(CHASSIS, Settings(chassis=ChassisSettings(variant="auto")), "1.2.3", 0)
     made.update_links(UP, 0)
     feedback = Feedback(variant)
     for name in STANDING:
@@ -411,7 +413,7 @@ def test_motion_is_seen_while_the_variant_is_not_known(variant: Variant, speed_m
 def test_another_computer_is_noticed_by_its_command_frames() -> None:
     """Each of the five, by when it came; lamps move nobody, feedback is no command, nor is a stranger's frame."""
     for layout in load(Variant.COARSE).commands:
-        made = Core(Settings(), "1.2.3", 0)
+        made = Core(CHASSIS, Settings(), "1.2.3", 0)
         assert made.command is not None
         for frame in Feedback(Variant.COARSE).all():
             made.receive_frame(frame, 10 * MS)
@@ -430,7 +432,7 @@ def test_a_bumper_contact_between_two_ticks_is_seen() -> None:
     eye = Eye()
     eye.show_all()
     eye.show(BODY, {"FrontBumper": True})
-    eye.tracker.note_body()
+    eye.tracker.note_hits()
     eye.show(BODY, {"FrontBumper": False})
-    eye.tracker.note_body()
+    eye.tracker.note_hits()
     assert (eye.look().front_bumper, eye.look().front_bumper) == (True, False)

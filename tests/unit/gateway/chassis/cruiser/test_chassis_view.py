@@ -160,7 +160,7 @@ def test_silence_is_not_standstill() -> None:
     assert not view.has_feedback(later_ns)
     assert not view.stands(Variant.COARSE, later_ns)
     assert view.gear(later_ns) is GearPosition.UNDEFINED
-    assert view.speed_mps(Variant.COARSE, later_ns) == 0
+    assert view.slowest_mps(Variant.COARSE, later_ns) is None
     assert view.angle_deg(later_ns) == 0
 
 

@@ -17,6 +17,7 @@ from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.layout import Value
 from gateway.chassis.port import Actuation
 from gateway.chassis.supervision import silence_ns
+from gateway.choice import CHASSIS
 from gateway.guard.stopper import Stopper
 from gateway.host.notes import StopNote
 from gateway.sim.body import Conditions
@@ -46,7 +47,7 @@ class Left:
         conditions: Conditions | None = None,
     ) -> None:
         self.now_ns = 0
-        self.chassis = VirtualChassis(load(variant), 0, conditions=conditions or Conditions())
+        self.chassis = VirtualChassis(CHASSIS, variant, 0, conditions=conditions or Conditions())
         told = Actuation(enabled=True, gear=gear, speed_mps=speed_mps, angle_deg=angle_deg, parking=False)
         for frame in FrameMaker().make(told, [], variant):
             self.chassis.receive(frame, 0)
@@ -213,7 +214,7 @@ class Pair:
         self.early = early
         self.bursts = 0
         self._view = ChassisView()
-        self._stopper = Stopper(self._view, settings.CommandSettings())
+        self._stopper = Stopper(CHASSIS, self._view, settings.CommandSettings())
         self._chance = chance
 
     def step(self, frames: list[Frame], now_ns: int) -> list[Frame]:

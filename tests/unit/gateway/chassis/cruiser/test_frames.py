@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.cruiser.bursts import AuxiliaryFrame, FrameMaker
+from gateway.chassis.cruiser.bursts import FrameMaker
 from gateway.chassis.cruiser.frames import MOTION_FRAMES, load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, FrameDecoder
-from gateway.chassis.port import AT_REST, Actuation
+from gateway.chassis.port import AT_REST, Actuation, AuxiliaryFrame
 from schemas.messages import GearPosition, Variant
 from tests.support.strategies import VARIANTS
 

@@ -4,11 +4,11 @@ import msgspec
 import pytest
 
 from gateway.chassis.cruiser import gate as gate_module
-from gateway.chassis.cruiser.bursts import AuxiliaryFrame, FrameMaker
+from gateway.chassis.cruiser.bursts import FrameMaker
 from gateway.chassis.cruiser.frames import load
-from gateway.chassis.cruiser.gate import BRAKE_FIRST, MOTION, USED_BITS, Gate, GateFault
-from gateway.chassis.frame import FD, Frame
-from gateway.chassis.port import Actuation
+from gateway.chassis.cruiser.gate import BRAKE_FIRST, MOTION, USED_BITS, Gate
+from gateway.chassis.frame import FD, Frame, GateFault
+from gateway.chassis.port import Actuation, AuxiliaryFrame
 from schemas.messages import GearPosition, Variant
 from tests.support.strategies import with_checksum
 

@@ -3,9 +3,10 @@
 import pytest
 from hypothesis import given
 
-from gateway.chassis.cruiser.frames import StandstillEvidence, VariantDetector, load
+from gateway.chassis.cruiser.frames import StandstillEvidence, load
 from gateway.chassis.frame import FaultKind
 from gateway.chassis.layout import Encoder
+from gateway.chassis.supervision import VariantDetector
 from schemas.messages import Variant
 from tests.support.strategies import VARIANTS, payloads
 
@@ -63,39 +64,39 @@ def test_a_moving_robot_is_no_evidence(variant: Variant, speed_mps: float) -> No
 @pytest.mark.parametrize(("data", "variant"), [(COARSE_STANDING, Variant.COARSE), (FINE_STANDING, Variant.FINE)])
 def test_five_frames_in_a_row_confirm(data: bytes, variant: Variant) -> None:
     """Four do not; a frame without evidence between them begins the row anew."""
-    detector = VariantDetector(Variant.UNKNOWN)
+    detector = VariantDetector(Variant.UNKNOWN, StandstillEvidence())
     for _ in range(4):
-        assert detector.receive_wheel_speed(data) is None
+        assert detector.receive(data) is None
     assert detector.variant is Variant.UNKNOWN
-    detector.receive_wheel_speed(wheels(variant, 1, 1))
+    detector.receive(wheels(variant, 1, 1))
     for _ in range(4):
-        detector.receive_wheel_speed(data)
+        detector.receive(data)
     assert detector.variant is Variant.UNKNOWN
-    detector.receive_wheel_speed(data)
+    detector.receive(data)
     assert detector.variant is variant
     assert detector.confirmed
 
 
 def test_evidence_against_the_configured_variant_is_a_contradiction() -> None:
     """Each such frame is a fault, five in a row a contradiction, five of the right kind end it."""
-    detector = VariantDetector(Variant.FINE)
-    faults = [detector.receive_wheel_speed(COARSE_STANDING) for _ in range(5)]
+    detector = VariantDetector(Variant.FINE, StandstillEvidence())
+    faults = [detector.receive(COARSE_STANDING) for _ in range(5)]
     assert faults == [FaultKind.VARIANT_CONTRADICTED] * 5
     assert detector.contradicted
     assert not detector.confirmed
     assert detector.variant is Variant.FINE
     for _ in range(5):
-        detector.receive_wheel_speed(FINE_STANDING)
+        detector.receive(FINE_STANDING)
     assert detector.confirmed
     assert not detector.contradicted
 
 
 def test_without_a_configured_variant_the_evidence_decides_again() -> None:
     """A chassis that was changed is found out by five frames; each of them counts as a contradiction."""
-    detector = VariantDetector(Variant.UNKNOWN)
+    detector = VariantDetector(Variant.UNKNOWN, StandstillEvidence())
     for _ in range(5):
-        detector.receive_wheel_speed(FINE_STANDING)
-    faults = [detector.receive_wheel_speed(COARSE_STANDING) for _ in range(5)]
+        detector.receive(FINE_STANDING)
+    faults = [detector.receive(COARSE_STANDING) for _ in range(5)]
     assert faults == [FaultKind.VARIANT_CONTRADICTED] * 5
     assert detector.variant is Variant.COARSE
     assert not detector.contradicted
@@ -103,12 +104,12 @@ def test_without_a_configured_variant_the_evidence_decides_again() -> None:
 
 def test_a_reset_forgets_what_was_found_but_not_what_was_configured() -> None:
     """After the bus was away another chassis may be on it."""
-    detector = VariantDetector(Variant.UNKNOWN)
+    detector = VariantDetector(Variant.UNKNOWN, StandstillEvidence())
     for _ in range(5):
-        detector.receive_wheel_speed(FINE_STANDING)
+        detector.receive(FINE_STANDING)
     detector.reset()
     assert detector.variant is Variant.UNKNOWN
-    configured = VariantDetector(Variant.COARSE)
+    configured = VariantDetector(Variant.COARSE, StandstillEvidence())
     configured.reset()
     assert configured.variant is Variant.COARSE
     assert not configured.confirmed

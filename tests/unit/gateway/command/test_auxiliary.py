@@ -1,6 +1,8 @@
 """Lamps, horn and odometer."""
 
-from gateway.chassis.cruiser.bursts import Auxiliary, AuxiliaryFrame
+from gateway.chassis.port import AuxiliaryFrame
+from gateway.choice import CHASSIS
+from gateway.command.auxiliary import Auxiliary
 from schemas.settings import ODOMETER_TIMEOUT_NS, TAIL_NS
 
 
@@ -23,13 +25,13 @@ def set_lamps(auxiliary: Auxiliary, now_ns: int, *on: str) -> None:
 
 def test_nothing_is_sent_that_is_not_asked_for() -> None:
     """Frames go out only while they are."""
-    assert Auxiliary().frames(0) == []
+    assert Auxiliary(CHASSIS).frames(0) == []
 
 
 def test_each_lamp_shines_until_it_is_put_out() -> None:
     """And then frames say off for 100 ms."""
     for lamp in ("headlamp", "left", "right"):
-        made = Auxiliary()
+        made = Auxiliary(CHASSIS)
         set_lamps(made, 0, lamp)
         expected = [lamps(head=lamp == "headlamp", left=lamp == "left", right=lamp == "right")]
         assert made.frames(0) == made.frames(10**12) == expected
@@ -40,7 +42,7 @@ def test_each_lamp_shines_until_it_is_put_out() -> None:
 
 def test_the_horn_sounds_until_it_is_ended() -> None:
     """The same."""
-    made = Auxiliary()
+    made = Auxiliary(CHASSIS)
     made.set_horn(on=True, now_ns=0)
     assert made.frames(10**12) == [horn(on=True)]
     made.set_horn(on=False, now_ns=5)
@@ -50,7 +52,7 @@ def test_the_horn_sounds_until_it_is_ended() -> None:
 
 def test_the_odometer_is_cleared_once_it_reads_zero() -> None:
     """Not before the frames can have had an effect; told once; then frames say off."""
-    made = Auxiliary()
+    made = Auxiliary(CHASSIS)
     assert made.clearing_result(0.0, 0) is None
     made.clear_odometer(0)
     assert made.is_clearing
@@ -67,7 +69,7 @@ def test_the_odometer_is_cleared_once_it_reads_zero() -> None:
 def test_an_odometer_that_does_not_read_zero_has_failed() -> None:
     """Contradiction 3 of the protocol notes: confirmed by the feedback, reported as failed otherwise."""
     for mileage_km in (12.0, None):
-        made = Auxiliary()
+        made = Auxiliary(CHASSIS)
         made.clear_odometer(0)
         assert made.clearing_result(mileage_km, ODOMETER_TIMEOUT_NS - 1) is None
         assert made.clearing_result(mileage_km, ODOMETER_TIMEOUT_NS) is False
@@ -75,7 +77,7 @@ def test_an_odometer_that_does_not_read_zero_has_failed() -> None:
 
 def test_a_stop_ends_all_of_it() -> None:
     """The chassis keeps the last command for ever: each ends with frames that say off."""
-    made = Auxiliary()
+    made = Auxiliary(CHASSIS)
     made.end(0)
     assert made.frames(0) == []
     set_lamps(made, 0, "left")
@@ -88,7 +90,7 @@ def test_a_stop_ends_all_of_it() -> None:
 
 def test_lamps_that_were_put_out_are_told_so_again_in_a_stop() -> None:
     """It costs nothing, and what was lost on the bus is made good; after somebody else took over, it is past."""
-    stopped, left = Auxiliary(), Auxiliary()
+    stopped, left = Auxiliary(CHASSIS), Auxiliary(CHASSIS)
     for made in (stopped, left):
         set_lamps(made, 0, "right")
         set_lamps(made, 1)
@@ -104,7 +106,7 @@ def test_lamps_that_were_put_out_are_told_so_again_in_a_stop() -> None:
 
 def test_lamps_that_shine_after_a_takeover_are_put_out_with_the_next_engagement() -> None:
     """Until then they are not off: the chassis has them on."""
-    made = Auxiliary()
+    made = Auxiliary(CHASSIS)
     set_lamps(made, 0, "headlamp")
     made.leave()
     assert not made.is_off(10**12)
