@@ -427,8 +427,11 @@ class _Restoring:
         kept = _as_named_now(name, stored)
         for added in ADDED.get(_alias(name), ()):
             kept.setdefault(added, [_CONSTANT])
-        if new is not None and (type(new) is not kind or kept.keys() != set(_names(new))):
-            raise CheckpointError(f"{type(new).__name__} holds other things in this version")
+        if new is not None:
+            others = kept.keys() ^ set(_names(new))
+            # What a class gives each new object as a plain value is set later, and earlier versions had it not.
+            if type(new) is not kind or any(_tag(type(getattr(kind, one, kind))) != _VALUE for one in others):
+                raise CheckpointError(f"{type(new).__name__} holds other things in this version")
         made = object.__new__(kind) if new is None else new
         self._seen.append(made)
         for own, tree in kept.items():
