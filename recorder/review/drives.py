@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from math import isfinite
+from math import cos, isfinite, remainder, sin, tau
 from typing import Final
 
 import msgspec
 
+from gateway.chassis.odometry import GAP_NS, DeadReckoning
+from gateway.choice import CHASSIS
 from recorder.review.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
+from schemas.messages import Odometry
 from schemas.reasons import Reason
 
 REST_NS: Final = 600_000_000_000
@@ -23,9 +26,6 @@ MARGIN_NS: Final = 10_000_000_000
 """The time before and behind a drive that belongs to it: what led to it, and how its stop ended."""
 
 DRIVES_MAX: Final = 500
-
-GAP_NS: Final = 500_000_000
-"""Ten periods of ``state``: beyond that nothing is integrated."""
 
 CLOCK_STEP_NS: Final = 600_000_000_000
 """A source's time that goes back further was set anew; one that goes back less is of a sample there before."""
@@ -59,11 +59,42 @@ def operators_stops(stops: Mapping[str, int]) -> int:
     return sum(count for cause, count in stops.items() if cause in BY_OPERATORS)
 
 
+class RecordedWay(DeadReckoning):
+    """The way of a robot since the first sample: by its own odometry, or by its speeds where the log has none."""
+
+    def __init__(self) -> None:
+        super().__init__(CHASSIS.wheelbase_m)
+        self._said: Odometry | None = None
+        self._said_ns = 0
+
+    def follow(self, said: Odometry, time_ns: int) -> None:
+        """Go on as the robot's odometry did since its last sample. Another gateway, or a reset, begins anew."""
+        before, self._said, self._said_ns = self._said, said, time_ns
+        self.last_ns = None
+        if (
+            before is None
+            or not 0 < said.time_ns - before.time_ns <= GAP_NS
+            or said.distance_m < before.distance_m
+        ):
+            return
+        turned_rad = self.heading_rad - before.heading_rad
+        ahead_m, aside_m = said.x_m - before.x_m, said.y_m - before.y_m
+        self.x_m += ahead_m * cos(turned_rad) - aside_m * sin(turned_rad)
+        self.y_m += ahead_m * sin(turned_rad) + aside_m * cos(turned_rad)
+        self.heading_rad = remainder(said.heading_rad + turned_rad, tau)
+        self.distance_m += said.distance_m - before.distance_m
+
+    def move(self, time_ns: int, speed_mps: float | None, angle_deg: float | None) -> None:
+        """Go on to a sample of ``state``, unless the odometry has told of this time."""
+        if self._said is None or abs(time_ns - self._said_ns) > GAP_NS:
+            super().move(time_ns, speed_mps, angle_deg)
+
+
 class SpeedMeter:
-    """Integrates speeds, of samples that may come twice, out of order or not at all.
+    """Measures speeds and the way, of samples that may come twice, out of order or not at all.
 
     Attributes:
-        distance_m: the length of the way, forward and in reverse.
+        way: where the robot is, and the length of its way.
         moving_ns: time for which the robot was faster than STANDING_MPS.
         known_ns: time for which that is known.
         top_mps: the highest believable speed, negative in reverse...
@@ -74,19 +105,23 @@ class SpeedMeter:
     """
 
     def __init__(self) -> None:
-        self.distance_m = 0.0
+        self.way = RecordedWay()
         self.moving_ns = self.known_ns = self.gaps = self.gap_ns = 0
         self.top_mps, self.top_ns = 0.0, 0
         self.begun_ns = 0
         self.last_ns: int | None = None
-        self._last_mps = 0.0
+        self._last_mps = self._counted_m = 0.0
         self._is_doubted = False
 
-    def add(self, time_ns: int, speed_mps: float | None) -> float | None:
+    @property
+    def distance_m(self) -> float:
+        """The length of the way, forward and in reverse."""
+        return self.way.distance_m
+
+    def add(self, time_ns: int, speed_mps: float | None, angle_deg: float = 0.0) -> float | None:
         """Add a sample; its speed is None where the robot does not know it.
 
-        Returns the way since the sample before, in metres, negative in reverse, 0 after a gap; None for a sample
-        that does not count.
+        Returns the length of the way since the sample before, in metres; None for a sample that does not count.
         """
         before_ns, before_mps = self.last_ns, self._last_mps
         if before_ns is not None and before_ns - CLOCK_STEP_NS < time_ns <= before_ns:
@@ -94,6 +129,8 @@ class SpeedMeter:
         if speed_mps is None or not isfinite(speed_mps) or abs(speed_mps) > SPEED_MAX_MPS:
             return None
         self.last_ns, self._last_mps = time_ns, speed_mps
+        self.way.move(time_ns, speed_mps, angle_deg)
+        step_m, self._counted_m = self.distance_m - self._counted_m, self.distance_m
         if before_ns is None or not 0 < time_ns - before_ns <= GAP_NS:
             # Between two drives, at rest, a long time without data is no loss.
             is_rest = max(abs(before_mps), abs(speed_mps)) <= STANDING_MPS
@@ -101,7 +138,7 @@ class SpeedMeter:
                 self.miss(time_ns - before_ns)
             self.begun_ns, self._is_doubted = time_ns, False
             self._top(time_ns, speed_mps)
-            return 0.0
+            return step_m
         if abs(speed_mps - before_mps) > JUMP_MPS:
             self._is_doubted = not self._is_doubted
         elif abs(speed_mps) < STANDING_MPS:
@@ -109,8 +146,6 @@ class SpeedMeter:
         self._top(time_ns, speed_mps)
         span_ns = time_ns - before_ns
         mean_mps = (before_mps + speed_mps) / 2
-        step_m = mean_mps * span_ns / 1e9
-        self.distance_m += abs(step_m)
         self.known_ns += span_ns
         if abs(mean_mps) > STANDING_MPS:
             self.moving_ns += span_ns
@@ -214,15 +249,15 @@ class Drives:
         self._stop_at: int | None = None
         """The place of the newest stop among the entries, if there was room for it."""
 
-    def move(self, time_ns: int, log_ns: int, speed_mps: float | None) -> float | None:
-        """Add a sample of its speed. Returns as ``SpeedMeter.add`` does."""
+    def move(self, time_ns: int, log_ns: int, speed_mps: float | None, angle_deg: float = 0.0) -> float | None:
+        """Add a sample of its speed and steering. Returns as ``SpeedMeter.add`` does."""
         before_ns, gap_ns = self.motion.last_ns, self.motion.gap_ns
-        step_m = self.motion.add(time_ns, speed_mps)
+        step_m = self.motion.add(time_ns, speed_mps, angle_deg)
         if speed_mps is not None and abs(speed_mps) > STANDING_MPS:
             self.command(time_ns, log_ns)
         now = self._now
         if now is not None and step_m is not None and now.start_ns <= time_ns <= now.end_ns + REST_NS:
-            now.distance_m += abs(step_m)
+            now.distance_m += step_m
             if before_ns is not None and now.start_ns <= before_ns and time_ns <= now.end_ns:
                 now.missing_s += (self.motion.gap_ns - gap_ns) / 1e9
         return step_m

@@ -17,6 +17,8 @@ from typing import Final
 
 import msgspec
 
+from gateway.chassis.odometry import GAP_NS, DeadReckoning
+from gateway.choice import CHASSIS
 from gateway.rerun import GivenOutput, what_if
 from recorder.reading.logs import Faults, LogFile, logs_of
 from recorder.reading.rows import Progress
@@ -69,9 +71,6 @@ STOP_TOLERANCE_NS: Final = 2_000_000_000
 
 MOVED_NS: Final = 10_000_000
 """A stop that is this much sooner or later, a tick of the arbiter, is reported."""
-
-STATE_GAP_S: Final = 1.0
-"""Over a longer gap between two states nothing is known of the way."""
 
 
 WhatIf = Callable[[Settings, Settings, Iterable[Journal]], Iterator[GivenOutput]]
@@ -256,6 +255,7 @@ class _Side:
         self.journey = Journey()
         self.waiting: dict[int, Decision] = {}
         self._last: RobotState | None = None
+        self._way = DeadReckoning(CHASSIS.wheelbase_m)
 
     def take_state(self, state: RobotState) -> None:
         last, self._last = self._last, state
@@ -263,13 +263,14 @@ class _Side:
         if speed_mps is None:
             return
         self.journey.top_speed_mps = max(self.journey.top_speed_mps, abs(speed_mps))
+        self._way.move(state.time_ns, speed_mps, state.angle_deg or 0.0)
+        self.journey.distance_m = self._way.distance_m
         if last is None or last.speed_mps is None:
             return
         passed_s = (state.time_ns - last.time_ns) / 1e9
-        if not 0 < passed_s <= STATE_GAP_S:
+        if not 0 < passed_s <= GAP_NS / 1e9:
             return
         mean_mps = (abs(last.speed_mps) + abs(speed_mps)) / 2
-        self.journey.distance_m += mean_mps * passed_s
         if mean_mps > STANDSTILL_MPS:
             self.journey.moving_s += passed_s
 

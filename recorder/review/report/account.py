@@ -13,8 +13,9 @@ from typing import Any, Final
 
 import msgspec
 
+from gateway.chassis.odometry import GAP_NS
 from recorder.record.accounting import KeyReport
-from recorder.review.drives import GAP_NS, MARGIN_NS, REST_NS, Drives, Outage, RecordedDrive
+from recorder.review.drives import MARGIN_NS, REST_NS, Drives, Outage, RecordedDrive
 from recorder.review.entries import FRAME_COUNTS, Entry, Repeats, RobotClock, fault_words
 from recorder.review.events import LogEnding
 from recorder.review.report.findings import (
@@ -24,13 +25,14 @@ from recorder.review.report.findings import (
     InForce,
     Moment,
     Place,
+    Pose,
     Refusal,
     RobotReport,
     RobotSummary,
     Unwritten,
 )
 from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
-from schemas.messages import GatewayHealth, GatewayInfo, Message, Mode, RobotState, Variant
+from schemas.messages import GatewayHealth, GatewayInfo, Message, Mode, Odometry, RobotState, Variant
 
 MOST: Final = 200
 """Gateways, and configurations, that are kept."""
@@ -183,12 +185,12 @@ _COUNTED_BY_FRAME: Final = frozenset(kind for _, kind, _ in FRAME_COUNTS)
 """Kinds of faults that each frame of the health counts for itself."""
 
 TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
-    {RobotState, SafetyState, SafetyEvent, Decision, GatewayHealth}
+    {RobotState, Odometry, SafetyState, SafetyEvent, Decision, GatewayHealth}
 )
 """Classes of messages that an account is made of."""
 
-_Sample = tuple[int, RobotState | SafetyState, float | None, bool]
-"""Time, message, the way since the one before, and whether the path begins with it."""
+_Sample = tuple[int, RobotState | SafetyState, Pose | None, bool]
+"""Time, message, where the robot is as far as that is known, and whether the path begins with it."""
 
 
 class Account:
@@ -234,6 +236,8 @@ class Account:
         match message:
             case RobotState():
                 self._take_state(message, time_ns, log_ns)
+            case Odometry():
+                self.drives.motion.way.follow(message, time_ns)
             case SafetyState():
                 self._held_by = message.lease_holder if message.state is ArbiterState.ENGAGED else ""
                 if message.state in COMMANDING:
@@ -421,8 +425,10 @@ class Account:
     def _take_state(self, state: RobotState, time_ns: int, log_ns: int) -> None:
         angle_deg = state.angle_deg
         is_steered = angle_deg is not None and isfinite(angle_deg) and abs(angle_deg) <= _ANGLE_MAX_DEG
-        step_m = self.drives.move(time_ns, log_ns, state.speed_mps if is_steered else None)
-        self._draw((time_ns, state, step_m, self.drives.motion.begun_ns == time_ns))
+        motion = self.drives.motion
+        step_m = self.drives.move(time_ns, log_ns, state.speed_mps if is_steered else None, angle_deg or 0.0)
+        pose = None if step_m is None else (motion.way.x_m, motion.way.y_m, motion.way.heading_rad)
+        self._draw((time_ns, state, pose, motion.begun_ns == time_ns))
         span_ns = time_ns - self._state_ns
         self._state_ns = time_ns
         driver = REMOTE_CONTROL if state.mode is Mode.REMOTE else self._held_by
@@ -432,7 +438,7 @@ class Account:
             driver = OTHERS
         driven = self._driven.setdefault(driver, [0.0, 0.0])
         driven[0] += span_ns / 1e9 if 0 < span_ns <= GAP_NS else 0.0
-        driven[1] += abs(step_m or 0.0)
+        driven[1] += step_m or 0.0
 
     def _take_decision(self, decision: Decision, time_ns: int) -> None:
         self._verdicts[decision.verdict] += 1
@@ -466,9 +472,9 @@ class Account:
 
 
 def _add(charts: Charts, sample: _Sample) -> None:
-    time_ns, message, step_m, begins = sample
+    time_ns, message, pose, begins = sample
     if isinstance(message, RobotState):
-        charts.add_state(time_ns, message, step_m, begins=begins)
+        charts.add_state(time_ns, message, pose, begins=begins)
     else:
         charts.add_arbiter(time_ns, message)
 

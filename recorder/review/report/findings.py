@@ -6,15 +6,15 @@ Times are nanoseconds since 1970, by the robot's clock. Names and texts come fro
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from math import atan2, cos, degrees, hypot, isfinite, pi, radians, sin, tan
+from math import cos, degrees, hypot, isfinite, pi, radians, remainder, sin, tau
 from typing import Final
 
 import msgspec
 
-from gateway.choice import CHASSIS
+from gateway.chassis.odometry import GAP_NS
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport, total
-from recorder.review.drives import DIED, GAP_NS, Outage, RecordedDrive, Silence, operators_stops
+from recorder.review.drives import DIED, Outage, RecordedDrive, Silence, operators_stops
 from recorder.review.entries import EntryKind
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import Mode, RobotState
@@ -56,6 +56,9 @@ _FIRST_TURN_RAD: Final = radians(2)
 Point = tuple[int, float]
 """Time in nanoseconds, and value."""
 
+Pose = tuple[float, float, float]
+"""x and y in metres, and the heading in radians."""
+
 
 class Span(msgspec.Struct, frozen=True):
     """A value, and when it held; times in nanoseconds since 1970."""
@@ -95,10 +98,10 @@ class Charts:
             line.limit = round(BUCKETS_MAX * share)
         self.path.limit = round(PLACES_MAX * share)
 
-    def add_state(self, time_ns: int, state: RobotState, step_m: float | None, *, begins: bool) -> None:
-        """Add what was measured, and the way since the sample before; None if that is not known."""
-        if step_m is not None:
-            self.path.move(time_ns, step_m, state.angle_deg or 0.0, begins=begins)
+    def add_state(self, time_ns: int, state: RobotState, pose: Pose | None, *, begins: bool) -> None:
+        """Add what was measured, and where the robot is; None if that is not known."""
+        if pose is not None:
+            self.path.add(time_ns, pose, begins=begins)
         self._draw("speed_mps", time_ns, state.speed_mps)
         self._draw("angle_deg", time_ns, state.angle_deg)
         self.bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
@@ -252,47 +255,42 @@ def _coarser(spans: list[Span], shortest_ns: int) -> list[Span]:
 
 
 class Path:
-    """The path from ways and steering angles, by the bicycle model: as many places as are worth drawing.
-
-    Axes are those of ISO 8855, x forward and y left as the robot stood at first. Where samples are missing the
-    path breaks off, and goes on from the same place.
-    """
+    """A path from zero, as many places of it as are worth drawing. Where samples are missing it breaks off."""
 
     def __init__(self) -> None:
         self.limit = PLACES_MAX
         self._step_m, self._turn_rad = _FIRST_STEP_M, _FIRST_TURN_RAD
         self._places: list[Place] = []
-        self._x_m = self._y_m = self._heading_rad = self._last_rad = 0.0
-        self._last_ns = 0
+        self._first: Pose | None = None
+        self._last: Place | None = None
 
-    def move(self, time_ns: int, step_m: float, angle_deg: float, *, begins: bool) -> None:
-        """Move on, with half the turn before the step and half behind it."""
-        before_rad, self._last_rad = self._last_rad, radians(angle_deg)
-        self._last_ns = time_ns
-        if begins or not self._places:
-            self._keep(time_ns, begins=True)
-            return
-        turn_rad = step_m * tan((before_rad + self._last_rad) / 2) / CHASSIS.wheelbase_m
-        self._x_m += step_m * cos(self._heading_rad + turn_rad / 2)
-        self._y_m += step_m * sin(self._heading_rad + turn_rad / 2)
-        self._heading_rad = (self._heading_rad + turn_rad + pi) % (2 * pi) - pi
-        last = self._places[-1]
-        off_rad = self._heading_rad - radians(last.heading_deg)
-        is_turned = abs(atan2(sin(off_rad), cos(off_rad))) >= self._turn_rad
-        if is_turned or hypot(self._x_m - last.x_m, self._y_m - last.y_m) >= self._step_m:
-            self._keep(time_ns, begins=False)
+    def add(self, time_ns: int, pose: Pose, *, begins: bool) -> None:
+        """Add where the robot is now."""
+        if self._first is None:
+            self._first = pose
+        (x_m, y_m, heading_rad), (first_x_m, first_y_m, first_rad) = pose, self._first
+        x_m, y_m = x_m - first_x_m, y_m - first_y_m
+        x_m, y_m = x_m * cos(first_rad) + y_m * sin(first_rad), y_m * cos(first_rad) - x_m * sin(first_rad)
+        heading_rad = remainder(heading_rad - first_rad, tau)
+        last = self._places[-1] if self._places else None
+        begins |= last is None
+        now = self._last = Place(time_ns, x_m, y_m, degrees(heading_rad), begins)
+        if (
+            begins
+            or last is None
+            or abs(remainder(heading_rad - radians(last.heading_deg), tau)) >= self._turn_rad
+            or hypot(x_m - last.x_m, y_m - last.y_m) >= self._step_m
+        ):
+            self._keep(now)
 
     def places(self) -> list[Place]:
         """Return the places, the last one included."""
-        if not self._places or self._places[-1].time_ns == self._last_ns:
+        if self._last is None or self._places[-1] is self._last:
             return self._places
-        return [*self._places, self._here(self._last_ns, begins=False)]
+        return [*self._places, self._last]
 
-    def _here(self, time_ns: int, *, begins: bool) -> Place:
-        return Place(time_ns, self._x_m, self._y_m, degrees(self._heading_rad), begins)
-
-    def _keep(self, time_ns: int, *, begins: bool) -> None:
-        self._places.append(self._here(time_ns, begins=begins))
+    def _keep(self, place: Place) -> None:
+        self._places.append(place)
         if len(self._places) > self.limit:
             self._step_m *= 2
             self._turn_rad = min(2 * self._turn_rad, pi / 8)

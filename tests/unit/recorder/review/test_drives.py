@@ -7,13 +7,13 @@ from typing import Any
 import msgspec
 import pytest
 
+from gateway.chassis.odometry import GAP_NS, DeadReckoning
 from recorder.review import drives
 from recorder.review.drives import (
     CLOCK_STEP_NS,
     DIED,
     ENTRIES_MAX,
     ERRORS_MAX,
-    GAP_NS,
     GAPS_MAX,
     MARGIN_NS,
     REST_NS,
@@ -23,7 +23,9 @@ from recorder.review.drives import (
     operators_stops,
 )
 from recorder.review.entries import Entry, EntryKind, EntrySource, Stops, kind_of
+from schemas.cruiser import WHEELBASE_M
 from schemas.decisions import Severity
+from schemas.messages import Odometry
 from schemas.reasons import AS_ASKED, Reason
 from tests.support.messages import MS, SECOND, WALL_NS
 from tests.support.reading import entry as entry_at
@@ -255,3 +257,59 @@ def test_a_thousand_leases_hide_no_error() -> None:
     assert found.more_entries == 150
     assert (len(found.outages), found.more_outages) == (GAPS_MAX, ERRORS_MAX + 50 - GAPS_MAX)
     assert len(happened(*(silence(number, number + 0.5) for number in range(GAPS_MAX + 3))).silences) == GAPS_MAX
+
+
+# The way, by the robot's own odometry.
+
+
+def odometries(parts: Sequence[tuple[float, float]], start_ns: int) -> list[Odometry]:
+    """The odometry of a gateway that begins at zero: speeds and angles, a second of each."""
+    made, found = DeadReckoning(WHEELBASE_M), []
+    for number, (speed_mps, angle_deg) in enumerate(one for one in parts for _ in range(50)):
+        made.move(start_ns + number * 20 * MS, speed_mps, angle_deg)
+        said = made.report()
+        assert said is not None
+        found.append(said)
+    return found
+
+
+def place(way: DeadReckoning) -> tuple[float, float, float, float]:
+    return way.x_m, way.y_m, way.heading_rad, way.distance_m
+
+
+def test_the_way_is_that_of_the_robots_odometry_where_the_log_has_it() -> None:
+    """Whatever ``state`` says beside it; by the states alone it is the same to 3 cm."""
+    parts = [(1.0, 10.0), (1.0, -20.0), (0.0, 0.0), (-0.5, 5.0)]
+    told, alone, mixed = odometries(parts, WALL_NS), SpeedMeter(), SpeedMeter()
+    for number, said in enumerate(told):
+        mixed.way.follow(said, said.time_ns)
+        if number % 3 == 0:
+            speed_mps, angle_deg = parts[number // 50]
+            alone.add(said.time_ns, speed_mps, angle_deg)
+            mixed.add(said.time_ns, 2 * speed_mps, -angle_deg)
+    last = told[-1]
+    expected = (last.x_m, last.y_m, last.heading_rad, last.distance_m)
+    assert place(mixed.way) == pytest.approx(expected, abs=1e-9)
+    assert place(alone.way) == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize("rest_ns", [20 * MS, 10 * SECOND])
+def test_another_gateway_or_a_reset_goes_on_from_the_same_place(rest_ns: int) -> None:
+    """Its zero lies where the robot was last seen, and there is no jump."""
+    way = SpeedMeter().way
+    first = odometries([(1.0, 0.0)] * 2, WALL_NS)
+    second = odometries([(1.0, 0.0)], first[-1].time_ns + rest_ns)
+    for said in (*first, *second):
+        way.follow(said, said.time_ns)
+    assert place(way) == pytest.approx((2.96, 0.0, 0.0, 2.96), abs=0.03)
+
+
+def test_where_the_odometry_ends_the_states_go_on() -> None:
+    """After half a second, by a log whose recorder lost the topic."""
+    motion = SpeedMeter()
+    told = odometries([(1.0, 0.0)], WALL_NS)
+    for said in told:
+        motion.way.follow(said, said.time_ns)
+    for number in range(1, 41):
+        motion.add(told[-1].time_ns + number * STEP_NS, 1.0, 0.0)
+    assert motion.distance_m == pytest.approx(0.98 + 1.45, abs=0.06)

@@ -1,6 +1,6 @@
 """Lines, bands and the path of a drive, reduced while the samples stream in."""
 
-from math import cos, hypot, pi, radians, sin, tan
+from math import cos, hypot, radians, sin, tan
 from random import Random
 
 import pytest
@@ -112,29 +112,13 @@ def test_what_changes_too_often_is_mixed_and_long_spans_stay() -> None:
     assert any(span.value == "long" and span.end_ns - span.start_ns > 99 * SECOND for span in found)
 
 
-@given(st.floats(0.2, 2.0), st.floats(5, 24), st.sampled_from([1, -1]), st.sampled_from([1, -1]))
-def test_a_steady_angle_is_a_circle_of_the_bicycle_model(
-    speed_mps: float, angle_deg: float, side: int, way: int
-) -> None:
-    """Radius = wheelbase / tan(angle), here worked out apart; left is positive y, in reverse it is left too."""
-    path = Path()
-    for number in range(201):
-        path.move(number * STEP_NS, way * speed_mps * 0.05, side * angle_deg, begins=not number)
-    end = path.places()[-1]
-    radius_m = 0.660 / tan(radians(angle_deg))
-    turn_rad = speed_mps * 10.0 / radius_m
-    assert end.x_m == pytest.approx(way * radius_m * sin(turn_rad), abs=1e-2)
-    assert end.y_m == pytest.approx(side * radius_m * (1 - cos(turn_rad)), abs=1e-2)
-    assert (radians(end.heading_deg) - side * way * turn_rad + pi) % (2 * pi) == pytest.approx(pi, abs=1e-6)
-
-
 def test_a_path_that_breaks_off_goes_on_from_the_same_place() -> None:
     """A robot that stands is one place, and the last one."""
     path = Path()
-    for number, begins in enumerate((True, False, False, True)):
-        path.move(number * STEP_NS, 0.05, 0.0, begins=begins)
+    for number, (x_m, begins) in enumerate(((0.0, True), (0.05, False), (0.1, False), (0.1, True))):
+        path.add(number * STEP_NS, (x_m, 0.0, 0.0), begins=begins)
     for number in range(4, 100):
-        path.move(number * STEP_NS, 0.0, 0.0, begins=False)
+        path.add(number * STEP_NS, (0.1, 0.0, 0.0), begins=False)
     assert [place.x_m for place in path.places()] == pytest.approx([0.0, 0.05, 0.1, 0.1, 0.1])
     assert [place.begins for place in path.places()] == [True, False, False, True, False]
 
@@ -142,10 +126,12 @@ def test_a_path_that_breaks_off_goes_on_from_the_same_place() -> None:
 def test_a_long_drive_keeps_a_bounded_number_of_places_near_the_path() -> None:
     """Ten hours in a circle: few places, each on the circle, the last one where it ends."""
     path = Path()
-    for number in range(10 * 3600 * 5):
-        path.move(number * 200 * MS, 0.2, 10.0, begins=not number)
-    places = path.places()
     radius_m = 0.660 / tan(radians(10))
+    for number in range(10 * 3600 * 5):
+        turn_rad = number * 0.2 / radius_m
+        pose = (radius_m * sin(turn_rad), radius_m * (1 - cos(turn_rad)), turn_rad)
+        path.add(number * 200 * MS, pose, begins=not number)
+    places = path.places()
     assert PLACES_MAX // 4 < len(places) <= PLACES_MAX + 1
     assert all(abs(hypot(place.x_m, place.y_m - radius_m) - radius_m) < 0.05 for place in places)
     assert places[-1].time_ns == (10 * 3600 * 5 - 1) * 200 * MS

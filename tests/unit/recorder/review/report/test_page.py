@@ -156,7 +156,7 @@ def test_several_drives_have_a_table_with_links(tmp_path: Path) -> None:
     """Each with its distance, its stops, its worst moment, and a section of its own."""
     html = page(report_of(write_messages(tmp_path / "a.mcap", drives_over(3, 3))))
     table = html.partition('id="overview"')[2].partition("</table>")[0]
-    assert table.count("<td>2.9 m</td><td class=number>1</td>") == 3
+    assert len(re.findall(r"<td>(2\.9|3\.0) m</td><td class=number>1</td>", table)) == 3  # Of 2.95 m.
     assert re.findall(r'href="(#drive-\d)"', table) == ["#drive-0", "#drive-1", "#drive-2"]
     assert table.count('<b><a href="#t=') == 3
     assert html.count('class="drive" id="drive-') == 3
