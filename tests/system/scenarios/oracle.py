@@ -174,8 +174,7 @@ class Trust:
         """This is told now. A controller that restarts forgets its brake, and what its motor did."""
         if order.parking and (self._before is None or not self._before.parking):
             self._is_caught = is_moving and not self.is_given_back
-        elif order.parking and is_away:
-            self._is_caught |= is_moving
+        self._is_caught |= order.parking and is_away
         self._is_stray &= not is_permitted
         self._is_unreleased &= order.parking
         if is_permitted:
@@ -767,12 +766,14 @@ class Oracle:
             self._latched_m = plant.x_m
         rolled_m = min(rolled_m, abs(plant.x_m - self._latched_m))
         is_due = not plant.brake_holds and not plant.creeps_unseen and self._gateway_lives
+        # Where the speeds are frozen only the pulses show it.
+        allowed_s = SEEING_S + PULSES_S * ({DRIVE, WHEELS} <= plant.frozen)
         if plant.mode == AUTO and now_s - self._order_s < 3 * TICK_S:
             # What is left of a ramp explains a speed.
             is_due &= abs(plant.speed_mps) > max(self._explained.values()) + MOVES_MPS
         counted_m = CREEP_PULSES / (2 * plant.build.pulses_per_m) if plant.brake_creep_mps else 0.0
         is_unnoticed = is_due and rolled_m > STOP_M / 2 + counted_m and not self._latched
-        if self._timer("unnoticed").lasts(now_s, holds=is_unnoticed) > SEEING_S:
+        if self._timer("unnoticed").lasts(now_s, holds=is_unnoticed) > allowed_s:
             self._fail("brake_unnoticed", now_s, f"{rolled_m:.2f} m, {'braked' if plant.braked else 'released'}")
 
     def _judge_start(self, plant: Plant, now_s: float) -> None:
@@ -1089,10 +1090,11 @@ def _dead_motor_m(plant: Plant) -> float:
     """How far a robot rolls that nothing holds, until the rule on rolling has closed the parking brake.
 
     A motor that cannot hold this hill leaves gravity alone with the robot for 0.1 s, ``SEEING_S`` and the brake's
-    delay; then the brake has what gravity leaves of its grip. No gateway can do better.
+    delay; then the brake has what gravity leaves of its grip. No gateway can do better. Where the speeds are frozen
+    only the pulses show it.
     """
     pull = abs(plant.load_mps2)
-    free_s = 0.1 + SEEING_S + plant.build.brake_delay_s
+    free_s = 0.1 + SEEING_S + plant.build.brake_delay_s + PULSES_S * ({DRIVE, WHEELS} <= plant.frozen)
     return pull * free_s**2 / 2 + (pull * free_s) ** 2 / (2 * (PARKING_MPS2 - pull))
 
 
