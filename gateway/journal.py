@@ -287,8 +287,14 @@ CLASSES: Final[dict[str, type]] = {
 RENAMED: Final[dict[str, dict[str, str]]] = {}
 """By alias: attributes that were renamed, and what checkpoints call them."""
 
-ADDED: Final[dict[str, tuple[str, ...]]] = {"Core": ("_odometry", "_odometry_due_ns")}
-"""By alias: attributes that earlier checkpoints lack, and that no decision depends on. A new core's are taken."""
+ADDED: Final[dict[str, tuple[str, ...]]] = {
+    "ChassisMonitor": ("_driven_ns",),
+    "ChassisState": ("creeps",),
+    "Core": ("_odometry", "_odometry_due_ns"),
+    "Encoders": ("_crept", "_pause"),
+}
+"""By alias: attributes that earlier checkpoints lack. A new core's are taken: no decision depends on them, or none
+but that on a robot which creeps behind its brake, for the seconds after the checkpoint."""
 
 
 Tree = Any
@@ -427,11 +433,8 @@ class _Restoring:
         kept = _as_named_now(name, stored)
         for added in ADDED.get(_alias(name), ()):
             kept.setdefault(added, [_CONSTANT])
-        if new is not None:
-            others = kept.keys() ^ set(_names(new))
-            # What a class gives each new object as a plain value is set later, and earlier versions had it not.
-            if type(new) is not kind or any(_tag(type(getattr(kind, one, kind))) != _VALUE for one in others):
-                raise CheckpointError(f"{type(new).__name__} holds other things in this version")
+        if new is not None and (type(new) is not kind or kept.keys() != set(_names(new))):
+            raise CheckpointError(f"{type(new).__name__} holds other things in this version")
         made = object.__new__(kind) if new is None else new
         self._seen.append(made)
         for own, tree in kept.items():
@@ -447,7 +450,8 @@ class _Restoring:
         place = len(self._seen)
         if not _is_immutable(kind):
             self._seen.append(None)
-        if kept.keys() != set(kind.__struct_fields__):
+        added = set(ADDED.get(_alias(name), ()))
+        if kept.keys() | added != set(kind.__struct_fields__):
             raise CheckpointError(f"{kind.__name__} holds other things in this version")
         made = kind(**{own: self.restore(tree, getattr(new, own, None)) for own, tree in kept.items()})
         if not _is_immutable(kind):

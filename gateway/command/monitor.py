@@ -1,11 +1,8 @@
-"""The chassis as it is watched: faults of its feedback, and whether its motion is plausible.
+"""The chassis over time: standstill, bumpers, faults of feedback, other commanders, plausible motion. Pure.
 
-The chassis over time: standstill, bumpers, faults, who else commands it. Pure.
-
-Plausibility of the motion: speeds against the command and each other, direction, steering, the limit.
-
-A chassis whose firmware has the other scale moves 40 times as fast as commanded, or as slow; one on a slope or
-pushed by somebody moves without a command. This notices both, and more.
+``Plausibility`` holds speeds against the command and each other, direction, steering and the limit. A chassis
+whose firmware has the other scale moves 40 times as fast as commanded, or as slow; one on a slope moves without a
+command.
 """
 
 from __future__ import annotations
@@ -361,9 +358,6 @@ class ChassisMonitor:
         send_failures: ticks in a row whose frames the bus did not take.
     """
 
-    _driven_ns: int | None = None
-    """When it was last driven, or fast. Checkpoints of before do not have it."""
-
     def __init__(self, chassis: Chassis) -> None:
         self._design = chassis
         self.chassis = ChassisState()
@@ -378,6 +372,7 @@ class ChassisMonitor:
         self._unchanged_ns = 0
         self._slow_ticks = 0
         self._moving_since_ns: int | None = None
+        self._driven_ns: int | None = None
         self._acknowledged: set[Reason] = set()
         self._pressed_ns: dict[Reason, int] = {}
 

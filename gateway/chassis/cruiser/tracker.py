@@ -171,14 +171,13 @@ class ChassisTracker:
 class Encoders:
     """Reads from wheel pulses whether and where the robot goes, without knowing how far a pulse is."""
 
-    _crept = _pause = 0
-    """Pulses one way while it creeps, and periods since the last of them. Checkpoints of before have neither."""
-
     def __init__(self) -> None:
         self._before: WheelPulse | None = None
         # What was counted from one frame to the next, and over how many periods: frames may be lost.
         self._counted: deque[tuple[int, int]] = deque(maxlen=PULSES_MOVING_FRAMES)
         self._direction = 0
+        # Pulses one way while it creeps, and periods since the last of them.
+        self._crept = self._pause = 0
 
     def direction(self, pulses: WheelPulse | None) -> int:
         """1 forward, -1 backward: both wheels together count that way in many frames, and no slower; else 0.

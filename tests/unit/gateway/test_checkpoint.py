@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from gateway import core as core_module
 from gateway import journal as module
 from gateway.chassis.layout import Encoder, MessageDecoder, MessageLayout
+from gateway.chassis.port import Chassis
 from gateway.choice import CHASSIS
 from gateway.command.flow import TickEffects
 from gateway.core import Core
@@ -227,7 +228,7 @@ def left_out(value: Any, kinds: set[type]) -> None:  # noqa: ANN401 - of any kin
             waiting += [entry for entry in gc.get_referents(one) if not isinstance(entry, type)]
 
 
-MADE_WITH = {CommandSettings, Encoder, JournalWriter, MessageDecoder, MessageLayout, Subject}
+MADE_WITH = {Chassis, CommandSettings, Encoder, JournalWriter, MessageDecoder, MessageLayout, Subject}
 """A new core of the same settings has these."""
 
 
