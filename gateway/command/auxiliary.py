@@ -89,9 +89,10 @@ class Auxiliary:
         """The robot is latched: both indicators are switched on, and left on until it is engaged again."""
         self._lamps, self._are_lamps_set = self._design.hazard.values, True
 
-    def leave(self) -> None:
+    def leave(self, now_ns: int) -> None:
         """Leave the lamps as they are: somebody else commands the chassis. Dark ones need no clearing frame."""
-        self._are_lamps_set = self._is_lit
+        self._are_lamps_set = self._is_lit or now_ns < self._blinks_until_ns
+        self._blinks_until_ns = _NEVER
 
     @property
     def left(self) -> tuple[Signals, bool]:

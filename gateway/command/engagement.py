@@ -319,7 +319,7 @@ class Engagement:
         told = output.actuation if output.actuation is not None else Actuation(parking=self.setpoint.parked)
         is_held_by_motor = output.stop_phase is StopPhase.MOTOR
         self.handover.leave(told, reason, chassis, now_ns, is_held_by_motor=is_held_by_motor)
-        self.auxiliary.leave()
+        self.auxiliary.leave(now_ns)
         output.cease()
         self.stop_reason, self.stop_detail = reason, ""
         self.outbox.refuse_pending(reason, "")

@@ -96,7 +96,7 @@ def test_lamps_that_were_put_out_are_told_so_again_in_a_stop() -> None:
         set_lamps(made, 1)
         assert not made.is_off(TAIL_NS)
         assert made.is_off(1 + TAIL_NS)
-    left.leave()
+    left.leave(10**12)
     for made in (stopped, left):
         made.end(10**12)
     assert stopped.frames(10**12) == [lamps()]
@@ -108,7 +108,7 @@ def test_lamps_that_shine_after_a_takeover_are_put_out_with_the_next_engagement(
     """Until then they are not off: the chassis has them on."""
     made = Auxiliary(CHASSIS)
     set_lamps(made, 0, "headlamp")
-    made.leave()
+    made.leave(1)
     assert not made.is_off(10**12)
     made.end(10**12)
     assert made.frames(10**12) == [lamps()]

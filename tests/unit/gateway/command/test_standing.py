@@ -3,6 +3,7 @@
 import pytest
 
 from schemas.decisions import ArbiterState, Bound, EventKind, Severity
+from schemas.messages import Mode
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings
 from tests.support.rigs.arbiter import ArbiterRig, engaged
@@ -94,3 +95,24 @@ def test_a_stop_ends_the_warning_and_puts_the_lamps_out() -> None:
     drive(bench, 50, 0.0)
     bench.ask("disengage")
     assert indicators(bench) == DARK
+
+
+@pytest.mark.parametrize("then", ["engage", "stop"])
+def test_a_warning_that_the_remote_control_cut_off_is_put_out_afterwards(then: str) -> None:
+    """The chassis keeps its indicators while somebody else commands it: what we send next clears them."""
+    bench = engaged(warning_s=2.0)
+    drive(bench, 50, 0.5)
+    bench.changes = {"mode": Mode.REMOTE}
+    bench.tick(count=500)
+    bench.changes = {}
+    bench.tick(count=50)
+    if then == "engage":
+        bench.ask("acquire")
+        bench.ask("engage")
+    else:
+        bench.changes = {"speed_mps": 0.3, "wheel_speed_mps": 0.3, "fastest_wheel_mps": 0.3, "turns": True}
+    shown = []
+    for _ in range(50):
+        bench.tick()
+        shown.append(indicators(bench))
+    assert next(filter(None, shown), None) == DARK
