@@ -1,12 +1,8 @@
-"""The steps of a tick, and their report as decisions and events.
+"""The safety arbiter: requests and the chassis's state in, commands to the chassis out. Pure.
 
-The arbiter's messages: its state, decisions, events and replies.
-
-The safety arbiter: requests and the chassis's state in, commands to the chassis out. Pure.
-
-Read ``tick`` first: the chassis's state, the requests, the causes to stop, the command to the chassis. The states
-that the steps act on have modules of their own: ``lease``, ``operator_link``, ``chassis_monitor``, ``setpoint``,
-``output``, ``latches``, ``outbox``; ``engagement`` holds those of the robot under command together.
+Read ``Arbiter.tick`` first: the chassis's state, the requests, the causes to stop, the command to the chassis.
+``Reporter`` makes the samples of it. The states that the steps act on are in ``lease``, ``monitor``, ``motion``,
+``output`` and ``rulings``; ``engagement`` holds those of a robot under command.
 """
 
 from __future__ import annotations

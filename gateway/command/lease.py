@@ -1,24 +1,13 @@
-"""The lease, its holder's link, and the age of that link's commands.
+"""The lease, the link to its holder, and the age of the holder's commands. Pure.
 
-The link to the holder of the lease: the order, the age and the content of its drive commands. Pure.
-
-The lease: one operator at a time may command the robot, and must keep saying so.
-
-Here a lease has an identifier, which is public. The number that its holder's requests carry is a secret, and not
-known here: see ``gateway.command.restart``.
-
-The greatest age of a drive command, without clocks in common.
-
-Each published state of the arbiter carries a challenge: random bytes that nobody can know before. A command
-carries the newest challenge that its sender had seen, so it was made after that was published: its age is at most
-the time since then. Only this can distinguish a stalled link, a replay, a sender whose clock is a year off, and a
-command that was made today for tomorrow.
-
-The age of an operator's commands when they are executed, and the speed that it allows. Pure.
-
-A robot that drives on what its operator saw a while ago, and continues for the deadman's time after a link loss,
-covers some metres before it can react. The setting ``command.travel_delay_m`` bounds these metres, and thereby the
-speed.
+- ``Leases``: one operator at a time may command the robot, and has to renew. A lease has a public identifier here;
+  its number is a secret (``gateway.command.restart``).
+- ``ChallengeLog``: the greatest age of a command, without clocks in common. Each published state carries random
+  bytes, and a command carries the newest that its sender had seen: it was made after those were published. This
+  tells a stalled link, a replay and a wrong clock from a command that is new.
+- ``OperatorLink``: order, age and content of the holder's drive commands.
+- ``LinkAge``: the speed that this age allows. A robot that drives on what its operator saw a while ago covers some
+  metres before it can react; ``command.travel_delay_m`` bounds these metres, and so the speed.
 """
 
 from __future__ import annotations

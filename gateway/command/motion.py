@@ -1,8 +1,8 @@
-"""The limits of motion, the profile that keeps them, and the setpoint.
+"""The limits of motion, the profile that keeps them, and the setpoint. Pure.
 
-- The limits in force, and the bicycle model that they are drawn from.
+- The limits in force, with the bicycle model that some follow from.
 - From a target to a command: every limit, and the way through standstill to reverse.
-- The setpoint of the motion: what the holder asks for, and the limits in force. Pure.
+- ``Setpoint``: the holder's request, and the limits in force.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""The actuation of each tick: motion, stop, handover to the remote control.
+"""The command to the chassis in each tick: motion, stop, handover to the remote control. Pure.
 
-- Handover of the chassis to others: when our output has to cease, and which command remains active. Pure.
-- The command that a chassis must have had, by its feedback: there a stop begins that we did not lead up to.
-- The output to the chassis, tick by tick; a step that the bus did not take is undone. Pure.
+- ``Handover``: when our output has to cease, and which command remains active then.
+- ``inferred_actuation``: the command that a chassis must have had, by its feedback. A stop that we did not lead up
+  to begins there.
+- ``Output``: tick by tick; a step that the bus did not take is undone.
 """
 
 from __future__ import annotations

@@ -1,20 +1,11 @@
-"""State that survives a restart or a gap, and leases by public numbers.
+"""State that survives a restart or a gap, and leases by public numbers. Pure.
 
-Snapshots of a gateway at rest, from which its journal can be run again. Pure.
-
-At rest the robot stands, nobody holds the lease, nothing is latched or asked, and all feedback is well. What the
-arbiter knows then is in the feedback of the last seconds, but for a few numbers: those are here.
-
-When a gateway may be started again, and what it begins with. Pure.
-
-A restart must never clear a latch. The gateway that starts again is not ready by itself: it begins in standby,
-with all that was latched. In logs of before it began with more: a stop that was owed, lamps and horn.
-
-The numbers of leases: a secret between the holder and the robot. Pure.
-
-Every request of a holder carries the number that the reply to ``acquire`` or ``take`` gave. The core, the journal
-and everything that is published know a lease by its identifier alone, which gives nobody anything. The run loop
-puts identifiers for numbers into each request before the core gets it, numbers for identifiers into each reply.
+- Snapshots of a gateway at rest, from which its journal can be run again: the robot stands, nobody holds the
+  lease, nothing is latched. All but a few numbers is in the feedback of the last seconds; those numbers are here.
+- What a gateway begins with when it starts again: in standby, with all that was latched. A restart clears no
+  latch. Earlier logs have more in it: a stop that was owed, lamps and horn.
+- The numbers of leases, a secret between holder and robot. The loop puts identifiers for numbers into each request
+  before the core gets it, and numbers for identifiers into each reply, so the journal gives nobody a lease.
 """
 
 from __future__ import annotations

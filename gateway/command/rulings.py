@@ -1,15 +1,11 @@
-"""Requests and their rulings: states, causes of stops, latches, and the outcome of a tick.
+"""Requests and their rulings: states, causes of stops, latches, and the outcome of a tick. Pure.
 
-- A request as it comes from the wire, and what was ruled on it.
-- The arbiter's states and what leads from one to another: one table, which the documents' diagram is made of.
-- Causes to stop the robot: one table.
-- The outcome of a tick of the arbiter.
-- Causes that keep the robot from being engaged until somebody resets them. Pure.
-- Replies and events of a tick, until they are taken. Pure.
-
-Events that stop nothing.
-
-A late loop, a CAN controller in trouble, another computer's commands, a guard's end.
+- ``RawRequest`` and ``Ruling``: a request as received, and the answer to it.
+- The arbiter's states, and what leads from one to another: one table, which the documents' diagram is made of.
+- ``STOPS``: the causes to stop the robot, one row each.
+- ``Latches``: causes that keep the robot from being engaged until a reset.
+- ``Outbox``: replies and events of a tick, until they are taken; ``TickOutcome``.
+- ``Notices``: events that stop nothing, such as a late loop or another computer's commands.
 """
 
 from __future__ import annotations

@@ -1,21 +1,10 @@
-"""Notes on the disk that outlive the process: stops, latches, the mileage.
+"""Files that outlive a restart of the gateway, and the way in which they are written.
 
-The directory of what outlives a restart of the gateway, and the way in which its files are written.
-
-The note of a stop by the guard: a small file, so that its latch outlives a restart of the gateway.
-
-The guard, or ``cruiser halt``, adds a line for each thing that it says. While the file exists the stop is latched,
-whatever the file holds. A reset removes it.
-
-The note of what is latched: a small file, so that no restart of the gateway's process clears a latch.
-
-It is written as soon as something is latched, and removed by the reset. A stop by the guard has a note of its own
-(``gateway.host.notes``), for the guard writes it when the gateway is gone.
-
-The note of a robot's total mileage: one that is far off at a start may be that of another chassis.
-
-A computer that was moved to another chassis, or a configuration that was copied with its name, drives on under
-that name: logs, grants and people take it for the robot that it was.
+- A stop by the guard, or by ``cruiser halt``: a line for each thing that it says. While the file exists the stop
+  is latched, whatever it holds; a reset removes it. The guard writes it when the gateway is gone.
+- What the gateway latched: written at once, removed by the reset, so that no restart clears a latch.
+- The total mileage: one that is far off at a start may be that of another chassis, as where a computer was moved
+  or a configuration was copied with its name.
 """
 
 from __future__ import annotations

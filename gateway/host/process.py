@@ -1,8 +1,8 @@
-"""The process on its computer: priority, log lines, the service manager.
+"""The process on its computer.
 
 - Real-time scheduling and locked memory, where the system allows them.
-- Logging that never holds who logs: lines wait in a queue, and a thread of their own writes them.
-- The service manager, systemd, as the loop reports to it: ready, alive, and in what state (sd_notify(3)).
+- Logging that never blocks: lines wait in a queue, and a thread writes them.
+- The service manager, systemd: ready, alive, and in what state (sd_notify(3)).
 """
 
 from __future__ import annotations

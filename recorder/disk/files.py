@@ -1,21 +1,12 @@
 """The files of a recorder: parts, finished logs, their directory, notes of uploads.
 
-A new file: written beside as a part, and named when it is whole. Nothing is overwritten.
+A file is ``NAME-START.mcap.part`` while it is written, locked as long as its writer lives and synced beside the
+writing. It is renamed to ``NAME-START.mcap`` when it is whole. Nothing is ever overwritten. An OSError becomes one
+clear CommandError here.
 
-One file of a log: written as a part, synced beside the writing, and renamed when it is whole.
-
-Only the end of the file waits for a sync. An OSError becomes one clear CommandError here.
-
-The directory of logs: how files are called, locked and begun; see ``part_file`` for the rest of their life.
-
-A file is ``NAME-START.mcap.part`` while it is written and ``NAME-START.mcap`` when it is whole. Nothing is ever
-overwritten. A part is locked as long as its writer lives. An OSError becomes one clear CommandError here.
-
-The note beside the logs that says which of them are safe elsewhere: a line for each, as JSON.
-
-The uploader writes it, and retention reads it. A line holds for a file of the same length and the same time of its
-last change; what cannot be read of it holds for none. Who can write it could name any log: before the recorder
-deletes one because of its line, it makes the hash of the file itself.
+The note of uploads names the logs that are safe elsewhere, a line of JSON each: the uploader writes it, retention
+reads it. A line holds for a file of the same length and time of change. Before the recorder deletes a log by such
+a line, it hashes the file itself.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
-"""The directory in order: retention, and what a crash left behind.
+"""The directory in order: deletes what ``retention`` says, once a second, and finishes what a crash left behind.
 
-Keeps the directory of logs within its limits: looks once a second, and deletes what ``retention`` says.
-
-Logs that their recorder could not finish: made whole in place, at the next start or by hand.
-
-Nothing of value is deleted. Cut off without a trace is only what a killed writer leaves behind the last whole
-record: the beginning of one last write, or zeros. Anything else behind the good data is kept beside as
-``NAME.mcap.rest``. A file with damage before its end is not changed: what is good in it is copied into
-``NAME.mcap``, and it becomes ``NAME.mcap.damaged``. So does a part of which nothing can be read.
+Nothing of value is deleted. Only what a killed writer leaves behind the last whole record is cut off: the
+beginning of one last write, or zeros. Other bytes behind the good data are moved to ``NAME.mcap.rest``. A file
+that is damaged before its end is not changed: what is good in it is copied into ``NAME.mcap``, and it becomes
+``NAME.mcap.damaged``, as does a part of which nothing can be read.
 """
 
 from __future__ import annotations

@@ -1,19 +1,11 @@
-"""Write an MCAP file: channels, chunks, the summary at its end.
+"""Write an MCAP file (https://mcap.dev/spec) on any binary stream: channels, chunks, the summary at its end.
 
-- A channel of an MCAP file, with its schema. Pure.
-- Messages appended to one buffer and indexed: what becomes a chunk of an MCAP file. Pure.
+Schemas and channels go into the data section itself, not into chunks, so that a damaged chunk costs its own
+messages alone. A record without a checksum in MCAP has a check of ours behind it. Each record, and each chunk with
+its indexes, is one write; after a failed write ``cut_back`` shortens the file to its last whole record.
 
-The end of an MCAP file: what repeats and indexes its data, so that a reader need not read it all. Pure.
-
-Kept as bytes while the file grows, for a long log has many chunks. The writer of a log and the recovery of one
-that was left unfinished end a file by the same hand.
-
-The bytes of an MCAP file (https://mcap.dev/spec), on any binary stream.
-
-Schemas and channels go into the data section itself, not into chunks: a damaged chunk then costs its own
-messages and no others. What has no checksum in MCAP has a check of ours behind it. Each record, and each chunk
-with its indexes, is one write; after a failed write ``cut_back`` takes the file to the end of its last whole
-record.
+The summary is kept as bytes while the file grows, for a long log has many chunks. The recovery of an unfinished
+log writes its end in the same way.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
-"""The channels of a log, and the account of what came and what was lost.
+"""The channels of a log, and the account of what was sent, received, written and lost. Pure.
 
-Loss accounting: what of a key was sent, received and written, and where the rest was lost. Pure.
-
-The channels of a log, and what is known of each. Pure.
-
-A sample is looked up by its key, and an event's second form by the key of the event: two maps, for both may want
-the same topic. What somebody publishes as ``KEY/log`` is no line of ours.
+A sample is looked up by its key, and an event's second form by the key of the event: two maps, because both may
+want the same topic. A sample that somebody publishes as ``KEY/log`` is not taken for that second form.
 """
 
 from __future__ import annotations

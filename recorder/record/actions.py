@@ -1,11 +1,7 @@
-"""Actions that a recorder wants of the disk, and notices that it gives.
+"""Actions that a recorder asks of the disk and of Zenoh, and the disk's notices and its own. Pure.
 
-Notices of the disk to the recorder, and announcements of the recorder to people. Pure.
-
-The actions that a recorder asks of the disk and of Zenoh. Pure.
-
-An action on a log is the same object from ``RobotLog``, which makes it, through the queue of the disk, where it
-waits, into the file, where ``write_to`` puts it.
+An action on a log is one object all the way: ``RobotLog`` makes it, it waits in the queue of the disk, and its
+``write_to`` writes it into the file.
 """
 
 from __future__ import annotations

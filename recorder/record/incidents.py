@@ -1,15 +1,11 @@
-"""Incidents, and gateways that were lost.
+"""Incidents, and gateways that were lost. Pure.
 
-The last seconds of a log in memory, and incidents: what came before and after, in a file of its own. Pure.
+A ring holds the newest chunks of the log. When something happens they are written into a file of its own, and what
+follows for a while. Another alarm makes that while longer, up to a bound, so that a recurring fault makes no
+endless file.
 
-A ring holds the newest chunks of the log. When something happens they are written into an incident's file, and
-so is what comes after, for a while. Another alarm meanwhile makes that while longer, up to a bound: a fault that
-comes back all the time must not make an endless file.
-
-Gateways that have died, of those whose liveliness token is gone. Pure.
-
-The token alone proves nothing: it also goes with the link, and anybody may declare one and take it back. So the
-arbiter's states are waited for: a gateway whose states go on lives.
+A gateway whose liveliness token is gone may live: the token also goes with the link, and anybody may declare one.
+So the recorder waits for the arbiter's states, and a gateway whose states go on lives.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""The recorder: samples in, actions out, and its health.
+"""The recorder: samples, ticks, marks and notices in, actions out. Pure.
 
-- Samples that wait to be recorded: bounded by their bytes, the oldest go first, and are counted. Pure.
-- The health of a recorder, from what its parts count. Pure.
-
-All that one recorder writes, without I/O: samples, ticks, marks and notices in, actions out.
-
-One ``RobotLog`` for each robot, or one for all. ``receive`` finds the log by the key. The page to begin with; then
-``robot_log``.
+Begin with ``Recorder.receive``, which finds the log by the key; then read ``robot_log``. ``SampleInbox`` bounds
+what waits by its bytes: the oldest go first, and are counted. ``HealthReport`` is what the recorder says of
+itself.
 """
 
 from __future__ import annotations
@@ -467,7 +463,7 @@ SECOND_NS: Final = 1_000_000_000
 
 
 class Vitals(msgspec.Struct, frozen=True):
-    """Figures from the disk, the inbox and the door, which ``RecorderHealth`` has under the same names."""
+    """Figures from the disk and the inbox, which ``RecorderHealth`` has under the same names."""
 
     files: int = 0
     files_ended: int = 0

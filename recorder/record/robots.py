@@ -1,17 +1,11 @@
-"""The robots of a log: their keys, their statements, what they are asked for later.
+"""The robots of a log: their keys, the statements of their authorities, and samples to ask for again. Pure.
 
-The robots of a log: when each is asked who it is, and how the log keeps the answer. Pure.
-
-The newest statements of the authorities of a log's robots: each of its files holds what proves it. Pure.
-
-A robot repeats once a minute what is in force. An incident, or a file of a log that was begun anew, may be over
-before: so what was said last is written into it as metadata. Anybody may publish something on a robot's keys: with
-the authority's keys the recorder knows what is signed by it, and nothing that is not takes the place of that.
-
-Samples that gateways still keep and this log lacks: found by gaps in the sequence, queried in pieces. Pure.
-
-A recorder that starts late, or whose link was cut, gets earlier journals, decisions and events. One
-piece is on its way at a time for each key, so that a thin link carries the present first.
+- Each robot is asked who it is, and the log keeps the answer.
+- The newest statements of the authorities are written into each file, as metadata, so that each file can be proven
+  alone. A robot repeats them once a minute, and a file may be shorter. With the authority's keys the recorder
+  knows what is signed, and nothing unsigned takes its place.
+- Samples that a gateway still has and this log lacks: found by gaps in the sequence, and asked for one piece at a
+  time and key, so that a thin link carries the present first.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ MARGIN_NS: Final = 10_000_000_000
 """The time before and behind a drive that belongs to it: what led to it, and how its stop ended."""
 
 DRIVES_MAX: Final = 500
+"""The first so many are told one by one; more are counted."""
 
 CLOCK_STEP_NS: Final = 600_000_000_000
 """A source's time that goes back further was set anew; one that goes back less is of a sample there before."""

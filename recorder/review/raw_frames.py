@@ -1,12 +1,8 @@
-"""Raw frames in the order of time, for the tools of CAN.
+"""Raw frames of logs in the order of time, sent and received, and files of them for the tools of CAN.
 
-Raw frames of logs in the order of time, for the tools of CAN: received and sent, of all buses of a robot.
-
-Files of raw frames for the tools of CAN, one a robot, by python-can's writers: candump log, ASC, BLF.
-
-Not every format says everything: a candump log knows no class of an error frame and no length of a remote frame,
-ASC neither the class nor the direction of an error frame. Times are to the microsecond; ASC and BLF name no
-time zone, and have UTC here.
+Files are written by python-can, one a robot: candump log, ASC, BLF. Not every format holds everything: a candump
+log has no class of an error frame and no length of a remote frame, ASC neither the class nor the direction of an
+error frame. Times are to the microsecond; ASC and BLF name no time zone, and have UTC here.
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ class GatewaySilence(msgspec.Struct, frozen=True):
         motion = "at a speed that is not in the log"
         if self.speed_mps is not None:
             motion = "standing" if self.speed_mps < STANDSTILL_MPS else f"at {self.speed_mps:.2f} m/s"
-        return f"he gateway {fell}{when}, {self.was.said.state.value}, {motion}"
+        return f"the gateway {fell}{when}, {self.was.said.state.value}, {motion}"
 
 
 def _silences(now: EvidenceWindow, story: Story) -> list[GatewaySilence]:
@@ -349,7 +349,8 @@ class _Answer:
             now, state, self._focus, "" if self._focus is None else self._why(self._focus), latch
         )
         if silence is not None:
-            told = f"T{silence.fell(f' {before(silence.was.time_ns, now.at_ns)}')}; "
+            fell = silence.fell(f" {before(silence.was.time_ns, now.at_ns)}")
+            told = f"{fell[0].upper()}{fell[1:]}; "
             told += f"another run began {before(silence.then.time_ns, now.at_ns)}."
         elif death is not None:
             told = f"A recorder noticed {before(death.time_ns, now.at_ns)}: {death.text}."
@@ -388,7 +389,7 @@ class _Answer:
             "silent_ms": silent_ns / 1e6,
         }
         told = f"; commanded was {said.output_speed_mps:.2f} m/s" if said.state is ArbiterState.ENGAGED else ""
-        yield Link(Step.CAUSE, f"t{silence.fell()}{told}", silence.was.time_ns, data)
+        yield Link(Step.CAUSE, f"{silence.fell()}{told}", silence.was.time_ns, data)
         if not silence.was_active:
             yield _began(silence.was.time_ns, silence.then.time_ns)
             return
