@@ -1090,8 +1090,8 @@ def _dead_motor_m(plant: Plant) -> float:
     """How far a robot rolls that nothing holds, until the rule on rolling has closed the parking brake.
 
     A motor that cannot hold this hill leaves gravity alone with the robot for 0.1 s, ``SEEING_S`` and the brake's
-    delay; then the brake has what gravity leaves of its grip. No gateway can do better. Where the speeds are frozen
-    only the pulses show it.
+    delay; then the brake has what gravity leaves of its grip. No gateway can do better. Frozen speeds leave the
+    pulses alone to show it.
     """
     pull = abs(plant.load_mps2)
     free_s = 0.1 + SEEING_S + plant.build.brake_delay_s + PULSES_S * ({DRIVE, WHEELS} <= plant.frozen)
