@@ -660,6 +660,8 @@ class Oracle:
             return True
         seen_mps = self._heard.speed_mps - 2 * self._bit_mps
         stands = seen_mps < (STANDS_MPS if reason == "not_moving" else FROZEN_MPS)
+        # Speeds that were frozen a moment ago still count as metres without a change of the mileage.
+        stands |= reason == "feedback_frozen" and now_s - self._frozen_wheels_s < 5.0
         return stands or (reason == "feedback_frozen" and now_s - self._heard.unchanged_s > 0.9)
 
     def _falls_mps2(self, *, at_once: bool) -> float:
