@@ -24,6 +24,7 @@ from tests.bench import (
     guard_latency,
     links,
     loads,
+    odometry_drift,
     path_cost,
     recorder_kills,
     recorder_rate,
@@ -50,6 +51,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         robots, routers, shards, profile: of the fleet; how much leaves each robot.
         path_rounds, recorder_rounds, export_rounds: paired runs of ours and others.
         authority_rounds: of each step of a proof.
+        trip_s: simulated, of each trip of the odometry.
         starts, rest_s: of a gateway, and until memory is read.
         turns, turn_drives: of open and signed mode, and the drive commands of each.
         drives, stops, ticks, floods: of commands.
@@ -66,6 +68,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     recorder_kills: int = 20
     path_rounds: int = 15
     authority_rounds: int = 15
+    trip_s: float = 100.0
     starts: int = 15
     rest_s: float = 10.0
     turns: int = 2
@@ -102,6 +105,7 @@ SHORT: Final = Extent(
     recorder_kills=1,
     path_rounds=1,
     authority_rounds=1,
+    trip_s=5.0,
     starts=1,
     rest_s=1.0,
     turns=1,
@@ -135,6 +139,7 @@ BENCHES: Final[dict[str, Callable[[Extent], list[Row]]]] = {
     "vcan": lambda on: loads.vcan_rows(on.seconds),
     "commands": lambda on: command_latency.rows(on.drives, on.stops, on.ticks),
     "start": lambda on: start_cost.rows(on.starts, on.rest_s),
+    "odometry": lambda on: odometry_drift.rows(on.trip_s),
     "authority": lambda on: authority.rows(on.authority_rounds),
     "signed": lambda on: signed_latency.rows(on.turns, on.turn_drives),
     "floods": lambda on: flood.rows(on.floods),
