@@ -466,7 +466,7 @@ class Oracle:
     @property
     def _is_kept_by_motor(self) -> bool:
         """The motor alone holds it, for its parking brake slips: that is not asked for, whoever takes it over."""
-        return "brake_slips" in self._latched and self._trust.is_given_back
+        return self._trust.is_given_back  # Once the remote control has it, its latch may be reset.
 
     def _judge_yield(self, order: Told, last: Told, now_s: float, *, begins: bool) -> None:
         """To the remote control nothing is told but a few times zero speed with the parking brake."""
