@@ -165,6 +165,10 @@ class Trust:
         self._is_stray = self._is_unreleased = not is_kept
         self._before = None
 
+    def believe(self) -> None:
+        """A reset gives the robot to its brake again, which may hold it no better than before."""
+        self._is_for_good, self._given_back_s = True, None
+
     @property
     def is_given_back(self) -> bool:
         """In the stop that is under way the robot was given back to its motor, and to nothing else since."""
@@ -299,6 +303,9 @@ class Oracle:
         elif verb == "reset" and fields["ok"]:
             # A hit of the very moment of the reset may have been seen before it, or after.
             self._acknowledged = self._struck is not None
+            if "brake_slips" in self._latched:
+                # It stood braked for 5 s: its brake is believed again.
+                self._trust.believe()
             self._emergency = False
             self._is_unsure = self._is_unsure or now_s - self._struck_s < SEEING_S
 
@@ -794,6 +801,8 @@ class Oracle:
         if not plant.can_hold:
             # This remains allowed when the motor comes back: by then it has rolled so far.
             self._start_bound_m = max(self._start_bound_m, _dead_motor_m(plant) + 0.2)
+        elif not plant.brake_holds:
+            self._start_bound_m = max(self._start_bound_m, _slipping_m(plant))
         if rolled_m > UNSTARTED_M + self._start_bound_m:
             self._fail("roll_back_at_start", now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg")
 
