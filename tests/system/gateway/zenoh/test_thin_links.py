@@ -236,7 +236,7 @@ def test_zenoh_leaves_out_what_a_profile_says_on_its_interface_alone() -> None:
     operator = counts(free_endpoint(), "lo=operator")
     assert operator.keys() - {REPLIES} == {
         *("state", "safety/state", "safety/decision", "safety/event"),
-        *("authority/statement", "gateway/health"),
+        *("authority/statement", "gateway/health", "chassis/odometry"),
     }
     assert operator[REPLIES] == 0
     assert operator["safety/decision"] == operator["safety/event"] > 2 * operator["state"] > 0
@@ -244,6 +244,7 @@ def test_zenoh_leaves_out_what_a_profile_says_on_its_interface_alone() -> None:
     thin = counts(free_endpoint(), "*=thin")
     assert thin.keys() - {REPLIES} == {
         *("state", "safety/state", "safety/event", "authority/statement", "gateway/health"),
+        "chassis/odometry",
     }
     assert thin["safety/event"] > 5 * thin["state"] > 0
     assert thin["state"] >= thin["gateway/health"] > 0
