@@ -95,11 +95,6 @@ class Auxiliary:
         self._blinks_until_ns = _NEVER
 
     @property
-    def left(self) -> tuple[Signals, bool]:
-        """The lamps and the horn as they were set last; of lamps that are out no signals."""
-        return self._lamps if self._is_lit else {}, self._horn
-
-    @property
     def is_sounding(self) -> bool:
         """The horn was set last."""
         return self._horn
