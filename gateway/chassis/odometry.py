@@ -102,7 +102,7 @@ class DeadReckoning:
         self.reset()
 
     def reset(self) -> None:
-        """The robot is at zero here. What was learned of the pulses stays."""
+        """Begin at zero here, and keep what was learned of the pulses."""
         self.x_m = self.y_m = self.heading_rad = self.distance_m = 0.0
         self._xx = self._yy = self._xy = self._xh = self._yh = self._hh = 0.0
         self._way_m = self._counted = 0.0
@@ -207,7 +207,7 @@ class DeadReckoning:
         self._hh = min(self._hh + turn_error_rad2, _HEADING_VARIANCE_MAX_RAD2)
 
     def _doubt(self, way_m: float) -> None:
-        """A way was driven of which nothing is known but that it is no longer than this."""
+        """Add to the variances a way of which only its greatest length is known."""
         self._xx += way_m**2
         self._yy += way_m**2
         self._hh = min(self._hh + (way_m / self._wheelbase_m) ** 2, _HEADING_VARIANCE_MAX_RAD2)

@@ -286,7 +286,7 @@ class Plausibility:
             if chassis.pulses == sign and rest_s >= PULSES_REST_S:
                 return f"{way} by the wheel pulses"
             if chassis.creeps == sign and rest_s >= PULSES_REST_S:
-                return f"{way} by some wheel pulses in each second"
+                return f"{way} slowly, by the wheel pulses"
         fastest_mps = chassis.fastest_mps or 0.0
         if not told_mps and fastest_mps > max(envelope.forward_mps, envelope.backward_mps) + bound_mps:
             return f"at {fastest_mps:.2f} m/s"
