@@ -1,6 +1,7 @@
 """The chassis that this product drives. One line, since this is the one place where it is chosen.
 
-All others get it as a value. With a second chassis, a setting chooses here; the review then has to go by what a log says of itself.
+All others get it as a value. With a second chassis, a setting chooses here; the review then has to go by what a
+log says of itself.
 """
 
 from __future__ import annotations
