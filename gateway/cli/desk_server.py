@@ -47,7 +47,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import gateway.desk
-from gateway.choice import CHASSIS
 from gateway.cli.desk_logs import DeskLogs
 from gateway.client.remote_stop import StopReport, stop_from_here
 from gateway.desk import fleet_view, words
@@ -548,7 +547,6 @@ class Hub:
                 reasons=reasons_in_words(),
                 statement_reply=STATEMENT_REPLY_ENCODING,
                 period_s=fleet_view.PERIOD_NS / 1e9,
-                wheelbase_m=CHASSIS.wheelbase_m,
                 has_logs=self._has_logs,
             )
         )
@@ -584,8 +582,10 @@ class Hub:
         for browser in self._browsers:
             browser.outbox.add_rows(rows, recorders, linked=linked, full=self._view.is_full)
             browser.ready.set()
-            if browser.outbox.robot and (why := self._view.why(browser.outbox.robot, now_ns)) is not None:
-                browser.tell(why)
+            robot = browser.outbox.robot
+            for message in (self._view.histories.pose(robot), self._view.why(robot, now_ns)) if robot else ():
+                if message is not None:
+                    browser.tell(message)
 
     def receive(self, browser: Browser, data: bytes) -> None:
         """Do what a browser says. Whatever cannot be read, or done, is answered in words."""

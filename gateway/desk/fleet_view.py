@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Final
 
 import msgspec
 
+from gateway.chassis.odometry import DeadReckoning
+from gateway.choice import CHASSIS
 from gateway.client.fleet import (
     FINE,
     LOOK,
@@ -29,7 +31,7 @@ from gateway.client.fleet import (
     word_of,
 )
 from gateway.client.refusal import state_line, text_of
-from gateway.desk.words import DeskHistory, DeskWhy, RecorderRow, RobotRow
+from gateway.desk.words import DeskHistory, DeskPose, DeskWhy, RecorderRow, RobotRow
 from gateway.telemetry.samples import Arrival, Missed, Received
 from schemas.command_line import plain, short
 from schemas.decisions import SafetyEvent, SafetyState, Severity
@@ -43,8 +45,12 @@ PERIOD_NS: Final = 200_000_000
 LENGTH: Final = 1500
 """Points of a robot: five minutes."""
 
-FIELDS: Final = ("asked_mps", "told_mps", "speed_mps", "limit_mps", "asked_deg", "told_deg", "angle_deg")
-"""The setpoint, the command to the chassis, the feedback and the limit; then the same of the steering angle."""
+FIELDS: Final = (
+    *("asked_mps", "told_mps", "speed_mps", "limit_mps", "asked_deg", "told_deg", "angle_deg"),
+    *("x_m", "y_m", "heading_rad"),
+)
+"""Speed: setpoint, command to the chassis, feedback, limit. Steering angle: the first three. Pose: by odometry
+over the states that the desk received, zero at the first."""
 
 _KEPT: Final = LENGTH * len(FIELDS)
 
@@ -53,14 +59,18 @@ class Histories:
     """The newest points of each robot."""
 
     def __init__(self) -> None:
-        # Single precision, six times as compact as tuples: a thousand robots take 84 MB at most.
+        # Single precision, six times as compact as tuples: a thousand robots take 120 MB at most.
         self._points: dict[str, array[float]] = {}
         self._newest_ns: dict[str, int] = {}
+        self._odometry: defaultdict[str, DeadReckoning] = defaultdict(lambda: DeadReckoning(CHASSIS.wheelbase_m))
 
     def add(self, report: RobotStatus, now_ns: int) -> None:
         """Take in a robot as it is now."""
         state, safety = report.state, report.safety
         measured = (None, None) if state is None else (state.speed_mps, state.angle_deg)
+        odometry = self._odometry[report.robot]
+        if state is not None and state.time_ns != odometry.last_ns:
+            odometry.move(state.time_ns, *measured)
         limit = None if safety is None else safety.travel_speed_limit_mps
         point = (
             *((None, None) if safety is None else (safety.target_speed_mps, safety.output_speed_mps)),
@@ -68,6 +78,9 @@ class Histories:
             None if safety is None else min(safety.speed_limit_mps, limit or safety.speed_limit_mps),
             *((None, None) if safety is None else (safety.target_angle_deg, safety.output_angle_deg)),
             measured[1],
+            odometry.x_m,
+            odometry.y_m,
+            odometry.heading_rad,
         )
         points = self._points.setdefault(report.robot, array("f"))
         points.extend(math.nan if value is None else value for value in point)
@@ -78,7 +91,7 @@ class Histories:
     def keep(self, robots: list[str]) -> None:
         """Forget all but these."""
         for robot in self._points.keys() - set(robots):
-            del self._points[robot], self._newest_ns[robot]
+            del self._points[robot], self._newest_ns[robot], self._odometry[robot]
 
     def of(self, robot: str, now_ns: int) -> DeskHistory:
         """Return the points of a robot."""
@@ -92,6 +105,12 @@ class Histories:
                 for at, name in enumerate(FIELDS)
             },
         )
+
+    def pose(self, robot: str) -> DeskPose | None:
+        """Return where a robot is; None if nothing was received of it."""
+        if (odometry := self._odometry.get(robot)) is None:
+            return None
+        return DeskPose(robot, odometry.x_m, odometry.y_m, odometry.heading_rad)
 
 
 COUNT_MAX: Final = 2**53 - 1

@@ -124,7 +124,6 @@ class DeskHello(_Told, frozen=True):
         reasons: the meaning and the cure of each reason, in English; ROBOT in a cure stands for the robot's name.
         statement_reply: the encoding of the reply to a statement.
         period_s: of the points of a history.
-        wheelbase_m: for the path by odometry.
         has_logs: it has a directory of logs, which can be read.
     """
 
@@ -134,7 +133,6 @@ class DeskHello(_Told, frozen=True):
     reasons: dict[str, tuple[str, str]]
     statement_reply: str
     period_s: float
-    wheelbase_m: float
     has_logs: bool
 
 
@@ -233,6 +231,15 @@ class DeskHistory(_Told, frozen=True):
     values: dict[str, list[float | None]]
 
 
+class DeskPose(_Told, frozen=True):
+    """The pose of the robot that is shown closely, in the axes of its history."""
+
+    robot: str
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
 class DeskReply(_Told, frozen=True):
     """A reply to ``BrowserAsk`` or ``BrowserShow``, as it came; ``last`` ends the question, without a reply."""
 
@@ -275,7 +282,9 @@ class DeskRefused(_Told, frozen=True):
     stop: str | None = None
 
 
-ToBrowser = DeskHello | DeskRows | DeskSample | DeskWhy | DeskHistory | DeskReply | DeskStopped | DeskRefused
+ToBrowser = (
+    DeskHello | DeskRows | DeskSample | DeskWhy | DeskHistory | DeskPose | DeskReply | DeskStopped | DeskRefused
+)
 
 decode: Final[Callable[[bytes], FromBrowser]] = msgspec.msgpack.Decoder(FromBrowser).decode
 """A browser's message. Raises ``msgspec.DecodeError`` or ``msgspec.ValidationError``, and nothing else."""

@@ -99,6 +99,7 @@ link.on("rows", ({ rows, recorders, linked, full }) => {
 const ofShown = (handle) => (message) => view instanceof RobotPage && view.name === (message.robot ?? shownRobot()) && handle(message);
 link.on("sample", ofShown((sample) => sample.key.endsWith(`/${view.name}/${sample.subject}`) && view.receiveSample(sample)));
 link.on("history", ofShown((history) => view.receiveHistory(history, hello)));
+link.on("pose", ofShown((pose) => view.receivePose(pose)));
 link.on("why", ofShown((why) => view.receiveWhy(why)));
 link.on("refused", ({ fault }) => console.warn(fault));
 link.on("closed", loseRows);

@@ -1,4 +1,4 @@
-// The path of a robot by odometry: speed and steering angle summed up by the bicycle model. It drifts.
+// The path of a robot by odometry, which the desk sums up. It drifts.
 
 const POINTS = 4000;
 const OUTLINE_M = [[0.75, 0.3], [0.9, 0], [0.75, -0.3], [-0.15, -0.3], [-0.15, 0.3]]; // from the rear axle; the point is the front
@@ -11,20 +11,15 @@ export class Path {
 
   clear() {
     this.x = this.y = this.heading = 0;
-    this.points = [[0, 0]];
+    this.points = [];
   }
 
-  /** Go on for a while with a speed, m/s, and a steering angle, degrees, left positive; null is not known. */
-  go(speed, angle, seconds, wheelbase) {
-    if (speed === null || angle === null || !speed) return;
-    const way = speed * seconds;
-    const turn = (way * Math.tan((angle * Math.PI) / 180)) / wheelbase;
-    this.x += way * Math.cos(this.heading + turn / 2);
-    this.y += way * Math.sin(this.heading + turn / 2);
-    this.heading += turn;
-    const [x, y] = this.points.at(-1);
-    if (Math.hypot(this.x - x, this.y - y) < 0.02) return;
-    this.points.push([this.x, this.y]);
+  /** Go on to a pose: metres, and the heading in radians, left positive. */
+  go(x, y, heading) {
+    Object.assign(this, { x, y, heading });
+    const [lastX, lastY] = this.points.at(-1) ?? [Infinity, Infinity];
+    if (Math.hypot(x - lastX, y - lastY) < 0.02) return;
+    this.points.push([x, y]);
     if (this.points.length > POINTS) this.points.splice(0, POINTS / 4);
   }
 

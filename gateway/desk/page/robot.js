@@ -89,10 +89,13 @@ export class RobotPage {
     const now = performance.now() / 1000 - ageS;
     this.points[0] = values.speed_mps.map((_, at) => now - (length - 1 - at) * hello.period_s);
     [...SPEEDS, ...ANGLES].forEach((name, at) => (this.points[at + 1] = values[name]));
-    this.wheelbase = hello.wheelbase_m;
     this.logs.hidden = !hello.has_logs;
     this.path.clear();
-    for (let at = 0; at < length; at++) this.path.go(values.speed_mps[at], values.angle_deg[at], hello.period_s, this.wheelbase);
+    for (let at = 0; at < length; at++) this.path.go(values.x_m[at], values.y_m[at], values.heading_rad[at]);
+  }
+
+  receivePose(pose) {
+    this.path.go(pose.x_m, pose.y_m, pose.heading_rad);
   }
 
   async receiveSample(sample) {
@@ -111,10 +114,8 @@ export class RobotPage {
   }
 
   receiveState(state, nowMs) {
-    const sinceS = Math.min(nowMs - this.heardMs, FRESH_MS) / 1000;
     this.state = state;
     this.heardMs = nowMs;
-    if (this.wheelbase) this.path.go(state.speed_mps, state.angle_deg, sinceS, this.wheelbase);
     const safety = this.safety;
     const limit = safety && limitOf(safety);
     const point = [nowMs / 1000, safety?.target_speed_mps, safety?.output_speed_mps, state.speed_mps, limit, safety?.target_angle_deg, safety?.output_angle_deg, state.angle_deg];

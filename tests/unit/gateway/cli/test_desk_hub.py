@@ -261,6 +261,7 @@ def test_the_last_minutes_are_put_together_seldom() -> None:
     waiting = browser.outbox.take()
     assert [one.robot for one in waiting if isinstance(one, words.DeskHistory)] == ["cruiser-2"]
     assert [one.subject for one in waiting if isinstance(one, words.DeskSample)] == ["safety/event"]
+    assert [one.robot for one in waiting if isinstance(one, words.DeskPose)] == ["cruiser-2"]
     scene.step(seconds=LOOK_NS / SECOND)
     assert told(browser, words.DeskHistory) == []
 

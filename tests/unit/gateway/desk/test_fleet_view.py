@@ -1,7 +1,11 @@
 """Samples in, rows of what has changed out."""
 
-import msgspec
+import math
 
+import msgspec
+import pytest
+
+from gateway.choice import CHASSIS
 from gateway.desk.fleet_view import BOUNDS, EVENTS_KEPT, FIELDS, LENGTH, PERIOD_NS, FleetView
 from gateway.desk.words import RecorderRow, RobotRow
 from gateway.telemetry.samples import Missed, TokenChange
@@ -102,6 +106,26 @@ def test_the_last_minutes_are_there_at_once() -> None:
     assert set(history.values) == set(FIELDS)
     assert history.values["speed_mps"] == [float(number) for number in range(20, LENGTH + 20)]
     assert set(history.values["asked_mps"]) == {None}
+
+
+def test_the_path_is_by_the_odometry_over_the_states() -> None:
+    """1 m/s straight on for 2 s, then 2 s on a quarter of a circle: in the history, and as the newest pose."""
+    scene = Scene()
+    angle_deg = math.degrees(math.atan(math.pi / 4 * CHASSIS.wheelbase_m))
+    for number in range(41):
+        driven = {"speed_mps": 1.0, "angle_deg": 0.0 if number <= 20 else angle_deg}
+        scene.say(msgspec.structs.replace(STATE, time_ns=STATE.time_ns + number * SECOND // 10, **driven))
+        scene.step(0.1)
+    pose = scene.view.histories.pose("cruiser-1")
+    assert pose is not None
+    radius_m = 4 / math.pi
+    assert pose.x_m == pytest.approx(2 + radius_m, abs=0.15)  # The angle changes between two looks.
+    assert pose.y_m == pytest.approx(radius_m, abs=0.15)
+    assert pose.heading_rad == pytest.approx(math.pi / 2, abs=0.1)
+    values = scene.view.histories.of("cruiser-1", scene.now_ns).values
+    assert (values["x_m"][-1], values["y_m"][-1]) == pytest.approx((pose.x_m, pose.y_m))
+    assert values["x_m"][0] == 0
+    assert scene.view.histories.pose("cruiser-9") is None
 
 
 def test_nothing_is_known_of_a_robot_that_nobody_heard() -> None:
