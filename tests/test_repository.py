@@ -16,7 +16,7 @@ from schemas.subjects import BY_VERB
 
 ROOT: Final = Path(__file__).parents[1]
 PAGES: Final = [
-    ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md") if (ROOT / name).exists()
+    ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG", "SECURITY", "CODE_OF_CONDUCT")
 ] + sorted(path for path in (ROOT / "docs").rglob("*.md") if "node_modules" not in path.parts)
 README_LINES_MAX: Final = 150
 PICTURE_BYTES_MAX: Final = 300_000
@@ -137,10 +137,10 @@ def test_pictures_are_small_and_load_nothing() -> None:
 
 
 def test_the_licence_is_one() -> None:
-    """As SPDX in the metadata, and in the notice."""
+    """As SPDX in the metadata, and in the first line of the notice, where scanners look."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["license"] == "Apache-2.0"
-    assert "SPDX-License-Identifier: Apache-2.0" in (ROOT / "LICENSE").read_text("utf-8")
+    assert (ROOT / "LICENSE").read_text("utf-8").startswith("SPDX-License-Identifier: Apache-2.0\n")
 
 
 def test_make_help_lists_every_target() -> None:
