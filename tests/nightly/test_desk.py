@@ -58,7 +58,7 @@ def test_each_way_to_let_go_stops_the_robot_twenty_times(
             late.append(let_go_and_watch(scene, page, let_go))
         finally:
             context.close()
-    print(f"{let_go.__name__}: {min(late):.3f} to {max(late):.3f} s")  # noqa: T201 - a figure for docs/testing.md
+    print(f"{let_go.__name__}: {min(late):.3f} to {max(late):.3f} s")  # noqa: T201 - a figure to look at
     assert max(late) <= COMMAND.deadman_s + 0.1
 
 

@@ -27,7 +27,7 @@ PROCESSES: Final = {"gateway": "cruiser gateway", "guard": "guard_main", "record
 """By a part of their command lines."""
 
 TOLD_S: Final = 2.0
-"""At most from an interface that is up to zero speed told. Measured: docs/testing.md."""
+"""At most from an interface that is up to zero speed told. Measured: docs/performance.md."""
 
 POWER_CUT: Final = {"latched": "early stop: the chassis was found", "not_shut_down": "lost its power"}
 """What ``cruiser doctor`` finds after a power cut in mid-drive."""
