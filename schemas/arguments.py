@@ -32,11 +32,7 @@ def add_link_arguments(parser: argparse._ActionsContainer) -> None:
 
 
 def seconds(text: str) -> float:
-    """A duration on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not a number above 0.
-    """
+    """A duration on the command line."""
     try:
         value = float(text)
     except ValueError:

@@ -1,15 +1,6 @@
-"""Words of CAN: what describes a frame, names from the DBC, and the alive counter.
-
-CamelCase, as the DBC and Python's classes have it, to snake_case, as fields have it.
-
-The words that describe a CAN frame, as in linux/can.h: identifier and kind in one, CAN FD's flags in another.
+"""Words of CAN: what describes a frame, as in linux/can.h, names from the DBC, and losses by the alive counter.
 
 Frames are in this form on Zenoh (``CanFrames.can_id`` and ``fd_flags``), so gateway and recorder share it.
-
-Frames lost in gaps so long that an alive counter of 4 bits may have gone round unseen.
-
-The counter decides. How often it went round is judged by the frame's period, and only when the frames that waited
-have come: a busy machine delivers late, and then all at once.
 """
 
 from __future__ import annotations
@@ -69,7 +60,6 @@ class UnseenRounds:
         """A frame that ends a gap, or comes while one is not judged yet.
 
         Args:
-            elapsed_ns: since the frame before it.
             steps: of the counter since then; across a gap from 1 to 16.
         """
         is_gap = not 0 <= elapsed_ns < self.window_ns

@@ -1,11 +1,7 @@
 """Bytes of the wire: MessagePack, encodings that name a schema, and their versions.
 
-Versions of schemas: samples and requests of other versions, judged where they arrive.
-
 An encoding names a schema and its version. Without a new version a message may get fields, which older receivers
 leave out, and an enumeration may get values, which they keep as the words that came.
-
-MessagePack, and the encoding string that names a schema and its version.
 
 ``encode`` writes what any MessagePack library reads: a map with string keys. ``decode`` checks types and bounds,
 and ignores fields that it does not know. ``understand`` is for readers: it also keeps values that an enumeration
@@ -43,12 +39,7 @@ Member = TypeVar("Member", bound=Enum)
 
 
 def encoding_fault(encoding: str, known: str, receiver: str, sender: str) -> str:
-    """Describe what is wrong with an encoding that is not the known one, and who is to be upgraded.
-
-    Args:
-        known: the one that this version knows.
-        receiver: who knows it: ``the gateway``.
-    """
+    """Describe what is wrong with an encoding that is not the known one, and who is to be upgraded."""
     theirs, ours = _ENCODING.fullmatch(encoding), _ENCODING.fullmatch(known)
     if theirs is None or ours is None or theirs["schema"] != ours["schema"]:
         return f"{encoding[:100]!a} is not {known}"
@@ -193,11 +184,7 @@ def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFa
 
 
 def _take_foreign(kind: type[msgspec.Struct], values: dict[str, Any]) -> dict[str, Any]:
-    """Take the values that are of no enumeration of ours out of a message; members made for them, by field.
-
-    Raises:
-        TypeError: the values are no message, or one is no word.
-    """
+    """Take the values that are of no enumeration of ours out of a message; members made for them, by field."""
     foreign: dict[str, Any] = {}
     for name, (inner, is_list) in _growing_fields(kind).items():
         value = values[name] if isinstance(values, dict) and name in values else None

@@ -1,13 +1,4 @@
-"""Shared by command lines: exit codes, text that is safe to print, files, addresses, words that are gone.
-
-- Exit codes of commands, and the error that carries one with a line that gives the cause.
-- Text from elsewhere, made safe for one line of a terminal.
-- A library that is missing, and where to get it. The project is on no package index.
-- Our own modules as processes of their own.
-- Kinds of files: settings, keys and notes are regular ones. To open a FIFO would wait for ever. Pure.
-- Names the commands, flags and settings of earlier versions that are gone, and what to use instead.
-- Addresses that a command listens on, and its certificate there, as they stand on the command line.
-"""
+"""Shared by command lines: exit codes, text that is safe to print, files, addresses, settings that are gone."""
 
 from __future__ import annotations
 
@@ -15,10 +6,9 @@ import argparse
 import ipaddress
 import stat
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from enum import IntEnum
 from importlib.util import find_spec
-from itertools import pairwise
 from pathlib import Path, PurePath
 from typing import Final
 
@@ -111,60 +101,15 @@ _KINDS: Final = {"d": "a directory", "p": "a FIFO", "s": "a socket", "c": "a dev
 
 
 def other_kind(mode: int) -> str:
-    """Return the kind of what is no regular file, in words; empty for a regular one.
-
-    Args:
-        mode: type and permissions, as of ``stat``.
-    """
+    """Return the kind of what is no regular file, in words; empty for a regular one."""
     return "" if stat.S_ISREG(mode) else _KINDS.get(stat.filemode(mode)[0], "something else")
 
 
 def check_regular(path: PurePath, mode: int) -> None:
-    """Check that what is to be read is a regular file, before it is opened.
-
-    Args:
-        mode: type and permissions, as of ``stat``.
-    """
+    """Check that what is to be read is a regular file, before it is opened."""
     if kind := other_kind(mode):
         raise CommandError(f"{plain(str(path))} is {kind}, and has to be a regular file", ExitCode.USAGE)
 
-
-GONE_WORDS: Final[Mapping[str, str]] = {
-    "review evidence": "cut the time out with 'cruiser review cut', and keep the whole log with its .sig",
-    "setup --dry-run": "docs/operate.md says what is written; what was there is kept beside it",
-    "setup --output": "the services read /etc/cruiser/cruiser.toml",
-    "setup --without-bus": "setup needs no bus",
-    "serve": "'cruiser desk --logs DIRECTORY --logs-only' shows logs in a browser",
-    "shadow": "record the drive, and ask 'cruiser review rerun LOG --set SETTING=VALUE'",
-    "review regress": "'cruiser review rerun LOG...' says of how many logs the decisions differ",
-    "review rerun --jobs": "give --processes N",
-    "review export --runner": "give --processes N, or --ray ADDRESS",
-    "record start": "a recorder records while it runs: 'systemctl start cruiser-recorder'",
-    "record stop": "a recorder records while it runs: 'systemctl stop cruiser-recorder'",
-    "record split": "'systemctl reload cruiser-recorder', or SIGHUP, begins new files",
-    "review export --add": "export to a dataset of its own, and read both",
-    "review merge": "'mcap merge' (the mcap CLI); questions take several files and directories",
-    "record backfill": "ask the log of the robot's own recorder too, which lacks nothing that a link lost",
-    "provision site": "the authority signs each person's request itself ('cruiser provision sign')",
-    "provision sign --delegate": "no grant stands below another",
-    "provision time": "a robot goes by its clock, and by no earlier time than its authority signed last",
-    "demo-fleet": "'make demo-fleet' in a checkout; docs/examples/fleet.sh has its commands",
-    "demo --browser": "it is opened, unless --no-browser",
-    "demo --json": "'cruiser review info --json' asks the log",
-    "demo --link": "the demo's link is that of this machine",
-    "demo --patrol": "'cruiser drive' drives one of its robots",
-    "sim --fleet": "'cruiser demo --desk --robots N'",
-    "sim --patrol": "'cruiser demo --desk', and 'cruiser drive' to drive one of its robots",
-    "sim --endpoint": "'cruiser demo --desk --endpoint ENDPOINT'",
-    **dict.fromkeys(
-        (
-            f"review replay --{flag}"
-            for flag in ("interface", "channel", "bitrate", "fd", "tx", "force-real-bus", "force-command-frames")
-        ),
-        "put frames on a bus with 'cruiser review export --format candump' and canplayer",
-    ),
-}
-"""Commands (``serve``) and flags (``review export --add``) as they were typed: what to use."""
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {
     "upload.hours": "a systemd timer has the hours, see docs/upload.md",
@@ -179,20 +124,6 @@ Logs hold the settings that were in force, so those of earlier versions hold the
 """
 
 
-def gone_word(words: Sequence[str]) -> str:
-    """Return what to say about the first of a command line's words that is gone; empty if none is."""
-    flags = [word.partition("=")[0] for word in words if word.startswith("--")]
-    # A word behind a flag may be its value.
-    names = [
-        word
-        for before, word in pairwise(["", *words])
-        if not word.startswith("-") and (not before.startswith("-") or "=" in before)
-    ]
-    commands = [" ".join(names[:length]) for length in (1, 2) if len(names) >= length]
-    typed = [*commands, *(f"{command} {flag}" for flag in flags for command in commands)]
-    return next((f"'{word}' is gone: {GONE_WORDS[word]}" for word in typed if word in GONE_WORDS), "")
-
-
 def gone_setting(key: str) -> str:
     """Return what to say about a setting, or a table of settings, that is gone; empty if it is not."""
     named = next((name for name in (key, key.partition(".")[0]) if name in GONE_SETTINGS), "")
@@ -200,11 +131,7 @@ def gone_setting(key: str) -> str:
 
 
 def address(text: str) -> tuple[str, int]:
-    """An address on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it is not an IP address and a port.
-    """
+    """An address on the command line."""
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     try:
@@ -233,11 +160,7 @@ def add_certificate_arguments(parser: argparse.ArgumentParser) -> None:
 def certificate_files(
     chain: Path | str | None, key: Path | str | None, host: str, who: str
 ) -> tuple[Path, Path] | None:
-    """The files of the certificate and its key; None where there are none, and clients are on this machine alone.
-
-    Args:
-        chain: the certificate's file, as it was given, if it was.
-    """
+    """The files of certificate and key; None where there are none, and clients are on this machine alone."""
     if not chain and not key:
         if ipaddress.ip_address(host).is_loopback:
             return None

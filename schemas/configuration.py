@@ -1,15 +1,7 @@
-"""Settings from their sources: TOML, environment, flags; and their table.
-
-- The texts of docstrings, which documents and JSON Schemas repeat.
-- TOML beyond what ``tomllib`` does: writing it, and finding the line on which a key stands.
-
-The settings as a table, read from their classes: name, environment variable, bounds in words, start value.
-
-``configuration`` checks given values against it, and the table in ``docs/configuration.md`` is printed from it.
-
-Merges the sources of the settings: TOML file, environment, flags, in rising order. Pure: it reads nothing.
+"""Settings from their sources, TOML file, environment, flags, in rising order; and their table. Pure.
 
 Whatever is wrong is one line that names the key, where it stands, and the nearest right key or the bounds.
+The table in ``docs/configuration.md`` is printed from here.
 """
 
 from __future__ import annotations
@@ -51,83 +43,32 @@ def plain_text(text: str) -> str:
     return " ".join(text.replace("``", "").split())
 
 
-Path = tuple[str, ...]
-
-_DEPTH: Final = 3
-"""A setting's path is section, name and at most one key within; nothing deeper is ever looked for."""
-
-_MAX_STATEMENT_LINES: Final = 1000
-"""A statement that is longer than this is not taken apart: each further line costs another try."""
-
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 
+_HEADER: Final = re.compile(r"\s*\[\[?([^\]]*)\]")
 
-def lines_of_keys(text: str) -> dict[Path, int]:
-    """The line, from 1, on which each key or table of a right TOML text first stands.
 
-    Each statement of TOML is a right TOML text of its own, so tomllib itself takes the text apart: lines are
-    joined until they parse. That holds for quoted and dotted keys, inline tables and values of several lines.
-    """
-    found: dict[Path, int] = {}
-    table: Path = ()
-    lines = text.replace("\r\n", "\n").split("\n")
-    start = 0
-    while start < len(lines):
-        end, statement = _statement(lines, start)
-        if statement is None:
-            break
-        if lines[start].lstrip().startswith("["):
-            table = _header(statement)
-            for depth in range(1, len(table) + 1):
-                found.setdefault(table[:depth], start + 1)
+def line_of(text: str, table: str, key: str = "") -> int:
+    """The line, from 1, of a table or of a key in it; of the table if the key is not found, or else 0."""
+    found, here = 0, ""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if header := _HEADER.match(line):
+            here = name = _unquoted(header[1])
         else:
-            for path in _paths(statement, _DEPTH - len(table)):
-                found.setdefault(table + path, start + 1)
-        start = end
+            name = ".".join(filter(None, (here, _unquoted(line.partition("=")[0]))))
+        if name == table:
+            found = found or number
+        elif name == f"{table}.{key}":
+            return number
     return found
 
 
-def _statement(lines: list[str], start: int) -> tuple[int, dict[str, Any] | None]:
-    """The statement that begins on this line, and the line after it."""
-    for end in range(start + 1, min(len(lines), start + _MAX_STATEMENT_LINES) + 1):
-        try:
-            return end, tomllib.loads("\n".join(lines[start:end]))
-        except (ValueError, RecursionError):
-            continue
-    return len(lines), None
-
-
-def _header(statement: Mapping[str, Any]) -> Path:
-    """The path of ``[table]`` or ``[[table]]``, no deeper than a setting's."""
-    path: Path = ()
-    inner: Any = statement
-    while inner and len(path) < _DEPTH:
-        if isinstance(inner, list):
-            inner = inner[0]
-        else:
-            name = next(iter(inner))
-            path = (*path, name)
-            inner = inner[name]
-    return path
-
-
-def _paths(table: Mapping[str, Any], depth: int) -> list[Path]:
-    if depth <= 0:
-        return []
-    paths: list[Path] = []
-    for name, value in table.items():
-        paths.append((name,))
-        if isinstance(value, dict):
-            paths += [(name, *inner) for inner in _paths(value, depth - 1)]
-    return paths
+def _unquoted(key: str) -> str:
+    return ".".join(part.strip().strip("\"'") for part in key.split("."))
 
 
 def write_value(value: object) -> str:
-    """A value as TOML; a mapping becomes an inline table.
-
-    Raises:
-        TypeError: TOML has no such value.
-    """
+    """A value as TOML; a mapping becomes an inline table."""
     match value:
         case bool():
             return "true" if value else "false"
@@ -309,8 +250,6 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
     """The settings in force. Later sources win: file, environment, flags.
 
     Args:
-        toml: the file, if there is one.
-        environ: all environment variables; only those of ours are looked at.
         flags: values by dotted key; a text is read as in the environment, anything else taken as it is.
     """
     values: dict[str, object] = {}
@@ -360,16 +299,12 @@ def to_toml(settings: Settings) -> str:
 
 
 def _from_toml(toml: TomlSource) -> Iterator[Given]:
-    document = _parse(toml)
-    lines: dict[Path, int] = {}
 
-    def where(*path: str) -> str:
-        if not lines:
-            lines.update(lines_of_keys(toml.text))
-        line = lines.get(path)
+    def where(section: str, name: str = "") -> str:
+        line = line_of(toml.text, section, name)
         return f"{plain(toml.file)}:{line}" if line else plain(toml.file)
 
-    for section, table in document.items():
+    for section, table in _parse(toml).items():
         if section not in SECTIONS:
             near = _nearest(section, SECTIONS)
             _pass_gone(toml, where(section), section, f"there is no table {plain(section)!r}{near}")

@@ -1,10 +1,6 @@
-"""The Cruiser's figures and its DBC files; small, because a second chassis is a file beside it.
+"""The Cruiser's figures (manual V2.0, 2.2 and 5) and its DBC files; a second chassis is a file beside it.
 
-The Cruiser in figures that more than one room needs (manual V2.0, 2.2 and 5).
-
-The DBC files: their names and their text.
-
-``make generate`` makes ``gateway/chassis/cruiser/layouts.json`` of them, from which the frames are read.
+``make generate`` makes ``gateway/chassis/cruiser/layouts.json`` of the DBC files, from which frames are read.
 """
 
 from __future__ import annotations
@@ -42,9 +38,5 @@ DBC_FILES: Final = {Variant.COARSE: "cruiser-coarse.dbc", Variant.FINE: "cruiser
 
 
 def dbc_text(variant: Variant) -> str:
-    """The text of a variant's DBC.
-
-    Raises:
-        KeyError: the variant is unknown.
-    """
+    """The text of a variant's DBC."""
     return Path(__file__).with_name(DBC_FILES[variant]).read_text(encoding="ascii")

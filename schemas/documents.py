@@ -68,11 +68,7 @@ class UnknownPartError(Exception):
 
 
 def rewrite(text: str, parts: Mapping[str, Part]) -> str:
-    """The document with every generated part current; one without markers is returned as it is.
-
-    Raises:
-        UnknownPartError: a marker names no part.
-    """
+    """The document with every generated part current; one without markers is returned as it is."""
 
     def replace(match: re.Match[str]) -> str:
         name = match[1]

@@ -30,7 +30,6 @@ FILE_SUFFIX: Final = ".schema.json"
 Schema = dict[str, Any]
 Kind = type[Message] | type[Request] | type[Reply] | type[RecorderReply]
 
-_DEFS: Final = "#/$defs/"
 _BYTES: Final[Schema] = {
     "description": "MessagePack bin; base64 text where the message is written as JSON.",
     "contentEncoding": "base64",
@@ -175,20 +174,17 @@ def main(words: Sequence[str] | None = None) -> int:
     """Writes the files, or with ``--check`` only says which ones are not current."""
     parser = argparse.ArgumentParser(description="Write the JSON Schema of every message, request and reply.")
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is not current")
-    parser.add_argument("--directory", type=Path, default=DIRECTORY, help="where the files are")
     arguments = parser.parse_args(words)
-    directory: Path = arguments.directory
-    names = stale({path.name: path.read_text(encoding="utf-8") for path in directory.glob(f"*{FILE_SUFFIX}")})
-    if not arguments.check:
-        directory.mkdir(parents=True, exist_ok=True)
-        wanted = files()
-        for name in names:
-            if name in wanted:
-                (directory / name).write_text(wanted[name], encoding="utf-8")
-            else:
-                (directory / name).unlink()
+    names = stale({path.name: path.read_text(encoding="utf-8") for path in DIRECTORY.glob(f"*{FILE_SUFFIX}")})
+    wanted = files()
     for name in names:
-        sys.stderr.write(f"{'stale' if arguments.check else 'wrote'} {directory / name}\n")
+        sys.stderr.write(f"{'stale' if arguments.check else 'wrote'} {DIRECTORY / name}\n")
+        if arguments.check:
+            continue
+        if name in wanted:
+            (DIRECTORY / name).write_text(wanted[name], encoding="utf-8")
+        else:
+            (DIRECTORY / name).unlink()
     return int(bool(names)) if arguments.check else 0
 
 

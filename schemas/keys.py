@@ -1,9 +1,4 @@
-"""Keys of Zenoh: build, parse, declare; and names of operators in them.
-
-- The name under which an operator commands: a chunk of every command's key.
-- Keys that a Zenoh session is told of, because their samples come often.
-
-Zenoh keys: ``{root}/{robot}/{subject}``.
+"""Keys of Zenoh, ``{root}/{robot}/{subject}``: build, parse, declare; and names of operators in them.
 
 The root is one or more chunks, the robot is one chunk of lower-case letters, digits and hyphens, the subject is
 a row of the subject table. A recorder's keys are ``{root}/@recorder/{recorder}/{subject}``.
@@ -78,11 +73,7 @@ class KeyParts(msgspec.Struct, frozen=True):
 
 
 def build(root: str, robot: str, subject: Subject, bus: str = "") -> str:
-    """The key of a subject of a robot.
-
-    Raises:
-        ValueError: a part is not of its form, or the bus is missing or not wanted.
-    """
+    """The key of a subject of a robot."""
     _check("root", root, ROOT_PATTERN)
     _check("robot", robot, ROBOT_PATTERN)
     if ("{bus}" in subject.name) != bool(bus):
@@ -130,15 +121,7 @@ def _parse(key: str) -> KeyParts | None:
 
 
 def of_recorder(root: str, recorder: str, rest: str = "") -> str:
-    """The key of a recorder, or of its subject, its command or its liveliness token; ALL is any recorder.
-
-    Args:
-        recorder: its name, of the form of a robot's.
-        rest: what follows; nothing for the liveliness token.
-
-    Raises:
-        ValueError: a part is not of its form.
-    """
+    """The key of a recorder, or of its subject, its command or its liveliness token; ALL is any recorder."""
     _check("root", root, ROOT_PATTERN)
     if recorder != ALL:
         _check("recorder", recorder, ROBOT_PATTERN)
@@ -146,11 +129,7 @@ def of_recorder(root: str, recorder: str, rest: str = "") -> str:
 
 
 def recorder_command(root: str, recorder: str, operator: str, verb: str) -> str:
-    """The key of a recorder's verb; ALL may stand for recorder, operator and verb.
-
-    Raises:
-        ValueError: a part is not of its form.
-    """
+    """The key of a recorder's verb; ALL may stand for recorder, operator and verb."""
     if operator != ALL:
         _check("operator", operator, OPERATOR_PATTERN)
     return of_recorder(root, recorder, f"{COMMAND_CHUNK}/{operator}/{verb}")
@@ -192,9 +171,6 @@ def command(root: str, robot: str, operator: str, verb: str) -> str:
 
     Args:
         robot: its name, or the chunk of several (``chunk_of``).
-
-    Raises:
-        ValueError: a part is not of its form.
     """
     _check("root", root, ROOT_PATTERN)
     if robot != ALL:
@@ -205,11 +181,7 @@ def command(root: str, robot: str, operator: str, verb: str) -> str:
 
 
 def authority(root: str, robot: str) -> str:
-    """The key of the query that shows a robot, or all with ALL, a statement of its authority.
-
-    Raises:
-        ValueError: a part is not of its form.
-    """
+    """The key of the query that shows a robot, or all with ALL, a statement of its authority."""
     return command(root, robot, ALL, ALL).removesuffix(f"{COMMAND_CHUNK}/{ALL}/{ALL}") + AUTHORITY_CHUNK
 
 
@@ -240,7 +212,6 @@ class DeclaredKeys:
 
     Args:
         declare: the session's ``declare_publisher``. It forgets a key together with what it returned.
-        limit: keys that are declared; those that come later only take longer.
     """
 
     def __init__(self, declare: Callable[[str], object], limit: int = KEYS_MAX) -> None:

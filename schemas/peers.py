@@ -1,8 +1,4 @@
-"""Peers of a server, and rates that they are held to.
-
-A rate that is kept to: of bytes, of messages, of connections. Pure.
-
-Who is connected to a server of ours, and what each may say. Pure: the server's own loop asks.
+"""Peers of a server of ours, and rates that they are held to. Pure: the server's own loop asks.
 
 A peer is an address. All behind one proxy share one, and all on one machine. So each connection is bounded by
 itself too, and one that is of use keeps its place.
@@ -19,11 +15,7 @@ BURST_S: Final = 0.1
 
 
 class RateLimit:
-    """A rate that is not exceeded.
-
-    Args:
-        per_s: the rate; 0 is no limit.
-    """
+    """A rate that is not exceeded."""
 
     def __init__(self, per_s: float, burst_s: float = BURST_S) -> None:
         self.per_s = per_s

@@ -1,19 +1,13 @@
-"""Every setting and limit, with unit and bounds.
-
-The recorder's settings, and the limits that decide what a log holds; see ``settings``.
-
-Profiles of thin links: of each the subjects that leave a robot seldom or not at all, as rules for Zenoh. Pure.
-
-Zenoh itself leaves samples out, at the robot's end of the links that are named: whoever is connected by another
-link gets everything. Replies, and with them history, are left out only of subjects that do not leave at all.
-
-Every setting, and every limit that decides what the robot or the log does, with unit, bounds and start value.
+"""Every setting, and every limit that decides what the robot or the log does, with unit, bounds and start value.
 
 What bounds the work of one module alone (the timeout of a port, the length of a queue, how often a view is drawn)
 is a named constant at the top of that module, and what the virtual chassis can do in ``gateway.sim.body``.
-The recorder's are in ``recorder_settings``.
 ``configuration`` fills these classes from a TOML file, the environment and flags. The table in
 ``docs/configuration.md`` is generated from here: the docstrings say what each setting is.
+
+Profiles of thin links say which subjects leave a robot seldom or not at all, as rules for Zenoh. It leaves samples
+out at the robot's end of the links that are named: whoever is connected by another link gets everything. Replies,
+and with them history, are left out only of subjects that do not leave at all.
 """
 
 from __future__ import annotations
@@ -82,13 +76,7 @@ LINK_SETTINGS: Final = {
 
 
 def zenoh_rules(profiles: Sequence[str], root: str, robot: str) -> dict[str, Any]:
-    """Return the entries of Zenoh's configuration for a robot's session, by path; none without a profile.
-
-    Args:
-        profiles: of the form ``INTERFACE=PROFILE``.
-        root: first chunks of the robot's keys.
-        robot: its name.
-    """
+    """Return the entries of Zenoh's configuration for a robot's session, by path; none without a profile."""
     items: list[dict[str, Any]] = []
     for number, one in enumerate(profiles):
         interface, _, profile = one.rpartition("=")

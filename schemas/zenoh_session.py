@@ -95,8 +95,6 @@ def session_settings(
     Args:
         settings: their own ``connect`` and ``listen`` are not read here.
         connect: endpoints to connect to; retried for ever, in the background.
-        listen: endpoints to listen on; none if it is empty. Failing to is an error at once.
-        says: True if the file sets a path.
         own: values of this kind of session, in place of those of all, or beside them.
 
     Returns:
@@ -144,11 +142,7 @@ class Connected(Protocol):
 
 
 def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
-    """Return True if the first connected node is a router. False if none connects in half a second.
-
-    Args:
-        pause: waits for so many seconds.
-    """
+    """Return True if the first connected node is a router. False if none connects in half a second."""
     for _ in range(ROUTER_LOOKS):
         if connected.peers_zid():
             return False
@@ -159,21 +153,13 @@ def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
 
 
 def split_endpoint(endpoint: str) -> tuple[str, str, int]:
-    """Protocol, host and port of an endpoint.
-
-    Raises:
-        ValueError: it has no port.
-    """
+    """Protocol, host and port of an endpoint."""
     parts = _parts(endpoint)
     return parts["protocol"], parts["host"], int(parts["port"])
 
 
 def with_port(endpoint: str, port: int) -> str:
-    """The endpoint with another port.
-
-    Raises:
-        ValueError: it has no port, or none can be so high.
-    """
+    """The endpoint with another port."""
     parts = _parts(endpoint)
     if port > _HIGHEST_PORT:
         raise ValueError(f"{endpoint} has the last port that there is")
@@ -181,11 +167,7 @@ def with_port(endpoint: str, port: int) -> str:
 
 
 def next_ports(listen: list[str]) -> list[str]:
-    """Return the endpoints for a second session beside a first: the same addresses, one port on; port 0 stays.
-
-    Raises:
-        ValueError: an endpoint has no port, or none after it.
-    """
+    """Return the endpoints for a second session beside a first: the same addresses, one port on; port 0 stays."""
     ports = [(one, split_endpoint(one)[2]) for one in listen]
     return [with_port(one, port + 1 if port else 0) for one, port in ports]
 
@@ -273,14 +255,7 @@ def join(
 
 
 def open_configured(config: zenoh.Config, file: str = "") -> zenoh.Session:
-    """Open a session with a configuration that is complete.
-
-    Args:
-        file: the Zenoh file that it was read from; empty without one.
-
-    Raises:
-        SessionError: the client finds nobody to connect to, or an endpoint to listen on is taken.
-    """
+    """Open a session with a configuration that is complete."""
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

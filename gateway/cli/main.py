@@ -27,7 +27,6 @@ from types import FrameType
 from typing import TYPE_CHECKING, Final
 
 from gateway.cli.parent import end_with_parent
-from schemas.command_line import gone_word
 
 if TYPE_CHECKING:
     from schemas.command_line import CommandError
@@ -129,9 +128,6 @@ def _answer(words: list[str]) -> int:
 
         print(f"cruiser {version('cruiser-gateway')}")  # noqa: T201 - the version is the output
         return 0
-    if gone := gone_word(words):
-        sys.stderr.write(f"cruiser: {gone}\n")
-        return 2
     if words[0] not in COMMANDS:
         from difflib import get_close_matches  # noqa: PLC0415 - only for a mistake
 
@@ -221,9 +217,9 @@ def _fail(name: str, error: CommandError) -> int:
 
     text, code = error.line, error.code
     if isinstance(error, SessionError):
-        from gateway.cli.shut_out import fault_of_files, why_away  # noqa: PLC0415 - only for a failure
+        from gateway.cli.shut_out import why_away, why_shut_out  # noqa: PLC0415 - only for a failure
 
-        text, code = why_away(error) or text, ExitCode.USAGE if fault_of_files(error) else code
+        text, code = why_away(error) or text, ExitCode.USAGE if why_shut_out(error.config) else code
     sys.stderr.write(f"cruiser {name}: {text}\n")
     return int(code)
 

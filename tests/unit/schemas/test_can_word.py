@@ -6,7 +6,6 @@ import pytest
 from can.interfaces.socketcan import constants
 
 from schemas import can_word
-from schemas.can_word import snake_case
 
 
 @pytest.mark.skipif(not hasattr(socket, "CAN_EFF_FLAG"), reason="only Linux has linux/can.h")
@@ -27,19 +26,3 @@ def test_the_fd_flags_are_those_of_the_kernel() -> None:
         constants.CANFD_BRS,
         constants.CANFD_ESI,
     )
-
-
-@pytest.mark.parametrize(
-    ("camel", "snake"),
-    [
-        ("RearLeftSpeed", "rear_left_speed"),
-        ("Active", "active"),
-        ("CanFrames", "can_frames"),
-        ("Horn2Active", "horn2_active"),
-        ("already_snake", "already_snake"),
-        ("", ""),
-    ],
-)
-def test_a_word_begins_where_a_capital_follows_a_small_letter_or_a_digit(camel: str, snake: str) -> None:
-    """What is in snake_case already stays as it is."""
-    assert snake_case(camel) == snake

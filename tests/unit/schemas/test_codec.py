@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from schemas.codec import PayloadFault, decode, decode_request, encode
 from schemas.messages import Gear, GearPosition, Message
-from schemas.requests import Acquire, Drive, Request, Role
+from schemas.requests import Acquire, Request, Role
 from schemas.subjects import BY_TYPE, BY_VERB, COMMANDS, SUBJECTS, Command, Subject
 from tests.support.requests import REQUESTS
 from tests.support.strategies import ANYTHING, commands_and_requests, subjects_and_messages
@@ -72,14 +72,6 @@ def test_neither_depth_nor_a_false_length_makes_decoding_a_request_raise(command
         assert isinstance(decode_request(command, payload), PayloadFault)
 
 
-@pytest.mark.parametrize("bomb", BOMBS, ids=len)
-def test_no_depth_makes_decoding_raise(bomb: bytes) -> None:
-    """In a field that nobody knows: the map has one more entry than it had."""
-    payload = encode(GEAR)
-    deeper = bytes([payload[0] + 1]) + payload[1:] + b"\xa1x" + bomb
-    assert isinstance(decode(BY_TYPE[Gear], deeper), Gear | PayloadFault)
-
-
 GEAR = Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=GearPosition.DRIVE)
 
 
@@ -88,11 +80,6 @@ def gear_payload(**fields: object) -> bytes:
     good: dict[str, object] = msgpack.unpackb(encode(GEAR))
     payload: bytes = msgpack.packb(good | fields)
     return payload
-
-
-def test_a_field_that_is_not_known_is_ignored() -> None:
-    """A newer sender may add fields."""
-    assert decode(BY_TYPE[Gear], gear_payload(novelty=[1, {"a": None}])) == GEAR
 
 
 @pytest.mark.parametrize(
@@ -112,12 +99,6 @@ def test_a_value_out_of_bounds_is_a_fault_that_names_the_field(fields: dict[str,
     fault = decode(BY_TYPE[Gear], gear_payload(**fields))
     assert isinstance(fault, PayloadFault)
     assert next(iter(fields)) in fault.detail
-
-
-def test_a_missing_field_is_a_fault_that_names_it() -> None:
-    """No field has a start value: what is missing is never made up."""
-    fault = decode(BY_TYPE[Gear], msgpack.packb({"time_ns": 1, "sequence": 2, "alive_counter": 3, "active": True}))
-    assert fault == PayloadFault("Object missing required field `gear_position`")
 
 
 CHALLENGE = b"challeng"
@@ -150,12 +131,6 @@ def test_a_field_of_any_value_makes_no_request_raise(pair: tuple[Command, Reques
 def test_a_number_that_is_none_is_a_fault_that_names_the_field(verb: str, field: str, number: float) -> None:
     """No comparison with a limit holds for it, so it must not come as far as that."""
     assert judge(verb, REQUESTS[verb] | {field: number}) == PayloadFault(f"{field} is not a finite number")
-
-
-@pytest.mark.parametrize("number", [1.7976931348623157e308, -1.7976931348623157e308, 5e-324, 2**64 - 1, -(2**63)])
-def test_a_huge_number_is_a_number(number: float) -> None:
-    """It is finite, and the limits deal with it."""
-    assert isinstance(judge("drive", DRIVE | {"speed_mps": number}), Drive)
 
 
 @pytest.mark.parametrize("field", ["lease", "seq"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import stat
 import sys
@@ -12,52 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.cli.main import COMMANDS, main
-from recorder.cli.review import QUESTIONS
-from schemas import command_line
+from schemas.arguments import add_zenoh_arguments, ending_after, seconds
 from schemas.command_line import LINE_LENGTH, CommandError, ExitCode, check_regular, missing_extra, plain, short
-
-
-@pytest.mark.parametrize(
-    "typed", [*command_line.GONE_WORDS, "parade", "review parade", "record --horses", "review why --band"]
-)
-@pytest.mark.parametrize("more", ["", " logs", " --out there"])
-def test_what_is_gone_is_an_error_that_says_what_to_use(
-    typed: str, more: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Commands, questions, and flags with their values."""
-    here = dict.fromkeys(["parade", "review parade", "record --horses", "review why --band"], "a drum")
-    monkeypatch.setattr(command_line, "GONE_WORDS", {**command_line.GONE_WORDS, **here})
-    assert main([*typed.split(), *more.split()]) == ExitCode.USAGE
-    assert capsys.readouterr().err.startswith(f"cruiser: '{typed}' is gone: ")
-
-
-@pytest.mark.parametrize(
-    ("words", "gone_one"),
-    [
-        ("record --connect tcp/127.0.0.1:7447 stop", "record stop"),
-        ("record --log-level=debug start", "record start"),
-        ("review --config c.toml evidence a.mcap", "review evidence"),
-        ("record --name stop", ""),
-        ("review why evidence", ""),
-    ],
-)
-def test_what_is_gone_is_found_behind_flags(words: str, gone_one: str) -> None:
-    """A flag's value, and the word after the question, are neither."""
-    assert command_line.gone_word(words.split()).startswith(f"'{gone_one}' is gone" if gone_one else "")
-    assert bool(command_line.gone_word(words.split())) == bool(gone_one)
-
-
-def test_what_is_gone_is_not_there() -> None:
-    """A word is not in two tables."""
-    questions = {f"review {question}" for question in QUESTIONS}
-    assert not command_line.GONE_WORDS.keys() & (COMMANDS.keys() | questions)
-
-
-@pytest.mark.parametrize("words", ["review why a.mcap", "record", "", "review", "stop --all", "--help"])
-def test_other_words_are_not_gone(words: str) -> None:
-    """What stays is not held up."""
-    assert not command_line.gone_word(words.split())
 
 
 @given(st.text())
@@ -123,3 +80,45 @@ def test_without_pip_it_is_another_installation(monkeypatch: pytest.MonkeyPatch)
     assert "pip install" not in said
     assert "make install" in said
     assert "\n" not in said
+
+
+# Options that several commands share.
+
+
+@given(value=st.floats(min_value=1e-9, max_value=1e9))
+def test_a_number_above_0_is_a_duration(value: float) -> None:
+    """Any number of seconds above 0 is taken as it is."""
+    assert seconds(repr(value)) == value
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "nan", "inf", "1e999", "soon"])
+def test_anything_else_is_not(text: str) -> None:
+    """Zero, less than zero, infinity and words are refused."""
+    with pytest.raises(argparse.ArgumentTypeError, match="seconds above 0"):
+        seconds(text)
+
+
+def test_flags_set_the_settings_that_they_name() -> None:
+    """--connect may be repeated, and each flag's name is the setting's dotted key."""
+    parser = argparse.ArgumentParser()
+    add_zenoh_arguments(parser)
+    assert vars(parser.parse_args(["--connect", "a", "--connect", "b", "--root", "lab"])) == {
+        "zenoh.connect": ["a", "b"],
+        "zenoh.config": None,
+        "robot.root": "lab",
+    }
+
+
+def test_an_end_comes_with_the_signal_or_with_the_time() -> None:
+    """Whichever is first; without a duration only the signal counts."""
+    now_s, signalled = [100.0], [False]
+    ends = ending_after(lambda: signalled[0], 5.0, lambda: now_s[0])
+    for_ever = ending_after(lambda: signalled[0], None, lambda: now_s[0])
+    assert not ends()
+    now_s[0] = 104.9
+    assert not ends()
+    now_s[0] = 105.0
+    assert ends()
+    assert not for_ever()
+    signalled[0] = True
+    assert for_ever()

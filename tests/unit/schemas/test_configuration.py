@@ -10,15 +10,26 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from schemas.command_line import GONE_SETTINGS, CommandError, ExitCode
-from schemas.configuration import CONFIG_VARIABLE, SETTINGS, Setting, TomlSource, merge, to_toml
+from schemas.configuration import (
+    SETTINGS,
+    TomlSource,
+    line_of,
+    merge,
+    to_toml,
+    write_key,
+    write_value,
+)
 from schemas.settings import (
-    DEFAULT_ENDPOINT,
+    DOWNSAMPLING,
     NEEDED_FEEDBACK,
+    OPERATOR,
+    PROFILES,
     CanSettings,
     RecorderSettings,
     RobotSettings,
     Settings,
     ZenohSettings,
+    zenoh_rules,
 )
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]))
@@ -41,11 +52,6 @@ def problem(text: str = "", environ: dict[str, str] | None = None, flags: dict[s
     message = str(caught.value)
     assert message.isprintable()
     return message
-
-
-def test_without_any_source_the_start_values_are_in_force() -> None:
-    """No file, no variable and no flag give the start values."""
-    assert merge(None, {}, {}) == Settings()
 
 
 def test_a_flag_wins_over_the_environment_and_that_over_the_file() -> None:
@@ -94,18 +100,6 @@ def test_a_variable_is_read_in_the_type_of_its_setting(variable: str, text: str,
     for settings in (merged(environ={variable: text}), merged(flags={key: text})):
         section, name = key.split(".")
         assert getattr(getattr(settings, section), name) == value
-
-
-def test_a_repeated_flag_gives_a_list_or_a_table() -> None:
-    """A flag that may be repeated gives a list of texts, which fits a list and, as NAME=VALUE, a table."""
-    settings = merged(flags={"zenoh.connect": ["tcp/a:1", "tcp/b:2"], "can.options": ["a=1", "b=c"]})
-    assert settings.zenoh.connect == ["tcp/a:1", "tcp/b:2"]
-    assert settings.can.options == {"a": 1, "b": "c"}
-
-
-def test_other_variables_are_nobodys_business() -> None:
-    """Variables without the prefix, and the one that names the file, are no settings."""
-    assert merged(environ={"PATH": "/bin", "CRUISER_CONFIG": "x", "CRUISERS": "y"}) == Settings()
 
 
 @pytest.mark.parametrize(
@@ -166,12 +160,6 @@ def test_a_wrong_variable_is_named_with_its_cure(environ: dict[str, str], parts:
     message = problem(environ=environ)
     for part in ("environment", *parts):
         assert part in message
-
-
-def test_a_wrong_flag_is_named_with_its_cure() -> None:
-    """A flag's unknown key and its wrong value are errors too."""
-    assert "did you mean 'can.bitrate'" in problem(flags={"can.bitrat": 1})
-    assert "flag can.bitrate" in problem(flags={"can.bitrate": -1})
 
 
 def test_a_stop_at_once_may_not_be_the_gentler_one() -> None:
@@ -276,23 +264,110 @@ def test_a_configuration_out_of_a_log_is_no_longer_than_any_of_ours(text: str) -
         merge(TomlSource("log", text, is_recorded=True), {}, {})
 
 
-@pytest.mark.parametrize("setting", SETTINGS.values(), ids=SETTINGS)
-def test_every_setting_is_described(setting: Setting) -> None:
-    """Each setting says what it is, and its start value is one of its right values."""
-    assert setting.about
-    assert setting.wants
-    if setting.choices:
-        assert setting.start in setting.choices
+# Profiles of thin links: what is in each, and the rules that Zenoh gets.
 
 
-def test_each_setting_has_a_variable_of_its_own() -> None:
-    """No two settings share a variable, and none takes the one that names the file."""
-    variables = [setting.variable for setting in SETTINGS.values()]
-    assert len(set(variables)) == len(variables)
-    assert CONFIG_VARIABLE not in variables
+NEEDED = {"safety/state", "safety/event", "state", "gateway/health", "authority/statement"}
+"""Subjects without which nobody sees how a robot is, or who may command it."""
 
 
-def test_the_default_endpoint_is_named_where_nothing_is_given() -> None:
-    """A docstring cannot hold a constant: its text names the endpoint itself."""
-    for name in ("connect", "listen"):
-        assert DEFAULT_ENDPOINT in SETTINGS[f"zenoh.{name}"].about
+def test_events_are_never_reduced_nor_what_an_operator_drives_by() -> None:
+    """The state of the arbiter, which holds the challenge to echo, comes as often as a drive command is sent."""
+    assert all("safety/event" not in rates for rates in PROFILES.values())
+    assert PROFILES[OPERATOR]["safety/state"] >= 20
+    assert "safety/decision" not in PROFILES[OPERATOR]
+
+
+def test_no_two_rules_fit_one_key() -> None:
+    """Zenoh uses any one of those that fit."""
+    for item in zenoh_rules(["*=thin", "wwan0=operator"], "fleet", "r-1")[DOWNSAMPLING]:
+        keys = [rule["key_expr"] for rule in item["rules"]]
+        assert len(set(keys)) == len(keys)
+        assert all(key.startswith("fleet/r-1/") for key in keys)
+        assert not any("**" in key for key in keys)
+
+
+def test_rules_are_those_of_the_interface_at_the_robots_end_of_what_leaves() -> None:
+    """Without a profile there are none, and nothing else of a session changes."""
+    assert zenoh_rules([], "fleet", "r-1") == {}
+    assert zenoh_rules(["wwan0=full"], "fleet", "r-1") == {}
+    rules = zenoh_rules(["wwan0=operator", "*=thin"], "fleet", "r-1")[DOWNSAMPLING]
+    assert [one.get("interfaces") for one in rules] == [["wwan0"], ["wwan0"], None, None]
+    assert len({one["id"] for one in rules}) == 4
+    assert all(one["flows"] == ["egress"] for one in rules)
+    for item in rules:
+        is_left_out = {rule["freq"] == 0 for rule in item["rules"]}
+        assert is_left_out == {"reply" in item["messages"]}, "replies of what leaves are never reduced"
+
+
+@pytest.mark.parametrize(
+    "wrong", ["thin", "wwan0", "wwan0=thick", "=thin", "a=b=thin", "much-too-long-a-name=thin"]
+)
+def test_what_is_no_profile_of_an_interface_is_an_error(wrong: str) -> None:
+    """At the start, in one line."""
+    with pytest.raises(CommandError, match=r"zenoh\.profiles"):
+        merge(TomlSource("", f'[zenoh]\nprofiles = ["{wrong}"]\n'), {}, {})
+
+
+# TOML.
+
+
+SCALARS = TEXTS | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.booleans()
+VALUES = SCALARS | st.lists(SCALARS) | st.dictionaries(TEXTS, SCALARS)
+
+DOCUMENT = '''\
+# a comment with [brackets] and = signs
+top = 1
+dotted.key = 2
+
+[table]   # and a comment
+"quoted name" = 'x'
+many = [
+    1,  # key = 3
+    2,
+]
+inline = { a = 1, "b c" = 2 }
+text = """
+[not.a.table]
+not_a_key = 1
+"""
+
+[ table . inner ]
+deep = true
+[[array]]
+first = 1
+[[array]]
+second = 2
+'''
+
+
+@given(value=VALUES)
+def test_a_written_value_reads_back_equal(value: object) -> None:
+    """Whatever is written as TOML, tomllib reads back as it was, control characters and quotes included."""
+    assert tomllib.loads(f"key = {write_value(value)}") == {"key": value}
+
+
+@given(key=TEXTS)
+def test_a_written_key_reads_back_equal(key: str) -> None:
+    """A key that is not bare is quoted, so that every text can be a key."""
+    assert tomllib.loads(f"{write_key(key)} = 1") == {key: 1}
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "line"),
+    [
+        ("table", "", 5),
+        ("table", "quoted name", 6),
+        ("table", "many", 7),
+        ("table", "a", 5),
+        ("table.inner", "deep", 18),
+        ("dotted", "key", 3),
+        ("top", "", 2),
+        ("array", "second", 22),
+        ("nowhere", "x", 0),
+    ],
+)
+def test_a_key_has_its_line(table: str, key: str, line: int) -> None:
+    """Or that of its table, where it is written otherwise; whatever the line ends."""
+    for text in (DOCUMENT, DOCUMENT.replace("\n", "\r\n")):
+        assert line_of(text, table, key) == line

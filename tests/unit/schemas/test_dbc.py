@@ -72,40 +72,6 @@ def test_what_is_said_of_a_signal_is_said_of_one_that_exists(file: str) -> None:
     assert set(re.findall(r"^(?:CM_ BO_|BA_ \"\w+\" BO_) (\d+) ", text, re.MULTILINE)) == {key for key, _ in known}
 
 
-@pytest.mark.parametrize("file", FILES)
-def test_no_two_frames_share_a_name_or_an_identifier(file: str) -> None:
-    """Names and identifiers each say which frame it is."""
-    frames = load(file).messages
-    assert len({frame.name for frame in frames}) == len({frame.frame_id for frame in frames}) == len(frames) == 18
-
-
-@pytest.mark.parametrize(("file", "frame"), FRAMES, ids=FRAME_IDS)
-def test_every_frame_is_described(file: str, frame: Message) -> None:
-    """A frame has a cycle time, a sender that is a declared node, and a comment; it is extended with 8 bytes."""
-    nodes = {node.name for node in load(file).nodes}
-    assert frame.cycle_time in {10, 20, 50}
-    assert len(frame.senders) == 1
-    assert set(frame.senders) <= nodes
-    assert frame.comment
-    assert frame.is_extended_frame
-    assert frame.length == 8
-
-
-@pytest.mark.parametrize(("file", "frame"), FRAMES, ids=FRAME_IDS)
-def test_every_signal_is_described(file: str, frame: Message) -> None:
-    """A signal has a name of its own in the frame, a known unit or none, a range, a comment and a receiver."""
-    nodes = {node.name for node in load(file).nodes}
-    assert len({signal.name.lower() for signal in frame.signals}) == len(frame.signals)
-    for signal in frame.signals:
-        assert signal.unit in UNITS, signal.name
-        assert signal.minimum is not None, signal.name
-        assert signal.maximum is not None, signal.name
-        assert signal.minimum < signal.maximum, signal.name
-        assert signal.comment, signal.name
-        assert signal.receivers, signal.name
-        assert set(signal.receivers) <= nodes - set(frame.senders), signal.name
-
-
 @pytest.mark.parametrize(("file", "frame"), FRAMES, ids=FRAME_IDS)
 def test_no_two_signals_share_a_bit(file: str, frame: Message) -> None:
     """Signals lie one after the other in the 64 bits, and a start value and every named value fit into theirs."""

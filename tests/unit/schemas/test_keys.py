@@ -9,8 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from schemas import keys
-from schemas.keys import OPERATOR_PATTERN, fitting, login_operator
-from schemas.subjects import BY_NAME, BY_VERB, COMMAND_CHUNK, RECORDER_SUBJECTS, SUBJECTS, Subject
+from schemas.keys import OPERATOR_PATTERN, DeclaredKeys, fitting, login_operator
+from schemas.subjects import BY_NAME, BY_VERB, COMMAND_CHUNK, SUBJECTS, Subject
 
 ROOTS = st.from_regex(keys.ROOT_PATTERN, fullmatch=True)
 ROBOTS = st.from_regex(keys.ROBOT_PATTERN, fullmatch=True)
@@ -30,16 +30,6 @@ def test_parsing_undoes_building(root: str, robot: str, subject: Subject, bus: s
     assert keys.parse(key) == keys.KeyParts(root, robot, subject, own_bus)
 
 
-@pytest.mark.parametrize("subject", RECORDER_SUBJECTS, ids=lambda subject: subject.name)
-@pytest.mark.parametrize("root", ["fleet", "site/hall-3/fleet"])
-def test_a_recorders_key_says_whose_it_is(root: str, subject: Subject) -> None:
-    """It is no robot's."""
-    key = keys.of_recorder(root, "depot-2", subject.name)
-    assert keys.parse(key) == keys.KeyParts(root, "", subject, recorder="depot-2")
-    assert keys.parse(keys.of_recorder(root, "depot-2", "else")) is None
-    assert keys.parse(keys.of_recorder(root, "depot-2")) is None
-
-
 @given(key=st.text() | st.text("abc0-_./*$#?{}@ \n"))
 @example(key="fleet/cruiser-1/state\n")
 def test_no_text_makes_parsing_raise(key: str) -> None:
@@ -54,15 +44,6 @@ def test_a_key_that_is_very_long_is_none_of_ours() -> None:
     root = "r" * (keys.KEY_MAX_LENGTH - len(rest))
     assert keys.parse(root + rest) is not None
     assert keys.parse("r" + root + rest) is None
-
-
-@given(root=ROOTS, robot=ROBOTS)
-def test_a_liveliness_key_names_its_robot(root: str, robot: str) -> None:
-    """The robot can be read from the liveliness key under its root, and from no other root's."""
-    key = keys.liveliness(root, robot)
-    assert keys.robot_of_liveliness(root, key) == robot
-    assert keys.robot_of_liveliness(f"{root}x", key) is None
-    assert keys.parse(key) is None
 
 
 @given(root=st.text(), key=st.text())
@@ -115,29 +96,6 @@ def test_no_text_makes_parsing_a_command_key_raise(key: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "key",
-    [
-        "",
-        "@cmd/first/stop",
-        "fleet/cruiser-1/@cmd/stop",
-        "fleet/cruiser-1/@cmd/first/",
-        "fleet/cruiser-1/cmd/first/stop",
-        "fleet/cruiser-1/@cmd/first/stop/now",
-    ],
-)
-def test_what_is_no_command_key_has_no_verb(key: str) -> None:
-    """A chunk too few or too many, or another chunk where the verbatim one belongs."""
-    assert keys.parse_command(key) == ("", "")
-
-
-@pytest.mark.parametrize("operator", ["*", "**", "$*", "", "a b", "a" * 65, "\u00e4nn"])
-def test_an_operator_that_is_not_of_its_form_is_empty(operator: str) -> None:
-    """The verb is still told: a stop is served whoever asks for it."""
-    found = keys.parse_command(f"fleet/cruiser-1/{COMMAND_CHUNK}/{operator}/stop")
-    assert found == (("", "stop") if operator else ("", ""))
-
-
-@pytest.mark.parametrize(
     ("root", "robot", "operator"),
     [
         ("*", "cruiser-1", "first"),
@@ -174,28 +132,10 @@ def test_names_are_in_the_order_of_their_numbers(numbers: set[int]) -> None:
     assert sorted(sorted(names), key=keys.in_order) == names
 
 
-@given(st.sets(st.text(st.sampled_from("a-0123456789²٣"))))
-def test_any_names_can_be_put_in_order(names: set[str]) -> None:
-    """A log may call its robots whatever it likes."""
-    ordered = sorted(names, key=keys.in_order)
-    assert len(ordered) == len(names)
-
-
-def test_a_number_may_have_any_length() -> None:
-    """And zeros before it."""
-    longest = f"a-{'9' * 5000}"
-    assert sorted([longest, "a-8", "a-007"], key=keys.in_order) == ["a-007", "a-8", longest]
-
-
 @given(login=st.text())
 def test_any_login_name_becomes_a_chunk_of_a_key(login: str) -> None:
     """Whatever a login name holds, the operator's name is of its form."""
     assert re.fullmatch(OPERATOR_PATTERN, fitting(login))
-
-
-def test_a_login_name_that_fits_stays() -> None:
-    """Nothing is changed without need."""
-    assert fitting("first.b-2") == "first.b-2"
 
 
 def test_nobody_is_an_operator_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,3 +146,26 @@ def test_nobody_is_an_operator_too(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("getpass.getuser", nobody)
     assert login_operator() == "operator"
+
+
+# Keys that a session is told of.
+
+
+def test_each_key_is_declared_once_and_only_so_many_are() -> None:
+    """What the session returns is kept: it forgets a key together with that."""
+    asked, alive = [], set()
+
+    class Declared:
+        def __init__(self, key: str) -> None:
+            asked.append(key)
+            alive.add(key)
+            self.key = key
+
+        def __del__(self) -> None:
+            alive.discard(self.key)
+
+    keys = DeclaredKeys(Declared, 3)
+    for key in "abacadaeab":
+        keys.meet(key)
+    assert asked == ["a", "b", "c"]
+    assert alive == {"a", "b", "c"}

@@ -14,7 +14,6 @@ from schemas.peers import (
     Peers,
     RateLimit,
     SocketFrames,
-    most_connections,
     peer_of,
 )
 
@@ -77,12 +76,6 @@ def test_a_network_of_ipv6_is_one_peer(host: str, peer: str) -> None:
     assert peer_of(host) == peer
 
 
-@pytest.mark.parametrize(("files", "most"), [(1, 1), (256, 128), (1024, 256), (2**40, 256)])
-def test_half_of_the_files_are_kept_for_all_else(files: int, most: int) -> None:
-    """Zenoh, logs and reports need some."""
-    assert most_connections(files) == most
-
-
 def frame(opcode: int, size: int, *, is_last: bool = True, is_masked: bool = True) -> bytes:
     """A frame of a WebSocket."""
     short = size if size < 126 else 126 if size < 1 << 16 else 127
@@ -133,8 +126,3 @@ def test_no_more_goes_than_the_rate_and_a_moment(steps: list[tuple[int, float]],
         now_s += pace.delay_s(count, now_s)
         went += count
         assert went <= rate * (now_s - 1000.0 + BURST_S) * (1 + 1e-9) + 1
-
-
-def test_without_a_rate_nothing_waits() -> None:
-    """0 is no limit."""
-    assert RateLimit(0).delay_s(10**12, 0.0) == 0.0

@@ -5,20 +5,14 @@ import pytest
 
 from gateway.chassis.cruiser import frames
 from gateway.chassis.layout import MessageLayout
-from schemas import messages
-from schemas.can_word import snake_case
-from schemas.messages import CanFrames, Variant
+from schemas.messages import Variant
 from schemas.requests import Leased
 from schemas.subjects import (
     BY_DBC_MESSAGE,
-    BY_NAME,
-    BY_TYPE,
     BY_VERB,
     COMMANDS,
     SUBJECTS,
     Asking,
-    Command,
-    Pattern,
     Subject,
 )
 
@@ -33,25 +27,12 @@ def fields_of(subject: Subject) -> dict[str, object]:
     return {field.name: field.type for field in msgspec.structs.fields(subject.type) if field.name not in common}
 
 
-def test_no_two_subjects_share_a_name() -> None:
-    """Nor a message class: but frames are frames, received or sent."""
-    assert len(BY_NAME) == len(SUBJECTS)
-    shared = [subject.name for subject in SUBJECTS if BY_TYPE[subject.type] is not subject]
-    assert shared == ["can/{bus}/tx"]
-    assert BY_TYPE[CanFrames] is BY_NAME["can/{bus}/rx"]
-
-
 def test_an_encoding_names_one_class() -> None:
     """Of all messages, requests and replies: whoever reads an encoding knows what the payload is."""
     kinds: set[tuple[str, type]] = {(subject.encoding, subject.type) for subject in SUBJECTS}
     kinds |= {(command.encoding, command.request) for command in COMMANDS}
     kinds |= {(command.reply_encoding, command.reply) for command in COMMANDS}
     assert len({encoding for encoding, _ in kinds}) == len({kind for _, kind in kinds}) == len(kinds)
-
-
-def test_what_is_queried_has_no_history() -> None:
-    """The answer to a query is always the present."""
-    assert all(not subject.qos.history for subject in SUBJECTS if subject.pattern is Pattern.QUERIED)
 
 
 def test_a_late_joiner_gets_the_last_of_what_is_said_seldom() -> None:
@@ -78,28 +59,10 @@ def test_the_verbs_are_those_of_the_contract() -> None:
     assert asking == {"stop": Asking.EITHER, "drive": Asking.PUT}
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
-def test_a_request_is_called_like_its_verb(command: Command) -> None:
-    """One class for each verb; its schema's name differs from that of any message."""
-    assert snake_case(command.request.__name__) == command.verb
-    assert (
-        command.encoding
-        == f"application/msgpack;cruiser.request.{command.request.__name__}/{command.request.version}"
-    )
-    assert command.request.__struct_config__.forbid_unknown_fields
-
-
 def test_only_who_may_have_no_lease_needs_none() -> None:
     """To get one, or to stop the robot, takes no lease; everything else does."""
     without = {command.verb for command in COMMANDS if not issubclass(command.request, Leased)}
     assert without == {"acquire", "take", "stop"}
-
-
-@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)
-def test_every_message_class_says_what_it_is(subject: Subject) -> None:
-    """Each message class has a docstring of its own, and a version that its encoding names."""
-    assert subject.type.__doc__ != messages.Message.__doc__
-    assert subject.encoding == f"application/msgpack;cruiser.{subject.type.__name__}/{subject.type.version}"
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

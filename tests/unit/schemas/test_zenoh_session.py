@@ -5,33 +5,25 @@ from pathlib import Path
 
 import pytest
 
-from schemas.command_line import CommandError, ExitCode
 from schemas.configuration import merge
 from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
 from schemas.zenoh_session import (
     CONNECT,
-    LEASE,
     LISTEN,
     MODE,
     MULTICAST,
     ROUTER_LOOKS,
-    SCOUTING,
-    SCOUTING_MS,
     Json,
-    SessionError,
     _configuration,
     client_endpoints,
     finds_router,
-    is_allowed,
     is_loopback,
     lease_in_force_ms,
     next_ports,
     own_endpoint,
     place,
-    reason,
     said,
     said_of,
-    session_settings,
 )
 
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -43,28 +35,6 @@ ASKS = """{
 
 
 OTHER = "tls/[::1]:7500"
-OURS = {MODE: "peer", LEASE: 1000, MULTICAST: False, SCOUTING: SCOUTING_MS, CONNECT: [], LISTEN: []}
-
-
-@pytest.mark.parametrize(
-    ("given", "connect", "listen", "of_file", "expected"),
-    [
-        (set(), [], [], False, OURS),
-        (set(), [ENDPOINT], [ENDPOINT], False, OURS | {CONNECT: [ENDPOINT], LISTEN: [ENDPOINT]}),
-        (set(), [], [], True, {LISTEN: []}),
-        (set(), [ENDPOINT], [ENDPOINT], True, {CONNECT: [ENDPOINT], LISTEN: [ENDPOINT]}),
-        ({"mode"}, [], [], True, {MODE: "peer", LISTEN: []}),
-        ({"lease_ms"}, [], [], True, {LEASE: 1000, LISTEN: []}),
-    ],
-)
-def test_a_files_word_holds_unless_a_setting_was_given(
-    given: set[str], connect: list[str], listen: list[str], *, of_file: bool, expected: dict[str, object]
-) -> None:
-    """Also one with its start value. On what a session listens no file decides, nor Zenoh, for which it is all."""
-    settings = ZenohSettings(given=frozenset(given))
-    found = session_settings(settings, connect, listen, lambda _: of_file)
-    assert {path: found[path] for path in OURS if path in found} == expected
-    assert not of_file or found.keys() == expected.keys()
 
 
 @pytest.mark.parametrize(
@@ -124,16 +94,6 @@ def test_where_no_port_comes_next_there_is_none(listen: str, fault: str) -> None
         next_ports([listen])
 
 
-def test_protocols_that_a_file_does_not_name_are_not_allowed(tmp_path: Path) -> None:
-    """A file that says nothing of protocols allows all."""
-    file = tmp_path / "zenoh.json5"
-    settings = ZenohSettings(config=str(file))
-    for protocols, expected in ((None, True), (["tls", "tcp"], True), (["tls"], False)):
-        link = {} if protocols is None else {"protocols": protocols}
-        file.write_text(json.dumps({"transport": {"link": link}}))
-        assert is_allowed(settings, ENDPOINT) == expected
-
-
 class Nodes:
     """A session that gets connected after so many looks."""
 
@@ -191,34 +151,6 @@ def test_an_endpoint_of_this_machine(endpoint: str, *, stays: bool) -> None:
     assert is_loopback(endpoint) is stays
 
 
-def test_a_reason_is_one_clean_line() -> None:
-    """The places in Zenoh's own source, line breaks and control characters are left out."""
-    message = "Can not bind\n tcp/x: [in use at /build/dir/tcp.rs:61.] at /build/dir/unicast.rs:338."
-    assert reason(message) == "Can not bind tcp/x: [in use]"
-
-
-@pytest.mark.parametrize(
-    ("places", "says"),
-    [
-        (
-            "Single(tcp/127.0.0.1:7447)",
-            "nobody answers at tcp/127.0.0.1:7447: look at the router or gateway there, and at the network",
-        ),
-        (
-            "Single(tls/[::1]:7447), Single(tls/r.example:7447)",
-            "nobody at tls/[::1]:7447, tls/r.example:7447 lets",
-        ),
-    ],
-)
-def test_where_nobody_answers_it_is_said_in_plain_words(places: str, says: str) -> None:
-    """With certificates there is more than one reason, and Zenoh knows none."""
-    error = SessionError(
-        "cannot open Zenoh", f"Unable to connect to any of [{places}]! at /build/x.rs:1.", "z.json5"
-    )
-    assert str(error).startswith(f"cannot open Zenoh: {says}")
-    assert (error.code, error.config) == (ExitCode.UNREACHABLE, "z.json5")
-
-
 @pytest.mark.parametrize(
     ("text", "connect", "in_force"),
     [
@@ -269,21 +201,3 @@ def test_a_command_connects_to_this_machine_unless_told_otherwise(tmp_path: Path
     assert place(ZenohSettings(config=str(file))) == "tcp/127.0.0.1:7501"
     file.write_text("{}")
     assert client_endpoints(ZenohSettings(config=str(file))) == [DEFAULT_ENDPOINT]
-
-
-def test_values_of_a_kind_of_session_hold_where_the_file_says_nothing(tmp_path: Path) -> None:
-    """What a file says wins over them; a file that cannot be read is a usage error."""
-    path, own = "transport/link/tx/batch_size", {"transport/link/tx/batch_size": 16_384}
-    file = tmp_path / "zenoh.json5"
-    settings = ZenohSettings(config=str(file))
-    assert _configuration(ZenohSettings(), [], [], own).get_json(path) == "16384"
-    file.write_text(json.dumps({"transport": {"link": {"tx": {"batch_size": 30_000}}}}))
-    assert _configuration(settings, [], [], own).get_json(path) == "30000"
-    for broken in ("{", None):
-        file.unlink()
-        if broken:
-            file.write_text(broken)
-        with pytest.raises(CommandError, match="Zenoh configuration file") as caught:
-            said_of(settings)
-        assert caught.value.code == ExitCode.USAGE
-        file.touch()

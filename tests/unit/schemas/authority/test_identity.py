@@ -1,21 +1,23 @@
 """Who a machine is, by its files: what belongs together is taken, all else is one line with the cure."""
 
-import errno
+import os
+import re
 from collections.abc import Callable
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
 import msgspec
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from schemas.authority.identity import FoundFile, identity_of, installed, not_found
+from schemas.authority.identity import FoundFile, identity_of
+from schemas.authority.key_files import read_identity, read_trust
 from schemas.authority.proof import chain_text
 from schemas.command_line import CommandError, ExitCode
 from schemas.configuration import directory_of
 from schemas.settings import AuthoritySettings
 from tests.support.authority import Fleet, Party
-from tests.support.provisioned import private_pem
+from tests.support.provisioned import private_pem, provision
 
 PLACE = PurePath("/keys")
 FLEET = Fleet()
@@ -92,30 +94,6 @@ def test_what_does_not_belong_together_is_one_line_with_the_cure(
 
 
 @pytest.mark.parametrize(
-    ("error", "cure", "line"),
-    [
-        (FileNotFoundError, "", "/keys/x is not there"),
-        (FileNotFoundError, "make it", "/keys/x is not there; make it"),
-        (
-            lambda: PermissionError(errno.EACCES, "Permission denied"),
-            "",
-            "/keys/x cannot be read: Permission denied",
-        ),
-    ],
-)
-def test_a_file_that_cannot_be_read_is_one_line(error: Callable[[], OSError], cure: str, line: str) -> None:
-    """With the cure, where there is one."""
-    refused = not_found(PLACE / "x", error(), cure)
-    assert (str(refused), refused.code) == (line, ExitCode.USAGE)
-
-
-def test_what_the_authority_answers_is_installed_or_asked_for_again() -> None:
-    """By the commands of who lacks it."""
-    assert "operator-NAME.bundle" in installed("operator")
-    assert RENEW in installed("operator")
-
-
-@pytest.mark.parametrize(
     ("directory", "environment", "found"),
     [
         ("/etc/keys", {"XDG_CONFIG_HOME": "/x"}, "/etc/keys"),
@@ -130,3 +108,46 @@ def test_the_directory_of_keys_is_the_settings_or_of_the_desktop(
     """As the XDG Base Directory Specification has it."""
     settings = AuthoritySettings(directory=directory)
     assert directory_of(settings, environment, PurePath("/home/ann")) == PurePath(found)
+
+
+# The files of a machine or a person.
+
+
+NEW_KEY = "'cruiser provision operator NAME --replace' makes another, and a request to the authority"
+ANOTHER = "'cruiser provision renew operator' asks for another"
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """The directory of an operator."""
+    fleet = Fleet()
+    return provision(tmp_path / "ann", "operator", fleet.operator(), fleet)
+
+
+def fault(place: Path) -> str:
+    """The line about what is wrong."""
+    with pytest.raises(CommandError) as caught:
+        read_identity(place, "operator")
+    assert caught.value.code is ExitCode.USAGE
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
+def test_files_that_belong_together_are_read(place: Path) -> None:
+    """Key, grant, authority."""
+    assert read_identity(place, "operator").trust == read_trust(place)
+
+
+@pytest.mark.parametrize("name", ["operator.key", "operator.grant", "authority.json"])
+def test_what_is_no_regular_file_is_not_waited_for(place: Path, name: str) -> None:
+    """A FIFO that nobody writes, a directory, a device that never ends."""
+    file = place / name
+    makers: tuple[Callable[[], None], ...] = (
+        lambda: os.mkfifo(file, 0o600),
+        file.mkdir,
+        lambda: file.symlink_to("/dev/zero"),
+    )
+    for make in makers:
+        file.rmdir() if file.is_dir() else file.unlink()
+        make()
+        assert re.fullmatch(rf"{file} is a \w+, and has to be a regular file", fault(place))

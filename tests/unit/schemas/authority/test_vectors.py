@@ -1,19 +1,55 @@
-"""The test vectors that clients in other languages are held against."""
+"""The test vectors of clients in other languages, held against docs/proof.md and against the code.
+
+Their private keys are known to everybody. They are never made anew: who fits them fits every version.
+"""
 
 import hashlib
 import hmac
 import json
+from pathlib import Path
+from typing import NamedTuple
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+import msgspec
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from tests.support.proof_vectors import BOOT, FILE, LEASE, ROBOT, text
+from gateway.authority.enrolment import (
+    EnrolmentRole,
+    bundle_text,
+    new_request,
+    read_bundle,
+    request_fingerprint,
+)
+from gateway.authority.session import DriveTags, RobotSigner, lease_key, public_bytes
+from schemas.authority.identity import prove_request
+from schemas.authority.proof import RequestProof, StatementFault, body_of, chain_text, read_chain
+from schemas.decisions import LeaseReply
+from schemas.reasons import Reason
+from schemas.requests import Acquire, Drive, Park
 
+FILE = Path(__file__).parents[4] / "schemas" / "vectors" / "proof.json"
 VECTORS = json.loads(FILE.read_text(encoding="utf-8"))
+SEEDS = {name: bytes.fromhex(seed) for name, seed in VECTORS["keys"].items()}
+AUTHORITY, ANN, ROBOT = (Ed25519PrivateKey.from_private_bytes(SEEDS[n]) for n in ("authority", "ann", "cruiser-1"))
+BOOT, LEASE, CHALLENGE, NONCE = bytes(range(1, 9)), 4711, b"challeng", b"nonce-01"
+LEASE_KEY = bytes.fromhex(VECTORS["drive"]["lease_key"])
 
 
-def test_the_vectors_are_what_the_code_gives() -> None:
-    """If this fails, ``python -m tests.support.proof_vectors`` writes them anew, and every client changes."""
-    assert FILE.read_text(encoding="utf-8") == text()
+class Vector(NamedTuple):
+    """A request, a reply or a sample."""
+
+    key: str
+    encoding: str
+    payload: bytes
+    signed: bytes
+    attachment: bytes
+
+
+def vector(name: str) -> Vector:
+    said = VECTORS[name]
+    parts = (bytes.fromhex(said.get(part, "")) for part in ("payload", "signed", "attachment"))
+    return Vector(said["key"], said["encoding"], *parts)
 
 
 def frame(kind: bytes, *parts: bytes) -> bytes:
@@ -21,58 +57,77 @@ def frame(kind: bytes, *parts: bytes) -> bytes:
     return b"cruiser-auth-1\0" + kind + b"".join(len(part).to_bytes(4, "big") + part for part in parts)
 
 
-def test_a_request_is_laid_out_as_its_page_says() -> None:
-    """Version, grant, challenge, nonce, signature."""
-    request = {
-        name: bytes.fromhex(value) for name, value in VECTORS["request"].items() if name not in {"key", "encoding"}
-    }
-    attachment = request["attachment"]
-    assert (len(attachment), attachment[0]) == (89, 1)
-    assert attachment[1:9] == hashlib.sha256(VECTORS["statement"]["body"].encode()).digest()[:8]
-    assert attachment[9:25] == b"challengnonce-01"
-    key, encoding = (VECTORS["request"][name].encode() for name in ("key", "encoding"))
-    assert request["signed"] == frame(b"S", key, encoding, attachment[:25], request["payload"])
-    grant = json.loads(VECTORS["statement"]["body"])
-    Ed25519PublicKey.from_public_bytes(bytes.fromhex(grant["key"])).verify(attachment[25:], request["signed"])
+def tag(text: bytes) -> bytes:
+    return hmac.digest(LEASE_KEY, text, "sha256")[:16]
 
 
-def test_a_reply_covers_the_request_that_it_answers() -> None:
-    """The last part of the signed text is the attachment of the request."""
-    key, encoding = (VECTORS["reply"][name].encode() for name in ("key", "encoding"))
-    payload, attachment = (bytes.fromhex(VECTORS["reply"][name]) for name in ("payload", "attachment"))
-    request = bytes.fromhex(VECTORS["request"]["attachment"])
-    assert (len(attachment), attachment[:9]) == (73, b"\1" + BOOT)
-    assert bytes.fromhex(VECTORS["reply"]["signed"]) == frame(
-        b"R", key, encoding, attachment[:9], payload, request
+@pytest.mark.parametrize(
+    ("name", "kind", "size", "head"),
+    [
+        ("request", b"S", 89, b"challengnonce-01"),
+        ("verb", b"S", 105, b"challengnonce-01"),
+        ("reply", b"R", 73, BOOT),
+        ("publication", b"P", 73, BOOT),
+        ("drive", b"M", 25, LEASE.to_bytes(8, "big")),
+    ],
+)
+def test_each_kind_is_laid_out_as_its_page_says(name: str, kind: bytes, size: int, head: bytes) -> None:
+    """Version, grant, fields, signature or tag. A reply is signed over the attachment of its request too."""
+    one = vector(name)
+    if kind == b"S":
+        head = hashlib.sha256(VECTORS["statement"]["body"].encode()).digest()[:8] + head
+    fields, proof = one.attachment[: 1 + len(head)], one.attachment[1 + len(head) :]
+    assert (len(one.attachment), fields) == (size, b"\1" + head)
+    answered = [vector("request").attachment] if name == "reply" else []
+    text = frame(kind, one.key.encode(), one.encoding.encode(), fields, one.payload, *answered)
+    if kind == b"M":
+        assert proof == tag(text)
+        return
+    assert one.signed == text
+    (ANN if kind == b"S" else ROBOT).public_key().verify(proof[:64], text)
+    assert proof[64:] == (tag(text) if name == "verb" else b"")
+
+
+def test_the_code_makes_the_same() -> None:
+    """Ed25519 and HMAC give the same bytes each time; both ends agree on the key of the lease."""
+    request, verb, reply, said, drive = map(vector, ("request", "verb", "reply", "publication", "drive"))
+    ours, robots = (X25519PrivateKey.from_private_bytes(SEEDS[f"lease of {who}"]) for who in ("ann", "robot"))
+    for private, other in ((ours, robots), (robots, ours)):
+        assert lease_key(private, public_bytes(other), BOOT, LEASE, drive.key) == LEASE_KEY
+    given = LeaseReply(True, Reason.NONE, "", "", lease=LEASE, expires_s=2.0, public_key=public_bytes(robots))  # noqa: FBT003
+    for one, payload in (
+        (request, Acquire(public_key=public_bytes(ours))),
+        (verb, Park(lease=LEASE)),
+        (reply, given),
+        (drive, Drive(lease=LEASE, seq=1, challenge=CHALLENGE, speed_mps=0.3, angle_deg=-2.5)),
+    ):
+        assert msgspec.msgpack.encode(payload) == one.payload
+    proof = RequestProof(bytes.fromhex(VECTORS["statement"]["id"]), CHALLENGE, NONCE)
+    tags, signer = DriveTags(LEASE_KEY, LEASE, drive.key, drive.encoding), RobotSigner(ROBOT, BOOT)
+    assert prove_request(ANN, proof, *request[:3]) == request.attachment
+    assert prove_request(ANN, proof, *verb[:3]) + tags.verb_tag(verb.signed) == verb.attachment
+    assert tags.attachment(drive.payload) == drive.attachment
+    assert signer.reply(*reply[:3], request.attachment) == reply.attachment
+    assert signer.publication(*said[:3]) == said.attachment
+
+
+def test_a_statement_a_request_to_be_let_in_and_a_bundle_are_the_same() -> None:
+    """Their texts, identifiers, signatures and fingerprints."""
+    statement, enrolment, bundle = VECTORS["statement"], VECTORS["enrolment"], VECTORS["bundle"]
+    chain = read_chain(statement["text"].encode())
+    assert not isinstance(chain, StatementFault)
+    [signed] = chain
+    text = frame(b"A", statement["body"].encode())
+    assert (chain_text(chain), body_of(signed.statement).decode()) == (statement["text"], statement["body"])
+    assert (signed.id.hex(), signed.signed) == (statement["id"], text)
+    assert (AUTHORITY.sign(text).hex(), statement["signed"]) == (statement["signature"], text.hex())
+    request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", ANN, None)
+    assert json.loads(msgspec.json.encode(request)) == enrolment["request"]
+    assert (request.signed().hex(), request_fingerprint(request)) == (
+        enrolment["signed"],
+        enrolment["fingerprint"],
     )
-
-
-def test_a_verb_may_carry_a_tag_under_the_key_of_the_lease() -> None:
-    """HMAC-SHA256 over the text that is signed, the first sixteen bytes of it, behind the signature."""
-    verb = VECTORS["verb"]
-    payload, attachment = bytes.fromhex(verb["payload"]), bytes.fromhex(verb["attachment"])
-    assert (len(attachment), attachment[0]) == (105, 1)
-    signed = frame(b"S", verb["key"].encode(), verb["encoding"].encode(), attachment[:25], payload)
-    assert bytes.fromhex(verb["signed"]) == signed
-    assert attachment[89:] == hmac.digest(bytes.fromhex(VECTORS["drive"]["lease_key"]), signed, "sha256")[:16]
-    grant = json.loads(VECTORS["statement"]["body"])
-    Ed25519PublicKey.from_public_bytes(bytes.fromhex(grant["key"])).verify(attachment[25:89], signed)
-
-
-def test_a_drive_carries_a_tag_under_the_key_of_the_lease() -> None:
-    """HMAC-SHA256 over the framed text, the first sixteen bytes of it."""
-    drive = VECTORS["drive"]
-    payload, attachment = bytes.fromhex(drive["payload"]), bytes.fromhex(drive["attachment"])
-    assert (len(attachment), attachment[:9]) == (25, b"\1" + LEASE.to_bytes(8, "big"))
-    signed = frame(b"M", drive["key"].encode(), drive["encoding"].encode(), attachment[:9], payload)
-    assert attachment[9:] == hmac.digest(bytes.fromhex(drive["lease_key"]), signed, "sha256")[:16]
-
-
-def test_a_published_state_is_framed_like_a_reply_without_a_request() -> None:
-    """With a kind of its own, so neither passes for the other."""
-    said = VECTORS["publication"]
-    attachment, payload = bytes.fromhex(said["attachment"]), bytes.fromhex(said["payload"])
-    assert bytes.fromhex(said["signed"]) == frame(
-        b"P", said["key"].encode(), said["encoding"].encode(), attachment[:9], payload
-    )
-    assert ROBOT in said["key"]
+    certified = msgspec.structs.replace(request, names=["one.example", "10.0.0.5"], csr="csr", key=None)
+    assert certified.signed().hex() == enrolment["signed_with_csr"]
+    read = read_bundle(bundle["text"].encode(), 1_795_000_000)
+    assert (read.fingerprint, bundle_text(read, AUTHORITY).decode()) == (bundle["fingerprint"], bundle["text"])
