@@ -1,13 +1,10 @@
-"""Find out who sent a request, and keep statements that are worth a look.
-
-The door of a robot in signed mode: who sent a request, and what that person may do. Pure.
+"""The door of a robot in signed mode: who sent a request, what that person may do; statements worth a look. Pure.
 
 ``admit`` goes before the arbiter and gives it a verdict; ``reply`` goes behind it and signs. The arbiter, and the
 journal, hold verdicts and public keys alone. A remote stop needs no proof: with one the record says who it was.
 
-The choice of the statements that a robot verifies in a tick: no flood of them keeps a revocation out. Pure.
-
-A signature costs a hundred times as much as a look at the text. So the text alone says of which kind a statement
+The sieve chooses the statements that a robot verifies in a tick: no flood of them keeps a revocation out. A
+signature costs a hundred times as much as a look at the text. So the text alone says of which kind a statement
 claims to be, and each kind has room of its own: what is junk, stale or of another authority is in nobody's way.
 Within a kind chance decides, since whoever floods would find out any other order.
 """
@@ -99,12 +96,7 @@ class SignedAdmission:
         challenge_age_ns: Callable[[bytes, int], int | Reason],
         new_private_key: Callable[[], X25519PrivateKey] = X25519PrivateKey.generate,
     ) -> None:
-        """With no grant known and no lease given.
-
-        Args:
-            settings: where the robot's name and root are.
-            challenge_age_ns: the age of a challenge, or why it is not known.
-        """
+        """With no grant known and no lease given."""
         self.trust = trust
         self.lease: GivenLease | None = None
         self.now_s = 0
@@ -356,11 +348,7 @@ class StatementSieve(Generic[_Item]):
         admission: SignedAdmission,
         sample: Callable[[list[Any], int], list[Any]] = _CHANCE.sample,
     ) -> None:
-        """Nothing waits.
-
-        Args:
-            admission: knows the authority's keys, the newest serials, and the grants that were verified.
-        """
+        """Nothing waits."""
         self._admission = admission
         self._sample = sample
         self._waiting: dict[StatementKind, list[_Item]] = {kind: [] for kind in StatementKind}

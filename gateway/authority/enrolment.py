@@ -1,19 +1,14 @@
-"""Access to Zenoh by role, and the enrolment of robots and people.
-
-Mutual TLS and access control by role, as a Zenoh configuration. Pure.
+"""Access to Zenoh by role, as a Zenoh configuration, and the enrolment of robots and people. Pure.
 
 The role of a node is the common name (CN) of its certificate. One table says what each role sends to the router
 and receives from it; the router's file has all of it, the file of any other node its own rows, with the router at
-the other end. What is in no row is denied, and Zenoh says nothing of it to anybody.
+the other end. What is in no row is denied, and Zenoh says nothing of it to anybody. This bounds what a stranger or
+a node that was taken over reaches. It lets nobody command a robot: for that a request is signed.
 
-This bounds what a stranger or a node that was taken over reaches. It lets nobody command a robot: for that a
-request is signed, because a router could send anything.
-
-Enrolment: a request, which leaves the machine where the keys stay, and a bundle in answer. Pure.
-
-A request is JSON, and all of it is signed by each key in it: the Ed25519 key that the grant is to be for, and the
-TLS key of the request for a certificate. A bundle is two lines, like a statement: JSON, and the authority's
-signature over it. Their fingerprints, which people compare, cover all that is decided by them.
+An enrolment is a request, which leaves the machine where the keys stay, and a bundle in answer. A request is JSON,
+and all of it is signed by each key in it: the Ed25519 key that the grant is to be for, and the TLS key of the
+request for a certificate. A bundle is two lines, like a statement: JSON, and the authority's signature over it.
+Their fingerprints, which people compare, cover all that is decided by them.
 """
 
 from __future__ import annotations
@@ -44,7 +39,7 @@ from schemas.authority.proof import (
     read_chain,
     signed_bytes,
 )
-from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fingerprint, fits
+from schemas.authority.trust import AuthorityKeys, Objection, fingerprint, fits
 from schemas.command_line import CommandError, ExitCode
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROOT_PATTERN
 from schemas.settings import REQUEST_MAX_BYTES, ZenohSettings
@@ -204,9 +199,6 @@ def zenoh_configuration(
 
     Args:
         endpoints: where a router listens; for any other node, where the routers are.
-
-    Raises:
-        ValueError: an endpoint is of a protocol without certificates, or there is none.
     """
     protocols = sorted({_protocol(endpoint) for endpoint in endpoints})
     if not protocols:
@@ -390,10 +382,6 @@ _GRANTED: Final = {
 }
 """The roles of a grant that each role of an applicant may get; all other roles get none."""
 
-SITES_ARE_GONE: Final = (
-    "sites are gone: the authority signs each person's request itself ('cruiser provision sign')"
-)
-
 REQUEST_VERSION: Final = 2
 """Requests of before name none: neither their signature nor their fingerprint covers the key for the grant."""
 
@@ -449,7 +437,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         shut_out: the same of the role ``nothing``, by which a robot tests its network; empty for all others.
         ca: the network's authority, PEM.
         chain: the grant; empty where none is wanted.
-        signer: of earlier versions: the site that made the bundle. It is refused.
+        signer: empty; of earlier versions the site that made the bundle.
     """
 
     role: EnrolmentRole
@@ -460,7 +448,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     shut_out: str = ""
     ca: str
     chain: str = ""
-    signer: str = ""
+    signer: Literal[""] = ""
 
     @property
     def fingerprint(self) -> str:
@@ -475,13 +463,7 @@ def new_request(
     private: Ed25519PrivateKey | None,
     tls: ec.EllipticCurvePrivateKey | None,
 ) -> EnrolmentRequest:
-    """A request, proven by each of its keys.
-
-    Args:
-        names: see ``EnrolmentRequest``.
-        private: the key that the grant is to be for.
-        tls: the key of ``csr``.
-    """
+    """A request, proven by each of its keys."""
     key = None if private is None else private.public_key().public_bytes_raw().hex()
     request = EnrolmentRequest(version=REQUEST_VERSION, role=role, names=names, csr=csr, key=key)
     text = request.signed()
@@ -549,11 +531,7 @@ def bundle_text(bundle: Bundle, private: Ed25519PrivateKey) -> bytes:
 
 
 def read_bundle(text: bytes, now_s: int) -> Bundle:
-    """A bundle whose maker, and whose grant, were held against the authority that it names itself.
-
-    Args:
-        now_s: seconds since 1970.
-    """
+    """A bundle whose maker, and whose grant, were held against the authority that it names itself."""
     body, _, proof = text.rstrip(b"\n").partition(b"\n")
     match = _PROOF.fullmatch(proof)
     bundle = _decoded(body, Bundle, "bundle")
@@ -563,12 +541,15 @@ def read_bundle(text: bytes, now_s: int) -> Bundle:
     if not fits(signer, signature, _signed(body)):
         raise EnrolmentError("it was changed after it was signed")
     trust = bundle.authority.trust
-    if bundle.signer:
-        raise EnrolmentError(f"a site made it, and {SITES_ARE_GONE}")
     if signer != trust.active:
         raise EnrolmentError("it is not signed by the authority that it names")
     if bundle.role.is_granted:
-        held = _judged(trust, bundle.chain, now_s, "its grant")
+        chain = read_chain(bundle.chain.encode())
+        if isinstance(chain, StatementFault):
+            raise EnrolmentError(f"its grant cannot be read: {chain.detail}")
+        held = trust.judge(chain, now_s)
+        if isinstance(held, Objection):
+            raise EnrolmentError(f"its grant does not hold: {held.text}")
         if held.grant.name != bundle.name or held.grant.role not in _GRANTED[bundle.role]:
             raise EnrolmentError(f"its grant is of {held.grant.name}, {held.grant.role.value}")
     return bundle
@@ -594,24 +575,10 @@ def request_fingerprint(request: EnrolmentRequest) -> str:
 
 
 def authority_fingerprint(authority: AuthorityKeys, fleet: FleetPlace, ca: str) -> str:
-    """The fingerprint of an authority, which covers all that a machine takes over of it.
-
-    Args:
-        ca: the network's authority, PEM, as it stands in the file.
-    """
+    """The fingerprint of an authority, which covers all that a machine takes over of it."""
     keys = (bytes.fromhex(authority.active), bytes.fromhex(authority.standby))
     texts = (part.encode() for part in (ca, fleet.root, *fleet.routers))
     return fingerprint(signed_bytes(ProofKind.STATEMENT, b"authority", *keys, *texts))
-
-
-def _judged(trust: Trust, chain_text: str, now_s: int, what: str) -> HeldGrant:
-    chain = read_chain(chain_text.encode())
-    if isinstance(chain, StatementFault):
-        raise EnrolmentError(f"{what} cannot be read: {chain.detail}")
-    held = trust.judge(chain, now_s)
-    if isinstance(held, Objection):
-        raise EnrolmentError(f"{what} does not hold: {held.text}")
-    return held
 
 
 def _decoded(text: bytes, kind: type[_T], what: str) -> _T:
@@ -620,13 +587,11 @@ def _decoded(text: bytes, kind: type[_T], what: str) -> _T:
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        why = SITES_ARE_GONE if _OF_SITE.search(text) else str(error)[:200]
-        raise EnrolmentError(f"it is no {what}: {why}") from error
+        raise EnrolmentError(f"it is no {what}: {str(error)[:200]}") from error
 
 
 def _signed(body: bytes) -> bytes:
     return signed_bytes(ProofKind.STATEMENT, b"bundle", body)
 
 
-_OF_SITE: Final = re.compile(rb'"role": *"site"')
 _PROOF: Final = re.compile(rb"ed25519 ([0-9a-f]{64}) ([0-9a-f]{128})")

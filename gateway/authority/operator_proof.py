@@ -82,11 +82,7 @@ class KnownRobots:
     statement = b""
 
     def __init__(self, trust: Trust, root: str, now_s: Callable[[], int]) -> None:
-        """No robot is met yet.
-
-        Args:
-            now_s: the time, seconds since 1970.
-        """
+        """No robot is met yet."""
         self._trust = trust
         self._root = root
         self._now_s = now_s
@@ -110,36 +106,33 @@ class KnownRobots:
         Args:
             question: the attachment of the query, drawn for it (``new_question``).
         """
-        now_s = self._now_s()
         try:
             said = _STATEMENT_REPLY.decode(received.payload)
         except PAYLOAD_ERRORS as error:
             objection = Objection(Reason.MALFORMED, str(error)[:200])
-            self._unmet[robot] = not_believed(objection, [], self._trust, now_s)
+            self._unmet[robot] = not_believed(objection, [], self._trust)
             return objection
         chain = read_chain(said.own.encode())
-        doubt = self._doubt(robot, received, question, chain, now_s)
+        doubt = self._doubt(robot, received, question, chain)
         if doubt is not None:
             own = [] if isinstance(chain, StatementFault) else chain
-            self._unmet[robot] = not_believed(doubt, own, self._trust, now_s)
+            self._unmet[robot] = not_believed(doubt, own, self._trust)
             return doubt
         if said.ok:
             self._unmet.pop(robot, None)
             return None
         refusal = Objection(said.reason, said.detail)
-        shown = read_chain(self.statement)
-        grant = [] if isinstance(shown, StatementFault) else shown
-        self._unmet[robot] = not_taken(refusal, said.cure, grant, now_s)
+        self._unmet[robot] = not_taken(refusal, said.cure)
         return refusal
 
     def _doubt(
-        self, robot: str, received: Received, question: bytes, chain: list[Signed] | StatementFault, now_s: int
+        self, robot: str, received: Received, question: bytes, chain: list[Signed] | StatementFault
     ) -> Objection | None:
         """Return why a reply is not of this robot; None if it is, and the robot is known from then on."""
         proof = RobotProof.read(received.attachment)
         if isinstance(chain, StatementFault) or proof is None:
             return Objection(Reason.PROOF_MISSING, "the reply is not signed")
-        held = self._trust.judge(chain, now_s)
+        held = self._trust.judge(chain, self._now_s())
         if isinstance(held, Objection):
             return held
         if held.grant.role is not GrantRole.ROBOT or held.grant.name != robot:
@@ -228,12 +221,7 @@ class OperatorProof(KnownRobots):
         now_s: Callable[[], int],
         nonce: Callable[[int], bytes] = secrets.token_bytes,
     ) -> None:
-        """No robot is met yet.
-
-        Args:
-            now_s: the time, seconds since 1970.
-            nonce: random bytes, so many.
-        """
+        """No robot is met yet."""
         super().__init__(trust, root, now_s)
         grant = chain[0].statement
         self.name = grant.name if isinstance(grant, Grant) else ""
@@ -245,11 +233,7 @@ class OperatorProof(KnownRobots):
         self._leased = ""
 
     def request(self, robot: str, verb: str, payload: bytes, challenge: bytes) -> bytes:
-        """The attachment of a verb.
-
-        Args:
-            payload: the bytes that are sent.
-        """
+        """The attachment of a verb."""
         proof = RequestProof(self._grant, challenge, self._nonce(NONCE_BYTES))
         key = keys.command(self._root, robot, self.name, verb)
         encoding = BY_VERB[verb].encoding
@@ -259,12 +243,7 @@ class OperatorProof(KnownRobots):
         return attachment + self._tags.verb_tag(proof.signed(key, encoding, payload))
 
     def begin_lease(self, robot: str, private: X25519PrivateKey, reply: LeaseReply, attachment: bytes) -> bool:
-        """Agree with the robot on the key of a lease; False if its reply has no key.
-
-        Args:
-            private: the key whose public half was in the request.
-            reply: the robot's, which was verified.
-        """
+        """Agree with the robot on the key of a lease; False if its reply has no key."""
         proof = RobotProof.read(attachment)
         if proof is None or reply.public_key is None:
             return False
@@ -294,11 +273,7 @@ class ViewerProof(KnownRobots):
         return None if self.has_met(robot) else refusal
 
     def request(self, robot: str, verb: str, _payload: bytes, _challenge: bytes) -> bytes:
-        """The attachment of a stop, which proves nothing.
-
-        Raises:
-            CommandError: it is another verb.
-        """
+        """The attachment of a stop, which proves nothing."""
         if verb != STOP_VERB:
             raise CommandError(
                 f"{verb} of {robot} needs an operator's key and grant, and here is none: see docs/authority.md",

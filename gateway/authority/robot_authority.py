@@ -1,20 +1,14 @@
-"""The authority over this robot: statements, the floor of time, the proof of the robot's name.
-
-The time, as far as it is proven: a robot has no clock that it can trust.
-
-The floor is the newest time that the authority named in a statement that was verified. It is kept across restarts.
-From there the time since start-up is counted. A wall clock that is set back revives nothing; one that is set
-forward only ends what would end later. The floor falls only where a new authority takes the place of the former.
-
-The proof that a gateway which answers under a robot's name was granted that name. Pure.
-
-Anybody's gateway could answer on ``gateway/info`` under any name, since certificates of robots say only that they
-are robots. So the answer is signed over bytes drawn for the query, and has the chain of the robot's grant.
-
-All that a robot in signed mode knows of its authority, and what follows from it in each tick. Pure.
+"""The authority over this robot: statements, the floor of time, the proof of the robot's name. Pure.
 
 Statements come from anyone, by the query ``@auth``: what counts are their signatures. Grants are kept in memory;
 revocations, rotations and the floor of time outlive a restart.
+
+The floor is the newest time that the authority named in a statement that was verified; from there the time since
+start-up is counted. A wall clock that is set back revives nothing; one that is set forward only ends things
+sooner. The floor falls only where a new authority takes the place of the former.
+
+Anybody's gateway could answer on ``gateway/info`` under any name, since certificates of robots say only that they
+are robots. So the answer is signed over bytes drawn for the query, and has the chain of the robot's grant.
 """
 
 from __future__ import annotations
@@ -25,7 +19,7 @@ from typing import Final
 import msgspec
 
 from gateway.authority.admission import SignedAdmission
-from gateway.authority.session import RobotSigner, life_of
+from gateway.authority.session import RobotSigner
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest, Ruling
 from schemas import codec, keys
@@ -41,7 +35,7 @@ from schemas.authority.proof import (
     chain_text,
     read_chain,
 )
-from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits, is_signed
+from schemas.authority.trust import AuthorityKeys, HeldGrant, Objection, Trust, fits
 from schemas.codec import Sample
 from schemas.decisions import SignedStatement, StatementReply
 from schemas.messages import SEQUENCE_MAX
@@ -59,7 +53,6 @@ class TimeFloor:
         """The floor as it was kept.
 
         Args:
-            floor_s: seconds since 1970.
             boot_ns: time since the machine's start, sleep included (CLOCK_BOOTTIME).
         """
         self.restart(floor_s, boot_ns)
@@ -95,11 +88,7 @@ class NameProof:
         admission: SignedAdmission,
         own: Callable[[], list[Signed]],
     ) -> None:
-        """For the robot that the settings name.
-
-        Args:
-            own: the chain of the robot's own grant, as it is now.
-        """
+        """For the robot that the settings name."""
         self._robot = settings.robot.name
         self._key = keys.build(settings.robot.root, settings.robot.name, _INFO)
         self._signer = signer
@@ -111,12 +100,7 @@ class NameProof:
         return self._signer.reply(self._key, _INFO.encoding, payload, question) + chain_text(self._own()).encode()
 
     def is_namesake(self, payload: bytes, attachment: bytes, question: bytes, now_s: int) -> bool:
-        """Return True if an answer is of a gateway with this robot's key, or with a grant for its name.
-
-        Args:
-            question: the attachment of the query, random.
-            now_s: seconds since 1970.
-        """
+        """Return True if an answer is of a gateway with this robot's key, or with a grant for its name."""
         proof = RobotProof.read(attachment[:ROBOT_PROOF_BYTES])
         if proof is None or len(attachment) > ROBOT_PROOF_BYTES + TEXT_MAX_BYTES:
             return False
@@ -195,24 +179,14 @@ def _led_to(rotations: list[str]) -> set[tuple[bytes, bytes]]:
 
 def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
     """The trust that a robot was provisioned with, after all that it has taken over since."""
-    former: set[bytes] = set()
-    for text in kept.rotations:
+    for text in filter(None, (*kept.rotations, kept.revocations)):
         chain = read_chain(text.encode())
-        rotated = chain if isinstance(chain, StatementFault) else trust.rotate(chain[0])
-        if not isinstance(rotated, Trust):
-            return rotated if isinstance(rotated, Objection) else Objection(Reason.MALFORMED, rotated.detail)
-        former |= {trust.active, trust.standby}
-        trust = rotated
-    if kept.revocations:
-        chain = read_chain(kept.revocations.encode())
         if isinstance(chain, StatementFault):
             return Objection(Reason.MALFORMED, chain.detail)
-        revoked = trust.revoke(chain[0])
-        if isinstance(revoked, Trust):
-            trust = revoked
-        elif chain[0].signer not in former or not is_signed(chain[0]):
-            # Else the note is of a version that kept a list which a rotation had ended.
-            return revoked
+        newer = trust.revoke(chain[0]) if text == kept.revocations else trust.rotate(chain[0])
+        if isinstance(newer, Objection):
+            return newer
+        trust = newer
     return msgspec.structs.replace(trust, epoch=max(trust.epoch, kept.epoch))
 
 
@@ -247,11 +221,7 @@ class RobotAuthority:
         own: list[Signed],
         kept: Kept,
     ) -> None:
-        """As it was kept.
-
-        Args:
-            admission: judges requests; its trust is replaced as statements come.
-        """
+        """As it was kept."""
         self.admission = admission
         self.signer = signer
         self.self_test = self.unsaved = ""
@@ -268,12 +238,7 @@ class RobotAuthority:
         self._bars_due_ns = self._repeat_due_ns = self._save_due_ns = 0
 
     def receive(self, raw: RawRequest, boot_ns: int) -> PendingReply:
-        """Somebody shows a statement. Returns the reply, which says why it is not taken over, or that it is.
-
-        Args:
-            raw: its payload is the statement, signed, with its chain. Its attachment is covered by the reply.
-            boot_ns: since the machine's start.
-        """
+        """Somebody shows a statement. Returns the reply, which says why it is not taken over, or that it is."""
         refusal = self._take_over(raw.payload, boot_ns)
         ruling = Ruling() if refusal is None else Ruling(refusal.reason, refusal.detail)
         accepted, cure = ruling.reason is Reason.NONE, TEXTS[ruling.reason].cure
@@ -300,22 +265,11 @@ class RobotAuthority:
         )
 
     def know_time(self, boot_ns: int, wall_ns: int) -> None:
-        """Judge by this time from here on.
-
-        Args:
-            boot_ns: since the machine's start.
-            wall_ns: since 1970.
-        """
+        """Judge by this time from here on."""
         self.admission.now_s = self._floor.now_s(boot_ns, wall_ns // 1_000_000_000)
 
     def tick(self, now_ns: int, boot_ns: int, wall_ns: int) -> AuthorityEffects:
-        """Every 10 ms: what follows from the authority now.
-
-        Args:
-            now_ns: monotonic.
-            boot_ns: since the machine's start.
-            wall_ns: since 1970.
-        """
+        """Every 10 ms: what follows from the authority now."""
         admission = self.admission
         self.know_time(boot_ns, wall_ns)
         admission.begin_tick(now_ns)
@@ -398,16 +352,11 @@ class RobotAuthority:
         bars = {Reason.SELF_TEST: faults} if (faults := self._faults()) else {}
         own = self._own_grant()
         if isinstance(own, Objection):
-            bars[own.reason] = f"the robot's own {self._own_words(own)}"
+            # Without what time it is now: a text that changes each minute would be an event each minute.
+            bars[own.reason] = f"the robot's own grant: {own.text.partition(', and here')[0]}"
         else:
             self._floor.lift(own.grant.not_before, boot_ns)
         return bars
-
-    def _own_words(self, objection: Objection) -> str:
-        """An objection to the robot's own grant, in words that do not change each second."""
-        if objection.reason is not Reason.GRANT_EXPIRED:
-            return f"is refused: {objection.text}"
-        return life_of(self._own, self.admission.now_s)
 
     def _statements(self, now_ns: int, wall_ns: int) -> list[Sample]:
         """The statements that are new; once a minute also those in use, for logs that begin now."""
@@ -416,9 +365,7 @@ class RobotAuthority:
             self._repeat_due_ns = now_ns + REPEAT_NS
             lease = self.admission.lease
             in_use = "" if lease is None else lease.holder.signed.text()
-            # A note of a former version may hold a list that a rotation has ended.
-            revocations = self._kept.revocations if self.admission.trust.list_serial else ""
-            repeated = (*self._kept.rotations, chain_text(self._own), in_use, revocations)
+            repeated = (*self._kept.rotations, chain_text(self._own), in_use, self._kept.revocations)
             texts += [text for text in repeated if text]
         return [self._sample(text, wall_ns) for text in texts]
 

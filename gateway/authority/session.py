@@ -1,19 +1,14 @@
-"""Between robot and operator: the key of a lease, signatures by it, and reasons why a proof is unmet.
+"""Between robot and operator: the key of a lease, signatures by it, and reasons why a proof is unmet. Pure.
 
-- The robot's own signature: replies and states. Pure.
-- Why a robot is not believed, or does not take somebody's grant: in words, with the cure. Pure.
-
-The key of a lease, known only to its holder and the robot: X25519 (RFC 7748) and HKDF-SHA256 (RFC 5869).
-
-The request for the lease carries the holder's public key, the signed reply the robot's. Both are drawn for this
-one lease, so a key that is learnt later opens nothing of before.
+The key of a lease is known only to its holder and the robot: X25519 (RFC 7748) and HKDF-SHA256 (RFC 5869). The
+request for the lease carries the holder's public key, the signed reply the robot's. Both are drawn for this one
+lease, so a key that is learnt later opens nothing of before.
 """
 
 from __future__ import annotations
 
 import hmac
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Final
 
 import msgspec
@@ -22,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from schemas.authority.proof import TAG_BYTES, DriveProof, Grant, ProofKind, RobotProof, Signed, signed_bytes
+from schemas.authority.proof import TAG_BYTES, DriveProof, ProofKind, RobotProof, Signed, signed_bytes
 from schemas.authority.trust import Objection, Trust, fingerprint
 from schemas.reasons import TEXTS, Reason
 
@@ -37,12 +32,7 @@ def public_bytes(private: X25519PrivateKey) -> bytes:
 
 
 def lease_key(private: X25519PrivateKey, other: bytes, boot: bytes, lease: int, expression: str) -> bytes | None:
-    """The key of a lease, 32 bytes, the same on both sides; None if the other side's public key is none.
-
-    Args:
-        other: the public key of the other side, 32 bytes.
-        boot: of the gateway's run, 8 bytes.
-    """
+    """The key of a lease, 32 bytes, the same on both sides; None if the other side's public key is none."""
     try:
         shared = private.exchange(X25519PublicKey.from_public_bytes(other))
     except ValueError:  # of the wrong length, or of small order
@@ -100,11 +90,7 @@ class RobotSigner:
     """
 
     def __init__(self, private: Ed25519PrivateKey, boot: bytes) -> None:
-        """Sign for one run.
-
-        Args:
-            boot: random, 8 bytes.
-        """
+        """Sign for one run."""
         self.boot = boot
         self.public_key = private.public_key().public_bytes_raw()
         self._private = private
@@ -121,9 +107,6 @@ class RobotSigner:
     def _proof(self, text: bytes) -> bytes:
         return msgspec.structs.replace(self._unsigned, signature=self._private.sign(text)).attachment()
 
-
-LATEST_S: Final = 253_402_300_799
-"""The last second of the year 9999: what dates can say."""
 
 SOMEBODY_ELSE: Final = "look at the robot: somebody may answer in its place"
 
@@ -165,24 +148,15 @@ _CURES: Final = {
 """Cures of a grant that a robot refuses, where they say more than the robot's own."""
 
 
-def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust, now_s: int) -> Unmet:
-    """Return why the robot whose reply has this chain is not believed.
-
-    Args:
-        chain: the robot's own grant, and those of its signers; empty if it cannot be read.
-        trust: the fleet's authority, as it is known here.
-        now_s: by this computer's clock, seconds since 1970.
-    """
-    life = life_of(chain, now_s)
-    if objection.reason is Reason.GRANT_EXPIRED and life:
-        is_over = all(one.statement.not_before <= now_s for one in chain if isinstance(one.statement, Grant))
-        cure = (
+def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust) -> Unmet:
+    """Return why the robot whose reply has this chain is not believed; the chain is empty if it cannot be read."""
+    if objection.reason is Reason.GRANT_EXPIRED:
+        return Unmet(
+            objection.reason,
+            f"the robot's own grant: {objection.detail}",
             "set this computer's clock if it is wrong; if not, the robot needs a new grant: "
-            "'cruiser provision renew robot' on the robot, 'sign' at the authority, 'install --replace'"
-            if is_over
-            else "set this computer's clock: it is behind"
+            "'cruiser provision renew robot' on the robot, 'sign' at the authority, 'install --replace'",
         )
-        return Unmet(objection.reason, f"the robot's own grant {life}, and {_clock(now_s)}", cure)
     if objection.reason is Reason.GRANT_UNKNOWN and chain:
         return Unmet(
             objection.reason,
@@ -194,40 +168,11 @@ def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust, no
     return Unmet(objection.reason, objection.detail or objection.text, SOMEBODY_ELSE)
 
 
-def not_taken(objection: Objection, cure: str, chain: Sequence[Signed], now_s: int) -> Unmet:
-    """Return why a robot that is believed refuses the grant that it was shown.
-
-    Args:
-        chain: the grant, and those of its signers; empty if none was shown.
-        now_s: by this computer's clock, seconds since 1970.
-    """
-    life = life_of(chain, now_s)
-    dates = f". The grant here {life}, and {_clock(now_s)}" if life else ""
-    timely = dates if objection.reason is Reason.GRANT_EXPIRED else ""
+def not_taken(objection: Objection, cure: str) -> Unmet:
+    """Return why a robot that is believed refuses the grant that it was shown."""
     return Unmet(
         objection.reason,
-        f"it refuses the grant: {objection.text}{timely}",
+        f"it refuses the grant: {objection.text}",
         _CURES.get(objection.reason) or cure or TEXTS[objection.reason].cure,
         is_refusal=True,
     )
-
-
-def life_of(chain: Sequence[Signed], now_s: int) -> str:
-    """Return when a chain of grants holds, or why it does not hold now, in words; empty if it has no grant."""
-    grants = [one.statement for one in chain if isinstance(one.statement, Grant)]
-    if not grants:
-        return ""
-    begins_s, ends_s = max(one.not_before for one in grants), min(one.not_after for one in grants)
-    if now_s > ends_s:
-        return f"ended on {_date(ends_s)}"
-    if now_s < begins_s:
-        return f"begins on {_date(begins_s)}"
-    return f"holds from {_date(begins_s)} until {_date(ends_s)}"
-
-
-def _clock(now_s: int) -> str:
-    return f"this computer's clock says {_date(now_s)}"
-
-
-def _date(time_s: int) -> str:
-    return f"{datetime.fromtimestamp(min(time_s, LATEST_S), UTC):%Y-%m-%d %H:%M} UTC"

@@ -1,9 +1,4 @@
-"""``cruiser provision``: keys, certificates, grants and statements.
-
-- The flags by which ``cruiser provision sign`` says what is granted, and a grant in words.
-- ``cruiser provision show``: statements of the authority, shown to robots, and their answers.
-- ``cruiser provision``: keys, certificates and grants. Keys are made where they stay; only requests travel.
-"""
+"""``cruiser provision``: keys, certificates, grants and statements. Keys stay where they are made."""
 
 from __future__ import annotations
 
@@ -14,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -44,6 +39,7 @@ from gateway.provisioning.issuer import (
     rotate,
 )
 from gateway.provisioning.key_files import (
+    FOR_ALL,
     STANDBY_FILE,
     CertificateError,
     KeyStore,
@@ -51,7 +47,7 @@ from gateway.provisioning.key_files import (
     check_kinds,
     naming,
     read_input,
-    write_public,
+    write_file,
 )
 from gateway.telemetry.samples import Received
 from gateway.zenoh.operator import StatementPort
@@ -112,12 +108,7 @@ def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
-    """Return the grant that the flags ask for; where they are silent, as the same key had it, or else the usual.
-
-    Args:
-        arguments: as ``add_grant_arguments`` declares them.
-        last: the last grant to the same key; None if there was none.
-    """
+    """Return the grant that the flags ask for, else as the same key had it, or else the usual."""
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
     if request.role is not EnrolmentRole.OPERATOR and set(given) - _FOR_ALL:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
@@ -193,11 +184,7 @@ def _times(unit_s: int) -> Callable[[str], float]:
 
 
 def _number(text: str, most: float, otherwise: str) -> float:
-    """A number above 0 and not above ``most``.
-
-    Raises:
-        argparse.ArgumentTypeError: it is none; the text is what ``otherwise`` calls it.
-    """
+    """A number above 0 and not above ``most``."""
     try:
         value = float(text)
     except ValueError:
@@ -229,7 +216,9 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
         raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
 
     def show(port: StatementPort, robot: str) -> _Answer:
-        return _judge(_Shown.to(port, robot, chain, arguments.timeout), robot, chain, settings, store)
+        question = new_question()
+        reply = port.show(robot, chain_text(chain).encode(), question, arguments.timeout)
+        return _judge(reply, question, robot, chain, settings, store)
 
     settings = _reaching(settings, store)
     with StatementPort.open(settings) as port:
@@ -261,27 +250,22 @@ def _code(codes: list[ExitCode]) -> ExitCode:
     return codes[0] if len(set(codes)) == 1 else ExitCode.PARTIAL
 
 
-class _Shown(msgspec.Struct, frozen=True):
-    """A robot's answer to a statement, and the question that the answer has to cover."""
-
-    question: bytes
-    reply: Received | None
-
-    @classmethod
-    def to(cls, port: StatementPort, robot: str, chain: list[Signed], timeout_s: float) -> Self:
-        question = new_question()
-        return cls(question, port.show(robot, chain_text(chain).encode(), question, timeout_s))
-
-
-def _judge(shown: _Shown, robot: str, chain: list[Signed], settings: Settings, store: KeyStore) -> _Answer:
-    reply = shown.reply
+def _judge(
+    reply: Received | None,
+    question: bytes,
+    robot: str,
+    chain: list[Signed],
+    settings: Settings,
+    store: KeyStore,
+) -> _Answer:
+    """Return the result of a statement at one robot, whose answer has to cover the question."""
     if reply is None:
         return _Answer("does not answer", ExitCode.UNREACHABLE)
     try:
         said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
     except PAYLOAD_ERRORS as error:
         return _Answer(f"its answer cannot be read: {error}", ExitCode.FAILURE)
-    doubt = _doubt(reply, shown.question, robot, chain, said, settings, store)
+    doubt = _doubt(reply, question, robot, chain, said, settings, store)
     if doubt:
         return _Answer(f"{'yes' if said.ok else 'no'}, and the answer is not proven: {doubt}", ExitCode.FAILURE)
     if said.ok:
@@ -518,7 +502,7 @@ class _Output:
             raise CommandError(f"{shown} cannot be written: no such directory, or not yours", ExitCode.USAGE)
 
     def write(self, text: str) -> None:
-        write_public(self.path, text, replace=self._replace)
+        write_file(self.path, text, FOR_ALL, replace=self._replace)
 
 
 def _request(arguments: argparse.Namespace, store: KeyStore) -> None:

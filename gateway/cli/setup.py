@@ -1,8 +1,4 @@
-"""``cruiser setup``: set this computer up as a robot's.
-
-- Files that ``cruiser setup`` writes, and commands that it runs, by answers and findings.
-- ``cruiser setup``: asks, writes the settings, enables the services, and ends with what doctor says.
-"""
+"""``cruiser setup``: ask, write the settings, enable the services, and end with what doctor says."""
 
 from __future__ import annotations
 

@@ -37,14 +37,7 @@ def is_service(name: str, arguments: argparse.Namespace) -> bool:
 
 
 def check_session_files(file: Path) -> None:
-    """Check the certificates and keys of a Zenoh file before a session opens; warn of one that ends soon.
-
-    Args:
-        file: named for whom it is, as it was provisioned.
-
-    Raises:
-        SessionError: with these no session gets in anywhere.
-    """
+    """Check the certificates and keys of a Zenoh file before a session opens; warn of one that ends soon."""
     if fault := why_shut_out(str(file)):
         raise SessionError("cannot open Zenoh", fault, str(file))
     from gateway.provisioning.key_files import check_tls_files  # noqa: PLC0415 - loaded for a Zenoh file alone
@@ -53,13 +46,10 @@ def check_session_files(file: Path) -> None:
         log.warning("%s", warning)
 
 
-def fault_of_files(error: SessionError) -> str:
-    """Return what is wrong with the certificates and keys of a session that did not open; empty if nothing is."""
-    return why_shut_out(error.config) if error.config else ""
-
-
 def why_shut_out(config: str) -> str:
     """Return why the certificates and keys of a Zenoh file let nobody in anywhere; empty if they do not."""
+    if not config:
+        return ""
     # Loaded for a Zenoh file alone; the settings have loaded it then, before any robot was driven.
     from gateway.provisioning import key_files  # noqa: PLC0415
 
@@ -71,14 +61,11 @@ def why_away(error: SessionError) -> str:
 
     What is wrong with its files, or that no router answers.
     """
-    return fault_of_files(error) or (str(error) if error.is_unanswered else "")
+    return why_shut_out(error.config) or (str(error) if error.is_unanswered else "")
 
 
 def has_waited(error: CommandError, zenoh: ZenohSettings, ends: Callable[[], bool]) -> bool:
     """Wait until a session opens that did not, or until the end.
-
-    Args:
-        ends: turns true when the service is stopped.
 
     Returns:
         True if one would open now, or it has ended; false at once if no other attempt would, or if no service
@@ -105,7 +92,7 @@ def has_waited(error: CommandError, zenoh: ZenohSettings, ends: Callable[[], boo
 
 def _again(error: SessionError, zenoh: ZenohSettings) -> SessionError | None:
     """Try once more what nobody answered to. The service has only just begun: it has nothing to do meanwhile."""
-    if fault_of_files(error) or not error.is_unanswered:
+    if why_shut_out(error.config) or not error.is_unanswered:
         return error
     try:
         close_session(open_session(zenoh, client_endpoints(zenoh), [], changes={MODE: "client"}))

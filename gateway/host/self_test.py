@@ -1,10 +1,4 @@
-"""The self-test of signed mode: what a stranger gets from the router, and from this robot.
-
-Tries what must be denied: to get in without a certificate, and to do anything with one that has no right.
-
-Zenoh denies without a word, so each deed is looked for at its other end.
-
-The look of a gateway in signed mode at its own endpoints and Zenoh file, and the attempt to get past a router.
+"""The look of a gateway in signed mode at its own endpoints and Zenoh file, and the attempt to get past a router.
 
 Zenoh's access control is silent where it is wrong: it lets everybody pass where a rule, a name or a switch is
 missing. What the robot's own file says is looked at in each start. What a router lets through is tried on request
@@ -15,10 +9,10 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import msgspec
 import zenoh
@@ -55,8 +49,6 @@ WAITING: Final = 64
 
 ANSWER_TIMEOUT_S: Final = 0.5
 
-_Declared = Any
-
 
 class Attempt(msgspec.Struct, frozen=True):
     """An attempt by somebody without any right, at one endpoint.
@@ -77,110 +69,6 @@ def access_of(settings: ZenohSettings) -> tuple[dict[str, Json], dict[str, Json]
     return access, tls
 
 
-class Tripwires:
-    """Subscribers and a queryable on a session of the robot's that would receive an intruder's messages.
-
-    Attributes:
-        operator: the name under which it is tried; nobody else has it.
-    """
-
-    def __init__(self, settings: Settings, session: zenoh.Session) -> None:
-        """Subscribe on a session that has the robot's certificate."""
-        self.operator = f"nobody-{secrets.token_hex(4)}"
-        root, robot = settings.robot.root, settings.robot.name
-        self.question = f"{root}/{robot}/gateway/{self.operator}"
-        self._session = session
-        commanded = keys.command(root, robot, self.operator, keys.ALL)
-        state = keys.build(root, robot, BY_NAME["safety/state"])
-        self._subscribers: list[_Declared] = [
-            session.declare_subscriber(key, zenoh.handlers.RingChannel(WAITING)) for key in (commanded, state)
-        ]
-        self._queryable: _Declared = session.declare_queryable(commanded, zenoh.handlers.RingChannel(WAITING))
-
-    def deeds(self) -> list[str]:
-        """Return the messages that have arrived here, in words."""
-        found: set[str] = set()
-        for subscriber in self._subscribers:
-            while (sample := subscriber.try_recv()) is not None:
-                if sample.payload.to_bytes() == self.operator.encode():
-                    found.add(f"a put on {sample.key_expr} arrives")
-        while (query := self._queryable.try_recv()) is not None:
-            with query:
-                found.add(f"a query on {query.key_expr} arrives")
-        return sorted(found)
-
-    def ask(self) -> None:
-        """Ask what the robot alone may answer; it does not."""
-        self._session.get(self.question, PendingQuery().handler, timeout=ANSWER_TIMEOUT_S)
-
-    def close(self) -> None:
-        """Take them away."""
-        with suppress(zenoh.ZError):
-            for subscriber in self._subscribers:
-                subscriber.undeclare()
-            self._queryable.undeclare()
-
-
-class Intruder(SessionOwner):
-    """A node with a certificate of the role ``nothing``."""
-
-    def __init__(self, session: zenoh.Session, settings: Settings, wires: Tripwires) -> None:
-        """Declare what must not be declared, on a session that it then owns."""
-        super().__init__(session)
-        root, robot = settings.robot.root, settings.robot.name
-        self._wires = wires
-        self._drive, self._acquire = (
-            keys.command(root, robot, wires.operator, verb) for verb in ("drive", "acquire")
-        )
-        self._state = keys.build(root, robot, BY_NAME["safety/state"])
-        self._spies: list[_Declared] = [
-            session.declare_subscriber(key, zenoh.handlers.RingChannel(WAITING))
-            for key in (self._state, f"{root}/**")
-        ]
-        self._questions: _Declared = session.declare_queryable(
-            wires.question, zenoh.handlers.RingChannel(WAITING), complete=True
-        )
-
-    @classmethod
-    def open(cls, settings: Settings, endpoint: str, certificate: Path, key: Path, wires: Tripwires) -> Self:
-        """Connect to an endpoint.
-
-        Args:
-            certificate: of the role ``nothing``.
-        """
-        changes: dict[str, Json] = {
-            MODE: "client",
-            f"{ACCESS}/enabled": False,
-            f"{TLS}/connect_certificate": str(certificate),
-            f"{TLS}/connect_private_key": str(key),
-        }
-        return cls(open_session(settings.zenoh, [endpoint], [], changes=changes), settings, wires)
-
-    def act(self, pause: Callable[[float], object]) -> list[str]:
-        """Attempt all that must be denied, and wait for its effects. Returns what was not denied, in words."""
-        said = self._wires.operator.encode()
-        for key in (self._drive, self._state):
-            self._session.put(key, said)
-        every = zenoh.QueryTarget.ALL
-        self._session.get(self._acquire, PendingQuery().handler, target=every, payload=said, timeout=SETTLE_S)
-        pause(SETTLE_S)
-        deeds = self._wires.deeds()
-        deeds += [f"a subscription to {spy.key_expr} receives" for spy in self._spies if self._receives(spy)]
-        self._wires.ask()
-        pause(ANSWER_TIMEOUT_S)
-        if self._questions.try_recv() is not None:
-            deeds.append(f"a query on {self._wires.question} comes to it")
-        return deeds
-
-    def _receives(self, spy: _Declared) -> bool:
-        """Return True if it has received anything but its own."""
-        own = self._wires.operator.encode()
-        while (sample := spy.try_recv()) is not None:
-            if sample.payload.to_bytes() != own:
-                return True
-        return False
-
-
 def intrude(
     settings: Settings,
     endpoint: str,
@@ -189,21 +77,69 @@ def intrude(
     session: zenoh.Session,
     pause: Callable[[float], object],
 ) -> Attempt:
-    """Try everything at an endpoint, with a certificate that has no right.
+    """Try everything at an endpoint, with a certificate that has no right, and look for it at its other end.
 
     Args:
-        endpoint: a router's, or one of the gateway's own.
         certificate: of the role ``nothing``.
-        pause: waits for so many seconds.
+        session: has the robot's certificate.
     """
-    wires = Tripwires(settings, session)
+    root, robot = settings.robot.root, settings.robot.name
+    # Nobody else has this name.
+    operator = f"nobody-{secrets.token_hex(4)}"
+    said, question = operator.encode(), f"{root}/{robot}/gateway/{operator}"
+    commanded, drive, acquire = (
+        keys.command(root, robot, operator, verb) for verb in (keys.ALL, "drive", "acquire")
+    )
+    state = keys.build(root, robot, BY_NAME["safety/state"])
+    changes: dict[str, Json] = {
+        MODE: "client",
+        f"{ACCESS}/enabled": False,
+        f"{TLS}/connect_certificate": str(certificate),
+        f"{TLS}/connect_private_key": str(key),
+    }
     try:
-        with Intruder.open(settings, endpoint, certificate, key, wires) as intruder:
-            return Attempt(intruder.connected(), intruder.act(pause))
+        with ExitStack() as stack:
+
+            def subscribed(to: zenoh.Session, expression: str) -> Any:  # noqa: ANN401 - Zenoh's
+                return stack.enter_context(to.declare_subscriber(expression, _ring()))
+
+            def answering(at: zenoh.Session, expression: str) -> Any:  # noqa: ANN401 - Zenoh's
+                return stack.enter_context(at.declare_queryable(expression, _ring(), complete=True))
+
+            wires, asked = [subscribed(session, one) for one in (commanded, state)], answering(session, commanded)
+            stranger = open_session(settings.zenoh, [endpoint], [], changes=changes)
+            owner = stack.enter_context(SessionOwner(stranger))
+            spies = [subscribed(stranger, one) for one in (state, f"{root}/**")]
+            questions = answering(stranger, question)
+            for one in (drive, state):
+                stranger.put(one, said)
+            every = zenoh.QueryTarget.ALL
+            stranger.get(acquire, PendingQuery().handler, target=every, payload=said, timeout=SETTLE_S)
+            pause(SETTLE_S)
+            puts = {str(one.key_expr) for wire in wires for one in _come(wire) if one.payload.to_bytes() == said}
+            deeds = [f"a put on {one} arrives" for one in sorted(puts)]
+            deeds += [f"a query on {one.key_expr} arrives" for one in _come(asked)][:1]
+            deeds += [
+                f"a subscription to {spy.key_expr} receives"
+                for spy in spies
+                if any(one.payload.to_bytes() != said for one in _come(spy))
+            ]
+            session.get(question, PendingQuery().handler, timeout=ANSWER_TIMEOUT_S)
+            pause(ANSWER_TIMEOUT_S)
+            deeds += [f"a query on {question} comes to it" for _ in _come(questions)][:1]
+            return Attempt(owner.connected(), deeds)
     except (CommandError, zenoh.ZError):
         return Attempt(is_connected=False)
-    finally:
-        wires.close()
+
+
+def _ring() -> zenoh.handlers.RingChannel[Any]:
+    return zenoh.handlers.RingChannel(WAITING)
+
+
+def _come(declared: Any) -> Iterator[Any]:  # noqa: ANN401 - a subscriber or queryable of Zenoh's
+    """Take what has come."""
+    while (one := declared.try_recv()) is not None:
+        yield one
 
 
 def enters_without_certificate(settings: ZenohSettings, listener: str) -> str:
@@ -211,7 +147,6 @@ def enters_without_certificate(settings: ZenohSettings, listener: str) -> str:
 
     Args:
         settings: the gateway's; of its file, the network's authority alone is used.
-        listener: the endpoint that it listens on with certificates.
     """
     own = own_endpoint(listener)
     plain = own.partition("/")[2].partition("#")[0]
@@ -289,12 +224,7 @@ def _file_fault(settings: Settings) -> str:
 
 
 def access_fault(access: dict[str, Json], tls: dict[str, Json]) -> str:
-    """Return the first flaw that lets anybody pass a Zenoh configuration's access control or TLS; empty if none.
-
-    Args:
-        access: ``access_control``, as Zenoh read it.
-        tls: ``transport/link/tls``, the same.
-    """
+    """Return the first flaw by which anybody passes access control or TLS, as Zenoh reads them; empty if none."""
     for where, section, name, wanted in (
         ("transport.link.tls", tls, "enable_mtls", True),
         ("transport.link.tls", tls, "verify_name_on_connect", True),
@@ -315,10 +245,6 @@ def access_fault(access: dict[str, Json], tls: dict[str, Json]) -> str:
 
 def find_hole(settings: Settings, pause: Callable[[float], object] = time.sleep) -> str:
     """Try what must be denied, at each router of a robot's Zenoh file and at each endpoint that it listens on.
-
-    Args:
-        settings: the robot's, with its keys on this machine.
-        pause: waits for so many seconds.
 
     Returns:
         What was not denied, with the cure; empty if all was.

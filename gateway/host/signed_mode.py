@@ -1,12 +1,8 @@
-"""Signed mode on this computer: keys, the authority's note, renewed certificates.
+"""Signed mode on this computer: keys, the note of statements that outlive a restart, and renewed files.
 
-- Statements that a robot has taken over since it was provisioned: a file that outlives a restart.
-- Signed mode on a robot: its keys, its authority, and the statements that it has taken over since.
-
-A robot whose keys or grant were installed anew since its gateway was started.
-
-Keys, grants and certificates are read once, at the start. So the gateway ends once the robot stands and nobody
-needs it, and its service manager starts it again with the new ones. Where none would, it stays, and says so.
+Keys, grants and certificates are read once, at the start. Where they were installed anew, the gateway ends once
+the robot stands and nobody needs it, and its service manager starts it again. Where none would, it stays, and says
+so.
 """
 
 from __future__ import annotations
@@ -227,7 +223,6 @@ class Renewal:
         """Take the present files as those in use.
 
         Args:
-            settings: the gateway's.
             is_managed: a service manager starts the gateway again when it ends.
         """
         self.is_taken = False

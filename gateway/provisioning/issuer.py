@@ -1,8 +1,4 @@
-"""Issue keys, certificates and grants: by the authority, and on each machine.
-
-- The keys of a machine or a person: made where they stay, with a request; certified and granted by a bundle.
-- The issuer: the authority of a fleet. It signs bundles, revocations and rotations.
-"""
+"""Issue keys, certificates and grants: by the authority, and on each machine."""
 
 from __future__ import annotations
 
@@ -92,26 +88,7 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
 
 
 def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
-    """The names under which somebody was let in here: of the grant, or else of the certificate."""
-    if role.is_granted:
-        try:
-            return [_granted_name(store, role)]
-        except CommandError:
-            # A grant that is lost or damaged is what a renewal cures.
-            if not store.has(CERTIFICATE_FILE.format(who=role.value)):
-                raise
-    return _certified_names(store, role)
-
-
-def _granted_name(store: KeyStore, role: EnrolmentRole) -> str:
-    name = GRANT_FILE.format(who=role.value)
-    statement = store.chain(name, INSTALLED)[0].statement
-    if not isinstance(statement, Grant):
-        raise CommandError(f"{plain(str(store.path(name)))} is no grant; {remade(role.value)}", ExitCode.USAGE)
-    return statement.name
-
-
-def _certified_names(store: KeyStore, role: EnrolmentRole) -> list[str]:
+    """The names under which somebody was let in here, by the certificate."""
     name = CERTIFICATE_FILE.format(who=role.value)
     text = store.read(name, INSTALLED).decode(errors="replace")
     with naming(plain(str(store.path(name))), remade(role.value)):
@@ -141,7 +118,6 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
     """Write what a bundle holds, if it is for the keys that are here.
 
     Args:
-        bundle: was checked against the authority that it names.
         is_compared: somebody compared the authority's fingerprint. Without that no other authority takes the
             place of the one that is here, whoever carried the bundle.
     """
@@ -328,11 +304,7 @@ class Issued(msgspec.Struct, frozen=True):
     tls: str = ""
 
     def __post_init__(self) -> None:
-        """See that the key is one, when the file is read.
-
-        Raises:
-            ValueError: the key is not hexadecimal.
-        """
+        """See that the key is one, when the file is read."""
         bytes.fromhex(self.key)
 
     @property
@@ -559,12 +531,7 @@ def make_standby(store: KeyStore, *, replace: bool) -> str:
 def make_authority(
     store: KeyStore, standby: str, fleet: FleetPlace, now_s: int, *, replace: bool
 ) -> AuthorityKeys:
-    """Make the authority of a fleet, and that of its network.
-
-    Args:
-        standby: public half of the standby key, hexadecimal.
-        now_s: seconds since 1970.
-    """
+    """Make the authority of a fleet, and that of its network."""
     private, ca = Ed25519PrivateKey.generate(), new_key()
     authority = AuthorityKeys(private.public_key().public_bytes_raw().hex(), standby)
     store.write(

@@ -1,17 +1,9 @@
-"""Keys and certificates as files.
+"""Certificates of the network, and the directory of keys, certificates and grants. X.509 on P-256.
 
-The certificates and keys that a Zenoh file names. Zenoh says of none which it is, nor that one is over.
-
-Certificates of the network: its authority (CA), requests, and certificates of nodes. X.509 on P-256.
-
-The common name (CN) is the node's role, by which access is ruled; its names, of hosts or nodes, are the subject's
-alternative names (SAN). A role that only dials out gets a certificate that no client accepts from a server.
-
-The directory of keys, certificates and grants: what is secret is its owner's alone, and nothing is overwritten.
-
-Everything that is wrong is one line that names the file and the cure.
-
-The files that are read alike by all: ``schemas.authority.key_files``.
+A certificate's common name (CN) is the node's role, by which access is ruled; its names, of hosts or nodes, are
+the subject's alternative names (SAN). A role that only dials out gets one that no client accepts from a server.
+What is secret is its owner's alone, and nothing is overwritten. Zenoh says of no file which it is, nor that one is
+over: here everything that is wrong is one line that names the file and the cure.
 """
 
 from __future__ import annotations
@@ -116,7 +108,6 @@ def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCur
     Args:
         text: the request. Its names and its key are taken over; what else it wants is not.
         certificates: of the authority that signs first; while two count, that of the former one too.
-        now_s: seconds since 1970.
     """
     request, authority = _request(text), read_certificates(certificates)[0]
     usage = [_SERVER, _CLIENT] if role in LISTENING else [_CLIENT]
@@ -293,6 +284,9 @@ _T = TypeVar("_T")
 
 STANDBY_FILE: Final = "standby.pub"
 
+OWNERS, FOR_ALL = 0o600, 0o644
+"""Modes of files."""
+
 PUBLIC: Final = frozenset({STANDBY_FILE, AUTHORITY_FILE, CA_FILE})
 """Files that are copied to others, who have to read them: public keys of standby, authority and network."""
 
@@ -360,11 +354,7 @@ class KeyStore:
     def write(
         self, files: Mapping[str, str], *, replace: bool = False, cure: str = "--replace writes over"
     ) -> None:
-        """Write files, all of them or none that is there already.
-
-        Args:
-            cure: the advice if a file is there already.
-        """
+        """Write files, all of them or none that is there already."""
         present = [name for name in files if self.has(name)]
         if present and not replace:
             raise CommandError(f"{plain(str(self.path(present[0])))} is there already; {cure}", ExitCode.USAGE)
@@ -374,8 +364,7 @@ class KeyStore:
             raise CommandError(f"{plain(str(self.directory))} cannot be made: {error.strerror}") from error
         self._check_directory()
         for name, text in files.items():
-            write = write_public if name in PUBLIC else write_private
-            write(self.path(name), text, replace=replace)
+            write_file(self.path(name), text, FOR_ALL if name in PUBLIC else OWNERS, replace=replace)
 
     def append(self, name: str, line: str) -> None:
         """Add a line to a file."""
@@ -387,11 +376,7 @@ class KeyStore:
             raise CommandError(f"{plain(str(self.path(name)))} cannot be written: {error.strerror}") from error
 
     def read(self, name: str, cure: str) -> bytes:
-        """The content of a file.
-
-        Args:
-            cure: the command that makes it, if it is missing.
-        """
+        """The content of a file."""
         return read_input(self.path(name), cure)
 
     def read_as(self, name: str, kind: type[_T], cure: str) -> _T:
@@ -468,11 +453,7 @@ def naming(path: str | PurePath, cure: str = "") -> Iterator[None]:
 
 
 def replace_whole(path: Path, text: str, mode: int) -> None:
-    """Write a file of this mode: whole, or not at all; through no link.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a file of this mode: whole, or not at all; through no link."""
     unfinished = path.with_name(f".{path.name}.unfinished")
     # What is left of a writing that was cut off, or what somebody else has put there to read along.
     unfinished.unlink(missing_ok=True)
@@ -485,17 +466,8 @@ def replace_whole(path: Path, text: str, mode: int) -> None:
     unfinished.replace(path)
 
 
-def write_private(path: Path, text: str, *, replace: bool) -> None:
-    """Write a file that is its owner's alone: whole, or not at all; through no link."""
-    _write(path, text, 0o600, replace=replace)
-
-
-def write_public(path: Path, text: str, *, replace: bool) -> None:
-    """Write a file that is given to others, for everybody to read: whole, or not at all; through no link."""
-    _write(path, text, 0o644, replace=replace)
-
-
-def _write(path: Path, text: str, mode: int, *, replace: bool) -> None:
+def write_file(path: Path, text: str, mode: int, *, replace: bool) -> None:
+    """Write a file, of keys or one that travels: whole, or not at all; through no link."""
     shown = plain(str(path))
     try:
         if not replace and os.path.lexists(path):
@@ -515,8 +487,6 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
 
     Args:
         file: a Zenoh file as it was provisioned. Nothing is said of one that somebody wrote in JSON5.
-        who: for whom it is, as ``cruiser provision`` calls it.
-        now_s: seconds since 1970.
 
     Returns:
         A warning that a certificate ends soon; empty if none does.
@@ -560,10 +530,6 @@ def why_shut_out(file: Path, now_s: float) -> str:
     """Return what is wrong with the certificates and keys of a Zenoh file with which no session opened.
 
     Empty if nothing is found.
-
-    Args:
-        file: named for whom it is, as it was provisioned.
-        now_s: seconds since 1970, by this computer's clock.
     """
     try:
         check_tls_files(file, file.stem, now_s)
@@ -631,11 +597,7 @@ def role_of(file: Path) -> str:
 
 
 def check_shut_out(directory: Path, now_s: float) -> None:
-    """Hold the certificate with which a robot tests its network against its key and the time.
-
-    Args:
-        now_s: seconds since 1970.
-    """
+    """Hold the certificate with which a robot tests its network against its key and the time."""
     cure = "'cruiser provision renew robot' asks for it"
     path = directory / SHUT_OUT_FILE
     certificate = _read(path, cure)[0]

@@ -1,6 +1,4 @@
-"""Identities as files.
-
-The identity of a machine, or of the person at it: private key, grant and authority, out of their files. Pure.
+"""The identity of a machine, or of the person at it: private key, grant and authority, out of their files. Pure.
 
 Each error is one line that names the file and the cure. The caller reads the files.
 """
@@ -49,11 +47,7 @@ class Identity(msgspec.Struct, frozen=True):
 
 
 def identity_of(key: FoundFile, grant: FoundFile, authority: FoundFile, who: str) -> Identity:
-    """Read the key and the grant of somebody, and check that they belong together.
-
-    Args:
-        who: ``robot``, ``operator``, ``recorder``: the files' name.
-    """
+    """Read the key and the grant of somebody, and check that they belong together."""
     private, shown = private_key(key, remade(who)), plain(str(grant.path))
     chain = read_chain(grant.content)
     if isinstance(chain, StatementFault):
@@ -141,10 +135,6 @@ def installed(who: str) -> str:
 def prove_request(
     private: Ed25519PrivateKey, proof: RequestProof, key: str, encoding: str, payload: bytes
 ) -> bytes:
-    """The attachment of a request, signed.
-
-    Args:
-        payload: the bytes that are sent.
-    """
+    """The attachment of a request, signed."""
     signature = private.sign(proof.signed(key, encoding, payload))
     return msgspec.structs.replace(proof, signature=signature).attachment()

@@ -43,12 +43,7 @@ def find(path: Path, cure: str = "") -> FoundFile:
 
 
 def read_identity(directory: Path, who: str) -> Identity:
-    """Read a key and its grant, and check that they belong together.
-
-    Args:
-        directory: their place.
-        who: ``robot``, ``operator``, ``recorder``: the files' name.
-    """
+    """Read a key and its grant, and check that they belong together."""
     key = find(directory / KEY_FILE.format(who=who), identity.made(who))
     grant, authority = (
         find(directory / name.format(who=who), identity.installed(who)) for name in (GRANT_FILE, AUTHORITY_FILE)

@@ -167,9 +167,6 @@ class RobotProof(msgspec.Struct, frozen=True):
         """The text under a reply's signature.
 
         Args:
-            key: the reply's own key expression.
-            encoding: the reply's.
-            payload: the reply's.
             request: the attachment of the request that is answered; empty if it had none. So a reply answers one
                 request and no other.
         """

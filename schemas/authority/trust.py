@@ -1,8 +1,4 @@
-"""Trust: keys by their fingerprints, and the statements that are believed.
-
-Fingerprints of keys and requests: the one form in which people compare them. Pure.
-
-Verification of grants against the fleet's authority and its revocations.
+"""Who is believed: grants against the fleet's authority and its revocations; keys by their fingerprints. Pure.
 
 A grant holds where the authority's active key signed it, and where it is not over, revoked or of an old epoch.
 """
@@ -90,11 +86,7 @@ class Trust(msgspec.Struct, frozen=True):
     epoch: int = 0
 
     def judge(self, chain: list[Signed], now_s: int) -> HeldGrant | Objection:
-        """The grant that begins a chain, if it holds.
-
-        Args:
-            now_s: seconds since 1970.
-        """
+        """The grant that begins a chain, if it holds."""
         if not chain:
             return Objection(Reason.GRANT_UNKNOWN)
         signed, grant = chain[0], chain[0].statement

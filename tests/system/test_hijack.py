@@ -212,25 +212,6 @@ def test_a_holder_whose_lease_somebody_else_uses_loses_it_and_the_robot_stops() 
         assert robot.state().state.stop_reason is Reason.LEASE_RELEASED
 
 
-def test_a_jump_of_the_sequence_locks_nobody_out() -> None:
-    """Although the neighbour has the number: the greatest seq is refused, and the holder drives on."""
-    with driving() as (neighbour, robot, lease):
-
-        def both() -> None:
-            neighbour.listen()
-            hold(robot, lease, SPEED_MPS)
-            neighbour.drive(lease.number, 2**53 - 1)
-
-        def refused() -> list[Decision]:
-            return [one for one in neighbour.decisions() if one.request_sequence == 2**53 - 1]
-
-        wait_until(lambda: len(refused()) > 20, both)
-        assert {one.reason for one in refused()} == {Reason.SEQUENCE}
-        accepted = robot.state().state.accepted_seq
-        assert accepted is not None
-        wait_until(lambda: (robot.state().state.accepted_seq or 0) > accepted + 10, both)
-
-
 @pytest.mark.parametrize(
     "forged",
     [

@@ -4,6 +4,8 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
 
 import msgspec
 import zenoh
@@ -17,7 +19,8 @@ from schemas.subjects import BY_VERB
 from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import ROOT
-from tests.support.processes.gateway import chassis, gateway, run, wait_for_chassis
+from tests.support.processes.gateway import Managed, chassis, gateway, run, wait_for_chassis
+from tests.support.signed_site import Site
 from tests.support.waiting import wait_until
 
 ROBOT = "cruiser-1"
@@ -86,15 +89,54 @@ def test_replies_that_contradict_each_other_are_said_to() -> None:
         wait_until(is_contradicted)
 
 
-def test_a_stop_that_the_robot_shows_is_believed() -> None:
-    """Without an impostor, and beside one that says the same."""
+# Somebody else has a robot's name on the network, before the robot's own gateway starts.
+
+
+INFO: Final = "fleet/cruiser-1/gateway/info"
+
+
+@contextmanager
+def stranger() -> Iterator[tuple[zenoh.Session, str]]:
+    """A node that is there first, and where it listens."""
     endpoint = free_endpoint()
-    with chassis() as (_, address), gateway(address, endpoint):
-        wait_for_chassis(endpoint)
-        for _ in range(2):
-            done = run(["stop", ROBOT, "--connect", endpoint, "--timeout", "20"])
-            assert (done.returncode, done.stderr) == (0, "")
-            assert done.stdout == f"{ROBOT}: stops, latched until a reset\n"
-        with impostor(free_endpoint(), [endpoint], ok=True):
-            done = run(["stop", ROBOT, "--connect", endpoint, "--timeout", "20"])
-            assert (done.returncode, done.stderr) == (0, "")
+    session = open_session(ZenohSettings(), [], [endpoint])
+    yield session, endpoint
+    close_session(session)
+
+
+@contextmanager
+def squatting(session: zenoh.Session) -> Iterator[None]:
+    """Somebody has the robot's token, and answers in its place."""
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(INFO, b"\x80", attachment=bytes(73))
+
+    with (
+        session.liveliness().declare_token("fleet/cruiser-1/gateway"),
+        session.declare_queryable(INFO, answer, complete=True),
+    ):
+        yield
+
+
+def test_in_signed_mode_who_answers_without_a_grant_for_the_name_keeps_no_robot_from_starting(
+    tmp_path: Path,
+) -> None:
+    """Another robot's certificate lets it: the gateway starts, and goes on when it takes over renewed files."""
+    site = Site(tmp_path)
+    with (
+        stranger() as (session, endpoint),
+        chassis() as (_, address),
+        squatting(session),
+        gateway(
+            address, site.endpoint, "--connect", endpoint, "--config", site.robot_settings, kind=Managed
+        ) as running,
+    ):
+        running.wait_says("what answers there does not prove that it was granted this name")
+        grant = Path(site.robot_settings).with_name("robot.grant")
+        grant.write_bytes(grant.read_bytes())
+        running.wait_says("the gateway ends, and is started again with them")
+        wait_until(lambda: len([line for line in running.said if "does not prove" in line]) >= 2)
+        states = session.declare_subscriber("fleet/cruiser-1/safety/state", zenoh.handlers.RingChannel(1))
+        wait_until(lambda: states.try_recv() is not None)
+        assert running.stop() == ExitCode.OK

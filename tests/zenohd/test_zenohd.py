@@ -102,15 +102,6 @@ def test_a_service_manager_ends_it_and_nodes_find_the_next_one(network: Network,
             wait_until(lambda: bool(session.info.routers_zid()))
 
 
-@pytest.mark.parametrize("damage", ["file", "certificate"])
-def test_it_does_not_run_from_damaged_files(file: Path, damage: str) -> None:
-    """It ends at once, as ours does; its many lines name no cure."""
-    broken = file if damage == "file" else file.with_name("router-tls.pem")
-    broken.write_text("{mode:")
-    done = subprocess.run([PROGRAM, "-c", str(file)], capture_output=True, text=True, check=False, timeout=60)
-    assert done.returncode != 0
-
-
 def test_it_runs_on_with_a_certificate_that_is_over_and_nobody_connects(network: Network) -> None:
     """Ours does not start then, and says what to do."""
     born_s = int(time.time()) - (LEAF_DAYS + 1) * 86_400

@@ -1,7 +1,6 @@
 """Services that nobody lets in, for want of a certificate or of a router: each waits, and says the cure once."""
 
 import os
-import shutil
 import socket
 import time
 from collections.abc import Iterator
@@ -89,18 +88,6 @@ def test_a_gateway_watches_its_chassis_and_joins_with_another(scene: Scene, syst
         scene.certify()
         gateway.wait_says("the robot is on the network")
         wait_until(lambda: "STATUS=" in told[-1] and "off the network" not in told[-1], hear)
-        assert gateway.stop() == ExitCode.OK
-
-
-def test_a_key_that_is_missing_is_waited_for_too(scene: Scene) -> None:
-    """So is whatever else is wrong with the files that it connects with."""
-    scene.certify()
-    key = scene.robot / "robot-tls.key"
-    shutil.move(key, key.with_suffix(".away"))
-    with Running("gateway", *scene.words) as gateway:
-        gateway.wait_says(r"robot-tls\.key is not there")
-        shutil.move(key.with_suffix(".away"), key)
-        gateway.wait_says("the robot is on the network")
         assert gateway.stop() == ExitCode.OK
 
 

@@ -1,6 +1,5 @@
 """``cruiser setup`` on a machine below a directory, with a virtual chassis, and services that are processes."""
 
-import errno
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -14,7 +13,7 @@ import pytest
 
 from gateway.cli import setup
 from gateway.cli.configuration_file import load_settings
-from gateway.cli.setup import Machine, run_to_end
+from gateway.cli.setup import Machine
 from gateway.doctor.facts import BusReport
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import ChassisSettings
@@ -333,36 +332,6 @@ def test_nothing_is_changed_while_somebody_drives(
     assert caught.value.code is ExitCode.REFUSED
     assert systemd.programs == []
     assert not (systemd.root / "etc").exists()
-
-
-@pytest.mark.parametrize(
-    ("number", "words"), [(errno.EROFS, "read-only file system"), (errno.ENOSPC, "no space left")]
-)
-def test_a_disk_that_takes_nothing_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: int, words: str
-) -> None:
-    """Read-only, or full: what was there stays."""
-    here = Machine(tmp_path)
-    here.write("/etc/cruiser.toml", "first\n")
-    here.write("/etc/cruiser.toml", "second\n")
-    [kept] = (tmp_path / "etc").glob("cruiser.toml.before-*")
-    assert kept.read_text() == "first\n"
-
-    def refuse(*_: object) -> int:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(CommandError, match=f"^/etc/cruiser.toml cannot be written: {words}"):
-        here.write("/etc/cruiser.toml", "third\n")
-    assert (tmp_path / "etc/cruiser.toml").read_text() == "second\n"
-
-
-def test_a_program_says_why_it_failed() -> None:
-    """In its last line; one that is not there, in the system's words."""
-    assert run_to_end(["true"]) == ""
-    assert run_to_end(["sh", "-c", "echo one >&2; echo two >&2; exit 3"]) == "two"
-    assert run_to_end(["sh", "-c", "exit 3"]) == "exit code 3"
-    assert run_to_end(["no-such-program"]) == "no such file or directory"
 
 
 def test_a_person_is_asked_what_no_flag_says(systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -14,16 +14,13 @@ import zenoh
 from gateway.authority.admission import SignedAdmission
 from gateway.authority.robot_authority import Kept, RobotAuthority, TimeFloor
 from gateway.authority.session import RobotSigner
-from gateway.cli import provision
-from gateway.cli.configuration_file import load_settings
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
 from schemas.authority.key_files import read_identity
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import ExitCode
 from schemas.reasons import Reason
 from schemas.settings import AuthoritySettings, RobotSettings, Settings
 from schemas.subjects import STATEMENT_REPLY_ENCODING, TEXT_MAX_BYTES
-from tests.support.commands import run_command
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.provisioning import ProvisionedFleet, run
 
@@ -162,62 +159,6 @@ def test_a_robot_that_leaves_queries_unanswered_is_asked_again(
     assert tell(fleet, "show", "one.statement", "--robot", "cruiser-1") == ExitCode.OK
     assert capsys.readouterr().out == "cruiser-1: taken over\n"
     assert fleet.robots["cruiser-1"].drops == 0
-
-
-def test_a_rotation_is_believed_from_the_standby_alone(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
-    """That of a stranger changes nothing."""
-    new = ProvisionedFleet(fleet.place / "new")
-    authority = new.place / "authority" / "authority.json"
-    run("rotate", authority, "--directory", new.place / "standby", "-o", "foreign.statement")
-    assert tell(fleet, "show", "foreign.statement", "--all") == ExitCode.REFUSED
-    assert "not signed by the standby key" in capsys.readouterr().out
-    run("rotate", authority, "--directory", fleet.place / "standby")
-    assert tell(fleet, "show", "rotation.statement", "--all") == ExitCode.OK
-    active = read_identity(fleet.ann, "operator").trust.active
-    assert {robot.authority.admission.trust.active for robot in fleet.robots.values()} != {active}
-    capsys.readouterr()
-    assert tell(fleet, "show", "rotation.statement", "--all") == ExitCode.OK
-    has_it = "has it, or a newer one"
-    assert [has_it in line for line in capsys.readouterr().out.splitlines()] == [True, True]
-
-
-def test_an_answer_that_is_not_the_robots_is_not_believed(
-    fleet: Fleet, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Somebody who answers in its place, with a key of another fleet, is found out."""
-    fleet.robots.pop("cruiser-2").close()
-    stranger = ProvisionedFleet(fleet.place / "foreign")
-    foreign = stranger.let_in("robot", "cruiser-2")
-    session = fleet.robots["cruiser-1"]._session
-    fleet.robots["cruiser-2"] = FakeRobot(session, foreign, "cruiser-2")
-    assert tell(fleet, "show", "operator-ann.bundle", "--robot", "cruiser-2") == ExitCode.FAILURE
-    assert "cruiser-2: no, and the answer is not proven" in capsys.readouterr().out
-
-
-def test_it_goes_on_until_it_is_stopped(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every so often, and to robots that came in between."""
-    run("revoke", "ann", "--directory", fleet.place / "authority")
-    words = ("show", "revocations.statement", "--all", "--every", "0.1", "--timeout", "1")
-    flags = {"zenoh.connect": [fleet.endpoint], "authority.directory": str(fleet.ann)}
-    assert run_command(provision, *words, settings=load_settings(None, {}, flags), stopped=after(6, capsys)) == 0
-
-
-def after(lines: int, capsys: pytest.CaptureFixture[str]) -> Callable[[], bool]:
-    """Stopped, once so many lines about robots were read."""
-    found: list[str] = []
-
-    def stopped() -> bool:
-        found.extend(line for line in capsys.readouterr().out.splitlines() if line.startswith("cruiser-"))
-        return len(found) >= lines
-
-    return stopped
-
-
-def test_a_bundle_without_a_grant_is_shown_to_nobody(fleet: Fleet) -> None:
-    """A viewer has none."""
-    fleet.let_in("viewer", "hall")
-    with pytest.raises(CommandError, match="the bundle holds no grant"):
-        run("show", "viewer-hall.bundle", "--all", "--directory", fleet.ann)
 
 
 def test_an_answer_of_before_is_not_believed(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:

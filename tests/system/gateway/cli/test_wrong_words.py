@@ -110,7 +110,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("provision robot cruiser_1", USAGE, "one name, of the form"),
     ("provision operator ann/bea", USAGE, "ann/bea"),
     (f"provision viewer {'x' * 65}", USAGE, "x" * 65),
-    ("provision renew robot", USAGE, "robot.grant is not there; 'cruiser provision install' writes it"),
+    ("provision renew robot", USAGE, "robot-tls.pem is not there; 'cruiser provision install' writes it"),
     ("provision renew viewer", USAGE, "viewer-tls.pem is not there; 'cruiser provision install' writes it"),
     ("provision sign no.request", USAGE, "no.request is not there"),
     ("provision install no.bundle", USAGE, "no.bundle is not there"),

@@ -16,7 +16,6 @@ from typing import Any, Final
 
 import pytest
 import zenoh
-from zenoh import ext
 
 from gateway.authority.enrolment import COMMAND_MAX_BYTES, TransportRole
 from gateway.provisioning.key_files import LEAF_DAYS
@@ -303,23 +302,6 @@ def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
     assert found == allowed(TOKENS)
 
 
-def test_who_sees_which_robots_are_there(secured: Secured) -> None:
-    """People and recorders list robots by the tokens; nobody lists more by a wider question."""
-    token = secured.robot.liveliness().declare_token(f"{R}/gateway")
-    seen: dict[str, set[str]] = {name: set() for name in ROLES}
-
-    def look() -> None:
-        for name, session in secured.attackers.items():
-            for expression in ("fleet/*/gateway", "fleet/**", "**"):
-                for reply in session.liveliness().get(expression, timeout=1):
-                    if reply.ok is not None and str(reply.ok.key_expr) == f"{R}/gateway":
-                        seen[name].add(expression)
-
-    wait_until(lambda: all(seen.values()), look)
-    token.undeclare()
-    assert seen == {name: {"fleet/*/gateway"} for name in ROLES}
-
-
 def test_a_stop_passes_whatever_its_size(secured: Secured) -> None:
     """Sizes are limited by the verb; a stop is never filtered."""
     reached = Arrivals()
@@ -389,28 +371,6 @@ def test_who_is_in_no_row_gets_nothing(tmp_path: Path) -> None:
         wait_until(lambda: ("ann", "last") in reached.found)
     assert reached.found == {("ann", "stop"), ("ann", "last")}
     assert {one for one in leaked.found if one[0] != "nobody"} == set()
-
-
-def test_a_late_joiner_gets_what_was_published_before(secured: Secured) -> None:
-    """An operator the history of a subject, a recorder what the gateway kept: the rules let both through."""
-    key, kept = f"{R}/safety/event", f"{R}/journal"
-    publisher = ext.declare_advanced_publisher(
-        secured.robot, key, cache=ext.CacheConfig(10), publisher_detection=True
-    )
-    queries = secured.robot.declare_queryable(kept, Arrivals().answering(kept), complete=True)
-    for number in range(3):
-        publisher.put(str(number))
-    received: list[str] = []
-    subscriber = ext.declare_advanced_subscriber(
-        secured.operator,
-        key,
-        lambda sample: received.append(sample.payload.to_string()),
-        history=ext.HistoryConfig(detect_late_publishers=True),
-    )
-    wait_until(lambda: len(received) == 3)
-    wait_until(lambda: any(reply.ok for reply in secured.recorder.get(f"{kept}?first=0", timeout=1)))
-    assert received == ["0", "1", "2"]
-    undeclare([subscriber, publisher, queries])
 
 
 def test_a_link_ends_with_its_certificate(tmp_path: Path) -> None:

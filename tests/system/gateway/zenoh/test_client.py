@@ -1,4 +1,3 @@
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -30,15 +29,6 @@ def settings_for(*endpoints: str) -> Settings:
     return Settings(zenoh=ZenohSettings(connect=list(endpoints)))
 
 
-def test_a_client_by_its_zenoh_file_finds_somebody_or_fails(tmp_path: Path) -> None:
-    """Who waits and who does not is a matter of the mode, whoever says it."""
-    file = tmp_path / "zenoh.json5"
-    file.write_text("{ mode: 'client' }")
-    with pytest.raises(CommandError, match="cannot open Zenoh") as caught:
-        close_session(open_session(ZenohSettings(config=str(file)), [free_endpoint()], []))
-    assert caught.value.code is ExitCode.UNREACHABLE
-
-
 @pytest.mark.parametrize(
     ("settings", "code"),
     [
@@ -57,13 +47,6 @@ def test_what_zenoh_does_not_take_is_one_clear_line(settings: ZenohSettings, cod
     assert caught.value.code is code
     assert str(caught.value).isprintable()
     assert ".rs" not in str(caught.value)
-
-
-def test_a_port_that_is_taken_is_one_clear_line() -> None:
-    """Listening where somebody else listens fails at once."""
-    with FakeGateway("cruiser-1") as gateway, pytest.raises(CommandError, match="cannot open Zenoh") as caught:
-        close_session(open_session(ZenohSettings(), [], [gateway.listen]))
-    assert caught.value.code is ExitCode.UNREACHABLE
 
 
 def test_a_listener_is_connected_only_while_somebody_is_there() -> None:
@@ -110,20 +93,6 @@ def test_a_health_of_before_is_not_heard() -> None:
             assert HEALTH_SAMPLE not in heard
 
 
-def test_a_token_that_goes_is_heard() -> None:
-    """When a gateway leaves, its token goes, and that is heard."""
-    endpoint = free_endpoint()
-    with RobotListener.open(settings_for(endpoint), "cruiser-1") as listener:
-        heard: list[Arrival] = []
-
-        def listen() -> None:
-            heard.extend(listener.drain())
-
-        with FakeGateway("cruiser-1", listen=endpoint):
-            wait_until(lambda: TokenChange("fleet/cruiser-1/gateway", present=True) in heard, listen)
-        wait_until(lambda: TokenChange("fleet/cruiser-1/gateway", present=False) in heard, listen)
-
-
 def test_a_robot_behind_another_is_found() -> None:
     """Several robots on one bench: who connects to the first one's node also hears the second, by gossip."""
     with (
@@ -138,26 +107,6 @@ def test_a_robot_behind_another_is_found() -> None:
             keys.update(heard.key for heard in listener.drain() if not isinstance(heard, Missed))
 
         wait_until(lambda: {"fleet/cruiser-2/gateway", "fleet/cruiser-2/state"} <= keys, speak)
-
-
-def test_one_robot_is_heard_without_the_others() -> None:
-    """A listener for one robot hears nothing of another."""
-    with (
-        FakeGateway("cruiser-1") as first,
-        FakeGateway("cruiser-2", connect=first.listen) as second,
-        RobotListener.open(settings_for(first.listen), "cruiser-2") as listener,
-    ):
-        heard: list[Arrival] = []
-
-        def speak() -> None:
-            first.say(STATE)
-            first.say(HEALTH)
-            second.say(STATE)
-            heard.extend(listener.drain())
-
-        wait_until(lambda: len(heard) >= 3, speak)
-        found = {one.key for one in heard if not isinstance(one, Missed)}
-        assert found <= {"fleet/cruiser-2/state", "fleet/cruiser-2/gateway"}
 
 
 ROOM = 1000

@@ -141,13 +141,6 @@ def test_a_stop_comes_as_a_put_and_as_a_query(bench: Bench, key: str) -> None:
     assert replies(asked) == [(f"{ROBOT}op/stop", b"yes", BY_VERB["stop"].reply_encoding)]
 
 
-def test_a_stops_payload_is_never_read(bench: Bench) -> None:
-    """Whatever it holds, not a byte of it is copied."""
-    bench.asker.put(f"{ROBOT}op/stop", b"anything")
-    (request,) = bench.wait_for(1)
-    assert (request.payload, request.size) == (b"", 8)
-
-
 def test_stops_come_first_and_verbs_before_drives(bench: Bench) -> None:
     """In one tick, whatever the order in which they came."""
     bench.asker.put(f"{ROBOT}first/drive", b"1")
@@ -156,14 +149,6 @@ def test_stops_come_first_and_verbs_before_drives(bench: Bench) -> None:
     bench.settle()
     assert [one.verb for one in bench.wait_for(4)] == ["stop", "stop", "acquire", "drive"]
     assert len(asked) == 2
-
-
-def test_verbs_keep_their_order(bench: Bench) -> None:
-    """Acquire, engage, unpark: in the order in which they were asked."""
-    verbs = ["acquire", "engage", "unpark", "park", "disengage", "release"]
-    asked = [bench.ask(f"{ROBOT}first/{verb}") for verb in verbs]
-    assert [one.verb for one in bench.wait_for(len(verbs))] == verbs
-    assert len({one.handle for one in bench.got}) == len(asked)
 
 
 LEASE = 4711
@@ -182,23 +167,6 @@ def flood_with(bench: Bench, operator: str, payload: bytes, between: list[bytes]
         if number % 100 == 0:
             bench.asker.put(f"{ROBOT}first/drive", between[number // 100], congestion_control=block)
     bench.settle()
-
-
-def test_the_holders_drives_survive_anothers_flood(bench: Bench) -> None:
-    """The newest of each; what was dropped unread is counted, to the last one."""
-    mine = [leased(seq=number) for number in range(5)]
-    for number in range(500):
-        bench.asker.put(f"{ROBOT}stranger/drive", b"m%d" % number)
-        if number % 100 == 0:
-            bench.asker.put(f"{ROBOT}first/drive", mine[number // 100])
-    bench.settle()
-    dropped = bench.inbox.drops
-    bench.drain("first", LEASE)
-    assert [one.payload for one in bench.got if one.operator == "first"] == mine
-    others = [one.payload for one in bench.got if one.operator == "stranger"]
-    assert others == [b"m%d" % number for number in range(500 - DRIVES_PER_TICK, 500)]
-    assert bench.inbox.drops - dropped == 500 - DRIVES_PER_TICK
-    assert bench.inbox.drain("first", LEASE) == []
 
 
 FORGED = {
@@ -235,13 +203,6 @@ def test_the_holders_verbs_survive_a_flood_under_its_name(bench: Bench) -> None:
     assert (bench.got[0].verb, bench.got[0].payload) == ("engage", leased())
     assert len(bench.got) == 1 + VERBS_PER_TICK
     assert len(asked) > VERBS_PER_TICK
-
-
-def test_without_a_lease_nothing_is_the_holders(bench: Bench) -> None:
-    """A flood of numbers that could be the one of no lease leaves room for whoever acquires."""
-    flood_with(bench, "first", leased(lease=0), [leased(seq=number) for number in range(5)])
-    bench.drain()
-    assert len(bench.got) == DRIVES_PER_TICK
 
 
 @pytest.mark.parametrize(("holder", "other"), [("ana", "banana"), ("fleet", "x"), ("cruiser-1", "x")])
@@ -328,16 +289,6 @@ def test_a_query_whose_asker_has_gone_costs_nothing(bench: Bench) -> None:
     assert [payload for _, payload, _ in replies(asked)] == [b"yes"]
 
 
-def test_a_reply_to_nobody_is_nothing(bench: Bench) -> None:
-    """A handle that was never given, and one that was answered."""
-    asked = bench.ask(f"{ROBOT}first/acquire")
-    requests = bench.wait_for(1)
-    bench.answer(requests)
-    bench.answer(requests, b"again")
-    bench.inbox.reply(PendingReply(4711, "acquire", b""))
-    assert [payload for _, payload, _ in replies(asked)] == [b"yes"]
-
-
 ANY_VERB = [
     f"{ROBOT}first/*",
     f"{ROBOT}*/*",
@@ -387,19 +338,6 @@ def test_no_wildcard_reaches_a_command_by_accident(bench: Bench, key: str) -> No
     bench.drain()
     assert bench.got == []
     assert replies(asked) == []
-
-
-def test_a_drive_as_a_query_and_a_verb_as_a_put() -> None:
-    """The query reaches the arbiter, which refuses it; the put of a verb reaches nobody."""
-    with closing(Bench()) as made:
-        reach(made)
-        asked = made.ask(f"{ROBOT}first/drive")
-        made.asker.put(f"{ROBOT}first/acquire", b"")
-        made.settle()
-        made.drain()
-        assert [(one.verb, one.is_query) for one in made.got] == [("drive", True)]
-        made.answer(made.got)
-        assert len(replies(asked)) == 1
 
 
 def test_a_deleted_key_is_an_empty_request(bench: Bench) -> None:
@@ -481,10 +419,3 @@ def test_a_command_of_another_version_says_so(bench: Bench, command: Command) ->
         "",
         "",
     ]
-
-
-def test_a_command_that_calls_itself_another_one_says_so(bench: Bench) -> None:
-    """What was meant for one verb is not obeyed as another that has the same fields."""
-    bench.ask(f"{ROBOT}first/unpark", msgspec.msgpack.encode({"lease": 1}), BY_VERB["park"].encoding)
-    (request,) = bench.wait_for(1)
-    assert request.fault.endswith(f"is not {BY_VERB['unpark'].encoding}")

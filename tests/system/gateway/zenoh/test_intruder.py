@@ -140,13 +140,6 @@ def test_an_open_router_lets_everything_pass(surrounded: Surrounded) -> None:
     assert len(deeds) == len(HOLES), deeds
 
 
-def test_where_nobody_answers_nothing_was_tried(surrounded: Surrounded) -> None:
-    """Neither passed nor failed."""
-    with surrounded.behind() as sessions:
-        surrounded.network.endpoint = free_endpoint("tls")
-        assert surrounded.intrude(*sessions) == Attempt(is_connected=False)
-
-
 @contextmanager
 def listening(network: Network, endpoint: str, *, is_mutual: bool, is_open: bool) -> Iterator[zenoh.Session]:
     """A gateway's session that listens itself: with certificates of both ends or of one, and shut or open."""

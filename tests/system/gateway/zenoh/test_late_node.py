@@ -15,7 +15,6 @@ from gateway.zenoh.client import PendingQuery, open_local_router
 from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_inbox
 from gateway.zenoh.node import ZenohNode, client_place, open_node
 from schemas.codec import Sample
-from schemas.command_line import CommandError
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
 from schemas.zenoh_session import close_session, open_session
@@ -104,24 +103,6 @@ class Sessions:
 class _Closing:
     def __init__(self, closed: list[str], name: str) -> None:
         self.close: Callable[[], Any] = lambda: closed.append(name)
-
-
-def test_why_it_is_off_the_network_is_said_as_it_changes(caplog: pytest.LogCaptureFixture) -> None:
-    """Once each, and as a note until it is on it."""
-    causes = iter([CAUSE, CAUSE, "a gateway of the name r-1 is connected already"])
-
-    def join() -> Joined:
-        raise CommandError(next(causes, "a gateway of the name r-1 is connected already"))
-
-    node = LateNode(join, None, CAUSE)
-    assert node.notes() == (f"off the network: {CAUSE}",)
-    wait_until(lambda: "r-1 is connected" in caplog.text)
-    assert node.notes() == ("off the network: a gateway of the name r-1 is connected already",)
-    node.close()
-    assert [record.getMessage().partition(";")[0] for record in caplog.records] == [
-        CAUSE,
-        "a gateway of the name r-1 is connected already",
-    ]
 
 
 def test_sessions_that_nobody_took_over_are_closed() -> None:

@@ -3,7 +3,6 @@
 import socket
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Final
 
 import pytest
@@ -125,18 +124,6 @@ def test_a_health_of_before_is_not_kept(watcher: zenoh.Session) -> None:
     node.close()
 
 
-def test_a_zenoh_file_makes_a_gateway_a_client(default_endpoint: str, tmp_path: Path) -> None:
-    """It connects where the file says, and takes no port."""
-    file = tmp_path / "zenoh.json5"
-    file.write_text(f"{{ mode: 'client', connect: {{ endpoints: ['{default_endpoint}'] }} }}")
-    router, _ = open_node(settings("r-1"))
-    client, place = open_node(Settings(robot=RobotSettings(name="r-2"), zenoh=ZenohSettings(config=str(file))))
-    assert str(place) == f"listens on nothing, is a client of {default_endpoint}"
-    assert client.peers() == 1
-    client.close()
-    router.close()
-
-
 def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session) -> None:
     """A crowd of queries cannot hold the loop: two are answered each time, the rest waits."""
     node, _ = open_node(settings("r-1"))
@@ -156,34 +143,6 @@ def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session)
     assert max(answered) <= zenoh_node.QUERIES_PER_TICK
     for handler in replies:
         assert [reply.ok is not None for reply in handler] == [True]
-    node.close()
-
-
-def test_replies_that_nobody_takes_do_not_hold_the_loop(default_endpoint: str) -> None:
-    """A client that asks and does not read: its queries are taken while its link stands, full and stuck."""
-    # The client waits for a sign of life as long as the node's lease says, so the link stands.
-    patient = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(lease_ms=60_000))
-    session = open_session(patient.zenoh, [], [default_endpoint])
-    node = ZenohNode(session, patient)
-    with TcpProxy(default_endpoint) as proxy:
-        client = open_session(patient.zenoh, [proxy.endpoint], [])
-        wait_until(lambda: bool(client.info.peers_zid()) and node.peers() == 1)
-        proxy.stall()
-        handlers = [client.get("fleet/r-1/gateway/info", timeout=60) for _ in range(BIG_REPLIES)]
-        taken: list[bytes] = []
-
-        def reply() -> bytes:
-            taken.append(BIG_REPLY)
-            return BIG_REPLY
-
-        wait_until(lambda: len(taken) == BIG_REPLIES, lambda: node.answer(reply))
-        # Each reply waits for seconds for room on the link; none has gone by while its query was taken.
-        assert node.replier.waiting > 0
-        assert [handler.try_recv() for handler in handlers] == [None] * BIG_REPLIES
-        assert node.peers() == 1
-        proxy.close()
-        wait_until(lambda: not node.replier.waiting)
-        close_session(client)
     node.close()
 
 
@@ -217,28 +176,6 @@ def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
         close_session(stuck)
     close_session(other)
     node.close()
-
-
-def test_of_too_many_replies_the_newest_are_dropped_and_counted(watcher: zenoh.Session) -> None:
-    """What waits is bounded, however slow the links are."""
-    node, _ = open_node(settings("r-1"))
-    wait_until(lambda: bool(watcher.info.peers_zid()))
-    asked: list[object] = []
-    queries: list[zenoh.Query] = []
-
-    def take() -> None:
-        # Asked again until it arrives: a node is connected before its queryables are known.
-        asked.append(watcher.get("fleet/r-1/gateway/info", timeout=20))
-        query = node._queries.try_recv()
-        queries.extend([] if query is None else [query])
-
-    wait_until(lambda: bool(queries), take)
-    node.replier.close()
-    for _ in range(zenoh_node.REPLIES_WAITING + 3):
-        node.replier.send(queries[0], "fleet/r-1/gateway/info", [b""], "")
-    assert (node.replier.waiting, node.replier.drops) == (zenoh_node.REPLIES_WAITING, 3)
-    node.close()
-    asked.clear()
 
 
 def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:

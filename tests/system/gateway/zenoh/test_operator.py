@@ -2,18 +2,16 @@ from functools import partial
 
 import pytest
 
-from gateway.telemetry.samples import Missed, Received
+from gateway.telemetry.samples import Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
-from schemas import codec, keys
+from schemas import keys
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
-from schemas.subjects import BY_NAME
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
 from tests.support.fakes.robot import FakeRobot
-from tests.support.messages import STATE
 from tests.support.waiting import wait_until
 
 VOLLEYS, VOLLEY = 40, 5
@@ -46,22 +44,6 @@ def test_commands_that_follow_each_other_closely_all_arrive() -> None:
             for _ in range(VOLLEY):
                 port.put("drive", b"")
             wait_until(partial(fake.has_heard, VOLLEY * volley))
-
-
-def test_a_question_that_nobody_hears_ends_at_once() -> None:
-    """Its end is told, and there is no reply."""
-    with CommandPort.open(settings_for(free_endpoint()), "cruiser-1", "first") as port:
-        question = port.begin("acquire", b"", 20)
-        wait_until(lambda: question.poll() == [] and question.is_over)
-        assert port.ask("acquire", b"", 20) == []
-
-
-def test_a_reply_has_the_key_of_its_robot() -> None:
-    """Who answered a question to all is told by the key."""
-    with FakeRobot() as fake, CommandPort.open(settings_for(fake.listen), "*", "first") as port:
-        received: list[Received] = []
-        wait_until(lambda: bool(received), lambda: received.extend(port.ask("stop", b"any bytes", 20)))
-        assert {one.key for one in received} == {"fleet/cruiser-1/@cmd/first/stop"}
 
 
 def test_of_a_large_fleet_every_reply_arrives() -> None:
@@ -105,18 +87,3 @@ def test_names_that_cannot_be_are_an_error_before_anything_is_sent() -> None:
         with pytest.raises(CommandError) as caught:
             call()
         assert caught.value.code is ExitCode.USAGE
-
-
-def test_the_robots_state_is_heard_beside_the_arbiters() -> None:
-    """The chassis's state comes with its key and encoding."""
-    with FakeGateway("cruiser-1") as gateway:
-        listener = SafetyListener.open(settings_for(gateway.listen), "cruiser-1")
-        heard: list[Received | Missed] = []
-
-        def speak() -> None:
-            gateway.say(STATE)
-            heard.extend(listener.drain())
-
-        wait_until(lambda: bool(heard), speak)
-        listener.close()
-    assert heard[0] == Received("fleet/cruiser-1/state", BY_NAME["state"].encoding, codec.encode(STATE))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import PurePosixPath
+from typing import Any
 
 import msgspec
 import pytest
+import zenoh
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.hashes import SHA256
@@ -13,13 +17,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.authority.enrolment import (
-    ENROLMENT_MAX_BYTES,
-    SITES_ARE_GONE,
     Bundle,
     EnrolmentError,
     EnrolmentRequest,
     EnrolmentRole,
     FleetPlace,
+    TransportRole,
+    access_table,
     authority_fingerprint,
     bundle_text,
     chain_of,
@@ -27,11 +31,13 @@ from gateway.authority.enrolment import (
     read_bundle,
     read_request,
     request_fingerprint,
+    zenoh_configuration,
 )
 from gateway.provisioning.key_files import new_key
 from gateway.provisioning.key_files import new_request as new_csr
-from schemas.authority.proof import GrantRole, ProofKind, chain_text, signed_bytes
-from schemas.authority.trust import BY_SITE, AuthorityKeys, fits, key_fingerprint, keys_fingerprint
+from schemas.authority.proof import GrantRole, chain_text
+from schemas.authority.trust import AuthorityKeys, keys_fingerprint
+from schemas.subjects import COMMANDS
 from tests.support.authority import NOW_S, Fleet, Party
 
 GRANTED = {
@@ -42,7 +48,7 @@ GRANTED = {
 PLACE = FleetPlace("fleet", ["tls/router.example:7447"])
 
 
-def bundle_for(fleet: Fleet, party: Party, role: EnrolmentRole, signer: Party | None = None) -> Bundle:
+def bundle_for(fleet: Fleet, party: Party, role: EnrolmentRole) -> Bundle:
     """What somebody gets who has this chain."""
     return Bundle(
         role=role,
@@ -52,7 +58,6 @@ def bundle_for(fleet: Fleet, party: Party, role: EnrolmentRole, signer: Party | 
         certificate="certificate",
         ca="ca",
         chain=chain_text(party.chain),
-        signer="" if signer is None else chain_text(signer.chain),
     )
 
 
@@ -204,27 +209,6 @@ def test_no_field_of_an_authority_can_be_changed_unseen() -> None:
     assert FleetPlace.__struct_fields__ == ("root", "routers")
 
 
-def test_a_request_that_is_too_long_is_refused_although_it_is_proven() -> None:
-    """An authority keeps what it signs."""
-    with pytest.raises(EnrolmentError, match="longer than"):
-        new_request(EnrolmentRole.OPERATOR, ["ann"], "x" * ENROLMENT_MAX_BYTES, Ed25519PrivateKey.generate(), TLS)
-
-
-def test_a_bundles_signature_is_one_of_nothing_else() -> None:
-    """No statement, and no request: the text under it says that it is a bundle."""
-    fleet, _, _, text = made_for()
-    body, _, proof = text.rstrip(b"\n").partition(b"\n")
-    signature = bytes.fromhex(proof.split()[2].decode())
-    assert fits(fleet.authority.key, signature, signed_bytes(ProofKind.STATEMENT, b"bundle", body))
-
-
-def test_fingerprints_are_of_128_bits() -> None:
-    """Eight groups, and another for another key."""
-    one, two = key_fingerprint("00" * 32), key_fingerprint("01" * 32)
-    assert one == "6668-7aad-f862-bd77-6c8f-c18b-8e9f-8e20"
-    assert one != two
-
-
 @pytest.mark.parametrize("role", GRANTED)
 def test_a_bundle_of_the_authority_holds(role: EnrolmentRole) -> None:
     """For each role that is granted something, with a grant of this role and no other."""
@@ -238,21 +222,6 @@ def test_a_bundle_of_the_authority_holds(role: EnrolmentRole) -> None:
     assert "its grant does not hold" in refusal(made, NOW_S + 10 * 86_400)
 
 
-def test_what_a_site_made_or_asks_for_is_refused_with_the_cure() -> None:
-    """The bundle of an earlier version's site, the bundle and the request of a site, a person whom one granted."""
-    fleet, ann = Fleet(), Party("ann")
-    site = fleet.site()
-    site.grant(ann)
-    by_site = bundle_for(fleet, ann, EnrolmentRole.OPERATOR, site)
-    assert refusal(bundle_text(by_site, site.private)) == f"a site made it, and {SITES_ARE_GONE}"
-    granted = bundle_for(fleet, ann, EnrolmentRole.OPERATOR)
-    assert BY_SITE in refusal(bundle_text(granted, fleet.authority.private))
-    text = bundle_text(granted, fleet.authority.private).replace(b'"role":"operator"', b'"role":"site"')
-    assert refusal(text) == f"it is no bundle: {SITES_ARE_GONE}"
-    with pytest.raises(EnrolmentError, match=r"it is no request: sites are gone"):
-        read_request(b'{"version": 2, "role": "site", "names": ["depot"], "csr": ""}')
-
-
 def test_a_bundle_that_was_changed_holds_no_more() -> None:
     """Any bit of it."""
     _, _, _, whole = made_for()
@@ -261,12 +230,12 @@ def test_a_bundle_that_was_changed_holds_no_more() -> None:
     assert refusal(whole.partition(b"\n")[0]) == "it is not signed"
 
 
-@pytest.mark.parametrize("field", Bundle.__struct_fields__)
+@pytest.mark.parametrize("field", [name for name in Bundle.__struct_fields__ if name != "signer"])
 def test_no_field_of_a_bundle_can_be_changed_unseen(field: str) -> None:
     """Not by whoever carries it; and who makes one of an authority of their own shows another fingerprint."""
-    (fleet, party, bundle, whole), thieves = made_for(), Fleet()
+    (_, party, bundle, whole), thieves = made_for(), Fleet()
     others = msgspec.structs.replace(
-        bundle_for(thieves, Party("bea"), EnrolmentRole.VIEWER, fleet.site()),
+        bundle_for(thieves, Party("bea"), EnrolmentRole.VIEWER),
         fleet=FleetPlace("fleet", ["tls/thief.example:7447"]),
         certificate="another",
         shut_out="another",
@@ -293,14 +262,6 @@ def test_whatever_comes_is_refused_with_words(text: bytes) -> None:
             read(text)
 
 
-def test_a_statement_is_found_in_its_file_and_a_grant_in_its_bundle() -> None:
-    """Both are shown to robots with the same command."""
-    _, party, _, bundle = made_for()
-    text = chain_text(party.chain).encode()
-    assert chain_text(chain_of(text)).encode() == text
-    assert chain_text(chain_of(bundle)).encode() == text
-
-
 def test_a_person_alone_asks_for_a_grant_without_a_certificate() -> None:
     """A browser does: its desk has the certificate."""
     private = Ed25519PrivateKey.generate()
@@ -309,3 +270,99 @@ def test_a_person_alone_asks_for_a_grant_without_a_certificate() -> None:
     for role in set(EnrolmentRole) - {EnrolmentRole.OPERATOR}:
         with pytest.raises(EnrolmentError, match="needs a certificate"):
             new_request(role, ["ann"], "", private if role in GRANTED else None, None)
+
+
+# The Zenoh configuration of each role: what holds for all. What they let through is tested through a router.
+
+DIRECTORY = PurePosixPath("/etc/cruiser")
+ENDPOINT = "tls/router.example:7447"
+every_role = pytest.mark.parametrize("role", [role for role in TransportRole if role is not TransportRole.NOTHING])
+
+
+def configuration(role: TransportRole) -> dict[str, Any]:
+    """The configuration of a node, as a file would hold it."""
+    robot = "cruiser-1" if role is TransportRole.ROBOT else ""
+    made: dict[str, Any] = json.loads(json.dumps(zenoh_configuration(role, "fleet", DIRECTORY, [ENDPOINT], robot)))
+    return made
+
+
+@every_role
+def test_everything_is_denied_that_is_not_allowed(role: TransportRole) -> None:
+    """Every subject has names, for one without is everybody; every rule is used, allows, and has keys."""
+    access = configuration(role)["access_control"]
+    assert (access["enabled"], access["default_permission"]) == (True, "deny")
+    assert all(subject["cert_common_names"] for subject in access["subjects"])
+    assert {rule["permission"] for rule in access["rules"]} == {"allow"}
+    assert all(rule["key_exprs"] and rule["messages"] and rule["flows"] for rule in access["rules"])
+    used = {name for policy in access["policies"] for name in policy["rules"]}
+    assert used == {rule["id"] for rule in access["rules"]}
+    assert {name for policy in access["policies"] for name in policy["subjects"]} == {
+        subject["id"] for subject in access["subjects"]
+    }
+
+
+@every_role
+def test_links_are_mutual_tls_alone(role: TransportRole) -> None:
+    """Both ends show certificates, names are held against them, a link ends with its certificate."""
+    link = configuration(role)["transport"]["link"]
+    assert link["protocols"] == ["tls"]
+    assert link["rx"] == {"max_message_size": 1_048_576}
+    own = (f"/etc/cruiser/{role.value}-tls.pem", f"/etc/cruiser/{role.value}-tls.key")
+    listens = role in {TransportRole.ROUTER, TransportRole.DESK}
+    listen = {"listen_certificate": own[0], "listen_private_key": own[1]} if listens else {}
+    assert link["tls"] == listen | {
+        "root_ca_certificate": "/etc/cruiser/ca.pem",
+        "connect_certificate": own[0],
+        "connect_private_key": own[1],
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+    }
+
+
+@every_role
+def test_all_but_the_router_dial_out_and_listen_on_nothing(role: TransportRole) -> None:
+    """And nobody looks for others by multicast."""
+    made = configuration(role)
+    is_router = role is TransportRole.ROUTER
+    assert made["mode"] == ("router" if is_router else "client")
+    assert made["connect"]["endpoints"] == ([] if is_router else [ENDPOINT])
+    assert made["listen"]["endpoints"] == ([ENDPOINT] if is_router else [])
+    assert made["scouting"]["multicast"]["enabled"] is False
+
+
+@every_role
+def test_no_filter_is_on_a_stop(role: TransportRole) -> None:
+    """No size limit includes its key, of one robot or of all."""
+    limits = configuration(role)["low_pass_filter"]
+    expressions = [zenoh.KeyExpr(key) for limit in limits for key in limit["key_exprs"]]
+    stops = [
+        zenoh.KeyExpr(f"fleet/{robot}/@cmd/{who}/stop") for robot in ("cruiser-1", "*") for who in ("ann", "*")
+    ]
+    assert not [one for one in expressions for stop in stops if one.intersects(stop)]
+    verbs = [command.verb for command in COMMANDS if command.verb != "stop"]
+    limited = [zenoh.KeyExpr(f"fleet/cruiser-1/@cmd/ann/{verb}") for verb in verbs]
+    assert all(any(one.includes(key) for one in expressions) for key in limited)
+
+
+def test_people_have_no_double_wildcard() -> None:
+    """It would let them declare subscriptions without end, but for histories, below one subject each."""
+    people = {TransportRole.OPERATOR, TransportRole.VIEWER, TransportRole.DESK}
+    keys = {key for row in access_table("fleet") if people & set(row.roles) for key in row.keys}
+    assert not [key for key in keys if "**" in key.replace("/@adv/**", "")]
+
+
+def test_a_robots_file_names_no_other_robot() -> None:
+    """What it takes is for itself, but for stops and statements, which may be for all."""
+    rows = [row for row in access_table("fleet", "cruiser-1") if TransportRole.ROBOT in row.roles]
+    taken = {key for row in rows if row.flow == "egress" and "put" in row.messages for key in row.keys}
+    assert {key.split("/")[-1] for key in taken if key.startswith("fleet/*/")} == {"stop"}
+    said = {key for row in rows if row.flow == "ingress" for key in row.keys}
+    assert all(key.startswith("fleet/cruiser-1/") for key in said)
+
+
+@pytest.mark.parametrize("endpoints", [[], ["tcp/router.example:7447"], [ENDPOINT, "udp/router.example:7447"]])
+def test_an_endpoint_without_certificates_is_refused(endpoints: list[str]) -> None:
+    """Plain TCP in a provisioned file would let anybody in."""
+    with pytest.raises(ValueError, match=r"tls|no endpoint"):
+        zenoh_configuration(TransportRole.ROBOT, "fleet", DIRECTORY, endpoints, "cruiser-1")

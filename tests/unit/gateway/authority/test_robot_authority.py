@@ -7,17 +7,18 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gateway.authority.admission import GRANTS_KEPT
 from gateway.authority.operator_proof import new_lease_key
-from gateway.authority.robot_authority import AuthorityEffects, Kept, resume, trust_of
+from gateway.authority.robot_authority import AuthorityEffects, Kept, NameProof, TimeFloor, resume, trust_of
+from gateway.authority.session import RobotSigner
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
-from schemas.authority.proof import GrantRole, chain_text
+from schemas.authority.proof import ROBOT_PROOF_BYTES, GrantRole, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode
 from schemas.decisions import LeaseReply, SignedStatement
 from schemas.reasons import Reason
 from schemas.requests import Acquire
+from schemas.settings import Settings
 from schemas.subjects import BY_NAME, BY_VERB
 from tests.support.authority import CHALLENGE, DAY_S, NOW_S, AuthorityBench, Fleet, Party, S
 
@@ -94,16 +95,6 @@ def test_a_rotation_is_kept_and_ends_the_robots_own_grant_until_it_gets_a_new_on
     assert trust.active == active.key
 
 
-@pytest.mark.parametrize("first", ["authority", "standby", "new"])
-def test_a_restart_finds_what_was_revoked_before_and_after_a_rotation(first: str) -> None:
-    """Whoever signed the list: the authority of before, the standby, or the new authority."""
-    bench, active, standby = AuthorityBench(), Party(), Party()
-    signer = {"authority": bench.fleet.authority, "standby": bench.fleet.standby, "new": active}[first]
-    shown = [bench.fleet.standby.rotate(1, active, standby), signer.revoke(5, keys=(standby.key,))]
-    bench.takes(*(shown if first == "new" else reversed(shown)))
-    assert bench.restarted() == bench.authority.admission.trust
-
-
 Shown = tuple[str, int, int, int]
 
 shown = st.lists(
@@ -146,20 +137,6 @@ def test_a_restart_trusts_as_the_robot_did(taken: list[Shown]) -> None:
     assert resumed[0] == live
 
 
-def test_a_note_that_still_holds_a_list_which_a_rotation_ended_starts() -> None:
-    """A version of before kept it; one that nobody of them signed is a damaged note."""
-    fleet, new = Fleet(), Fleet()
-    rotation = fleet.standby.rotate(1, new.authority, new.standby).text()
-    note = Kept(revocations=fleet.authority.revoke(3, keys=(b"x" * 32,)).text(), rotations=[rotation])
-    trust = trust_of(fleet.trust, note)
-    assert not isinstance(trust, Objection)
-    assert (trust.active, trust.list_serial, trust.revoked) == (new.authority.key, 0, frozenset())
-    assert isinstance(
-        trust_of(fleet.trust, msgspec.structs.replace(note, revocations=Fleet().authority.revoke(3).text())),
-        Objection,
-    )
-
-
 def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
     """Whoever shows it again learns that the robot has it, not that its signature is wrong."""
     bench = AuthorityBench()
@@ -174,22 +151,6 @@ def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
     assert bench.show(first).reason is Reason.REPLAYED
     third = bench.fleet.standby.rotate(3, new.authority, new.standby).text()
     assert bench.show(third).reason is Reason.PROOF_WRONG
-
-
-@pytest.mark.parametrize(
-    ("kept", "why"),
-    [
-        (Kept(revocations="x"), "it is not pairs of lines, a statement and its signature"),
-        (Kept(rotations=["x"]), ""),
-        (Kept(revocations=Fleet().authority.revoke(1).text()), ""),
-    ],
-    ids=["list", "rotation", "somebody else wrote it"],
-)
-def test_a_damaged_note_is_no_trust(kept: Kept, why: str) -> None:
-    """And is named by what is wrong with its text."""
-    refusal = trust_of(Fleet().trust, kept)
-    assert isinstance(refusal, Objection)
-    assert not why or refusal == Objection(Reason.MALFORMED, why)
 
 
 def learnt(fleet: Fleet, new: Fleet) -> Kept:
@@ -273,15 +234,6 @@ def test_a_grant_of_another_robot_or_of_a_person_is_not_its_own(
     assert bench.show(chain_text(other.chain)).own == own
 
 
-def test_an_answer_for_the_name_holds_the_grant_of_now() -> None:
-    """A gateway that asks for the name judges by it."""
-    bench = AuthorityBench()
-    proof = bench.authority.name_proof
-    assert proof.attachment(b"info", b"question").endswith(bench.own.encode())
-    bench.takes(bench.regrant(serial=2, not_after=NOW_S + 9 * DAY_S))
-    assert proof.attachment(b"info", b"question").endswith(bench.own.encode())
-
-
 def test_the_floor_of_time_outlives_a_restart() -> None:
     """It is saved at once: a robot that is switched off and on, with its clock set back, revives no grant."""
     bench = AuthorityBench()
@@ -302,7 +254,8 @@ def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
     bench = AuthorityBench()
     bench.wall_s = NOW_S + DAY_S + 1
     bars = [bench.tick().bars for _ in range(5)]
-    assert bars[0] == {Reason.GRANT_EXPIRED: "the robot's own ended on 2026-11-19 11:06 UTC"}
+    text = "the robot's own grant: the grant is over, or has not begun; it ended 2026-11-19 11:06 UTC"
+    assert bars[0] == {Reason.GRANT_EXPIRED: text}
     assert bars[1:] == [None] * 4
     bench.wall_s += 3
     assert bench.tick().bars is None
@@ -359,30 +312,6 @@ def test_rotations_are_published_again_and_a_list_as_long_as_it_is_in_force() ->
     assert statements(bench.tick(61 * S)) == [rotation, bench.own, newer]
 
 
-def test_statements_are_numbered() -> None:
-    """So that a log shows which is missing."""
-    bench = AuthorityBench()
-    numbers = []
-    for name in ("ann", "bob", "cyd"):
-        bench.takes(bench.chain_of(name))
-        numbers += [one.sequence for one in signed_statements(bench.tick())]
-    assert numbers == [numbers[0] + step for step in range(3)]
-
-
-def test_what_has_changed_is_saved_once_and_the_floor_once_a_minute() -> None:
-    """A disk is not written in each tick; the first floor is the begin of the robot's own grant."""
-    bench = AuthorityBench()
-    assert [bench.tick().kept for _ in range(3)] == [None] * 3
-    bench.takes(bench.fleet.authority.revoke(1))
-    saved = [bench.tick(10_000_000).kept is not None for _ in range(3)]
-    assert saved == [True, False, False]
-    assert bench.tick(61 * S).kept is not None
-    assert bench.tick(10_000_000).kept is None
-    kept = AuthorityBench().tick(61 * S).kept
-    assert kept is not None
-    assert kept.floor_s >= NOW_S - DAY_S
-
-
 def test_a_clock_that_is_set_back_revives_no_grant_although_nobody_states_the_time() -> None:
     """A verified grant has begun: it is later than that."""
     bench = AuthorityBench()
@@ -415,35 +344,6 @@ def test_nobody_takes_the_robots_own_grant_away() -> None:
     assert bench.bars() == {}
 
 
-def test_the_grants_of_so_many_people_are_remembered_as_text() -> None:
-    """The oldest go; one that was forgotten is published again when it is shown."""
-    bench = AuthorityBench()
-    bench.takes(first := bench.chain_of("first"))
-    for number in range(GRANTS_KEPT - 1):
-        bench.tick()
-        bench.takes(bench.chain_of(f"p{number}"))
-    bench.tick()
-    bench.takes(first)
-    assert first not in statements(bench.tick())
-    bench.takes(bench.chain_of("one-more"))
-    bench.tick()
-    bench.takes(first)
-    assert first in statements(bench.tick())
-
-
-@pytest.mark.parametrize("epochs", [[3], [5, 0]])
-def test_an_epoch_outlives_a_restart_although_a_newer_list_says_a_lower_one(epochs: list[int]) -> None:
-    """Only the newest list is kept, and a robot that was switched off would believe old grants again."""
-    bench = AuthorityBench()
-    bench.takes(*(bench.fleet.authority.revoke(number, epoch=one) for number, one in enumerate(epochs, 1)))
-    trust = bench.restarted()
-    assert (trust.list_serial, trust.epoch) == (len(epochs), epochs[0])
-    # Also where the note itself has none.
-    note = trust_of(bench.fleet.trust, Kept(revocations=bench.fleet.authority.revoke(1, epoch=3).text()))
-    assert not isinstance(note, Objection)
-    assert note.epoch == 3
-
-
 def test_a_new_authority_says_what_time_it_is() -> None:
     """Whoever stole the former one's key may have dated a list in the year 3000, by which every grant is over."""
     bench, active, standby = AuthorityBench(), Party(), Party()
@@ -454,3 +354,95 @@ def test_a_new_authority_says_what_time_it_is() -> None:
     bench.tick()
     bench.takes(text)
     assert bench.bars() == {}
+
+
+# The floor of time.
+
+
+def test_a_clock_that_is_set_back_revives_nothing_and_one_set_forward_only_ends_things() -> None:
+    """The later of the wall clock and the floor counts, each time; from the floor the machine's own time."""
+    floor = TimeFloor(1000, 0)
+    assert floor.now_s(7 * S, wall_s=0) == 1007
+    assert floor.now_s(7 * S, wall_s=5000) == 5000
+    assert floor.now_s(8 * S, wall_s=0) == 1008
+
+
+@given(st.lists(st.tuples(st.integers(0, 100), st.integers(0, 5000), st.integers(0, 5000)), max_size=20))
+def test_the_floor_never_falls_while_the_machine_runs(steps: list[tuple[int, int, int]]) -> None:
+    """Whatever was stated, and whatever the wall clock says."""
+    floor, boot_ns, before_s = TimeFloor(1000, 0), 0, 0
+    for elapsed_s, stated_s, wall_s in steps:
+        boot_ns += elapsed_s * S
+        floor.lift(stated_s, boot_ns)
+        assert floor.now_s(boot_ns, wall_s) >= floor.least_s(boot_ns) >= max(before_s, stated_s)
+        before_s = floor.least_s(boot_ns)
+
+
+# Who else answers under the robot's name.
+
+PAYLOAD, QUESTION = b"\x80", bytes(range(16))
+BENCH = AuthorityBench()
+
+
+def granted(fleet: Fleet, name: str = "cruiser-1", **changes: Any) -> Party:  # noqa: ANN401 - fields of a grant
+    """A robot with a new key, and a grant."""
+    robot = Party(name)
+    fleet.authority.grant(robot, **({"role": GrantRole.ROBOT, "robots": [name]} | changes))
+    return robot
+
+
+def counts(party: Party, now_s: int = NOW_S, bench: AuthorityBench = BENCH) -> bool:
+    """Does the answer of a gateway with this party's keys count at the robot?"""
+    signer = RobotSigner(party.private, b"boot no2")
+    proof = NameProof(Settings(), signer, bench.authority.admission, lambda: party.chain)
+    attachment = proof.attachment(PAYLOAD, QUESTION)
+    return bench.authority.name_proof.is_namesake(PAYLOAD, attachment, QUESTION, now_s)
+
+
+def test_a_gateway_with_the_robots_key_or_a_grant_for_its_name_is_a_namesake() -> None:
+    """Whatever the clocks say; the computer that it had before too, until its key is revoked."""
+    bench = AuthorityBench()
+    former = granted(bench.fleet)
+    assert all(counts(party, now_s, bench) for party in (bench.robot, former) for now_s in (0, NOW_S))
+    assert counts(bench.robot, NOW_S + 99 * DAY_S, bench)
+    bench.takes(bench.fleet.authority.revoke(1, keys=(former.key,)))
+    assert not counts(former, NOW_S, bench)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        granted(BENCH.fleet, "cruiser-2"),
+        granted(BENCH.fleet, "cruiser-2", robots=["*"]),
+        granted(Fleet()),
+        granted(BENCH.fleet, role=GrantRole.OPERATOR),
+        granted(BENCH.fleet, not_after=NOW_S - 1),
+    ],
+)
+def test_nobody_else_is(other: Party) -> None:
+    """Nor is any of them who shows the robot's own chain, which is public, without its key."""
+    assert not counts(other)
+    other.chain = BENCH.robot.chain
+    assert not counts(other)
+
+
+def test_an_answer_answers_one_question() -> None:
+    """Whoever kept an answer of the robot itself, or made one of parts, cannot pass for it."""
+    proof, chain = BENCH.authority.name_proof, chain_text(granted(BENCH.fleet).chain).encode()
+    attachment = proof.attachment(PAYLOAD, QUESTION)
+    for payload, shown, question, is_one in (
+        (PAYLOAD, attachment, QUESTION, True),
+        (PAYLOAD, attachment, bytes(16), False),
+        (PAYLOAD + b"x", attachment, QUESTION, False),
+        (PAYLOAD, b"", QUESTION, False),
+        (PAYLOAD, chain, QUESTION, False),
+        (PAYLOAD, bytes(ROBOT_PROOF_BYTES) + chain, QUESTION, False),
+        (PAYLOAD, b"\1" + attachment[1:ROBOT_PROOF_BYTES][::-1] + chain[:-1] + b"!", QUESTION, False),
+    ):
+        assert proof.is_namesake(payload, shown, question, NOW_S) is is_one
+
+
+@given(st.binary(max_size=400))
+def test_whatever_is_answered_under_its_name_breaks_nothing(attachment: bytes) -> None:
+    """It comes from anybody."""
+    assert not BENCH.authority.name_proof.is_namesake(PAYLOAD, attachment, QUESTION, NOW_S)

@@ -18,7 +18,7 @@ from gateway.authority.enrolment import EnrolmentRole, bundle_text, new_request,
 from gateway.provisioning.issuer import Issuer, Wanted, ask_again
 from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates
 from schemas.authority.key_files import read_identity
-from schemas.authority.proof import GrantRole, Revocations, Rotation, Signed
+from schemas.authority.proof import GrantRole, Revocations, Signed
 from schemas.authority.trust import HeldGrant, Objection, Trust, key_fingerprint, keys_fingerprint
 from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
@@ -235,17 +235,6 @@ def test_a_grant_that_is_lost_is_asked_for_again(fleet: ProvisionedFleet, conten
     assert fleet.grant("ann").speed_limit_mps == 0.5
 
 
-def test_who_was_let_in_is_written_down(fleet: ProvisionedFleet) -> None:
-    """A line each, readable in less."""
-    fleet.let_in("operator", "ann")
-    fleet.let_in("viewer", "hall")
-    lines = (fleet.place / "authority" / "issued.jsonl").read_text().splitlines()
-    assert [(json.loads(line)["role"], json.loads(line)["name"]) for line in lines] == [
-        ("operator", "ann"),
-        ("viewer", "hall"),
-    ]
-
-
 def test_a_name_that_has_a_key_gets_no_other_in_silence(
     fleet: ProvisionedFleet, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -324,16 +313,6 @@ def test_a_list_of_revocations_holds_all_of_before(fleet: ProvisionedFleet) -> N
     assert isinstance(trust.revoke(first), Objection)
 
 
-def test_a_site_of_an_earlier_version_is_revoked_by_its_name(fleet: ProvisionedFleet) -> None:
-    """The list of who was let in still has it."""
-    key = "ab" * 32
-    line = f'{{"at":1,"role":"site","name":"depot","key":"{key}","grant":"","until":2,"body":""}}'
-    (fleet.authority / "issued.jsonl").write_text(line + "\n")
-    file = fleet.place / "list.statement"
-    run("revoke", "depot", "--directory", fleet.authority, "-o", file)
-    assert key in file.read_text()
-
-
 def test_a_revoked_key_is_let_in_nowhere(fleet: ProvisionedFleet) -> None:
     """No robot would take the grant: the list is named, and what makes a new key. The new key is let in."""
     ann = fleet.let_in("operator", "ann")
@@ -380,31 +359,6 @@ def test_a_list_is_no_longer_than_a_robot_takes(fleet: ProvisionedFleet) -> None
     assert (statement.keys, statement.epoch) == ([f"{0:064x}"], 1)
 
 
-def test_raising_the_epoch_ends_all_grants_of_before(fleet: ProvisionedFleet) -> None:
-    """New ones hold again."""
-    ann = fleet.let_in("operator", "ann")
-    trust = read_identity(ann, "operator").trust.revoke(revoked(fleet, "--epoch"))
-    assert isinstance(judged(trust, ann), Objection)
-    assert isinstance(judged(trust, fleet.let_in("operator", "bea")), HeldGrant)
-
-
-def test_the_standby_replaces_a_stolen_authority(fleet: ProvisionedFleet) -> None:
-    """What the old one granted is over, what the new one grants holds, and the old one cannot come back."""
-    ann = fleet.let_in("operator", "ann")
-    new = ProvisionedFleet(fleet.place / "new")
-    run("rotate", new.place / "authority" / "authority.json", "--directory", fleet.place / "standby")
-    signed = chain(fleet.place / "rotation.statement")[0]
-    assert isinstance(signed.statement, Rotation)
-    trust = read_identity(ann, "operator").trust.rotate(signed)
-    assert not isinstance(trust, Objection)
-    assert isinstance(trust.judge(chain(ann / "operator.grant"), int(time.time())), Objection)
-    bea = new.let_in("operator", "bea")
-    assert isinstance(trust.judge(chain(bea / "operator.grant"), int(time.time())), HeldGrant)
-    run("revoke", "ann", "--directory", fleet.authority)
-    assert isinstance(trust.revoke(chain(fleet.place / "revocations.statement")[0]), Objection)
-    assert isinstance(trust.rotate(signed), Objection)
-
-
 def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
     fleet: ProvisionedFleet,
 ) -> None:
@@ -429,18 +383,6 @@ def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
 
 
 # Nothing is overwritten.
-
-
-@pytest.mark.parametrize("role", ["robot", "operator", "viewer", "recorder", "router", "desk"])
-def test_keys_are_not_made_twice(fleet: ProvisionedFleet, role: str) -> None:
-    """The same command again says how to go on, and changes nothing."""
-    fleet.request(role, "one")
-    before = {file: file.read_bytes() for file in (fleet.place / "one").iterdir()}
-    text = refused(role, "one", "--directory", fleet.place / "one", "-o", "other.request")
-    assert f"provision renew {role}" in text
-    assert {file: file.read_bytes() for file in (fleet.place / "one").iterdir()} == before
-    run(role, "one", "--directory", fleet.place / "one", "-o", "other.request", "--replace")
-    assert {file: file.read_bytes() for file in (fleet.place / "one").iterdir()} != before
 
 
 def test_nothing_is_written_over(fleet: ProvisionedFleet) -> None:
@@ -543,22 +485,6 @@ def read_key(file: Path) -> Ed25519PrivateKey:
     key = load_pem_private_key(file.read_bytes(), None)
     assert isinstance(key, Ed25519PrivateKey)
     return key
-
-
-def test_a_changed_bundle_is_refused(fleet: ProvisionedFleet) -> None:
-    """One that a stranger, or a person, signed in the authority's name. Each byte, see test_enrolment."""
-    bea = read_identity(fleet.let_in("operator", "bea"), "operator")
-    file = fleet.sign(fleet.request("operator", "ann"))
-    robot = ("--directory", fleet.place / "ann")
-    whole, changed = file.read_bytes(), fleet.place / "changed.bundle"
-    for text in (b"", b"no", b"{}\n{}", whole.partition(b"\n")[0], whole.replace(b"ann", b"bob", 1)):
-        changed.write_bytes(text)
-        refused("install", changed, *robot)
-    for key in (Ed25519PrivateKey.generate(), bea.private):
-        changed.write_bytes(bundle_text(bundle_of(file), key))
-        assert "not signed by the authority that it names" in refused("install", changed, *robot)
-    assert sorted(path.name for path in (fleet.place / "ann").iterdir()) == ["operator-tls.key", "operator.key"]
-    assert "of the authority" in refused("install", file, *robot, "--fingerprint", "0000")
 
 
 def test_a_bundle_for_other_keys_is_refused(fleet: ProvisionedFleet) -> None:

@@ -14,10 +14,9 @@ from gateway.authority.robot_authority import Kept
 from gateway.choice import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.host.signed_mode import SignedMode, note_path
+from gateway.host.signed_mode import WAITS, Renewal, SignedMode, note_path
 from gateway.provisioning.key_files import expires_s, read_certificates
 from schemas.authority.proof import Grant, chain_text
-from schemas.authority.trust import AuthorityKeys
 from schemas.command_line import CommandError
 from schemas.decisions import StatementReply
 from schemas.reasons import Reason
@@ -98,19 +97,6 @@ def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedF
     assert started(fleet) == chain_text(chain(installed))
 
 
-def test_a_robot_starts_under_another_authority_that_was_installed(fleet: ProvisionedFleet) -> None:
-    """Whatever it learnt of the former one, which a gateway that runs meanwhile saves again."""
-    started(fleet)
-    bundle = renewed(fleet, "5")
-    run("revoke", "cruiser-1", "--directory", fleet.place / "authority")
-    before = msgspec.json.decode((fleet.place / "cruiser-1" / "authority.json").read_bytes(), type=AuthorityKeys)
-    noted(fleet, Kept(revocations=Path("revocations.statement").read_text(), since=before))
-    new = ProvisionedFleet(fleet.place / "new")
-    run("sign", "5.request", "--directory", new.place / "authority", "-o", bundle, "--replace")
-    run("install", bundle, "--directory", fleet.place / "cruiser-1", "--replace", "--fingerprint", new.fingerprint)
-    assert started(fleet) == chain_text(chain(fleet.place / "cruiser-1" / "robot.grant"))
-
-
 def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: ProvisionedFleet, tmp_path: Path) -> None:
     """After a restart it would have forgotten it. The text names the file."""
     place = tmp_path / "state"
@@ -148,3 +134,59 @@ def test_the_ends_of_the_robots_certificate_and_grant_are_known(fleet: Provision
     assert signed.authority.grant_ends_s == min(one.not_after for one in grants if isinstance(one, Grant))
     certificate = read_certificates((place / "robot-tls.pem").read_text())[0]
     assert signed.certificate_ends_s == expires_s(certificate)
+
+
+# When files that were installed anew have a gateway started again.
+
+
+class Robot:
+    """A robot's files."""
+
+    def __init__(self, place: Path) -> None:
+        self.fleet = ProvisionedFleet(place)
+        self.files = self.fleet.let_in("robot", "cruiser-1")
+        self.settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(self.files)))
+
+    def renew(self) -> None:
+        request = self.fleet.place / "again.request"
+        run("renew", "robot", "--directory", self.files, "-o", request)
+        run("install", self.fleet.sign(request), "--directory", self.files, "--replace")
+
+
+@pytest.fixture
+def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Robot:
+    """A robot that was provisioned."""
+    monkeypatch.chdir(tmp_path)
+    return Robot(tmp_path)
+
+
+def looks(renewal: Renewal, number: int = 3) -> list[bool]:
+    return [renewal.look() for _ in range(number)]
+
+
+def test_an_installation_ends_the_gateway_once_two_looks_agree(robot: Robot) -> None:
+    """It writes several files. Whoever looks in between waits."""
+    renewal = Renewal(robot.settings, is_managed=True)
+    assert looks(renewal) == [False] * 3
+    robot.renew()
+    assert looks(renewal, 2) == [False, True]
+    assert (renewal.is_taken, renewal.note) == (True, "")
+
+
+def test_a_robot_that_gets_its_first_grant_is_started_again(robot: Robot) -> None:
+    """Files that are missing have nothing started."""
+    grant = robot.files / "robot.grant"
+    text = grant.read_text()
+    grant.unlink()
+    renewal = Renewal(robot.settings, is_managed=True)
+    assert looks(renewal) == [False] * 3
+    grant.write_text(text)
+    assert looks(renewal, 2) == [False, True]
+
+
+def test_a_gateway_that_nobody_starts_again_stays_and_says_so(robot: Robot) -> None:
+    """As in a terminal, or in a container."""
+    renewal = Renewal(robot.settings, is_managed=False)
+    robot.renew()
+    assert looks(renewal) == [False] * 3
+    assert (renewal.is_taken, renewal.note) == (False, WAITS)

@@ -17,11 +17,9 @@ from gateway.provisioning.key_files import (
     RENEW_S,
     CertificateError,
     begins_s,
-    certificate_ends_s,
     check_kinds,
     check_tls_files,
     expires_s,
-    is_issued,
     issue,
     names_of,
     new_authority,
@@ -32,7 +30,6 @@ from gateway.provisioning.key_files import (
     why_shut_out,
 )
 from schemas.command_line import CommandError
-from schemas.settings import ZenohSettings
 from tests.support.secured import Network
 
 NOW_S = 1_795_000_000
@@ -187,17 +184,6 @@ def test_a_certificate_of_another_network_is_named(file: Path, tmp_path: Path) -
     refused(file, now_s, "is of another network than")
 
 
-def test_a_chain_ends_at_a_root() -> None:
-    """With or without the root behind it."""
-    ca, ann = new_key(), new_key()
-    root = new_authority(ca, NOW_S)
-    text = issue(new_request(ann, "viewer", ["ann"]), TransportRole.VIEWER, root, ca, NOW_S)
-    roots, chain = read_certificates(root), read_certificates(text)
-    assert is_issued(chain, roots)
-    assert is_issued([*chain, *roots], roots)
-    assert not is_issued(chain, read_certificates(new_authority(new_key(), NOW_S)))
-
-
 def test_why_no_session_opened_is_looked_for_in_its_files(file: Path) -> None:
     """A file that is missing; a clock that is behind all certificates. Where nothing is wrong nothing is said."""
     begins = begins_s(read_certificates(file.with_name("router-tls.pem").read_text())[0])
@@ -220,23 +206,3 @@ def test_a_fifo_is_not_waited_for(file: Path, name: str) -> None:
     with pytest.raises(CommandError, match=f"{name} is a FIFO"):
         check_kinds(file)
     refused(file, NOW_S, f"{name} is a FIFO")
-
-
-@pytest.mark.parametrize("text", ["{mode: 'router'}", "[]", "{}", '{"transport": {"link": {"tls": 1}}}'])
-def test_of_a_file_by_hand_nothing_is_said(tmp_path: Path, text: str) -> None:
-    """Zenoh reads it, and says what it thinks of it."""
-    file = tmp_path / "own.json5"
-    file.write_text(text)
-    assert check_tls_files(file, "router", NOW_S) == ""
-    assert certificate_ends_s(ZenohSettings(config=str(file))) is None
-
-
-def test_the_end_of_the_certificate_in_force_is_found(file: Path) -> None:
-    """Whether it is over or not; where there is none, or a damaged one, nothing is said."""
-    settings = ZenohSettings(config=str(file))
-    assert certificate_ends_s(settings) == ends_s(file)
-    file.with_name("router-tls.pem").write_text("damaged")
-    assert certificate_ends_s(settings) is None
-    file.with_name("router-tls.pem").unlink()
-    assert certificate_ends_s(settings) is None
-    assert certificate_ends_s(ZenohSettings()) is None
