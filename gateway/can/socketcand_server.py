@@ -1,6 +1,4 @@
-"""The virtual CAN bus on a TCP port, and its protocol.
-
-The server's side of the socketcand text protocol: bytes in to events, frames to bytes. No I/O.
+"""The virtual CAN bus on a TCP port, by the socketcand text protocol.
 
 The protocol is that of github.com/linux-can/socketcand, in raw mode::
 
@@ -13,27 +11,19 @@ The protocol is that of github.com/linux-can/socketcand, in raw mode::
 
 An identifier of 3 digits is standard, one of 8 extended. Outside the protocol, and in any state, a client may
 cause a fault of the virtual chassis by ``< fault bumper front on >``; the answer is ``< ok >`` or
-``< error reason >``.
-
-A CAN bus on a TCP port, for the socketcand text protocol: the I/O around ``socketcand_protocol``.
-
-One thread, no queue without bound. ``wait`` blocks; everything else returns at once. Time is an argument.
+``< error reason >``. One thread, no queue without bound; only ``wait`` blocks.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import logging
 import re
 import selectors
 import socket
-from collections import deque
 from collections.abc import Callable, Iterable
 from enum import Enum
-from typing import Final
-
-import msgspec
+from typing import Final, NamedTuple
 
 from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE, STANDARD_MASK, Frame, hex_identifier
 
@@ -49,29 +39,14 @@ _MAX_SHOWN_BYTES: Final = 60
 """The part of a wrong message that an error repeats."""
 
 
-class ServerReply(msgspec.Struct, frozen=True):
-    """Bytes that this client is to get."""
-
-    data: bytes
-
-
-class RawModeEntered(msgspec.Struct, frozen=True):
-    """From here on the client gets the frames of the bus."""
-
-
-class Sent(msgspec.Struct, frozen=True):
-    """The client put a frame on the bus; its time is not known yet."""
-
-    frame: Frame
-
-
-class FaultAsked(msgspec.Struct, frozen=True):
+class FaultAsked(NamedTuple):
     """The client asks for a fault, and waits for OK or an error."""
 
     text: str
 
 
-Event = ServerReply | RawModeEntered | Sent | FaultAsked
+Event = bytes | Frame | FaultAsked
+"""An answer that the client is to get, a frame that it put on the bus, whose time is not known yet, or a fault."""
 
 
 class _State(Enum):
@@ -90,6 +65,11 @@ class ServerConnection:
         self._state = _State.CONNECTED
         self._buffer = b""
 
+    @property
+    def is_raw(self) -> bool:
+        """The client gets the frames of the bus."""
+        return self._state is _State.RAW
+
     def receive_bytes(self, data: bytes) -> list[Event]:
         """Return the events in these bytes, and in those kept from before."""
         *messages, rest = (self._buffer + data).split(b">")
@@ -98,7 +78,7 @@ class ServerConnection:
             # What comes before the last '<' is noise, or a message whose end was lost.
             _, bracket, body = message.rpartition(b"<")
             if not bracket or len(body) > MAX_MESSAGE_BYTES:
-                events.append(_error("a message begins with '<' and ends with '>'"))
+                events.append(error_line("a message begins with '<' and ends with '>'"))
             else:
                 events += self._message(body)
         # Of an overlong rest only its first bytes are kept: enough to know that it is overlong when its end comes.
@@ -112,44 +92,39 @@ class ServerConnection:
             case b"send":
                 return [self._send(rest)]
             case b"echo":
-                return [ServerReply(ECHO)]
+                return [ECHO]
             case b"fault":
                 return [FaultAsked(rest.decode("ascii", errors="replace"))]
             case b"open":
-                return self._advance(_State.CONNECTED, _State.OPENED) if rest else [_error("open what bus?")]
+                return self._advance(_State.CONNECTED, _State.OPENED) if rest else [error_line("open what bus?")]
             case b"rawmode":
-                events = self._advance(_State.OPENED, _State.RAW)
-                return (
-                    [*events, RawModeEntered()]
-                    if self._state is _State.RAW and events == [ServerReply(OK)]
-                    else events
-                )
+                return self._advance(_State.OPENED, _State.RAW)
             case _:
-                return [_error(f"unknown command {_shown(word)}")]
+                return [error_line(f"unknown command {_shown(word)}")]
 
     def _advance(self, wanted: _State, following: _State) -> list[Event]:
         if self._state is not wanted:
-            return [_error(self._state.value)]
+            return [error_line(self._state.value)]
         self._state = following
-        return [ServerReply(OK)]
+        return [OK]
 
     def _send(self, rest: bytes) -> Event:
         if self._state is not _State.RAW:
-            return _error(self._state.value)
+            return error_line(self._state.value)
         match = _SEND.fullmatch(rest)
         if match is None:
-            return _error(f"cannot send {_shown(rest)}")
+            return error_line(f"cannot send {_shown(rest)}")
         can_id = int(match[1], 16)
         if can_id > (IDENTIFIER_MASK if len(match[1]) == 8 else STANDARD_MASK):
-            return _error(f"identifier {_shown(match[1])} is too large")
+            return error_line(f"identifier {_shown(match[1])} is too large")
         can_id |= EXTENDED if len(match[1]) == 8 else 0
         length, data = int(match[2], 16), bytes(int(byte, 16) for byte in match[3].split())
         if length <= 8 and not data and length:
             # python-can writes a remote frame so; the protocol itself has no word for one.
-            return Sent(Frame(can_id | REMOTE, b"", remote_length=length))
+            return Frame(can_id | REMOTE, b"", remote_length=length)
         if length != len(data):
-            return _error(f"length {length} and {len(data)} bytes do not fit")
-        return Sent(Frame(can_id, data))
+            return error_line(f"length {length} and {len(data)} bytes do not fit")
+        return Frame(can_id, data)
 
 
 def frame_line(frame: Frame) -> bytes | None:
@@ -169,10 +144,6 @@ def error_line(reason: str) -> bytes:
     return f"< error {text} >".encode("ascii", errors="replace")
 
 
-def _error(reason: str) -> ServerReply:
-    return ServerReply(error_line(reason))
-
-
 def _shown(data: bytes) -> str:
     return repr(data[:_MAX_SHOWN_BYTES].decode("ascii", errors="replace"))
 
@@ -183,13 +154,7 @@ MAX_CLIENTS: Final = 64
 """Well below the 1024 descriptors that select() can watch."""
 
 MAX_QUEUED_BYTES: Final = 1 << 20
-"""The most bytes queued for a slow client, besides the kernel's buffer: about 25 s of nominal feedback."""
-
-MAX_REPLY_BYTES: Final = 64 * 1024
-"""A client that asks for more answers than this without reading them is cut off."""
-
-ACCEPT_PAUSE_NS: Final = 1_000_000_000
-"""The pause in accepting clients after this process, or the machine, has run out of descriptors or memory."""
+"""A client that leaves more than this unread, about 25 s of nominal feedback, is cut off."""
 
 JOIN_NS: Final = 100_000_000
 """The delay from a client's handshake until it receives frames.
@@ -198,85 +163,20 @@ python-can's handshake reads up to 256 bytes once and expects exactly ``< ok >``
 fail it. The kernel gives no sign that an answer has been read, so a delay has to do.
 """
 
-_EXHAUSTED: Final = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
-
 _RECEIVE_BYTES: Final = 65_536
 
 Inject = Callable[[str], str]
 """Causes the fault that a text names; returns what is wrong with the text, or nothing."""
 
 
-class _Outbox:
-    """The batches queued for a client; the oldest frames are dropped when it does not read."""
-
-    def __init__(self) -> None:
-        self._batches: deque[tuple[bytes, int]] = deque()
-        self._head = b""
-        self._queued_bytes = 0
-        self._reply_bytes = 0
-        self.dropped = 0
-
-    def __bool__(self) -> bool:
-        return bool(self._head or self._batches)
-
-    @property
-    def overflowing(self) -> bool:
-        """The client leaves even its answers unread."""
-        return self._reply_bytes > MAX_REPLY_BYTES
-
-    def put_reply(self, data: bytes) -> None:
-        """An answer: never dropped."""
-        self._batches.append((data, 0))
-        self._queued_bytes += len(data)
-        self._reply_bytes += len(data)
-
-    def put_frames(self, data: bytes, frames: int) -> bool:
-        """Frames, whole ones: the batch as it is may be dropped. True if others had to be dropped for it."""
-        self._batches.append((data, frames))
-        self._queued_bytes += len(data)
-        full = self._queued_bytes > MAX_QUEUED_BYTES
-        if full:
-            self._drop_oldest()
-        return full
-
-    def send(self, connection: socket.socket) -> None:
-        """Sends what the kernel takes.
-
-        Raises:
-            OSError: the client has gone.
-        """
-        while self:
-            if not self._head:
-                self._head, frames = self._batches.popleft()
-                self._queued_bytes -= len(self._head)
-                self._reply_bytes -= 0 if frames else len(self._head)
-            try:
-                sent = connection.send(self._head)
-            except BlockingIOError:
-                return
-            self._head = self._head[sent:]
-
-    def _drop_oldest(self) -> None:
-        kept: deque[tuple[bytes, int]] = deque()
-        # Down to half: dropping costs a pass over the queue, and must not be paid for each frame from here on.
-        while self._batches and self._queued_bytes > MAX_QUEUED_BYTES // 2:
-            data, frames = self._batches.popleft()
-            if frames:
-                self._queued_bytes -= len(data)
-                self.dropped += frames
-            else:
-                kept.append((data, frames))
-        self._batches.extendleft(reversed(kept))
-
-
 class _Client:
-    """A connection."""
+    """A connection, and what waits for it."""
 
     def __init__(self, connection: socket.socket, name: str) -> None:
         self.connection = connection
         self.name = name
         self.protocol = ServerConnection()
-        self.outbox = _Outbox()
+        self.queued = bytearray()
         self.joins_ns: int | None = None
         self.watched = selectors.EVENT_READ
 
@@ -285,11 +185,7 @@ class SocketcandServer:
     """The bus. Each client gets the frames of the chassis and of the other clients, not its own."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Listens.
-
-        Raises:
-            OSError: the address cannot be had.
-        """
+        """Listens. Raises OSError: the address cannot be had."""
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         # socket.create_server sets SO_REUSEADDR where that does not let two servers share a port.
         self._listener = socket.create_server((host, port), family=family, backlog=16)
@@ -299,8 +195,6 @@ class SocketcandServer:
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._clients: dict[socket.socket, _Client] = {}
         self._ready: list[tuple[selectors.SelectorKey, int]] = []
-        self._accepts_again_ns: int | None = None
-        self.dropped = 0
 
     @property
     def address(self) -> tuple[str, int]:
@@ -320,13 +214,10 @@ class SocketcandServer:
     def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
         """Does what the clients ask for, and returns the frames that they put on the bus."""
         frames: list[Frame] = []
-        if self._accepts_again_ns is not None and now_ns >= self._accepts_again_ns:
-            self._accepts_again_ns = None
-            self._selector.register(self._listener, selectors.EVENT_READ)
         for key, events in self._ready:
             client: _Client | None = key.data
             if client is None:
-                self._accept(now_ns)
+                self._accept()
                 continue
             if events & selectors.EVENT_READ:
                 frames += self._read_client(client, now_ns, wall_ns, inject)
@@ -345,16 +236,11 @@ class SocketcandServer:
         self._selector.close()
         self._listener.close()
 
-    def _accept(self, now_ns: int) -> None:
+    def _accept(self) -> None:
         try:
             connection, peer = self._listener.accept()
-        except OSError as error:
-            if error.errno in _EXHAUSTED:
-                # The client stays in the queue and would wake us without end.
-                _logger.warning("nobody is let in for a while: %s", error.strerror)
-                self._selector.unregister(self._listener)
-                self._accepts_again_ns = now_ns + ACCEPT_PAUSE_NS
-            return  # Else it went away again before we came to it.
+        except OSError:
+            return  # It went away again before we came to it.
         if len(self._clients) >= MAX_CLIENTS:
             with contextlib.suppress(OSError):
                 connection.send(error_line(f"there are {MAX_CLIENTS} clients already"))
@@ -366,7 +252,7 @@ class SocketcandServer:
         self._clients[connection] = client
         self._selector.register(connection, selectors.EVENT_READ, client)
         _logger.info("%s connected", client.name)
-        client.outbox.put_reply(HI)
+        client.queued += HI
         self._flush(client)
 
     def _read_client(self, client: _Client, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
@@ -382,16 +268,15 @@ class SocketcandServer:
             return []
         frames: list[Frame] = []
         for event in client.protocol.receive_bytes(data):
-            match event:
-                case Sent(frame):
-                    frames.append(Frame(frame.can_id, frame.data, wall_ns, 0, frame.remote_length))
-                case ServerReply(reply):
-                    client.outbox.put_reply(reply)
-                case RawModeEntered():
-                    client.joins_ns = now_ns + JOIN_NS
-                case FaultAsked(text):
-                    reason = inject(text)
-                    client.outbox.put_reply(error_line(reason) if reason else OK)
+            if isinstance(event, Frame):
+                frames.append(Frame(event.can_id, event.data, wall_ns, 0, event.remote_length))
+            elif isinstance(event, FaultAsked):
+                reason = inject(event.text)
+                client.queued += error_line(reason) if reason else OK
+            else:
+                client.queued += event
+        if client.protocol.is_raw and client.joins_ns is None:
+            client.joins_ns = now_ns + JOIN_NS
         self._broadcast(frames, now_ns, client)
         return frames
 
@@ -406,10 +291,7 @@ class SocketcandServer:
             return
         data = b"".join(lines)
         for client in receivers:
-            if client.outbox.put_frames(data, len(lines)):
-                _logger.warning(
-                    "%s reads too slowly: %d frames dropped so far", client.name, client.outbox.dropped
-                )
+            client.queued += data
             self._flush(client)
 
     def _flush(self, client: _Client) -> None:
@@ -417,14 +299,16 @@ class SocketcandServer:
         if client.connection not in self._clients:
             return
         try:
-            client.outbox.send(client.connection)
+            while client.queued:
+                del client.queued[: client.connection.send(client.queued)]
+        except BlockingIOError:
+            if len(client.queued) > MAX_QUEUED_BYTES:
+                self._drop_client(client, "it does not read")
+                return
         except OSError as error:
             self._drop_client(client, str(error))
             return
-        if client.outbox.overflowing:
-            self._drop_client(client, "it reads no answers")
-            return
-        watched = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.outbox else 0)
+        watched = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.queued else 0)
         if watched != client.watched:
             client.watched = watched
             self._selector.modify(client.connection, watched, client)
@@ -432,7 +316,6 @@ class SocketcandServer:
     def _drop_client(self, client: _Client, reason: str) -> None:
         if self._clients.pop(client.connection, None) is None:
             return
-        self.dropped += client.outbox.dropped
-        _logger.info("%s gone: %s; %d frames dropped", client.name, reason, client.outbox.dropped)
+        _logger.info("%s gone: %s", client.name, reason)
         self._selector.unregister(client.connection)
         client.connection.close()

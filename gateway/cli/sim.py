@@ -1,9 +1,4 @@
-"""``cruiser sim``: a virtual chassis in real time.
-
-- Lines that are typed, or piped in, while a command runs. Never blocks, never spins.
-- The virtual chassis in real time: the one place of this package with clocks.
-- ``cruiser sim``: a virtual chassis on a CAN bus.
-"""
+"""``cruiser sim``: a virtual chassis on a CAN bus, in real time."""
 
 from __future__ import annotations
 
@@ -11,32 +6,23 @@ import argparse
 import contextlib
 import logging
 import os
-import select
-import stat
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final, Protocol
 
 import msgspec
 
-from gateway.can.can_bus import Bus, BusFull
+from gateway.can.can_bus import Bus, BusFull, BusLost
+from gateway.can.open_bus import describe, open_bus
 from gateway.can.socketcand_server import SocketcandServer
 from gateway.chassis.frame import ERROR, Frame
 from gateway.choice import CHASSIS
-from gateway.sim.body import (
-    CONDITION_BOUNDS,
-    MAX_RATE_MULTIPLIER,
-    MIN_RATE_MULTIPLIER,
-    NOMINAL,
-    Conditions,
-    StopMode,
-)
+from gateway.sim.body import MAX_RATE_MULTIPLIER, MIN_RATE_MULTIPLIER, NOMINAL, Conditions, StopMode
 from gateway.sim.disturbances import (
     GRAMMAR,
+    FaultLine,
     FaultTextError,
-    ScheduledFault,
     parse,
     parse_address,
     parse_scheduled,
@@ -48,65 +34,12 @@ from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Variant
 from schemas.settings import CanSettings, Settings
 
-_READ_BYTES: Final = 4096
-_MAX_LINE_BYTES: Final = 1024
-"""A line that gets longer than this is given up."""
-
-
-class TypedLines:
-    """The lines of a terminal or a pipe; of anything else, none."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._buffer = b""
-        self._open = _can_be_typed_into(descriptor)
-
-    def read(self) -> list[str]:
-        """The lines that are complete by now."""
-        if not self._open or not self._is_ready():
-            return []
-        try:
-            data = os.read(self._descriptor, _READ_BYTES)
-        except OSError:
-            data = b""  # The terminal has gone.
-        if not data:
-            self._open = False
-            *lines, rest = [*self._buffer.split(b"\n"), b""]
-        else:
-            *lines, rest = (self._buffer + data).split(b"\n")
-        self._buffer = rest[:_MAX_LINE_BYTES]
-        return [text for line in lines if (text := line.decode("utf-8", errors="replace").strip())]
-
-    def _is_ready(self) -> bool:
-        # A process in the background that reads its terminal is stopped by SIGTTIN.
-        if _is_in_background(self._descriptor):
-            return False
-        return bool(select.select([self._descriptor], [], [], 0)[0])
-
-
-def _is_in_background(descriptor: int) -> bool:
-    try:
-        return os.tcgetpgrp(descriptor) != os.getpgrp()
-    except OSError:
-        return False  # A pipe, or a terminal that does not control this process: it stops nobody.
-
-
-def _can_be_typed_into(descriptor: int) -> bool:
-    try:
-        return os.isatty(descriptor) or stat.S_ISFIFO(os.fstat(descriptor).st_mode)
-    except OSError:
-        return False  # The process was started without it.
-
-
 _logger = logging.getLogger(__name__)
 
 _NS_PER_S: Final = 1_000_000_000
 
 _MAX_WAIT_NS: Final = 50_000_000
 """A signal to stop is seen after this time at the latest."""
-
-_TYPED_PERIOD_NS: Final = 100_000_000
-"""The period in which typed lines are read."""
 
 _STALL_NS: Final = 500_000_000
 """Later than this, the process was stopped rather than late: the time is left out of the chassis's life.
@@ -200,23 +133,13 @@ def live(
     chassis: VirtualChassis,
     link: SimBus,
     stopped: Callable[[], bool],
-    *,
     clock: SimClock,
-    lines: TypedLines,
-    answer: Callable[[str], None],
     seconds: float | None = None,
 ) -> SimSummary:
-    """Run the chassis on the bus until interrupted.
-
-    Args:
-        chassis: powered up at the clock's monotonic time.
-        stopped: turns true when the run should end.
-        seconds: ends the run by itself after this time.
-    """
+    """Run the chassis, powered up at the clock's monotonic time, on the bus until interrupted."""
     summary = SimSummary()
     now_ns = clock.monotonic_ns()
     end_ns = None if seconds is None else now_ns + round(seconds * _NS_PER_S)
-    next_lines_ns = now_ns
 
     def inject(text: str) -> str:
         line = parse(text)
@@ -236,10 +159,6 @@ def live(
         if frames:
             link.send(frames, now_ns)
             summary.sent += len(frames)
-        if now_ns >= next_lines_ns:
-            next_lines_ns = now_ns + _TYPED_PERIOD_NS
-            for text in lines.read():
-                answer(inject(text) or f"ok: {text}")
     return summary
 
 
@@ -257,28 +176,13 @@ def _time_of_life(clock: SimClock, chassis: VirtualChassis, summary: SimSummary)
 EXAMPLE: Final = """\
   cruiser sim                                     a coarse chassis on 127.0.0.1:29536
   cruiser sim --variant fine --fault "3s bumper front on" --fault "5s silence Auto_GearFeedBack for 2s"
-  cruiser sim --slope 8 --payload 100 --stop-mode coasts
+  cruiser sim --fault "slope 8" --fault "payload 100" --stop-mode coasts
   cruiser sim --interface socketcan --channel vcan0
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536      puts it on Zenoh"""
 
-_STDIN: Final = 0
-
-_CONDITION_FLAGS: Final = {
-    "slope_deg": ("--slope", "DEG", "stand on a slope, nose up positive, from {low:g} to {high:g}"),
-    "payload_kg": ("--payload", "KG", "carry this much, up to {high:g}"),
-    "pedal_gain": (
-        "--pedal-gain",
-        "GAIN",
-        "how much of the brake the brake pedal applies, from {low:g} to {high:g}",
-    ),
-    "parking_grip": ("--parking-grip", "SHARE", "share of its grip that the parking brake has, to {high:g}"),
-    "parking_delay_s": ("--parking-delay", "S", "seconds that the parking brake takes, up to {high:g}"),
-}
-"""The conditions that have a flag: its name, its value, its help."""
-
 _FAULT_HELP: Final = f"""\
-Faults, for --fault (with a delay before them, as in '3s bumper front on'), for 'cruiser fault', or typed while
-the chassis runs:
+Faults, for --fault (with a delay before them, as in '3s bumper front on'), or for 'cruiser fault' while the
+chassis runs:
 
 {GRAMMAR}"""
 
@@ -299,22 +203,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
     parser.add_argument(
         "--rate-multiplier",
-        type=partial(_bounded, low=MIN_RATE_MULTIPLIER, high=MAX_RATE_MULTIPLIER),
+        type=_rate_multiplier,
         default=1.0,
         metavar="N",
         help="send the feedback N times as often as the DBC says, to load a bus: 11.9 gives 7,500 frames/s",
     )
-    for field, (flag, metavar, text) in _CONDITION_FLAGS.items():
-        low, high = CONDITION_BOUNDS[field]
-        default = getattr(NOMINAL, field)
-        parser.add_argument(
-            flag,
-            dest=field,
-            type=partial(_bounded, low=low, high=high),
-            default=default,
-            metavar=metavar,
-            help=f"{text.format(low=low, high=high)} (default {default:g})",
-        )
     parser.add_argument(
         "--stop-mode",
         choices=[mode.value for mode in StopMode],
@@ -340,21 +233,14 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with _bus(settings.can) if attached else _server(settings.sim.listen) as (link, place):
         clock = SimClock()
         now_ns = clock.monotonic_ns()
+        conditions = Conditions(stop_mode=StopMode(arguments.stop_mode))
         chassis = VirtualChassis(
-            CHASSIS, variant, now_ns, rate_multiplier=arguments.rate_multiplier, conditions=_conditions(flags)
+            CHASSIS, variant, now_ns, rate_multiplier=arguments.rate_multiplier, conditions=conditions
         )
         for fault in faults:
-            chassis.inject(fault.line, now_ns + fault.after_ns)
-        _say(f"{variant.value} chassis on {place}")
-        summary = live(
-            chassis,
-            link,
-            stopped,
-            clock=clock,
-            lines=TypedLines(_STDIN),
-            answer=_say,
-            seconds=arguments.seconds,
-        )
+            chassis.inject(fault, now_ns + fault.after_ns)
+        sys.stderr.write(f"sim: {variant.value} chassis on {place}\n")
+        summary = live(chassis, link, stopped, clock, arguments.seconds)
     _logger.info("%d frames sent, %d received", summary.sent, summary.received)
     return ExitCode.OK
 
@@ -377,10 +263,6 @@ def _server(address: str) -> Iterator[tuple[SimBus, str]]:
 
 @contextlib.contextmanager
 def _bus(settings: CanSettings) -> Iterator[tuple[SimBus, str]]:
-    # python-can takes a while to import, and the server does without it.
-    from gateway.can.can_bus import BusLost  # noqa: PLC0415
-    from gateway.can.open_bus import describe, open_bus  # noqa: PLC0415
-
     try:
         bus = open_bus(settings)
         try:
@@ -391,27 +273,18 @@ def _bus(settings: CanSettings) -> Iterator[tuple[SimBus, str]]:
         raise CommandError(f"no bus: {error}", ExitCode.UNREACHABLE) from error
 
 
-def _scheduled(text: str) -> ScheduledFault:
+def _scheduled(text: str) -> FaultLine:
     fault = parse_scheduled(text)
     if isinstance(fault, FaultTextError):
         raise CommandError(f"--fault {text!r}: {fault.reason}", ExitCode.USAGE)
     return fault
 
 
-def _conditions(flags: Mapping[str, object]) -> Conditions:
-    stop_mode = StopMode(flags["stop_mode"])
-    return Conditions(**{field: flags[field] for field in _CONDITION_FLAGS}, stop_mode=stop_mode)  # type: ignore[arg-type]
-
-
-def _bounded(text: str, low: float, high: float) -> float:
+def _rate_multiplier(text: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is no number") from error
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is not from {low:g} to {high:g}")
+    if not MIN_RATE_MULTIPLIER <= value <= MAX_RATE_MULTIPLIER:
+        raise argparse.ArgumentTypeError(f"{text} is not from {MIN_RATE_MULTIPLIER:g} to {MAX_RATE_MULTIPLIER:g}")
     return value
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"sim: {text}\n")

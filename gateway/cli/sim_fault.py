@@ -37,20 +37,24 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Sends the fault, and prints the answer."""
     del stopped  # It takes no longer than _TIMEOUT_S.
     text = " ".join(arguments.words)
+    cause(settings.sim.listen, text)
+    sys.stdout.write(f"ok: {text}\n")
+    return ExitCode.OK
+
+
+def cause(address: str, text: str) -> None:
+    """Cause a fault in the virtual chassis at HOST:PORT."""
     line = parse(text)
     if isinstance(line, FaultTextError):
         raise CommandError(line.reason, ExitCode.USAGE)
-    host, port = parse_address(settings.sim.listen)
     try:
-        with socket.create_connection((host, port), _TIMEOUT_S) as connection:
+        with socket.create_connection(parse_address(address), _TIMEOUT_S) as connection:
             answer = _ask(connection, text)
     except (OSError, UnicodeError) as error:  # UnicodeError: no host's name looks like that
         why = getattr(error, "strerror", None) or str(error)
-        raise CommandError(f"no virtual chassis at {settings.sim.listen}: {why}", ExitCode.UNREACHABLE) from error
+        raise CommandError(f"no virtual chassis at {address}: {why}", ExitCode.UNREACHABLE) from error
     if answer != OK:
         raise CommandError(f"the chassis answers {answer.decode('ascii', errors='replace')!r}", ExitCode.USAGE)
-    sys.stdout.write(f"ok: {text}\n")
-    return ExitCode.OK
 
 
 def _ask(connection: socket.socket, text: str) -> bytes:

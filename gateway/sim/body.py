@@ -1,13 +1,8 @@
-"""The virtual chassis in motion: its figures, and how it moves.
-
-The figures of the virtual chassis, each with its unit: the one file for them.
+"""The virtual chassis in motion: its figures, each with its unit, and how it moves. Pure.
 
 What the manual states is cited. What it leaves open is marked *chosen*: plausible for 116 kg on four wheels, and
-nothing outside the simulation may rest on it. The wheelbase, which the gateway needs too, comes with the chassis.
-
-Motion of the chassis: a bicycle model on a slope, with a lagging drive, brakes and a steering motor. Pure.
-
-Axes are those of ISO 8855. The pose is that of the middle of the rear axle.
+nothing outside the simulation may rest on it. The model is a bicycle on a slope, with a lagging drive, brakes and
+a steering motor; axes are those of ISO 8855, and the pose is that of the middle of the rear axle.
 """
 
 from __future__ import annotations
@@ -142,7 +137,6 @@ CONDITION_BOUNDS: Final = {
     "payload_kg": (0.0, 100.0),
     "pedal_gain": (0.0, 1.0),
     "motor_strength": (0.0, 1.0),
-    "parking_delay_s": (0.0, 1.0),
     "parking_grip": (0.0, 1.0),
 }
 """Each condition with a number: from, to. The payload's is the manual's (V2.0, 2.2)."""

@@ -1,19 +1,14 @@
-"""Faults on demand: their words, and those in force.
+"""Faults on demand: their words, one fault a line, and those in force. Pure; time is an argument.
 
-- ``HOST:PORT``, as people write it. Pure.
-- The faults in force: begun, counted down, ended. Pure; time is an argument.
-
-The faults that can be asked for while the chassis runs, and their words: one fault a line. Pure.
-
-``parse`` turns a line into a typed value, or into the reason why it is none with the nearest right word.
-``GRAMMAR`` is the list of lines that people see in the help.
+``parse`` turns a line into a typed value, or into the reason why it is none. ``GRAMMAR`` is the list of lines that
+people see in the help.
 """
 
 from __future__ import annotations
 
 import heapq
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from enum import Enum
 from itertools import accumulate
@@ -21,7 +16,7 @@ from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 
-from gateway.chassis.frame import ERROR, EXTENDED, IDENTIFIER_MASK, STANDARD_MASK, Frame
+from gateway.chassis.frame import ERROR, EXTENDED, Frame
 from gateway.sim.body import BOUNCE_NS, CONDITION_BOUNDS, FOREIGN_PERIOD_NS, REBOOT_NS, Conditions
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Variant
@@ -31,11 +26,7 @@ _FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%]+\]|[^\s:\[\]]+):(?P<port>[0-9]{1,
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port; an IPv6 address stands in brackets, which are taken off.
-
-    Raises:
-        CommandError: the text is not of that form.
-    """
+    """Host and port; an IPv6 address stands in brackets, which are taken off."""
     match = _FORM.fullmatch(text)
     if match is None or int(match["port"]) > 0xFFFF:
         raise CommandError(f"{text!r} is no HOST:PORT such as 127.0.0.1:29536", ExitCode.USAGE)
@@ -78,7 +69,7 @@ itself with 'for 3 frames'; every fault but 'clear' with 'for 2s'. Durations: 50
 ALL_MESSAGES: Final = "all"
 
 _WORD_MAX: Final = 40
-"""Characters of a wrong word that an error repeats."""
+"""Characters of a wrong text that an error repeats."""
 
 
 class Disturbance(Enum):
@@ -139,18 +130,13 @@ class FaultLine(msgspec.Struct, frozen=True):
     Attributes:
         duration_ns: 0 if it has no end.
         frames: it ends after this many frames of its message; 0 if they do not count.
+        after_ns: it begins so long after the start.
     """
 
     fault: ChassisFault
     duration_ns: int = 0
     frames: int = 0
-
-
-class ScheduledFault(msgspec.Struct, frozen=True):
-    """A fault at a time after the start."""
-
-    after_ns: int
-    line: FaultLine
+    after_ns: int = 0
 
 
 class FaultTextError(msgspec.Struct, frozen=True):
@@ -159,218 +145,135 @@ class FaultTextError(msgspec.Struct, frozen=True):
     reason: str
 
 
-class _WrongWordError(Exception):
-    """Inside the parser only."""
-
-
-_UNITS_NS: Final = {"ms": 1_000_000, "s": 1_000_000_000, "min": 60_000_000_000}
-
 CLEAR: Final = "clear"
-_MESSAGE_FAULTS: Final = {disturbance.value for disturbance in Disturbance}
+_CONDITION: Final = "condition"
+_UNITS_NS: Final = {"ms": 1_000_000, "s": 1_000_000_000, "min": 60_000_000_000}
 _MESSAGES: Final = {name.lower(): name for name in [*BY_DBC_MESSAGE, ALL_MESSAGES]}
+_CONDITIONS: Final = {
+    "slope": "slope_deg",
+    "payload": "payload_kg",
+    "pedal": "pedal_gain",
+    "motor": "motor_strength",
+    "brake": "parking_grip",
+}
+
+_WHOLE = "[1-9][0-9]{0,5}"
+_NUMBER = r"[+-]?[0-9]{1,4}(?:\.[0-9]{1,6})?"
+_TIME = r"[0-9]{1,6}(?:\.[0-9]{1,6})?(?:ms|s|min)"
+_ON_MESSAGE = r" (?P<message>\S+)"
+_FORMS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("silence", "checksum", "stuck"), f"{_ON_MESSAGE}(?P<off> off)?"),
+    "skip": f"{_ON_MESSAGE}(?: by (?P<number>{_WHOLE})|(?P<off> off))?",
+    "drop": f"{_ON_MESSAGE}(?: every (?P<number>{_WHOLE})| next (?P<frames>{_WHOLE})|(?P<off> off))",
+    "freeze": f"{_ON_MESSAGE}(?P<off> off)?",
+    "foreign": " (?:0x)?(?P<id>[0-7][0-9a-f]{2}|[01][0-9a-f]{7})(?:(?P<off> off)|"
+    f"(?: (?P<data>error|(?:[0-9a-f]{{2}}){{1,8}}))?(?: every (?P<every>{_TIME}))?)",
+    "bumper": " (?P<side>front|rear|both) (?P<state>on|off)(?P<bounce> bounce)?",
+    "transmitter": " (?:remote|(?P<off>command))",
+    "sticks": f" (?P<speed>{_NUMBER}) (?P<angle>{_NUMBER})",
+    "scale": " (?:wrong|(?P<off>right))",
+    "variant": " (?P<variant>coarse|fine)",
+    **dict.fromkeys(_CONDITIONS, f" (?P<number>{_NUMBER})"),
+    "reboot": "",
+    CLEAR: "",
+}
+"""The form of each fault, behind its word."""
+
+_FOR: Final = f"(?: for (?:(?P<for_frames>{_WHOLE}) frames|(?P<duration>{_TIME})))?"
+_USAGES: Final = {
+    usage.split()[0]: usage for usage in re.findall(r"^ {2}(\S.*?)(?: {2,}.*)?$", GRAMMAR, re.MULTILINE)
+}
 
 
 def parse(text: str) -> FaultLine | FaultTextError:
     """The fault that a line asks for, or why it is none. Never raises."""
-    try:
-        return _line(_Words(text.split()))
-    except _WrongWordError as error:
-        return FaultTextError(str(error))
+    words = text.split()
+    kind = words[0].lower() if words else ""
+    if kind not in _FORMS:
+        return FaultTextError(f"there is no fault {_shown(kind)}; {_hint(kind, _FORMS)}")
+    match = re.fullmatch(f"{_FORMS[kind]}{_FOR}", "".join(f" {word}" for word in words[1:]), re.IGNORECASE)
+    if match is not None and (name := match.groupdict().get("message")) and name.lower() not in _MESSAGES:
+        return FaultTextError(f"there is no message {_shown(name)}; {_hint(name, list(_MESSAGES.values()))}")
+    line = None if match is None else _line(kind, {name: said for name, said in match.groupdict().items() if said})
+    return line or FaultTextError(f"{_shown(text.strip())} is not of the form '{_USAGES[kind]}'{_bounds(kind)}")
 
 
-def parse_scheduled(text: str) -> ScheduledFault | FaultTextError:
+def parse_scheduled(text: str) -> FaultLine | FaultTextError:
     """A fault after a duration, as in ``3s bumper front on``; without one it is meant at once."""
-    first, *rest = text.split(maxsplit=1) or [""]
-    after_ns = 0
-    if first[:1].isdigit():
-        try:
-            after_ns = _duration_ns(first)
-        except _WrongWordError as error:
-            return FaultTextError(str(error))
-        text = "".join(rest)
-    line = parse(text)
-    return line if isinstance(line, FaultTextError) else ScheduledFault(after_ns, line)
+    first, _, rest = text.strip().partition(" ")
+    if re.fullmatch(_TIME, first) is None:
+        return parse(text)
+    line = parse(rest)
+    return msgspec.structs.replace(line, after_ns=_duration_ns(first)) if isinstance(line, FaultLine) else line
 
 
-def _line(words: _Words) -> FaultLine:
-    name = _one_of(words.take("a fault"), _PARSERS, "fault")
-    fault, frames = _PARSERS[name](words)
-    duration_ns = 0
-    if words.take_if("for"):
-        value = words.take("a duration such as 2s")
-        if fault.kind in _MESSAGE_FAULTS and not frames and words.take_if("frames"):
-            frames = _whole(value)
-        else:
-            duration_ns = _duration_ns(value)
-    words.end()
-    if (duration_ns or frames) and (fault.ended or fault.kind == CLEAR):
-        raise _WrongWordError("what ends a fault has no duration")
-    return FaultLine(fault, duration_ns, frames)
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= _WORD_MAX else text[:_WORD_MAX] + "...")
 
 
-class _Words:
-    """The words of a line, from left to right."""
-
-    def __init__(self, words: list[str]) -> None:
-        self._words = words
-
-    def take(self, wanted: str) -> str:
-        if not self._words:
-            raise _WrongWordError(f"the line ends where {wanted} is wanted")
-        return self._words.pop(0)
-
-    def take_if(self, word: str) -> bool:
-        if self._words and self._words[0].lower() == word:
-            del self._words[0]
-            return True
-        return False
-
-    @property
-    def next(self) -> str:
-        return self._words[0].lower() if self._words else ""
-
-    def end(self) -> None:
-        if self._words:
-            raise _WrongWordError(f"{_shown(self._words[0])} is more than the line needs")
-
-
-def _shown(word: str) -> str:
-    return repr(word if len(word) <= _WORD_MAX else word[:_WORD_MAX] + "...")
-
-
-def _one_of(word: str, right: Iterable[str], what: str) -> str:
-    choices = list(right)
-    if word.lower() in choices:
-        return word.lower()
+def _hint(word: str, right: Iterable[str]) -> str:
+    choices = {one.lower(): one for one in right}
     near = get_close_matches(word[:_WORD_MAX].lower(), choices, n=1, cutoff=0.5)
-    # Messages are found in any letter case, and told in the DBC's.
-    known = ", ".join(_MESSAGES.get(choice, choice) for choice in choices)
-    hint = f"did you mean {_MESSAGES.get(near[0], near[0])!r}?" if near else f"there are: {known}"
-    raise _WrongWordError(f"there is no {what} {_shown(word)}; {hint}")
+    return f"did you mean {choices[near[0]]!r}?" if near else f"there are: {', '.join(choices.values())}"
 
 
-def _whole(word: str) -> int:
-    if re.fullmatch(r"[1-9][0-9]{0,5}", word) is None:
-        raise _WrongWordError(f"{_shown(word)} is no whole number from 1 to 999999")
-    return int(word)
-
-
-def _number(word: str) -> float:
-    if re.fullmatch(r"[+-]?[0-9]{1,4}(\.[0-9]{1,6})?", word) is None:
-        raise _WrongWordError(f"{_shown(word)} is no number such as -0.5")
-    return float(word)
+def _bounds(kind: str) -> str:
+    bounds = CONDITION_BOUNDS.get(_CONDITIONS.get(kind, ""))
+    return f", from {bounds[0]:g} to {bounds[1]:g}" if bounds else ""
 
 
 def _duration_ns(word: str) -> int:
-    match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)(ms|s|min)", word, re.ASCII)
-    if match is None:
-        raise _WrongWordError(f"{_shown(word)} is no duration such as 500ms, 2s or 1min")
-    duration_ns = round(float(match[1]) * _UNITS_NS[match[2]])
-    if not duration_ns:
-        raise _WrongWordError(f"{_shown(word)} is no time at all")
-    return duration_ns
+    number, unit = re.findall(r"[0-9.]+|[a-z]+", word.lower())
+    return round(float(number) * _UNITS_NS[unit])
 
 
-_Parsed = tuple[ChassisFault, int]
-"""A fault and the number of frames that it lasts, 0 if they do not count."""
+def _line(kind: str, said: Mapping[str, str]) -> FaultLine | None:
+    """The fault of a line's parts; None if they do not go together."""
+    fault, duration_ns = _fault(kind, said), _duration_ns(said.get("duration", "0s"))
+    frames = int(said.get("frames") or said.get("for_frames") or 0)
+    is_over = fault is not None and (fault.ended or kind == CLEAR)
+    if (
+        fault is None
+        or ("duration" in said and not duration_ns)
+        or ("for_frames" in said and ("message" not in said or "frames" in said))
+        or (is_over and (duration_ns or frames))
+    ):
+        return None
+    return FaultLine(fault, duration_ns, frames)
 
 
-def _message_fault(disturbance: Disturbance) -> Callable[[_Words], _Parsed]:
-    def parse_words(words: _Words) -> _Parsed:
-        targets, number, frames = (_MESSAGES[_one_of(words.take("a message"), _MESSAGES, "message")],), 1, 0
-        if words.take_if("off"):
-            return ChassisFault(disturbance.value, targets, ended=True), 0
-        if disturbance is Disturbance.SKIP:
-            number = _whole(words.take("a number")) if words.take_if("by") else 2
-        elif disturbance is Disturbance.DROP:
-            how = _one_of(words.take("'every' or 'next'"), ["every", "next"], "word")
-            count = _whole(words.take("a number"))
-            number, frames = (count, 0) if how == "every" else (1, count)
-        return ChassisFault(disturbance.value, targets, number), frames
-
-    return parse_words
-
-
-def _foreign(words: _Words) -> _Parsed:
-    can_id, data, period_ns = _can_id(words.take("an identifier")), bytes(8), FOREIGN_PERIOD_NS
-    targets = (can_id,)
-    if words.take_if("off"):
-        return ChassisFault("foreign", targets, ended=True), 0
-    if words.take_if("error"):
-        can_id |= ERROR
-    elif words.next not in {"", "every", "for"}:
-        data = _data(words.take("data"))
-    if words.take_if("every"):
-        period_ns = max(_duration_ns(words.take("a duration such as 2s")), _UNITS_NS["ms"])
-    return ChassisFault("foreign", targets, Foreign(can_id, data, period_ns)), 0
+def _fault(kind: str, said: Mapping[str, str]) -> ChassisFault | None:
+    ended = "off" in said
+    if "message" in said:
+        number = int(said.get("number", 2 if kind == "skip" and not ended else 1))
+        return ChassisFault(kind, (_MESSAGES[said["message"].lower()],), number, ended=ended)
+    if kind in _CONDITIONS:
+        field, value = _CONDITIONS[kind], float(said["number"])
+        low, high = CONDITION_BOUNDS[field]
+        return ChassisFault(_CONDITION, (field,), value) if low <= value <= high else None
+    match kind:
+        case "foreign":
+            return _foreign(said, ended=ended)
+        case "bumper":
+            sides = ("front", "rear") if said["side"].lower() == "both" else (said["side"].lower(),)
+            contact = Contact(said["state"].lower() == "on", "bounce" in said)
+            return ChassisFault(kind, sides, contact, ended=not any(contact))
+        case "sticks":
+            return ChassisFault(kind, value=Sticks(float(said["speed"]), float(said["angle"])))
+        case "variant":
+            return ChassisFault(kind, value=Variant(said["variant"].lower()))
+    return ChassisFault(kind, ended=ended)
 
 
-def _can_id(word: str) -> int:
-    digits = word.removeprefix("0x").removeprefix("0X")
-    if re.fullmatch(r"[0-9A-Fa-f]{3}", digits) and int(digits, 16) <= STANDARD_MASK:
-        return int(digits, 16)
-    if re.fullmatch(r"[0-9A-Fa-f]{8}", digits) and int(digits, 16) <= IDENTIFIER_MASK:
-        return int(digits, 16) | EXTENDED
-    raise _WrongWordError(f"{_shown(word)} is no identifier of 3 (up to 7FF) or 8 (up to 1FFFFFFF) hex digits")
+def _foreign(said: Mapping[str, str], *, ended: bool) -> ChassisFault:
+    target = int(said["id"], 16) | (EXTENDED if len(said["id"]) > 3 else 0)
+    if ended:
+        return ChassisFault("foreign", (target,), ended=True)
+    data, is_error = said.get("data", bytes(8).hex()), said.get("data", "").lower() == "error"
+    period_ns = max(_duration_ns(said["every"]), _UNITS_NS["ms"]) if "every" in said else FOREIGN_PERIOD_NS
+    frames = Foreign(target | (ERROR if is_error else 0), bytes(8) if is_error else bytes.fromhex(data), period_ns)
+    return ChassisFault("foreign", (target,), frames)
 
-
-def _data(word: str) -> bytes:
-    if re.fullmatch(r"([0-9A-Fa-f]{2}){1,8}", word) is None:
-        raise _WrongWordError(f"{_shown(word)} is not 1 to 8 bytes in hex digits, 'error' or 'every'")
-    return bytes.fromhex(word)
-
-
-def _choice(words: _Words, *right: str) -> str:
-    return _one_of(words.take(" or ".join(map(repr, right))), right, "word")
-
-
-def _bumper(words: _Words) -> _Parsed:
-    side = _choice(words, "front", "rear", "both")
-    sides = ("front", "rear") if side == "both" else (side,)
-    contact = Contact(_choice(words, "on", "off") == "on", words.take_if("bounce"))
-    return ChassisFault("bumper", sides, contact, ended=not any(contact)), 0
-
-
-def _toggle(kind: str, on: str, off: str) -> Callable[[_Words], _Parsed]:
-    return lambda words: (ChassisFault(kind, ended=_choice(words, on, off) == off), 0)
-
-
-def _sticks(words: _Words) -> _Parsed:
-    speed_mps = _number(words.take("a speed in m/s"))
-    return ChassisFault("sticks", value=Sticks(speed_mps, _number(words.take("an angle in deg")))), 0
-
-
-def _condition(field: str) -> Callable[[_Words], _Parsed]:
-    low, high = CONDITION_BOUNDS[field]
-
-    def parse_words(words: _Words) -> _Parsed:
-        word = words.take(f"a number from {low:g} to {high:g}")
-        value = _number(word)
-        if not low <= value <= high:
-            raise _WrongWordError(f"{_shown(word)} is not from {low:g} to {high:g}")
-        return ChassisFault(_CONDITION, (field,), value), 0
-
-    return parse_words
-
-
-_CONDITION: Final = "condition"
-
-_PARSERS: Final[dict[str, Callable[[_Words], _Parsed]]] = {
-    **{disturbance.value: _message_fault(disturbance) for disturbance in Disturbance},
-    "foreign": _foreign,
-    "bumper": _bumper,
-    "transmitter": _toggle("transmitter", "remote", "command"),
-    "sticks": _sticks,
-    "scale": _toggle("scale", "wrong", "right"),
-    "variant": lambda words: (ChassisFault("variant", value=Variant(_choice(words, "coarse", "fine"))), 0),
-    "slope": _condition("slope_deg"),
-    "payload": _condition("payload_kg"),
-    "pedal": _condition("pedal_gain"),
-    "motor": _condition("motor_strength"),
-    "brake": _condition("parking_grip"),
-    "reboot": lambda _words: (ChassisFault("reboot"), 0),
-    CLEAR: lambda _words: (ChassisFault(CLEAR), 0),
-}
 
 _T = TypeVar("_T")
 

@@ -1,19 +1,11 @@
-"""The virtual chassis: commands that it executes, feedback that it sends, and itself in place of a recorded one.
-
-The chassis's feedback on its way out: which frame is due when, its alive counter, its faults. Pure.
-
-The virtual chassis: commands in, feedback out. No I/O, no clock.
+"""The virtual chassis: commands in, feedback out; and itself in place of a recorded one. No I/O, no clock.
 
 It keeps to 'How the chassis behaves' of the protocol notes. Where those are silent, it does what is worst for the
 gateway and still plausible: above all it executes the last command indefinitely when commands cease.
 
-The chassis as it would have answered to other commands. Pure.
-
-A recorded run holds the chassis's answers to the recorded commands. As soon as another run of the arbiter
-commands something else, those answers no longer fit: this shows frames in their place. They come at
-the recorded times, with the recorded alive counters, and what was lost, late or broken stays so; speed, steering,
-gear, brakes and mode are those of the virtual chassis, which receives the other commands. What people and the
-surroundings did stays as recorded: the bumpers, and all that the remote control does.
+A recorded run holds the chassis's answers to the recorded commands. Where another run of the arbiter commands
+something else, ``StandIn`` shows frames in their place: at the recorded times, with the recorded alive counters,
+and what was lost, late or broken stays so; bumpers and all that the remote control does stay as recorded.
 """
 
 from __future__ import annotations
@@ -161,15 +153,7 @@ class VirtualChassis:
         rate_multiplier: float = 1.0,
         conditions: Conditions = NOMINAL,
     ) -> None:
-        """Powers up: standing, parked, nothing commanded, the remote control on command control.
-
-        Args:
-            chassis: which one it is.
-            variant: of its firmware.
-            now_ns: the time of the first ``advance``; the first frames are due one period later.
-            rate_multiplier: the feedback comes this many times as often as the DBC says, to load a bus.
-            conditions: its place and properties, until a fault changes them.
-        """
+        """Powers up: standing, parked, nothing commanded; the first frames are due one period later."""
         layout = chassis.layout(variant)
         self._chassis = chassis
         self._first_layout = layout
@@ -211,14 +195,7 @@ class VirtualChassis:
             self._ignored += 1
 
     def adopt(self, *, speed_mps: float, angle_deg: float, gear: GearPosition, parked: bool) -> None:
-        """From now on it moves so, whatever it did before, as far as a chassis can.
-
-        Args:
-            speed_mps: signed, forward positive.
-            angle_deg: steering angle, left positive.
-            gear: drive, reverse or neutral.
-            parked: the parking brake is applied.
-        """
+        """From now on it moves so, whatever it did before, as far as a chassis can."""
         self._motion.adopt(speed_mps=speed_mps, angle_deg=angle_deg, gear=gear, parked=parked)
         self._park_wanted = parked
 

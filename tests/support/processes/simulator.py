@@ -10,7 +10,7 @@ import can
 
 from gateway.can.socketcand_server import SocketcandServer
 from gateway.choice import CHASSIS
-from gateway.cli.sim import SimClock, SimSummary, TypedLines, live
+from gateway.cli.sim import SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 
@@ -32,9 +32,7 @@ class Served:
         self.server.close()
 
     def serve(self) -> None:
-        self.summary = live(
-            self.chassis, self.server, self.stop.is_set, clock=SimClock(), lines=TypedLines(-1), answer=print
-        )
+        self.summary = live(self.chassis, self.server, self.stop.is_set, SimClock())
 
     @contextmanager
     def bus(self) -> Iterator[can.BusABC]:

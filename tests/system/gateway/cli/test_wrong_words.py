@@ -27,14 +27,15 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("sim --listen a..b:1", UNREACHABLE, "cannot listen"),
     ("sim --listen {taken}", UNREACHABLE, "cruiser sim: cannot listen on {taken}: Address already in use"),
     ("sim --fault '3s bumpr front on'", USAGE, "did you mean 'bumper'"),
+    ("sim --fault 'slope -31'", USAGE, "from -30 to 30"),
     ("sim --listen 127.0.0.1:0 --interface virtual", USAGE, "exclude"),
     ("sim --channel x", USAGE, "--interface"),
     ("sim --interface socketcand --channel 127.0.0.1:9", UNREACHABLE, "no bus"),
     *[
         (f"sim {flag} {value}", USAGE, flag)
         for flag, value in (
-            *(("--rate-multiplier", "1000"), ("--seconds", "0"), ("--seconds", "x"), ("--variant", "medium")),
-            *(("--slope", "-31"), ("--payload", "x"), ("--pedal-gain", "nan"), ("--stop-mode", "x")),
+            *(("--rate-multiplier", "1000"), ("--rate-multiplier", "nan"), ("--rate-multiplier", "x")),
+            *(("--seconds", "0"), ("--seconds", "x"), ("--variant", "medium"), ("--stop-mode", "x")),
         )
     ],
     ("fault --sim a..b:9 clear", UNREACHABLE, "cruiser fault: no virtual chassis at a..b:9: "),

@@ -1,16 +1,13 @@
-"""``cruiser sim``: its run, and the lines that are typed into it."""
+"""``cruiser sim``: its run."""
 
-import os
-import pty
-from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterable
 
 import pytest
 
 from gateway.can.can_bus import BusLost
 from gateway.chassis.frame import ERROR, Frame
 from gateway.choice import CHASSIS
-from gateway.cli.sim import CanBusLink, Inject, SimClock, SimSummary, TypedLines, live
+from gateway.cli.sim import CanBusLink, Inject, SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant
 from tests.support.rigs.chassis import MS, ChassisRig, S
@@ -61,19 +58,6 @@ class FakeLink:
         self.sent += [(now_ns, frame) for frame in frames]
 
 
-class FakeLines(TypedLines):
-    """Lines that have been typed."""
-
-    def __init__(self, *lines: str) -> None:
-        self.lines = list(lines)
-        self.reads = 0
-
-    def read(self) -> list[str]:
-        self.reads += 1
-        lines, self.lines = self.lines, []
-        return lines
-
-
 class Bench:
     """A run with everything of the test's own."""
 
@@ -81,19 +65,9 @@ class Bench:
         self.clock = FakeClock()
         self.link = FakeLink(self.clock)
         self.chassis = VirtualChassis(CHASSIS, Variant.COARSE, 0)
-        self.lines = FakeLines()
-        self.answers: list[str] = []
 
     def run(self, seconds: float | None = None, stopped: Callable[[], bool] = lambda: False) -> SimSummary:
-        return live(
-            self.chassis,
-            self.link,
-            stopped,
-            clock=self.clock,
-            lines=self.lines,
-            answer=self.answers.append,
-            seconds=seconds,
-        )
+        return live(self.chassis, self.link, stopped, self.clock, seconds)
 
 
 def test_it_wakes_exactly_when_a_frame_is_due() -> None:
@@ -140,17 +114,14 @@ def test_commands_reach_the_chassis() -> None:
     assert bench.link.sent[-1][1].data[0] == 1, "the horn's feedback"
 
 
-def test_faults_come_from_the_link_and_from_typed_lines() -> None:
-    """Each is answered: nothing or the reason to the link, a line to the person."""
+def test_faults_come_from_the_link() -> None:
+    """Each is answered: nothing, or the reason why it is none."""
     bench = Bench()
-    bench.link.faults = ["bumper front on", "bumpr"]
-    bench.lines = FakeLines("silence all", "silenc all")
+    bench.link.faults = ["silence all", "bumpr"]
     bench.run(seconds=1)
     assert bench.link.answers[0] == ""
     assert "bumper" in bench.link.answers[1]
-    assert bench.answers == ["ok: silence all", "there is no fault 'silenc'; did you mean 'silence'?"]
-    assert len(bench.link.sent) == 5
-    assert bench.lines.reads <= 10
+    assert bench.link.sent == []
 
 
 def test_it_stops_when_told() -> None:
@@ -218,74 +189,4 @@ def test_a_lost_bus_ends_the_run() -> None:
     bus = FakeBus()
     bus.lost = True
     with pytest.raises(BusLost):
-        live(bench.chassis, CanBusLink(bus), lambda: False, clock=bench.clock, lines=bench.lines, answer=print)
-
-
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    """The two ends of a pipe; the test may close the second."""
-    ends = os.pipe()
-    yield ends
-    for end in ends:
-        try:
-            os.close(end)
-        except OSError:
-            continue
-
-
-def test_whole_lines_come_once(pipe: tuple[int, int]) -> None:
-    """A line is read when its end has come; empty ones are skipped."""
-    lines = TypedLines(pipe[0])
-    assert lines.read() == []
-    os.write(pipe[1], b"bumper front on\n\n  clear  \nsilen")
-    assert lines.read() == ["bumper front on", "clear"]
-    assert lines.read() == []
-    os.write(pipe[1], b"ce all\n")
-    assert lines.read() == ["silence all"]
-
-
-def test_the_end_of_a_pipe_is_the_end(pipe: tuple[int, int]) -> None:
-    """Its last line counts without a newline; from then on the descriptor is left alone."""
-    lines = TypedLines(pipe[0])
-    os.write(pipe[1], b"clear")
-    assert lines.read() == []
-    os.close(pipe[1])
-    assert lines.read() == ["clear"]
-    assert lines.read() == []
-    assert lines._open is False
-
-
-def test_an_endless_line_is_given_up(pipe: tuple[int, int]) -> None:
-    """What is kept is bounded, and any bytes are text."""
-    lines = TypedLines(pipe[0])
-    for _ in range(10):
-        os.write(pipe[1], b"\xff" * 4096)
-        assert lines.read() == []
-    assert len(lines._buffer) <= 1024
-
-
-def test_only_a_terminal_or_a_pipe_is_typed_into(tmp_path: Path) -> None:
-    """A file, /dev/null or no descriptor at all has no lines."""
-    file = tmp_path / "lines"
-    file.write_text("clear\n")
-    for path in (file, Path("/dev/null")):
-        with path.open("rb") as opened:
-            assert TypedLines(opened.fileno()).read() == []
-    assert TypedLines(-1).read() == []
-
-
-@pytest.fixture
-def terminal() -> Iterator[tuple[int, int]]:
-    """A pseudo-terminal: the side that types, and the side that reads."""
-    ends = pty.openpty()
-    yield ends
-    for end in ends:
-        os.close(end)
-
-
-def test_a_terminal_is_typed_into(terminal: tuple[int, int]) -> None:
-    """Line by line, as a person types."""
-    lines = TypedLines(terminal[1])
-    os.write(terminal[0], b"clear\nbump")
-    assert lines.read() == ["clear"]
-    assert lines.read() == []
+        live(bench.chassis, CanBusLink(bus), lambda: False, bench.clock)

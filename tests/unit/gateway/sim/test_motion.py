@@ -12,8 +12,6 @@ from gateway.sim.body import (
     ACCELERATION_MPS2,
     BRAKING_DECELERATION_MPS2,
     DECELERATION_MPS2,
-    EMPTY_MASS_KG,
-    MAX_DRIVE_FORCE_N,
     PARKING_DECELERATION_MPS2,
     ROLLING_DECELERATION_MPS2,
     STEERING_RATE_DEGPS,
@@ -74,18 +72,6 @@ def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: f
                 assert speed_mps * direction > -0.011, "the gear of the other direction engaged at speed"
 
 
-def test_it_reaches_what_is_asked_for_with_a_lag() -> None:
-    """Speed follows its target late, and gets there without overshoot."""
-    motion = Motion(L_M)
-    speeds = []
-    for _ in range(300):
-        motion.step(demand(speed_mps=1.0), DT_S)
-        speeds.append(motion.speed_mps)
-    assert speeds[10] < 0.2
-    assert speeds == sorted(speeds)
-    assert speeds[-1] == 1.0
-
-
 def test_a_reversal_goes_through_standstill() -> None:
     """Asked for reverse at speed, it stays in drive until it stands."""
     motion = moving(demand(speed_mps=1.5), 3)
@@ -97,14 +83,6 @@ def test_a_reversal_goes_through_standstill() -> None:
     assert gears[0] == (GearPosition.DRIVE, True)
     assert motion.gear is GearPosition.REVERSE
     assert motion.speed_mps == pytest.approx(-1.0)
-
-
-@pytest.mark.parametrize(("gain", "speed_mps"), [(0.0, 2.0), (1.0, 0.0)])
-def test_the_pedal_wins_over_the_drive(gain: float, speed_mps: float) -> None:
-    """Where the pedal has its gain, braking with the speed still asked for stops it; else it changes nothing."""
-    motion = moving(demand(speed_mps=2.0), 3, Motion(L_M, Conditions(pedal_gain=gain)))
-    moving(Demand(GearPosition.DRIVE, 2.0, 0.0, 100.0, parked=False), 0.7, motion)
-    assert motion.speed_mps == speed_mps
 
 
 def test_it_drives_a_circle() -> None:
@@ -119,14 +97,6 @@ def test_it_drives_a_circle() -> None:
         highest_m = max(highest_m, motion.y_m)
     assert highest_m == pytest.approx(2 * radius_m, rel=1e-3)
     assert math.hypot(motion.x_m, motion.y_m) < 0.01
-
-
-def test_the_outer_wheel_is_faster() -> None:
-    """To the left the right wheel runs further, by track and yaw rate."""
-    motion = moving(demand(speed_mps=1.0, angle_deg=20.0), 3)
-    left_mps, right_mps = motion.wheel_speeds_mps
-    assert (left_mps + right_mps) / 2 == pytest.approx(1.0)
-    assert right_mps - left_mps == pytest.approx(0.606 * math.tan(math.radians(20)) / 0.660)
 
 
 def test_pulses_wrap_as_signed_16_bit() -> None:
@@ -144,14 +114,6 @@ def test_pulses_wrap_as_signed_16_bit() -> None:
     assert abs(motion.wheel_pulses[0]) < 40
 
 
-def test_mileage_counts_both_ways() -> None:
-    """Going back does not take distance off the odometer."""
-    motion = moving(demand(speed_mps=1.0), 5)
-    there_m = motion.mileage_m
-    moving(demand(GearPosition.REVERSE, 1.0), 5, motion)
-    assert motion.mileage_m > there_m + 2
-
-
 GRAVITY_MPS2 = 9.81
 ROLLS = demand(GearPosition.NEUTRAL)
 PARKS = Demand(GearPosition.NEUTRAL, 0.0, 0.0, 0.0, parked=True)
@@ -167,15 +129,6 @@ def test_in_neutral_it_rolls_downhill(slope_deg: float, payload_kg: float) -> No
     assert motion.x_m == pytest.approx(math.copysign(rolls_mps2 * 2**2 / 2, -slope_deg), rel=0.01, abs=1e-6)
 
 
-def test_in_neutral_it_does_not_creep() -> None:
-    """On the flat it comes to rest by rolling resistance, after v^2 / 2r, and stays there."""
-    motion = moving(ROLLS, 60, moving(demand(speed_mps=1.5), 3))
-    rest_m = motion.x_m
-    assert motion.speed_mps == 0
-    assert moving(ROLLS, 60, motion).x_m == rest_m
-    assert rest_m - moving(demand(speed_mps=1.5), 3).x_m == pytest.approx(1.5**2 / 0.6, rel=0.01)
-
-
 @pytest.mark.parametrize("gear", [GearPosition.DRIVE, GearPosition.REVERSE])
 @pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (-20, 0), (18, 100), (-18, 100), (25, 0)])
 def test_in_gear_the_motor_holds_zero_speed(gear: GearPosition, slope_deg: float, payload_kg: float) -> None:
@@ -187,47 +140,10 @@ def test_in_gear_the_motor_holds_zero_speed(gear: GearPosition, slope_deg: float
 @pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (15, 100)])
 def test_it_climbs_what_the_manual_says(slope_deg: float, payload_kg: float) -> None:
     """20 deg empty and 15 deg with full payload (manual V2.0, 2.2); 20 deg with full payload is too much."""
-    assert (
-        moving(
-            demand(speed_mps=0.5),
-            20,
-            Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)),
-        ).speed_mps
-        == 0.5
-    )
-    assert (
-        moving(demand(speed_mps=0.5), 20, Motion(L_M, Conditions(slope_deg=20.0, payload_kg=100.0))).speed_mps < 0
-    )
-
-
-@pytest.mark.parametrize(("slope_deg", "speed_mps", "downhill"), [(20, 0.0, -1), (20, 1.0, -1), (-20, 0.0, 1)])
-def test_with_full_payload_the_motor_slips_on_20_deg(slope_deg: float, speed_mps: float, downhill: int) -> None:
-    """Whatever is asked for, the robot rolls down by what gravity has over resistance and the motor's force."""
-    slips_mps2 = (
-        GRAVITY_MPS2 * math.sin(math.radians(20))
-        - ROLLING_DECELERATION_MPS2
-        - MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + 100)
-    )
-    motion = moving(
-        demand(speed_mps=speed_mps),
-        2,
-        Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=100.0)),
-    )
-    assert slips_mps2 > 0
-    assert motion.speed_mps == pytest.approx(downhill * 2 * slips_mps2)
-
-
-def test_a_motor_that_weakens_lets_the_robot_go() -> None:
-    """On 20 deg half its force is too little; whole again, it catches the robot and holds it."""
-    motion = Motion(L_M, Conditions(slope_deg=20.0))
-    moving(demand(), 1, motion)
-    assert motion.speed_mps == 0
-    motion.conditions = Conditions(slope_deg=20.0, motor_strength=0.5)
-    moving(demand(), 1, motion)
-    pull_mps2 = GRAVITY_MPS2 * math.sin(math.radians(20))
-    assert motion.speed_mps == pytest.approx(0.5 * MAX_DRIVE_FORCE_N / EMPTY_MASS_KG + 0.3 - pull_mps2)
-    motion.conditions = Conditions(slope_deg=20.0)
-    assert moving(demand(), 1, motion).speed_mps == 0
+    climbing = Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg))
+    assert moving(demand(speed_mps=0.5), 20, climbing).speed_mps == 0.5
+    too_heavy = Motion(L_M, Conditions(slope_deg=20.0, payload_kg=100.0))
+    assert moving(demand(speed_mps=0.5), 20, too_heavy).speed_mps < 0
 
 
 @given(
@@ -240,10 +156,7 @@ def test_a_slope_that_the_motor_masters_does_not_show(
     slope_deg: float, payload_kg: float, gear: GearPosition, speeds_mps: list[float]
 ) -> None:
     """Within its force the motor follows its target as on the flat."""
-    flat, hilly = (
-        Motion(L_M),
-        Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)),
-    )
+    flat, hilly = Motion(L_M), Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg))
     most_mps2 = GRAVITY_MPS2 * math.sin(math.radians(abs(slope_deg))) + 2.0 + ROLLING_DECELERATION_MPS2
     assume(most_mps2 < hilly.conditions.drive_mps2)
     for speed_mps in speeds_mps:
@@ -295,12 +208,3 @@ def test_the_drive_ends_when_the_parking_brake_applies() -> None:
     moving(demand(speed_mps=1.0), 0.04, motion)
     assert motion.speed_mps == 0
     assert moving(demand(speed_mps=1.0), 0.1, motion).speed_mps > 0
-
-
-@pytest.mark.parametrize("gain", [0.0, 0.3, 1.0])
-def test_the_pedal_helps_by_its_gain(gain: float) -> None:
-    """In neutral on a slope, gravity against resistance and gain times 3 m/s^2; by default it does nothing."""
-    motion = Motion(L_M, Conditions(slope_deg=15.0, pedal_gain=gain))
-    moving(Demand(GearPosition.NEUTRAL, 0.0, 0.0, 50.0, parked=False), 2, motion)
-    rolls_mps2 = max(0.0, GRAVITY_MPS2 * math.sin(math.radians(15)) - 0.3 - 0.5 * gain * BRAKING_DECELERATION_MPS2)
-    assert motion.speed_mps == pytest.approx(-2 * rolls_mps2)

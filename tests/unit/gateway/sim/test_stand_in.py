@@ -69,12 +69,6 @@ def beside() -> Beside:
     return beside
 
 
-def test_until_it_begins_every_frame_is_the_recorded_one(beside: Beside) -> None:
-    """Not a copy: the same."""
-    assert not beside.stand_in.is_acting
-    assert all(shown is frame for frame, shown in beside.pairs)
-
-
 def test_it_goes_on_from_where_the_chassis_was(beside: Beside) -> None:
     """Told the same as the recorded one, it does the same: no step in any signal."""
     beside.stand_in.begin(beside.rig.now_ns)
@@ -117,15 +111,6 @@ def test_a_broken_frame_stays_broken(beside: Beside) -> None:
     assert all(frame is shown for frame, shown in broken)
 
 
-def test_bumpers_are_those_that_were_hit(beside: Beside) -> None:
-    """Nobody knows what the robot would have met elsewhere."""
-    beside.stand_in.begin(beside.rig.now_ns)
-    beside.rig.fault("bumper front on")
-    beside.run(0.2)
-    body = beside.shown["Auto_MileageAndBodyFeedback"]
-    assert (body["FrontBumper"], body["RearBumper"]) == (True, False)
-
-
 def test_who_holds_the_transmitter_drives_as_recorded(beside: Beside) -> None:
     """And from where they took the chassis it goes on."""
     beside.stand_in.begin(beside.rig.now_ns)
@@ -138,16 +123,6 @@ def test_who_holds_the_transmitter_drives_as_recorded(beside: Beside) -> None:
     beside.run(0.15)
     beside.run(3)
     assert beside.speeds_mps()[1] == pytest.approx(0.2, abs=0.05)
-
-
-def test_at_its_end_the_recorded_frames_are_true_again(beside: Beside) -> None:
-    """Each is shown as it is."""
-    beside.stand_in.begin(beside.rig.now_ns)
-    beside.run(0.1)
-    beside.stand_in.end()
-    beside.pairs.clear()
-    beside.run(0.1)
-    assert all(shown is frame for frame, shown in beside.pairs)
 
 
 VALID = st.builds(
