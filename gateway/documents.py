@@ -181,11 +181,8 @@ def metric_table() -> str:
 
 def finding_table() -> str:
     """Every finding of ``cruiser doctor``, with its cure; a note is said to be one."""
-    rows = [
-        (f"`{check.name}`{' (note)' if check.is_note else ''}", check.about, check.means, check.cure)
-        for check in CHECKS
-    ]
-    return documents.table(("finding", "looked at", "it means", "cure"), rows)
+    rows = [(f"`{check.name}`{' (note)' if check.is_note else ''}", check.means, check.cure) for check in CHECKS]
+    return documents.table(("finding", "it means", "cure"), rows)
 
 
 PARTS: Final[dict[str, Part]] = {

@@ -9,7 +9,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -18,7 +18,6 @@ from typing import Final
 import msgspec
 
 from gateway.can.open_bus import count_claims, describe
-from gateway.cli.configuration_file import load_settings, settings_file
 from gateway.client.fleet import read_sample
 from gateway.doctor.checks import Diagnosis, diagnose, summary
 from gateway.doctor.facts import Facts, ZenohReport, reach
@@ -109,9 +108,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         _check_role(settings)
     names_bus = (getattr(arguments, "can.interface"), getattr(arguments, "can.channel")) != (None, None)
     facts = look(settings, arguments.timeout, stopped, follows_gateway=not names_bus)
-    bus_of_settings = _bus_of_file(arguments, settings) if names_bus else facts.bus_of_settings
-    hole = _tried(settings) if arguments.intrude else None
-    facts = msgspec.structs.replace(facts, bus_of_settings=bus_of_settings, hole=hole)
+    facts = msgspec.structs.replace(facts, hole=_tried(settings) if arguments.intrude else None)
     return int(report(facts, diagnose(facts), as_json=arguments.json))
 
 
@@ -137,36 +134,24 @@ def _check_role(settings: Settings) -> None:
         )
 
 
-def _bus_of_file(arguments: argparse.Namespace, settings: Settings) -> str:
-    """Return the bus of the settings file, in words, where flags name another; else an empty text."""
-    named = settings_file("doctor", arguments.config, os.environ)
-    of_file = load_settings(named, os.environ, {}).can if named else settings.can
-    is_same = describe(of_file) == describe(settings.can)
-    return "" if is_same else f"{describe(of_file)}, by {named}; flags say so"
-
-
 def look(
     settings: Settings, timeout_s: float, stopped: Callable[[], bool], *, follows_gateway: bool = False
 ) -> Facts:
-    """Look at everything.
-
-    Args:
-        follows_gateway: look at the bus of the gateway that runs, if that is another than the settings'.
-    """
+    """Look at everything; with ``follows_gateway`` at the bus of the gateway that runs, if that is another."""
     now_s = time.time()
     zenoh = ask(settings, timeout_s, stopped)
     bus_of_settings = ""
     if zenoh.settings is not None:
         settings = msgspec.structs.replace(settings, command=zenoh.settings.command)
         if follows_gateway and describe(zenoh.settings.can) != describe(settings.can):
-            bus_of_settings = f"{describe(settings.can)}, by the settings here; the gateway that runs says so"
+            bus_of_settings = f"{describe(settings.can)}, by the settings here"
             settings = msgspec.structs.replace(settings, can=zenoh.settings.can)
     return Facts(
         settings,
         version("cruiser-gateway"),
         now_s,
         earliest_s(settings),
-        is_synchronised(),
+        is_synchronised(run_program),
         look_at_interface(settings, run_program),
         count_claims(settings.can),
         None if zenoh.health is not None else listen(settings, stopped),
@@ -253,7 +238,6 @@ def _ask(
         safety if isinstance(safety, SafetyState) else None,
         state if isinstance(state, RobotState) else None,
         ahead_s,
-        _clock_moved_s(health, runs) if isinstance(health, GatewayHealth) else 0.0,
         [recorders[name] for name in sorted(recorders)],
         _settings_of(runs),
     )
@@ -278,14 +262,6 @@ def _settings_of(runs: Mapping[int, GatewayInfo]) -> Settings | None:
     with suppress(CommandError):  # It may be of another version.
         return merge(TomlSource("gateway/info", info.configuration, is_recorded=True), {}, {})
     return None
-
-
-def _clock_moved_s(health: GatewayHealth, runs: Collection[int]) -> float:
-    """So far the robot's clock was set since its gateway started; zero where that is not known of just one."""
-    if len(runs) != 1:
-        return 0.0
-    (started_ns,) = runs
-    return (health.time_ns - started_ns) / 1e9 - health.uptime_s
 
 
 def settings_to_ask(settings: Settings) -> ZenohSettings:

@@ -91,7 +91,6 @@ class Check(msgspec.Struct, frozen=True):
     """
 
     name: str
-    about: str
     means: str
     cure: str
     look: Look
@@ -346,11 +345,6 @@ def _realtime(facts: Facts) -> Iterable[Detail]:
     return _found(health is not None and not health.realtime, cure=TEXTS[Reason.NO_REALTIME].cure)
 
 
-def _memory(facts: Facts) -> Iterable[Detail]:
-    gateways = [unit for unit in facts.units if unit.name.startswith("cruiser-gateway") and unit.locked_bytes == 0]
-    return _found(bool(gateways) and facts.settings.gateway.realtime_priority > 0)
-
-
 def _versions(facts: Facts) -> Iterable[Detail]:
     health = facts.zenoh.health
     others = [] if health is None else [f"gateway {health.gateway_version}"]
@@ -399,11 +393,6 @@ def _clock_differs(facts: Facts) -> Iterable[Detail]:
     return _found(abs(ahead_s) > CLOCK_MAX_S, f"the robot's is {abs(ahead_s):.1f} s {_way(ahead_s)}")
 
 
-def _clock_set_back(facts: Facts) -> Iterable[Detail]:
-    back_s = -facts.zenoh.clock_moved_s
-    return _found(back_s > CLOCK_MAX_S, f"by {back_s:.0f} s")
-
-
 def _way(ahead_s: float) -> str:
     return "ahead" if ahead_s > 0 else "behind"
 
@@ -430,15 +419,6 @@ def _disk_full(facts: Facts) -> Iterable[Detail]:
         return ()
     floor = min(facts.settings.recorder.floor_bytes, disk.size_bytes // 10)
     return _found(disk.free_bytes < floor, f"{disk.directory}: {_mb(disk.free_bytes)} free, not {_mb(floor)}")
-
-
-def _disk_small(facts: Facts) -> Iterable[Detail]:
-    disk, recorder = facts.disk, facts.settings.recorder
-    if disk is None or disk.why_not:
-        return ()
-    room, wanted = disk.free_bytes + disk.used_bytes, recorder.budget_bytes + recorder.floor_bytes
-    small = bool(recorder.budget_bytes) and room < wanted
-    return _found(small, f"{disk.directory} has room for {_mb(room)}, budget and floor are {_mb(wanted)}")
 
 
 def _mb(size: int) -> str:
@@ -486,142 +466,122 @@ _CABLE: Final = "look at the cable, at its termination (60 ohms between the wire
 CHECKS: Final = (
     Check(
         "other_bus",
-        "flags, settings and gateway/info",
         "another bus than that of the settings was looked at",
-        "leave out --interface and --channel; name the settings file of the gateway that runs: --config",
+        "name the settings file of the gateway that runs: --config",
         _other_bus,
         is_note=True,
     ),
     Check(
         "interface_missing",
-        "the CAN interface",
         "the interface is not there",
         "plug the adapter in, or name another: can.channel; 'ip link' lists them",
         lambda facts: _found(not _interface(facts).is_present, facts.settings.can.channel),
     ),
-    Check("interface_down", "the CAN interface", "the interface is down", _UP, _interface_down),
+    Check("interface_down", "the interface is down", _UP, _interface_down),
     Check(
         "bus_unreachable",
-        "the CAN bus",
         "the bus cannot be opened",
         "look at can.interface and can.channel, and at what has the interface",
         lambda facts: _found(bool(detail := _bus_detail(facts)), detail),
     ),
     Check(
         "bit_rate",
-        "error frames",
         "the bus runs at another bit rate, or is damaged",
         "set the chassis's bit rate: 'cruiser setup --bitrate N'; where it is right, " + _CABLE,
         _bit_rate,
     ),
     Check(
         "bit_rate_differs",
-        "the CAN interface",
         "the interface has not the bit rate of the settings",
         "'cruiser setup --bitrate BITRATE', or change can.bitrate",
         _bit_rate_differs,
     ),
     Check(
         "bus_silent",
-        "frames of a second",
         "nothing is received on the bus",
         "look at the chassis's power and button, and at the cable",
         _bus_silent,
     ),
     Check(
         "other_device",
-        "identifiers",
         "frames are received, and none is of this chassis",
         "connect the chassis to this bus, or name its bus: can.channel",
         _other_device,
     ),
     Check(
         "feedback_missing",
-        "the chassis's feedback",
         "frames that a gateway needs are missing",
         "look at the chassis; chassis.required_feedback says which are needed",
         _feedback_missing,
     ),
     Check(
         "feedback_faulty",
-        "checksums and counters",
         "frames of the chassis are damaged",
         _CABLE,
         _feedback_faulty,
     ),
     Check(
         "variant_unknown",
-        "wheel speed frames",
         "the firmware variant, and with it the scale of speeds, is not known",
         "let the robot stand still; where it does, chassis.variant is set wrong",
         _variant_unknown,
     ),
     Check(
         "other_commander",
-        "command frames",
         "another computer commands the chassis",
         "end the other one: a chassis takes commands from one alone",
         lambda facts: _found(_bus_commanded(facts), facts.settings.can.channel),
     ),
     Check(
         "two_gateways",
-        "gateways of this machine",
         "more than one gateway commands the bus",
         "end one, or give it gateway.listen_only",
         lambda facts: _found(facts.claims > 1, f"{facts.claims} on {facts.settings.can.channel}"),
     ),
     Check(
         "two_of_one_name",
-        "replies to gateway/info",
         "more than one gateway has the robot's name",
         "give one another name: robot.name",
         _two_of_one_name,
     ),
     Check(
         "queue_long",
-        "the CAN interface",
         "the transmit queue is so long that it would deliver stale commands",
         "ip link set CHANNEL txqueuelen 10",
         _queue_long,
     ),
     Check(
         "no_restart",
-        "the CAN interface",
         "a controller that has gone off the bus does not come back by itself",
         "ip link set CHANNEL type can restart-ms 100, while it is down",
         lambda facts: _found(_interface(facts).restart_ms == 0),
     ),
     Check(
         "router_unreachable",
-        "Zenoh",
         "the router cannot be reached",
         "look at the network and at the router: 'systemctl status cruiser-router' there",
         _router,
     ),
     Check(
         "gateway_missing",
-        "Zenoh",
         "the gateway does not run",
         "'systemctl start cruiser-gateway', or 'cruiser gateway'",
         _gateway_missing,
     ),
     Check(
         "gateway_hangs",
-        "liveliness and health",
         "the gateway is connected, and sends no health",
         "wait 10 s, after which systemd starts it again; 'systemctl restart cruiser-gateway'",
         _gateway_hangs,
     ),
     Check(
         "not_asked",
-        "Zenoh",
         "nothing here may ask the gateway: a robot's own certificate sees no telemetry",
         "install a recorder's or a viewer's beside it ('cruiser provision recorder'), or name one: --zenoh-config",
         lambda facts: _found(facts.zenoh.is_blind and not facts.zenoh.why_not),
     ),
     Check(
         "not_shut_down",
-        "the journal of the run before",
         "the computer lost its power, or was reset, without being shut down",
         "look at the battery and the supply; the recorder mends the log that it was writing",
         lambda facts: _found(facts.was_shut_down is False, f"before {_utc(facts.booted_s)}"),
@@ -629,14 +589,12 @@ CHECKS: Final = (
     ),
     Check(
         "service_not_active",
-        "systemd",
         "a service does not run",
         "journalctl -u cruiser-gateway",
         _service_failed,
     ),
     Check(
         "service_restarted",
-        "systemd",
         "systemd has started a service again",
         "journalctl -u cruiser-gateway",
         _restarts,
@@ -644,45 +602,26 @@ CHECKS: Final = (
     ),
     Check(
         "realtime",
-        "gateway/health",
         "the gateway has no real-time priority, and the lower speed limit is in force",
         "LimitRTPRIO=20",
         _realtime,
     ),
-    Check(
-        "memory",
-        "the gateway's process",
-        "the gateway's memory is not locked, so it may have to wait for the disk",
-        "let its unit have LimitMEMLOCK=infinity",
-        _memory,
-    ),
-    Check("unguarded", "safety/state", "no second process watches the gateway", "wait a second", _unguarded),
+    Check("unguarded", "no second process watches the gateway", "wait a second", _unguarded),
     Check(
         "latched",
-        "safety/state",
         "what has to be reset",
         "'cruiser reset ROBOT'",
         lambda facts: () if facts.zenoh.safety is None else _reasons(facts.zenoh.safety.latched, facts),
     ),
-    Check("blocked", "safety/state", "why nobody can engage the robot", "'cruiser why ROBOT'", _blocked),
+    Check("blocked", "why nobody can engage the robot", "'cruiser why ROBOT'", _blocked),
     Check(
         "clock_behind",
-        "the clock",
         "the clock is behind",
         "set it: 'timedatectl set-time', or a time server; look at its battery",
         _clock_behind,
     ),
     Check(
-        "clock_set_back",
-        "gateway/health and gateway/info",
-        "the robot's clock was set back since its gateway started",
-        "let a time server keep it: logs have the times in between twice",
-        _clock_set_back,
-        is_note=True,
-    ),
-    Check(
         "clock_unsynchronised",
-        "the kernel's clock",
         "no time server keeps the clock",
         "let chrony or systemd-timesyncd run, and reach a server: 'timedatectl'",
         lambda facts: _found(facts.is_synchronised is False),
@@ -690,28 +629,24 @@ CHECKS: Final = (
     ),
     Check(
         "clock_differs",
-        "gateway/health",
         "the robot's clock is not this machine's",
         "let both be kept by a time server",
         _clock_differs,
     ),
     Check(
         "credentials_missing",
-        "keys, certificates, grants",
         "authority.mode is signed, and there are no keys",
         "'cruiser provision robot ROBOT' makes them, 'cruiser setup --bundle FILE' installs the answer",
         _unsigned,
     ),
     Check(
         "credentials",
-        "keys, certificates, grants",
         "a file is missing, wrong, over, or others can read it",
         "'cruiser provision renew robot' asks for another",
         lambda facts: [_split(one.problem) for one in facts.credentials if one.problem],
     ),
     Check(
         "credentials_end",
-        "keys, certificates, grants",
         "a certificate or a grant ends soon",
         "'cruiser provision renew robot' asks for another",
         lambda facts: [_split(one.warning) for one in facts.credentials if one.warning and not one.problem],
@@ -719,14 +654,12 @@ CHECKS: Final = (
     ),
     Check(
         "hole",
-        "the router, with --intrude",
         "a certificate without any right is not shut out",
         "install router.json5 at the router again, and start it from that",
         lambda facts: [_split(facts.hole)] if facts.hole else [],
     ),
     Check(
         "shut_out",
-        "the router, with --intrude",
         "a certificate without any right can neither send, see nor answer",
         "nothing to do",
         lambda facts: _found(facts.hole == ""),
@@ -734,14 +667,12 @@ CHECKS: Final = (
     ),
     Check(
         "disk_unusable",
-        "the disk of the logs",
         "logs cannot be written",
         "make the directory, and let it belong to the recorder's user",
         _disk_unusable,
     ),
     Check(
         "disk_read_only",
-        "the disk of the logs",
         "the file system is mounted read-only",
         "look at the disk ('dmesg'), then mount it anew",
         lambda facts: _found(
@@ -750,35 +681,23 @@ CHECKS: Final = (
     ),
     Check(
         "disk_full",
-        "the disk of the logs",
         "the disk is full",
         "copy logs away, or let recorder.budget_bytes be less",
         _disk_full,
     ),
     Check(
-        "disk_small",
-        "the disk of the logs",
-        "the disk is smaller than what may be kept",
-        "let recorder.budget_bytes be less",
-        _disk_small,
-        is_note=True,
-    ),
-    Check(
         "recorder_missing",
-        "recorders' health",
         "nobody records",
         "'systemctl start cruiser-recorder', or 'cruiser record'",
         lambda facts: _found(facts.zenoh.health is not None and not facts.zenoh.recorders, facts.zenoh.place),
     ),
     Check(
         "recorder_stopped",
-        "recorders' health",
         "a recorder runs, and does not record",
         "let recorder.standby be false",
         _recorder_stopped,
     ),
     Check(
-        "versions",
         "versions",
         "not all are of one version",
         "bring the older ones up to date, while the robot stands",
@@ -787,7 +706,6 @@ CHECKS: Final = (
     ),
     Check(
         "losses",
-        "counters since the start",
         "something was lost",
         "see the alert of that name in docs/operate.md",
         _losses,

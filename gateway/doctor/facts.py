@@ -1,8 +1,4 @@
-"""Facts about a robot, and how far it may roll.
-
-- Facts about a robot's computer, its CAN bus, and its samples on Zenoh.
-- The sum of the settings: the metres that a robot goes on until a fault is noticed, and until it stands.
-"""
+"""Facts about a robot's computer, bus and samples, and the metres that it goes until it stands."""
 
 from __future__ import annotations
 
@@ -61,7 +57,6 @@ class ZenohReport(msgspec.Struct, frozen=True):
         why_not: why nothing is connected there; empty if something is.
         is_blind: it was asked with the robot's own certificate, which sees no telemetry.
         health, safety, state: the newest of the robot; None if there was none.
-        clock_moved_s: so far somebody has set the robot's clock since its gateway started; below zero: back.
         settings: those of the one gateway that answers; None if they are not known.
     """
 
@@ -74,7 +69,6 @@ class ZenohReport(msgspec.Struct, frozen=True):
     safety: SafetyState | None = None
     state: RobotState | None = None
     ahead_s: float = 0.0
-    clock_moved_s: float = 0.0
     recorders: list[RecorderHealth] = []
     settings: Settings | None = None
 
@@ -86,7 +80,6 @@ class ServiceUnit(msgspec.Struct, frozen=True):
         name: such as ``cruiser-gateway.service``.
         result: why it ended last, in systemd's word; success if it did not fail, or if that is forgotten.
         restarts: how often systemd has started it again since it was started by hand or at boot.
-        locked_bytes: memory that its process has locked; None if it has no process.
         ended_s: when it failed last, seconds since 1970; None if that is not known.
     """
 
@@ -94,7 +87,6 @@ class ServiceUnit(msgspec.Struct, frozen=True):
     state: str
     result: str = "success"
     restarts: int = 0
-    locked_bytes: int | None = None
     ended_s: float | None = None
 
 
@@ -143,7 +135,7 @@ class Facts(msgspec.Struct, frozen=True):
             if there is none, or if it is not for this user to read.
         hole: what a certificate without any right can do at the router, with the cure, or why that could not be
             tried; empty if it can do nothing, None if it was not tried.
-        bus_of_settings: the bus of the settings and who names another, which was looked at; else empty.
+        bus_of_settings: the bus of the settings where the gateway has another, which was looked at; else empty.
         interface: the CAN interface; None where the bus is none of the kernel's.
         claims: gateways of this machine that command the bus.
         bus: what was received of it; None if it was not listened to, because a gateway reports it.

@@ -1,19 +1,13 @@
-"""Facts for the doctor: the bus as it is, the computer as it is.
-
-- Looks at a CAN bus without sending anything: the interface, who commands it, what chassis is on it.
-- Looks at the robot's computer: its clock, the disk of the logs, services, keys and certificates.
-"""
+"""Facts for the doctor: the bus as it is, without sending anything; the computer as it is."""
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -130,15 +124,10 @@ def listen(
     frames come late.
     """
     try:
-        bus = opener(settings)
+        with closing(opener(settings)) as bus:
+            return _listen(bus, settings, stopped, monotonic_ns)
     except BusLost as error:
         return BusReport(str(error))
-    try:
-        return _listen(bus, settings, stopped, monotonic_ns)
-    except BusLost as error:
-        return BusReport(str(error))
-    finally:
-        bus.close()
 
 
 def _listen(
@@ -194,9 +183,6 @@ UNITS: Final = (
 
 PROGRAM_TIMEOUT_S: Final = 30.0
 
-SYNCHRONISED_US: Final = 16_000_000
-"""The kernel's largest error: from here on no time server has been heard for long. systemd judges by it too."""
-
 GRANT_ENDS_SOON_S: Final = 7 * 86_400
 
 LOGS: Final = ("*.mcap", "*.mcap.part")
@@ -207,10 +193,6 @@ SHUTTING_DOWN: Final = ("98268866d1d54a499c4e98921d93bc40", "d93fb3c9c24d451a97c
 
 RECOVERED: Final = "EXT4-fs .*: recovery complete"
 """Said by the kernel when it mounts a file system that was in use to the last."""
-
-_TIMEX_BYTES: Final = 256
-_MAXERROR_AT: Final = 24
-"""Of the kernel's struct timex where a long has 8 bytes."""
 
 
 def run_program(words: Sequence[str]) -> str | None:
@@ -224,15 +206,10 @@ def run_program(words: Sequence[str]) -> str | None:
     return done.stdout if done.returncode == 0 else None
 
 
-def is_synchronised() -> bool | None:
-    """Report whether a time server, any, keeps the kernel's clock. None if the kernel does not say."""
-    if sys.maxsize < 2**32:
-        return None
-    timex = ctypes.create_string_buffer(_TIMEX_BYTES)
-    if ctypes.CDLL(None, use_errno=True).adjtimex(timex) < 0:
-        return None
-    error_us = int.from_bytes(timex.raw[_MAXERROR_AT : _MAXERROR_AT + 8], sys.byteorder, signed=True)
-    return error_us < SYNCHRONISED_US
+def is_synchronised(run: Runner) -> bool | None:
+    """Report whether a time server, any, keeps the kernel's clock. None if systemd does not say."""
+    said = run(["timedatectl", "show", "--property=NTPSynchronized", "--value"])
+    return None if not said else said.strip() == "yes"
 
 
 def earliest_s(settings: Settings) -> float:
@@ -265,7 +242,7 @@ def look_at_disk(directory: Path) -> LogDisk:
 
 def look_at_units(run: Runner = run_program) -> list[ServiceUnit]:
     """Look at our services, those that are enabled or run; none where there is no systemd."""
-    wanted = "LoadState,ActiveState,UnitFileState,Result,NRestarts,MainPID"
+    wanted = "LoadState,ActiveState,UnitFileState,Result,NRestarts"
     units = []
     for name in UNITS:
         lines = (run(["systemctl", "show", "--property", wanted, name]) or "").splitlines()
@@ -277,8 +254,7 @@ def look_at_units(run: Runner = run_program) -> list[ServiceUnit]:
             if restarts:
                 # systemd forgets at the start why it was.
                 result, ended_s = _last_failure(name, run) or (result, None)
-            locked = _locked_bytes(said.get("MainPID", "0"))
-            units.append(ServiceUnit(name, said.get("ActiveState", ""), result, restarts, locked, ended_s))
+            units.append(ServiceUnit(name, said.get("ActiveState", ""), result, restarts, ended_s))
     return units
 
 
@@ -311,16 +287,6 @@ def was_shut_down(run: Runner = run_program) -> bool | None:
     return None if found is None else bool(found)
 
 
-def _locked_bytes(process: str) -> int | None:
-    """Memory that a process has locked; None if there is no such process."""
-    try:
-        lines = Path("/proc", process, "status").read_text("utf-8", "replace").splitlines()
-    except OSError:
-        return None
-    found = next((line.split()[1] for line in lines if line.startswith("VmLck:")), None)
-    return None if found is None else int(found) * 1024
-
-
 def look_at_stop_note(settings: Settings) -> str:
     """Look at the note of a stop by the guard: its text in one line; empty if this user may read none."""
     note = StopNote.of(settings)
@@ -328,13 +294,7 @@ def look_at_stop_note(settings: Settings) -> str:
 
 
 def look_at_credentials(settings: Settings, files: Sequence[Path], now_s: float) -> list[Credential]:
-    """Look at certificates, with their keys, and at the robot's grant.
-
-    Args:
-        settings: whose ``authority`` says where the robot's keys are.
-        files: Zenoh configurations as ``cruiser provision`` made them, ``robot.json5`` and the like.
-        now_s: seconds since 1970.
-    """
+    """Look at the certificates of Zenoh files, with their keys, and at the robot's grant."""
     found = [_certificate(file, now_s) for file in files]
     if settings.authority.mode == "signed":
         found.append(_grant(directory_of(settings.authority), now_s))

@@ -20,7 +20,7 @@ STEADY_S: Final = 4.0
 DRIVES_S: Final = 150.0
 STAYS_S: Final = 10.0
 RECOVERED_S: Final = 60
-RESTARTED_S: Final = 60
+RESTARTED_S: Final = 90
 LOGS: Final = "/var/lib/cruiser/logs"
 
 PROCESSES: Final = {"gateway": "cruiser gateway", "guard": "guard_main", "recorder": "cruiser record"}
@@ -104,10 +104,16 @@ def check_doctor(box: Box, when: str, expected: Mapping[str, str], *, or_else: s
 def kill_service(box: Box, service: str) -> None:
     """Kill its process; return when systemd has begun it again."""
     box.run(f"systemctl kill --signal=KILL --kill-whom=main {service}")
+    wait_restarted(box, service)
+
+
+def wait_restarted(box: Box, service: str) -> None:
+    """Wait until systemd has begun it again."""
     box.run(
         f"for i in $(seq {RESTARTED_S}); do "
         f"[ $(systemctl show --property=NRestarts --value {service}) = 0 ] || exit 0; sleep 1; done; "
-        f"systemctl status {service}; exit 1"
+        f"systemctl status {service}; journalctl -b -u {service} | tail -30; exit 1",
+        timeout_s=2 * RESTARTED_S,
     )
 
 

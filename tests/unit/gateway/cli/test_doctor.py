@@ -4,7 +4,6 @@ import argparse
 import json
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from gateway.authority.enrolment import TransportRole
@@ -12,7 +11,7 @@ from gateway.cli import doctor
 from gateway.doctor.checks import Diagnosis
 from gateway.doctor.facts import Facts, reach
 from schemas.command_line import CommandError, ExitCode
-from schemas.settings import AuthoritySettings, CanSettings, Settings, ZenohSettings
+from schemas.settings import AuthoritySettings, Settings, ZenohSettings
 from tests.support.secured import Network
 
 MUST = Diagnosis("disk_full", "the disk is full", "copy logs away", is_note=False)
@@ -107,20 +106,3 @@ def test_a_robots_own_settings_are_looked_at(tmp_path: Path, monkeypatch: pytest
     for config in (place / "robot.json5", plain_file):
         settings = Settings(zenoh=ZenohSettings(config=str(config)))
         doctor.run(_arguments("--config", "robot.toml"), settings, lambda: False)
-
-
-def test_the_bus_of_the_flags_is_looked_at_and_that_of_the_file_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A note, which changes no exit code; none where both are the same."""
-    monkeypatch.setattr(
-        doctor, "look", lambda settings, *_, **__: msgspec.structs.replace(FACTS, settings=settings)
-    )
-    file = tmp_path / "robot.toml"
-    file.write_text('[can]\nchannel = "can5"\n')
-    for channel, notes in (("can6", 1), ("can5", 0)):
-        settings = Settings(can=CanSettings(channel=channel))
-        doctor.run(_arguments("--config", str(file), "--channel", channel), settings, lambda: False)
-        lines = [one for one in capsys.readouterr().out.splitlines() if one.startswith("note: other_bus")]
-        assert len(lines) == notes
-        assert all(f"socketcan can6, and not socketcan can5, by {file}" in one for one in lines)
