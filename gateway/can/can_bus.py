@@ -53,11 +53,7 @@ class SocketcandBus:
     """
 
     def __init__(self, host: str, port: int, channel: str) -> None:
-        """Connect, and open the bus.
-
-        Raises:
-            OSError: there is no server, or it does not answer, or otherwise.
-        """
+        """Connect, and open the bus. Raises OSError: there is no server, or it does not answer, or otherwise."""
         try:
             self.stream = socket.create_connection((host, port), CONNECT_TIMEOUT_S)
         except (OSError, UnicodeError) as error:  # A host name that cannot be one is a UnicodeError.
@@ -97,12 +93,7 @@ class SocketcandBus:
         self._buffer += data
 
     def recv(self, timeout_s: float) -> Frame | None:
-        """The next frame, with the server's time; None if there was none in time.
-
-        Raises:
-            ValueError: the next message is no frame.
-            OSError: the connection is gone.
-        """
+        """The next frame, with the server's time; None if there was none in time. Raises ValueError, OSError."""
         end_s = time.monotonic() + timeout_s
         while b">" not in self._buffer and len(self._buffer) <= MESSAGE_MAX_BYTES:
             if not select.select([self.stream], [], [], max(0.0, end_s - time.monotonic()))[0]:
@@ -230,11 +221,7 @@ class CanBus:
         self._keeps_epoch: bool | None = None
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if there was none in time.
-
-        Raises:
-            BusLost: the bus is gone.
-        """
+        """The next frame, or None if there was none in time. Raises BusLost: the bus is gone."""
         while True:
             try:
                 frame = self._driver.recv(timeout_s)
@@ -250,11 +237,7 @@ class CanBus:
             return frame if self._is_in_time(frame) else msgspec.structs.replace(frame, wall_ns=time.time_ns())
 
     def _drop(self, error: Exception) -> None:
-        """Count a line that could not be read.
-
-        Raises:
-            BusLost: it is one of many in a row, or the driver means the bus.
-        """
+        """Count a line that could not be read. Raises BusLost."""
         if isinstance(error, OSError):
             raise BusLost(first_line(error)) from error
         self.drops += 1
@@ -274,12 +257,7 @@ class CanBus:
         return self._keeps_epoch
 
     def send(self, frame: Frame) -> None:
-        """Hand a frame to the bus, without waiting.
-
-        Raises:
-            BusFull: it does not take the frame now. Whether the bus is lost, ``receive`` finds out.
-            BusLost: the bus is gone, or takes nothing.
-        """
+        """Hand a frame to the bus, without waiting. Raises BusFull, BusLost."""
         if self._socket is not None:
             self._check_room(self._socket)
         try:
@@ -373,15 +351,7 @@ _ANCILLARY_BYTES: Final = socket.CMSG_SPACE(_TIME.size) + socket.CMSG_SPACE(_COU
 
 
 def open_socket(channel: str, identifiers: Collection[int] = (), *, fd: bool = False) -> socket.socket:
-    """Open an interface of the kernel's.
-
-    Args:
-        identifiers: with their flags; the kernel hands over these alone. All, if there are none.
-        fd: CAN FD frames too.
-
-    Raises:
-        OSError: there is no such interface, or the kernel has no CAN.
-    """
+    """Open an interface of the kernel's, which hands over these identifiers alone, or all. Raises OSError."""
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.CAN_RAW)
     try:
         if fd:
@@ -418,11 +388,7 @@ class SocketCanBus:
         _tune_kernel(self._socket)
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if there was none in time.
-
-        Raises:
-            BusLost: the interface is down, or gone.
-        """
+        """The next frame, or None if there was none in time. Raises BusLost: the interface is down, or gone."""
         try:
             return self._read()
         except BlockingIOError:
@@ -472,11 +438,7 @@ class SocketCanBus:
 
 
 def check_up(channel: str) -> None:
-    """See whether an interface is there and up: the kernel opens one that is down, and fails at the first read.
-
-    Raises:
-        BusLost: it is not.
-    """
+    """Raise BusLost if an interface is not there or not up: the kernel opens one that is down, too."""
     name = os.fsencode(channel)
     if len(name) > _NAME_MAX_BYTES:
         raise BusLost(f"socketcan {channel}: {os.strerror(errno.ENODEV)}")

@@ -1,9 +1,4 @@
-"""Open a bus by its settings, claim it, and open it again when it goes away.
-
-- Opening the CAN bus of the settings.
-- One gateway on a machine commands a bus: whoever comes second learns that there is another.
-- A CAN bus that is opened again when it is lost, without the caller ever waiting for it.
-"""
+"""Open a bus by its settings, claim it, and open it again when it goes away."""
 
 from __future__ import annotations
 
@@ -41,15 +36,7 @@ FD: Final = "fd"
 
 
 def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
-    """Open the bus of the settings.
-
-    Args:
-        identifiers: with their flags; where the kernel can choose, it hands over no others. If none, all.
-
-    Raises:
-        CommandError: the settings name an interface that python-can does not have.
-        BusLost: the bus is not there (yet).
-    """
+    """Open the bus of the settings, for these identifiers if it can choose. Raises BusLost, CommandError."""
     try:
         if settings.interface == SOCKETCAN:
             if other := sorted(settings.options.keys() - {FD}):

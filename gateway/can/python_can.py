@@ -31,11 +31,7 @@ class PythonCan:
         self._bus = bus
 
     def recv(self, timeout_s: float) -> Frame | None:
-        """See ``BusDriver``.
-
-        Raises:
-            BusLost: python-can says so.
-        """
+        """See ``BusDriver``. Raises BusLost: python-can says so."""
         try:
             message = self._bus.recv(timeout_s)
         except can.CanError as error:
@@ -55,11 +51,7 @@ class PythonCan:
                 raise BusLost(first_line(failed)) from failed
 
     def send(self, frame: Frame) -> None:
-        """See ``BusDriver``.
-
-        Raises:
-            BusFull: python-can does not take it.
-        """
+        """See ``BusDriver``. Raises BusFull: python-can does not take it."""
         try:
             self._bus.send(to_message(frame))
         except can.CanOperationError as error:
@@ -71,12 +63,7 @@ class PythonCan:
 
 
 def open_driver(settings: CanSettings) -> PythonCan:
-    """Open the bus of the settings.
-
-    Raises:
-        CommandError: the settings name an interface that python-can does not have.
-        BusLost: the bus is not there (yet).
-    """
+    """Open the bus of the settings. Raises CommandError, BusLost."""
     # Its messages hold tracebacks; what matters of them is in the BusLost that we raise.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     try:

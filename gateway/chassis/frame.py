@@ -1,8 +1,4 @@
-"""Frames, and their faults: all that the gate knows of a bus.
-
-- Faults of a frame or a stream of frames. Faults are values: wire input never raises.
-- A CAN frame, as the cores see it, with the flags of its words.
-"""
+"""Frames with the flags of their words, and their faults, which are values: wire input never raises."""
 
 from __future__ import annotations
 

@@ -1,14 +1,8 @@
-"""Layouts of messages: decoding and encoding by them, values that can be.
-
-- Rules for the values of a feedback frame; ``decode`` compiles them into its decoder.
-- The layout of every frame: bits, scales, units and cycle times.
-- Signals to frames, by the layout.
-
-Frames to signals and messages, compiled from the layout when the process starts.
+"""The layout of every frame, and decoding and encoding by it.
 
 For each frame of the layout one small function is generated and compiled, as ``dataclasses`` does it: the eight
 bytes become one integer, each signal is a shift and a mask of it, or of its byte. A test holds every one against
-cantools. The rules of ``value_rules`` become comparisons of raw integers in the same function.
+cantools. The rules for values become comparisons of raw integers in the same function.
 """
 
 from __future__ import annotations
@@ -117,11 +111,7 @@ class MessageLayout(msgspec.Struct, frozen=True):
     signals: tuple[SignalLayout, ...]
 
     def signal(self, name: str) -> SignalLayout:
-        """The signal of this name.
-
-        Raises:
-            KeyError: there is none.
-        """
+        """The signal of this name. Raises KeyError: there is none."""
         for signal in self.signals:
             if signal.name == name:
                 return signal
@@ -234,15 +224,9 @@ class MessageDecoder(msgspec.Struct, frozen=True):
 
 
 def compile_message(layout: MessageLayout, rules: Sequence[tuple[str, Rule]]) -> MessageDecoder:
-    """Return the decoder of a feedback frame, whose message class the subject table names.
+    """Return the decoder of a feedback frame; it makes a message only of values that keep all rules.
 
-    Args:
-        layout: of the frame.
-        rules: signal and rule; a message is made only of values that keep all of them.
-
-    Raises:
-        KeyError: no subject is made from this frame.
-        ValueError: the fields of the message class are not the signals of the frame.
+    Raises KeyError, ValueError: no subject is made from this frame, or of other fields than it has signals.
     """
     subject = BY_DBC_MESSAGE[layout.name]
     by_field = {signal.field: signal for signal in layout.signals}
@@ -364,17 +348,9 @@ class Encoder:
         self._checksum_bit = first.signal(CHECKSUM).start_bit
 
     def encode(self, name: str, values: Mapping[str, Value], alive_counter: int, wall_ns: int = 0) -> Frame:
-        """The frame of this name.
+        """The frame of this name in the DBC; a signal that is not named has its start value.
 
-        Args:
-            name: the frame's name in the DBC.
-            values: signal values by name, physical; a signal that is not named has its start value.
-            alive_counter: taken modulo 16.
-            wall_ns: the frame's time.
-
-        Raises:
-            KeyError: no such frame or signal.
-            ValueError: a value does not fit into its signal.
+        Raises KeyError, ValueError: there is no such frame or signal, or a value does not fit into its signal.
         """
         layout, signals = self._messages[name]
         last = self._last.get(name)
@@ -402,11 +378,7 @@ def _bits(name: str, values: Mapping[str, Value], signals: Mapping[str, SignalLa
 
 
 def to_raw(signal: SignalLayout, value: Value) -> int:
-    """The raw value nearest to a physical one; a choice may be given by its name.
-
-    Raises:
-        ValueError: it does not fit into the signal's bits, or the value table has no such name.
-    """
+    """The raw value nearest to a physical one; a choice may be given by its name. Raises ValueError."""
     if isinstance(value, str):
         for raw, name in signal.choices.items():
             if name == value:

@@ -108,13 +108,7 @@ class DeadReckoning:
         self._way_m = self._counted = 0.0
 
     def move(self, time_ns: int, speed_mps: float | None, angle_deg: float | None) -> None:
-        """Go on to a sample of drive and steering feedback.
-
-        Args:
-            time_ns: of the sample, by the clock of all samples; one that is not later begins anew.
-            speed_mps: signed; None if it is not known.
-            angle_deg: left positive; None if it is not known.
-        """
+        """Go on to a sample of signed speed and angle, None if not known; one that is not later begins anew."""
         if speed_mps is None or angle_deg is None or not isfinite(speed_mps) or not isfinite(angle_deg):
             return
         before_ns, before_mps, before_deg = self.last_ns, self._speed_mps, self._angle_deg

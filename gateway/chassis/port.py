@@ -1,9 +1,4 @@
-"""The seam between a chassis and all else: the state that the arbiter sees, the actuation that it decides.
-
-- The command to the chassis in one tick, in physical units.
-- The chassis as the arbiter sees it at a tick: where the telemetry flow and the command flow touch.
-- ``Chassis``: all in which one chassis differs from another, as one value.
-"""
+"""The seam between a chassis and all else: what the arbiter sees and decides, and ``Chassis`` as one value."""
 
 from __future__ import annotations
 
@@ -345,12 +340,7 @@ class Chassis(msgspec.Struct, frozen=True):
         return self.layout(next(iter(self.dbc_files)))
 
     def decoder(self, layout: MessageLayout) -> MessageDecoder:
-        """The decoder of a feedback frame, which rejects implausible values.
-
-        Raises:
-            KeyError: no subject is made from this frame.
-            ValueError: the fields of the message class are not the signals of the frame.
-        """
+        """The decoder of a feedback frame, which rejects implausible values. Raises KeyError, ValueError."""
         return compile_message(
             layout, [(signal, rule) for name, signal, rule in self.rules if name == layout.name]
         )

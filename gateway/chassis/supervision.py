@@ -1,11 +1,6 @@
-"""Supervision: of streams of frames, of the CAN controller, and of the firmware variant.
+"""Supervision: of streams of frames, of the CAN controller, and of the firmware variant. Pure.
 
-The CAN controller's state by an error frame, in the words of ISO 11898-1.
-
-Linux makes error frames out of what the controller reports (linux/can/error.h); python-can has them of other
-interfaces too, without these details.
-
-Supervision of a stream of frames: checksum, plausibility, alive counter, period and silence. Pure.
+Linux makes error frames out of what the controller reports (linux/can/error.h), in the words of ISO 11898-1.
 
 The alive counter is judged as in AUTOSAR E2E profile 1, modulo 16: a step of 1 is right, 0 is a repetition, 2 to 3
 means that frames were lost, more is a wrong sequence. Sixteen lost frames would look like none, so silence is

@@ -78,14 +78,7 @@ class Guardian:
     def tick(self, beat: Beat | None, now_ns: int, *, parent_lives: bool, bus_up: bool) -> list[Frame]:
         """Check the heartbeat, and continue or begin a stop.
 
-        Args:
-            beat: the newest one; None before the first.
-            now_ns: monotonic.
-            parent_lives: the gateway's process has not ended.
-            bus_up: frames can be sent.
-
-        Returns:
-            The frames to send now. ``is_sending`` must be reported to the loop before they are sent.
+        Returns the frames to send now. ``is_sending`` must be reported to the loop before they are sent.
         """
         cause: Cause | None = None
         paused_ns = 0 if self._ticked_ns is None else now_ns - self._ticked_ns

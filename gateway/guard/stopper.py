@@ -1,8 +1,4 @@
-"""The loop's beat, and the stop that the guard sends when it fails.
-
-- The heartbeats of the loop and of the guard, which they exchange in shared memory.
-- One stop sequence on the bus, with nobody else to ask: used by the guard and by ``cruiser halt``. Pure.
-"""
+"""The beats of loop and guard, and one stop sequence on the bus, which ``cruiser halt`` runs too. Pure."""
 
 from __future__ import annotations
 
@@ -187,7 +183,6 @@ class Stopper:
             last: the chassis's last command, as far as is known; used with caution. None if unknown.
             variant: while it is not known only zero speed is sent.
             counters: the next alive counters in the layout's order; None if they are known from the bus only.
-            now_ns: monotonic.
             told_ns: when ``last`` was sent; just now if left out.
             is_released: the robot was given back to its motor, for its parking brake does not hold it.
             returns: so many times it moved before when the enables were gone.

@@ -1,15 +1,10 @@
 """The guard's process: the memory that it shares with the gateway, its loop, its start.
 
-The guard's one thread: frames in, the heartbeat every 5 ms, stop frames out when it has to be.
+The shared memory has the loop's beats one way, the guard's status the other. Each way has two slots, written in
+turn, each with a number and a checksum. A writer that is killed half-way leaves the other slot whole, and what is
+half written, or seen out of order by another core, is never believed.
 
-The heartbeat in shared memory: the loop's beats one way, the guard's status the other.
-
-Each way has two slots, written in turn, each with a number and a checksum. A writer that is killed half-way leaves
-the other slot whole, and what is half written, or seen out of order by another core, is never believed.
-
-``python -m gateway.host.guard_main``: the guard as a process, which the gateway starts.
-
-Its only argument is the descriptor of the shared memory; its settings come on stdin.
+``python -m gateway.host.guard_main DESCRIPTOR`` is started by the gateway; its settings come on stdin.
 """
 
 from __future__ import annotations
@@ -173,16 +168,7 @@ def run(
     asked_to_end: Callable[[], bool],
     say: Callable[[str], None],
 ) -> None:
-    """Watch until there is nothing left to guard.
-
-    Args:
-        bus: a handle of the guard's own.
-        memory: shared with the loop.
-        guardian: decides.
-        parent_lives: the gateway's process has not ended.
-        asked_to_end: a signal came since the last time that this was asked.
-        say: a line for people; must not block.
-    """
+    """Watch until there is nothing left to guard. ``say`` must not block."""
     monotonic_ns = time.monotonic_ns
     due_ns = monotonic_ns()
     while not guardian.is_ended:
@@ -215,14 +201,7 @@ def _skip_what_waits(bus: GuardBus) -> None:
 
 
 def stop_alone(bus: GuardBus, stopper: Stopper, view: BusView, is_relieved: Callable[[], bool]) -> str:
-    """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended.
-
-    Args:
-        bus: the gateway's own, still open.
-        stopper: has begun.
-        view: what the stopper looks at.
-        is_relieved: somebody else stops the robot, or there has to be an end.
-    """
+    """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended."""
     monotonic_ns = time.monotonic_ns
     end_ns = monotonic_ns() + GUARD_GIVES_UP_NS
     while not stopper.is_over:

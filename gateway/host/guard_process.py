@@ -1,8 +1,4 @@
-"""The gateway's side of the guard: start it, watch it, and end a former one.
-
-- The gateway's side of the guard: starts it, beats for it, and sees whether it watches.
-- The guard of a gateway that died: it may still be stopping the robot when the next gateway is there.
-"""
+"""The gateway's side of the guard: start it, watch it, and follow that of a gateway that died."""
 
 from __future__ import annotations
 
@@ -133,8 +129,6 @@ class GuardProcess:
         """The loop lives, and has sent what it had to.
 
         Args:
-            now_ns: monotonic, after sending.
-            variant: the one in force.
             actuation: what the chassis was told in this tick; None for silence.
             counters: the next alive counter of each command frame, in the layout's order.
             told_ns: when a whole burst was last taken by the bus.
@@ -287,13 +281,7 @@ class FormerGuard:
     """
 
     def __init__(self, note: StopNote, realtime_priority: int = 0) -> None:
-        """Look once, and if a stop is under way, on a thread.
-
-        Args:
-            note: of the robot.
-            realtime_priority: of the thread, which must not hold the interpreter while others run: that of the
-                process's main thread.
-        """
+        """Look once, and if a stop is under way, on a thread with the main thread's priority."""
         self.says = ""
         self._realtime_priority = realtime_priority
         left_s = _left_s(note)

@@ -17,7 +17,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Final, Self
+from typing import ClassVar, Final, Generic, Self, TypeVar
 
 import msgspec
 
@@ -27,6 +27,10 @@ from schemas.reasons import Reason
 from schemas.settings import MILEAGE_DIFFERS_KM, Settings
 
 AUTO: Final = "auto"
+
+
+WRITE_TIMEOUT_S: Final = 2.0
+"""The longest wait of a gateway that ends for a disk that stalls."""
 
 
 def state_directory(setting: str, environment: Mapping[str, str]) -> Path | None:
@@ -48,11 +52,7 @@ def state_directory(setting: str, environment: Mapping[str, str]) -> Path | None
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is there as it was or as it is now, whatever happens meanwhile. Makes its directory.
-
-    Raises:
-        OSError: it cannot be written; it is as it was.
-    """
+    """Write a file whole, whatever happens, and make its directory. Raises OSError: it is as before."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     unfinished = path.with_suffix(".unfinished")
     descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
@@ -75,6 +75,74 @@ def sync_directory(directory: Path) -> None:
 
 log = logging.getLogger(__name__)
 
+Value = TypeVar("Value")
+
+
+class Aside(Generic[Value]):
+    """Writes one value after the other on a thread of its own: a disk that stalls must hold up nobody."""
+
+    def __init__(
+        self,
+        name: str,
+        write: Callable[[Value], None],
+        close_timeout_s: float = WRITE_TIMEOUT_S,
+        realtime_priority: int = 0,
+    ) -> None:
+        """Start the thread; its priority is the main thread's, lest it hold the interpreter while others run."""
+        self._write = write
+        self._close_timeout_s = close_timeout_s
+        self._realtime_priority = realtime_priority
+        self._values: SimpleQueue[Value | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """Values that wait for the disk."""
+        return self._values.qsize()
+
+    def add(self, value: Value) -> None:
+        """Have this written, without waiting."""
+        self._values.put(value)
+
+    def close(self) -> None:
+        """Wait until all is written, or until the disk has had its time."""
+        self._values.put(None)
+        self._thread.join(self._close_timeout_s)
+
+    def _run(self) -> None:
+        request_realtime(self._realtime_priority)
+        while (value := self._values.get()) is not None:
+            self._write(value)
+
+
+class _Note:
+    """A file of one robot in ``gateway.state_dir``.
+
+    Attributes:
+        path: of the file; None if no note is kept.
+    """
+
+    ENDING: ClassVar[str]
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+
+    @classmethod
+    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
+        """The note of the robot that the settings name."""
+        directory = state_directory(settings.gateway.state_dir, environment)
+        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
+        return cls(None if directory is None else directory / f"{robot}.{cls.ENDING}")
+
+    def _remove(self) -> None:
+        """Remove the file, if it is there. Raises OSError."""
+        if self.path is not None:
+            with suppress(FileNotFoundError):
+                self.path.unlink()
+                sync_directory(self.path.parent)
+
+
 STOP_NOTE_MAX_BYTES: Final = 2048
 """A longer note is neither extended nor read to its end: its first lines say what happened."""
 
@@ -85,22 +153,10 @@ CLEAR_TIMEOUT_S: Final = 1.0
 """The longest wait of a gateway that ends for a disk that stalls; a note that stays latches once more."""
 
 
-class StopNote:
-    """The file of one robot. Everything here may block for as long as the disk does.
+class StopNote(_Note):
+    """A stop by the guard or by a halt. Everything here may block for as long as the disk does."""
 
-    Attributes:
-        path: of the file; None if no note is kept.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        self.path = path
-
-    @classmethod
-    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
-        """The note of the robot that the settings name."""
-        directory = state_directory(settings.gateway.state_dir, environment)
-        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
-        return cls(None if directory is None else directory / f"{robot}.guard-stop")
+    ENDING = "guard-stop"
 
     def why_not(self) -> str:
         """Why no note can be kept, for people; empty if one can. Makes the directory."""
@@ -145,11 +201,7 @@ class StopNote:
         return datetime.fromisoformat(time), text
 
     def add(self, line: str) -> None:
-        """Add a line with the time of day; the file is there with its first line or not at all.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Add a line with the time of day; the file is there with its first line or not at all. Raises OSError."""
         if self.path is None:
             return
         content = f"{datetime.now(UTC).isoformat(timespec='milliseconds')} {line}\n".encode()
@@ -171,52 +223,21 @@ class StopNote:
             _write_all(descriptor, b"" if is_full else content)
 
     def clear(self) -> None:
-        """Remove the note: it was reset.
-
-        Raises:
-            OSError: it cannot be removed.
-        """
-        if self.path is not None:
-            with suppress(FileNotFoundError):
-                self.path.unlink()
-                sync_directory(self.path.parent)
+        """Remove the note: it was reset. Raises OSError: it cannot be removed."""
+        self._remove()
 
 
-class NoteWriter:
-    """Writes a note on a thread of its own: a disk that stalls must not hold up a stop."""
+class NoteWriter(Aside[str]):
+    """Writes lines of a stop's note; the one line that says why another could not be written is a complaint."""
 
     def __init__(self, note: StopNote, complain: Callable[[str], None], realtime_priority: int = 0) -> None:
-        """Start the thread.
-
-        Args:
-            note: where to.
-            complain: is given the one line that says why a line could not be written.
-            realtime_priority: of the thread, which must not hold the interpreter while others run: that of the
-                process's main thread.
-        """
-        self._note = note
-        self._complain = complain
-        self._realtime_priority = realtime_priority
-        self._lines: SimpleQueue[str | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="note-writer", daemon=True)
-        self._thread.start()
-
-    def add(self, line: str) -> None:
-        """Have this line written, without waiting."""
-        self._lines.put(line)
-
-    def close(self) -> None:
-        """Wait until all lines are written, or until the disk has had its time."""
-        self._lines.put(None)
-        self._thread.join(STOP_WRITE_TIMEOUT_S)
-
-    def _run(self) -> None:
-        request_realtime(self._realtime_priority)
-        while (line := self._lines.get()) is not None:
+        def write(line: str) -> None:
             try:
-                self._note.add(line)
+                note.add(line)
             except OSError as error:
-                self._complain(f"the note {self._note.path} cannot be written: {error.strerror}")
+                complain(f"the note {note.path} cannot be written: {error.strerror}")
+
+        super().__init__("note-writer", write, STOP_WRITE_TIMEOUT_S, realtime_priority)
 
 
 class NoteClearer:
@@ -267,30 +288,17 @@ def _write_all(descriptor: int, content: bytes) -> None:
 LATCH_NOTE_MAX_BYTES: Final = 65_536
 """A longer file is no note of ours."""
 
-LATCH_WRITE_TIMEOUT_S: Final = 2.0
-"""The longest wait of a gateway that ends for a disk that stalls."""
 
+class LatchNote(_Note):
+    """The latches in force, written aside."""
 
-class LatchNote:
-    """The file of one robot, written by a thread of its own: a disk that stalls must not hold up the loop.
-
-    Attributes:
-        path: of the file; None if no note is kept.
-    """
+    ENDING = "latched.json"
 
     def __init__(self, path: Path | None) -> None:
-        """Start the thread."""
-        self.path = path
+        super().__init__(path)
         self._last: dict[Reason, str] = {}
-        self._waiting: SimpleQueue[dict[str, str] | None] = SimpleQueue()
         self._faults: SimpleQueue[str] = SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="latch-note", daemon=True)
-        self._thread.start()
-
-    @classmethod
-    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
-        """The note of the robot that the settings name."""
-        return cls(_path(settings, environment, "latched.json"))
+        self._aside = Aside("latch-note", self._store)
 
     def read(self) -> dict[Reason, str]:
         """Return what was latched, with the details, oldest first. A note that cannot be read latches a stop."""
@@ -310,54 +318,37 @@ class LatchNote:
         return dict(self._last)
 
     def follow(self, latched: Mapping[Reason, str]) -> str:
-        """Each tick: have the note written if something else is latched now, without waiting.
-
-        Returns:
-            Why the last change could not be written, once; else an empty text.
-        """
+        """Each tick: note what is latched if that has changed. Says once why a change could not be written."""
         if latched != self._last:
             self._last = dict(latched)
-            self._waiting.put({one.value: text for one, text in latched.items() if one is not Reason.GUARD})
+            self._aside.add({one.value: text for one, text in latched.items() if one is not Reason.GUARD})
         return "" if self._faults.empty() else self._faults.get()
 
     def close(self) -> None:
         """Wait until all is written, or until the disk has had its time."""
-        self._waiting.put(None)
-        self._thread.join(LATCH_WRITE_TIMEOUT_S)
+        self._aside.close()
 
-    def _run(self) -> None:
-        while (latched := self._waiting.get()) is not None:
-            if self._waiting.qsize() > 1:
-                continue  # Stops under ever other names come faster than a disk writes: the last of them counts.
-            try:
-                self._write(latched)
-            except OSError as error:
-                fault = f"a restart would forget or bring back what is latched: {self.path}: {error.strerror}"
-                log.warning("%s", fault)
-                self._faults.put(fault)
+    def _store(self, latched: dict[str, str]) -> None:
+        if self._aside.waiting > 1:
+            return  # Stops under ever other names come faster than a disk writes: the last of them counts.
+        try:
+            self._write(latched)
+        except OSError as error:
+            fault = f"a restart would forget or bring back what is latched: {self.path}: {error.strerror}"
+            log.warning("%s", fault)
+            self._faults.put(fault)
 
     def _write(self, latched: dict[str, str]) -> None:
-        if self.path is None:
-            return
         if not latched:
-            with suppress(FileNotFoundError):
-                self.path.unlink()
-                sync_directory(self.path.parent)
-            return
-        write_whole(self.path, msgspec.json.encode(latched))
+            self._remove()
+        elif self.path is not None:
+            write_whole(self.path, msgspec.json.encode(latched))
 
 
-class RunNote:
+class RunNote(_Note):
     """A file that is there while the gateway runs, so that the next one knows how this one ended."""
 
-    def __init__(self, path: Path | None) -> None:
-        """Nothing is written yet."""
-        self.path = path
-
-    @classmethod
-    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
-        """The note of the robot that the settings name."""
-        return cls(_path(settings, environment, "running"))
+    ENDING = "running"
 
     def begin(self) -> bool:
         """Write it. Return True if it is there already: the gateway before did not end in order."""
@@ -372,15 +363,8 @@ class RunNote:
 
     def end(self) -> None:
         """Remove it: the gateway ends in order."""
-        if self.path is not None:
-            with suppress(OSError):
-                self.path.unlink()
-
-
-def _path(settings: Settings, environment: Mapping[str, str], ending: str) -> Path | None:
-    directory = state_directory(settings.gateway.state_dir, environment)
-    robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
-    return None if directory is None else directory / f"{robot}.{ending}"
+        with suppress(OSError):
+            self._remove()
 
 
 STEP_KM: Final = 0.1
@@ -389,48 +373,37 @@ STEP_KM: Final = 0.1
 MILEAGE_NOTE_MAX_BYTES: Final = 256
 
 
-class MileageNote:
-    """The file of one robot, read at the start, and written by a thread of its own: a disk may stall."""
+class MileageNote(_Note):
+    """The total mileage, read at the start, and written aside. A file that is missing or damaged says nothing."""
 
-    def __init__(self, path: Path | None, name: str) -> None:
-        """Read it, and start the thread. A file that is missing or damaged says nothing."""
-        self._path = path
-        self._name = name
+    ENDING = "mileage.json"
+
+    def __init__(self, path: Path | None) -> None:
+        super().__init__(path)
         self._noted_km = None if path is None else _read(path)
         self._is_first = True
-        self._waiting: SimpleQueue[float] = SimpleQueue()
-        threading.Thread(target=self._run, name="mileage-note", daemon=True).start()
-
-    @classmethod
-    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
-        """The note of the robot that the settings name."""
-        directory = state_directory(settings.gateway.state_dir, environment)
-        robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
-        return cls(None if directory is None else directory / f"{robot}.mileage.json", settings.robot.name)
+        self._aside: Aside[float] = Aside("mileage-note", self._write)
 
     def follow(self, mileage_km: float | None) -> str:
-        """Each tick: have the mileage noted if it has changed enough, without waiting.
-
-        Returns:
-            Once, after a start with another mileage, the question whether it is the same chassis; else nothing.
-        """
-        if self._path is None or mileage_km is None or not self._waiting.empty():
+        """Each tick: note the mileage if it changed enough. Asks once whether it is the same chassis."""
+        if self.path is None or mileage_km is None or self._aside.waiting:
             return ""
         noted_km, is_first, self._is_first = self._noted_km, self._is_first, False
         if noted_km is not None and abs(mileage_km - noted_km) < STEP_KM:
             return ""
         self._noted_km = mileage_km
-        self._waiting.put(mileage_km)
+        self._aside.add(mileage_km)
         if not is_first or noted_km is None or abs(mileage_km - noted_km) <= MILEAGE_DIFFERS_KM:
             return ""
+        robot = self.path.name.removesuffix(f".{self.ENDING}").rpartition(".")[2]
         return (
             f"its mileage reads {mileage_km:.1f} km, and read {noted_km:.1f} km when this computer last saw "
-            f"{self._name}: is this the same chassis? If not, give it a name of its own (robot.name)"
+            f"{robot}: is this the same chassis? If not, give it a name of its own (robot.name)"
         )
 
-    def _run(self) -> None:
-        while self._path is not None:
-            _write_mileage(self._path, self._waiting.get())
+    def _write(self, mileage_km: float) -> None:
+        if self.path is not None:
+            _write_mileage(self.path, mileage_km)
 
 
 def _read(path: Path) -> float | None:

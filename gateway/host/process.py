@@ -1,9 +1,4 @@
-"""The process on its computer.
-
-- Real-time scheduling and locked memory, where the system allows them.
-- Logging that never blocks: lines wait in a queue, and a thread writes them.
-- The service manager, systemd: ready, alive, and in what state (sd_notify(3)).
-"""
+"""The process on its computer: real-time scheduling, logging that never blocks, sd_notify(3)."""
 
 from __future__ import annotations
 
@@ -29,13 +24,9 @@ MCL_ONFAULT: Final = 4
 
 
 def request_realtime(priority: int) -> bool:
-    """Ask for SCHED_FIFO at this priority for the calling thread, and for locked memory.
+    """Ask for SCHED_FIFO for the calling thread, and for locked memory; at priority 0 for nothing.
 
-    Args:
-        priority: 1 to 99; 0 asks for nothing.
-
-    Returns:
-        Whether SCHED_FIFO was granted. A refusal of either is logged and changes nothing else.
+    Returns whether SCHED_FIFO was granted. A refusal of either is logged and changes nothing else.
     """
     if priority == 0:
         return False
@@ -102,11 +93,7 @@ class ServiceManager:
     """Sends datagrams to the socket that systemd names. Nothing blocks."""
 
     def __init__(self, address: str) -> None:
-        """Send nothing yet.
-
-        Args:
-            address: a path, or an abstract name that begins with ``@``.
-        """
+        """Send nothing yet to the address: a path, or an abstract name that begins with ``@``."""
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         self._socket.settimeout(0)
@@ -120,11 +107,7 @@ class ServiceManager:
         return cls(address) if address.startswith(("/", "@")) else None
 
     def alive(self, status: str) -> None:
-        """The loop gets round: feed the watchdog. The first time says that the service is ready.
-
-        Args:
-            status: a line for people, sent where it has changed.
-        """
+        """Feed the watchdog, and send the status if it has changed. The first time says that it is ready."""
         words = ["WATCHDOG=1"]
         if not self._is_ready:
             words.append("READY=1")

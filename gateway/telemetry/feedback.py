@@ -1,8 +1,4 @@
-"""Feedback of the chassis as samples: decoded messages, and raw frames in batches.
-
-- One feedback frame's stream: check, decode, supervise, make the sample.
-- Raw frames, gathered into batches.
-"""
+"""Feedback of the chassis as samples: decoded messages, and raw frames in batches."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""The gateway's health, and the whole robot in one message.
-
-- The gateway's health, each second.
-- The whole robot in one message, from the newest message of each feedback frame.
-"""
+"""The gateway's health, each second, and the whole robot in one message."""
 
 from __future__ import annotations
 
@@ -129,17 +125,7 @@ class HealthMeter:
         streams: list[FeedbackStream],
         barred: Iterable[str] = (),
     ) -> GatewayHealth:
-        """The health of the time since the last report.
-
-        Args:
-            now_ns: monotonic.
-            wall_ns: since 1970.
-            links: the bus, Zenoh and the guard.
-            variant: the one in force.
-            frames: received since the start.
-            streams: the feedback.
-            barred: why nobody may engage the robot, each reason with its words.
-        """
+        """The health of the time since the last report; ``barred`` says why nobody may engage the robot."""
         elapsed_s = max(now_ns - self._reported_ns, 1) / 1e9
         late_ns = sorted(self._lateness_ns) or [0]
         health = GatewayHealth(

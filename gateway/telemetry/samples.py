@@ -1,8 +1,4 @@
-"""Samples at both ends: as published, as received, and the newest of those that late joiners ask for.
-
-- Samples and liveliness tokens of robots, as they arrive.
-- The newest samples of a subject, for who missed them: bounded in bytes, found by their sequence. Pure.
-"""
+"""Samples and liveliness tokens as they arrive, and the newest of those that late joiners ask for. Pure."""
 
 from __future__ import annotations
 

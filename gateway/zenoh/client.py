@@ -1,8 +1,4 @@
-"""Zenoh for programs that ask robots, and the router where they meet.
-
-A router-mode session, from the file that ``cruiser provision router`` made: where nodes meet.
-
-Listens to robots: what a command at the other end needs.
+"""Zenoh for programs that listen to robots and ask them, and the router where they meet.
 
 No Python of ours runs on Zenoh's threads: what arrives waits in ring channels until ``drain`` is called.
 """
@@ -78,11 +74,7 @@ class PendingQuery:
     """
 
     def __init__(self, accepts: Callable[[Received], bool] | None = None) -> None:
-        """No reply has come yet.
-
-        Args:
-            accepts: is a reply of whom it should be? One that is not counts as none.
-        """
+        """No reply has come yet; one that is not accepted counts as none."""
         self._accepts = accepts
         self.rejected: deque[Received] = deque(maxlen=REPLIES_WAITING)
         self.is_over = False
@@ -146,11 +138,7 @@ def received_of(sample: zenoh.Sample) -> Received:
 
 
 def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterator[Received | Missed]:
-    """The samples that wait in a ring. They end, however fast more come.
-
-    Args:
-        waiting: how many it has room for. Where so many are found, others may have been lost.
-    """
+    """The samples that wait in a ring of this size. They end, however fast more come."""
     for _ in range(waiting):
         if (sample := try_recv()) is None:
             return
@@ -188,12 +176,7 @@ class RobotListener(SessionOwner):
     """Receives ``state``, ``safety/state``, ``gateway/health`` and liveliness tokens of one robot, or of all."""
 
     def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
-        """Subscribe on a session, which the listener then owns.
-
-        Args:
-            robot: where the root is.
-            name: the robot, or several by ``*``; empty for all of them.
-        """
+        """Subscribe to a robot, to several by ``*`` or to all, on a session that the listener then owns."""
         super().__init__(session)
         self._declared = DeclaredKeys(session.declare_publisher)
         chunk = keys.chunk_of(name)
@@ -280,11 +263,7 @@ ROUTER: Final = "router"
 
 
 def open_router(file: Path, listen: list[str]) -> tuple[zenoh.Session, list[str]]:
-    """Open a session that routes. Returns it, and the endpoints that it listens on.
-
-    Args:
-        listen: endpoints to listen on instead of those of the file; those of the file if it is empty.
-    """
+    """Open a session that routes, on the file's endpoints or those named. Returns it and its endpoints."""
     config = base_configuration(str(file))
     if json.loads(config.get_json(MODE)) != ROUTER:
         raise CommandError(

@@ -1,13 +1,9 @@
 """Requests from Zenoh, and a node that joins it late.
 
-Requests from Zenoh: a session of their own, three kinds of rings, and the replies.
-
 No Python of ours runs on Zenoh's threads: requests wait in ring channels that the loop drains. Where too many
 come, those of the lease's holder go first and the oldest of the others are dropped and counted. The holder's are
 those that carry the number of its lease: its name alone can be anybody's. Remote stops have rings of their own, so
 that no flood keeps one out; and since a key with a wildcard for its verb gets into them too, it counts as a stop.
-
-A gateway's place on Zenoh before it has found its router: the robot starts, and joins when one answers.
 
 A client's session opens with its router alone. So it is tried again and again on a thread of its own, and the loop
 takes it over once it is there. Until then no request comes, and of what the robot publishes the kept samples wait.
@@ -97,9 +93,7 @@ class CommandInbox:
         """Subscribe on a session, which the inbox then owns.
 
         Args:
-            settings: where the robot's name and root are.
-            is_proven: does a request come from the lease's holder, by verb, payload and attachment? None where
-                nothing is signed.
+            is_proven: does a request come from the lease's holder? None where nothing is signed.
             sieve: chooses the statements that are verified in a tick; None where there is no authority.
         """
         self.drops = 0
@@ -355,12 +349,7 @@ class LateNode:
     warning: Final = ""
 
     def __init__(self, join: Callable[[], Joined], inbox: LateInbox | None, cause: str) -> None:
-        """Begin to try.
-
-        Args:
-            join: opens the sessions, once; raises CommandError where it cannot.
-            inbox: is given the inbox; None for a gateway that only listens.
-        """
+        """Begin to try; ``inbox`` is None for a gateway that only listens."""
         self._join = join
         self._inbox = inbox
         self._node: ZenohNode | None = None

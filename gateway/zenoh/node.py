@@ -192,12 +192,7 @@ class ZenohNode:
         signer: RobotSigner | None = None,
         name_proof: NameProof | None = None,
     ) -> None:
-        """Declare everything on a session, which the node then owns.
-
-        Args:
-            signer: signs the arbiter's state; None where nothing is signed.
-            name_proof: answers for the robot's name; None where nothing is signed.
-        """
+        """Declare everything on a session, which the node then owns; without a signer nothing is signed."""
         robot = settings.robot
         self._signer = signer
         self._name_proof = name_proof
@@ -244,12 +239,7 @@ class ZenohNode:
             self._fail(error)
 
     def resume(self, kept: Mapping[str, KeptSamples], recent: Iterable[Sample]) -> None:
-        """Begin with what was published before there was a session.
-
-        Args:
-            kept: the kept samples, by subject; they are this node's from now on.
-            recent: those that a late joiner can still get; none that is signed.
-        """
+        """Begin with what was kept before there was a session, and what a late joiner can still get."""
         for name, samples in kept.items():
             self._kept[name].samples = samples
         for sample in recent:
@@ -354,13 +344,7 @@ class ZenohPlace(msgspec.Struct, frozen=True):
 def open_node(
     settings: Settings, signer: RobotSigner | None = None, name_proof: NameProof | None = None
 ) -> tuple[ZenohNode, ZenohPlace]:
-    """Open the gateway's node. Returns it and where it is.
-
-    Args:
-        settings: the robot's name, and where it is reached.
-        signer: signs the arbiter's state; None where nothing is signed.
-        name_proof: answers for the robot's name, and judges who else does; None where nothing is signed.
-    """
+    """Open the gateway's node, without signer and proof where nothing is signed. Returns it and where it is."""
     session, place = _open_session(settings)
     try:
         _wait_for_link(session, place)

@@ -1,8 +1,4 @@
-"""Zenoh for operators: commands to robots, and statements of their authorities.
-
-Shows robots statements of their authority. Its session is its own.
-
-The operator's side of Zenoh: commands on a session of their own, and what a robot's arbiter says on another.
+"""Zenoh for operators: commands to robots, statements of their authorities, and what their arbiters say.
 
 A subscriber that is slow starves whatever else is on its session, so commands share theirs with no subscriber. No
 Python of ours runs on Zenoh's threads: replies and samples wait until they are asked for.
@@ -50,11 +46,7 @@ class CommandPort(SessionOwner):
     """Sends the commands of an operator to one robot, or stops to several by a pattern. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str, operator: str) -> None:
-        """Use a session that nothing else uses.
-
-        Raises:
-            ValueError: a part of the keys is not of its form.
-        """
+        """Use a session that nothing else uses. Raises ValueError: a part of the keys is not of its form."""
         super().__init__(session)
         self.operator = operator
         self.prover: Prover | None = None
@@ -113,11 +105,7 @@ class CommandPort(SessionOwner):
         return self.begin_to_show(statement, question, timeout_s).wait(timeout_s)
 
     def begin_to_show(self, statement: bytes, question: bytes, timeout_s: float) -> PendingQuery:
-        """Show a statement of the authority, and come back for the replies later.
-
-        Args:
-            question: the attachment, drawn for this query: the replies' signatures cover it.
-        """
+        """Show a statement of the authority, with a drawn question, and come back for the replies later."""
         return self.query(self._authority, PendingQuery(), statement, "text/plain", question, timeout_s)
 
     def query(
@@ -153,11 +141,7 @@ class SafetyListener(SessionOwner):
     """A listener to a robot's arbiter, its state and its gateway's health. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str) -> None:
-        """Subscribe on a session.
-
-        Raises:
-            ValueError: a part of the keys is not of its form.
-        """
+        """Subscribe on a session. Raises ValueError: a part of the keys is not of its form."""
         super().__init__(session)
         state, event, chassis, health = (
             keys.build(root, robot, BY_NAME[name])
@@ -220,11 +204,7 @@ class StatementPort(SessionOwner):
         return sorted(robot for robot in found if robot is not None)
 
     def show(self, robot: str, text: bytes, question: bytes, timeout_s: float) -> Received | None:
-        """Show a robot a statement, again and again until it answers. Returns its answer; None if none comes.
-
-        Args:
-            question: the attachment, drawn for this question: the answer's signature covers it.
-        """
+        """Show a robot a statement, again and again until it answers. Returns its answer; None if none comes."""
         deadline_s = time.monotonic() + timeout_s
         while (left_s := deadline_s - time.monotonic()) > 0:
             if replies := self._ask(robot, text, question, left_s).wait(left_s):

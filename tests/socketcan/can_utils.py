@@ -2,11 +2,9 @@
 
 import re
 import subprocess
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
-from gateway.chassis.frame import Frame
 from tests.socketcan.turns import PEER, come_first
 from tests.support.waiting import wait_until
 
@@ -66,18 +64,3 @@ def send(channel: str, can_id: int, data: bytes) -> None:
     """One frame by ``cansend``; identifiers up to 0x7FF are standard ones."""
     identifier = f"{can_id:03X}" if can_id <= _MARK else f"{can_id:08X}"
     subprocess.run(["cansend", channel, f"{identifier}#{data.hex().upper()}"], check=True, timeout=30)
-
-
-def play(channel: str, log: Path) -> None:
-    """A log by ``canplayer``, in its own time, to the end."""
-    command = ["canplayer", "-I", str(log), f"{channel}=can0"]
-    subprocess.run(command, check=True, timeout=100, stdout=subprocess.DEVNULL)
-
-
-def write_log(path: Path, frames: Iterable[Frame]) -> None:
-    """A log as ``candump -L`` writes it, of extended frames, with their times."""
-    with path.open("w", encoding="ascii") as file:
-        for frame in frames:
-            seconds, ns = divmod(frame.wall_ns, 1_000_000_000)
-            identifier = f"{frame.identifier:08X}"
-            file.write(f"({seconds:010d}.{ns // 1000:06d}) can0 {identifier}#{frame.data.hex().upper()}\n")

@@ -63,13 +63,3 @@ def test_a_gateway_that_stands_by_is_silent(vcan: Vcan, witness: Candump) -> Non
         wait_until(lambda: len(witness.frames) > heard + 40)
         assert running.stop() == 0
     assert commands.of(witness.frames) == []
-
-
-def test_a_gateway_that_only_listens_is_silent(vcan: Vcan, witness: Candump) -> None:
-    """Whatever is on the bus."""
-    endpoint = free_endpoint()
-    with chassis(vcan.name), gateway(vcan.name, endpoint, "--listen-only") as running:
-        heard = len(witness.frames)
-        wait_until(lambda: len(witness.frames) > heard + 40)
-        assert running.stop() == 0
-    assert commands.of(witness.frames) == []

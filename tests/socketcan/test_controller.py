@@ -22,12 +22,7 @@ SPEED_RAW: Final = 500
 
 BUS_OFF: Final = ERROR | 0x40, bytes(8)
 RESTARTED: Final = ERROR | 0x100, bytes(8)
-RECEIVE_WARNING: Final = ERROR | 0x4, bytes.fromhex("0004000000000060")
-SEND_WARNING: Final = ERROR | 0x4, bytes.fromhex("0008000000006000")
 RECEIVE_PASSIVE: Final = ERROR | 0x4, bytes.fromhex("0010000000000080")
-SEND_PASSIVE: Final = ERROR | 0x4, bytes.fromhex("0020000000008000")
-ACTIVE: Final = ERROR | 0x4, bytes.fromhex("0040000000000000")
-NO_ACKNOWLEDGE: Final = ERROR | 0x20, bytes(8)
 """As linux/can/error.h has them."""
 
 
@@ -39,14 +34,6 @@ def of_controller(events: list[SafetyEvent]) -> list[tuple[Severity, Reason, str
         for event in events
         if event.reason in reasons and event.kind is EventKind.FAULT
     ]
-
-
-def test_an_error_frame_of_cansend_is_one(vcan: Vcan, candump: Candump) -> None:
-    """Who did not ask for error frames does not get it, nor anything else of that identifier."""
-    send(vcan.name, *BUS_OFF)
-    send(vcan.name, 0x123, b"\x01")
-    wait_until(lambda: bool(candump.frames))
-    assert [frame.can_id for frame in candump.frames] == [0x123]
 
 
 def test_off_the_bus_a_driven_robot_stops_and_may_be_engaged_again_when_it_is_back(
@@ -84,44 +71,3 @@ def test_off_the_bus_a_driven_robot_stops_and_may_be_engaged_again_when_it_is_ba
         ]
     drives = [frame.data for frame in witness.frames if frame.can_id == commands.DRIVE]
     assert max(int.from_bytes(data[1:3], "little") for data in drives) == SPEED_RAW
-
-
-def test_a_controller_that_comes_near_that_is_told_and_stops_nothing(vcan: Vcan) -> None:
-    """Warning and passive, for receiving and for sending, are events; the same again is none; others are none."""
-    endpoint = free_endpoint()
-    with (
-        chassis(vcan.name, "--variant", "fine"),
-        gateway(vcan.name, endpoint),
-        hearing(endpoint, "gateway/health") as heard,
-        operator(endpoint) as robot,
-    ):
-        events: list[SafetyEvent] = []
-        with driving(robot, SPEED_MPS) as drive:
-
-            def drive_on() -> None:
-                drive.keep()
-                events.extend(robot.events())
-
-            def all_told() -> bool:
-                return len(of_controller(events)) == told
-
-            told = 0
-            for frame, is_new in (
-                (RECEIVE_WARNING, True),
-                (SEND_WARNING, False),
-                (NO_ACKNOWLEDGE, False),
-                (SEND_PASSIVE, True),
-                (RECEIVE_PASSIVE, False),
-                (ACTIVE, True),
-            ):
-                send(vcan.name, *frame)
-                told += is_new
-                wait_until(all_told, drive_on)
-            assert robot.state().state.engaged
-        assert of_controller(events) == [
-            (Severity.WARNING, Reason.BUS_ERRORS, "the CAN controller: unknown before, warning now"),
-            (Severity.WARNING, Reason.BUS_ERRORS, "the CAN controller: warning before, passive now"),
-            (Severity.INFO, Reason.BUS_ERRORS, "the CAN controller: passive before, active now"),
-        ]
-        health = heard.wait_healthy(lambda health: health.controller is ControllerState.ACTIVE)
-        assert health.bus_losses == 0

@@ -1,10 +1,7 @@
-"""``cruiser doctor`` and ``cruiser setup`` on an interface of the kernel's."""
+"""``cruiser doctor`` on an interface of the kernel's."""
 
 import json
-import os
 from pathlib import Path
-
-import pytest
 
 from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.interface import Vcan
@@ -45,18 +42,3 @@ def test_error_frames_alone_are_another_bit_rate(vcan: Vcan, tmp_path: Path) -> 
         assert doctor.process.stdout is not None
         said = json.loads(doctor.process.stdout.read())
     assert "bit_rate" in {one["check"] for one in said["findings"]}
-
-
-@pytest.mark.skipif(os.access("/etc", os.W_OK), reason="it would set this computer up")
-@pytest.mark.parametrize("is_up", [True, False])
-def test_setup_says_what_it_cannot_write_and_leaves_the_bus_alone(
-    vcan: Vcan, candump: Candump, *, is_up: bool
-) -> None:
-    """The file system is read-only where user-mode Linux runs the tests. An interface that is down stays so."""
-    if not is_up:
-        vcan.down()
-    done = run(["setup", "--defaults", "--channel", vcan.name])
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert "/etc/cruiser/cruiser.toml cannot be written: read-only file system" in done.stderr
-    assert ("interface_down" in findings(vcan.name)) is not is_up
-    assert candump.frames == []

@@ -106,14 +106,6 @@ def test_a_gateway_that_starts_during_the_stop_leaves_it_to_it(
     check_stop(witness)
 
 
-def test_where_a_gateway_is_there_it_ends(vcan: Vcan) -> None:
-    """Without a word on the bus: the gateway and its guard look after the robot."""
-    with gateway(vcan.name, free_endpoint()), early(vcan.name) as process:
-        _, said = process.communicate(timeout=30)
-        assert process.returncode == 0
-        assert "a gateway is there" in said
-
-
 def test_it_waits_for_an_interface_that_is_not_there_yet(vcan: Vcan) -> None:
     """It begins with the boot, before the network."""
     vcan.remove()

@@ -111,41 +111,6 @@ def test_a_cable_that_is_off_for_a_while_is_one_loss_and_its_robot_is_stopped(tm
     assert not any(frame.data[0] & 1 for frame in sent[-5:])
 
 
-def test_an_adapter_that_is_pulled_out_and_put_in_again_is_the_same_bus(vcan: Vcan, tmp_path: Path) -> None:
-    """With another chassis at it: it is told to stand at most, until it is engaged anew."""
-    endpoint = free_endpoint()
-    with (
-        gateway(vcan.name, endpoint) as running,
-        hearing(endpoint, "state", "gateway/health") as heard,
-        operator(endpoint) as robot,
-    ):
-        with chassis(vcan.name, "--variant", "fine") as sim, driving(robot, SPEED_MPS) as drive:
-            vcan.remove()
-            with pytest.raises(Stopped) as stop:
-                wait_until(lambda: False, drive.keep)
-            assert stop.value.reason is Reason.BUS_DOWN
-            assert sim.process.wait(30) == ExitCode.UNREACHABLE
-        wait_long(heard)
-        assert not heard.health.bus_up
-        assert heard.health.bus_detail == f"socketcan {vcan.name}: No such device"
-        vcan.create()
-        with (
-            Candump(vcan.name, tmp_path / "again.log", commands.FILTER, commands.LAMP_FEEDBACK) as witness,
-            chassis(vcan.name, "--variant", "fine"),
-        ):
-            wait_until(lambda: is_at_rest(robot, witness))
-            wait_cleared(robot)
-            told = [frame for frame in witness.frames if frame.can_id == commands.DRIVE]
-            assert {speed_raw(frame) for frame in told} <= {0}
-            with driving(robot, SPEED_MPS):
-                assert robot.state().state.engaged
-        wait_long(heard)
-        assert changes(heard.bus_up)[-3:] == [True, False, True]
-        assert heard.health.bus_losses == 1
-        assert running.stop() == 0
-        assert sum("the bus is lost" in line for line in running.said) == 1
-
-
 @pytest.mark.parametrize(
     ("go", "come", "why"),
     [

@@ -4,14 +4,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-import pytest
-
-from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
+from gateway.client.refusal import LeaseLost, Refused, Unreachable
 from gateway.client.robot import Robot
-from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
 from tests.socketcan import commands
-from tests.socketcan.can_utils import Candump, send
+from tests.socketcan.can_utils import Candump
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable, wait_standing_by
 from tests.socketcan.turns import come_last
@@ -19,8 +16,6 @@ from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
 SPEED_MPS: Final = 0.5
-PEDAL: Final = bytes.fromhex("0101000000000000")
-"""Enabled, the pedal at a bit, with a right checksum: a command that changes nothing but who commands."""
 
 
 def is_blocked(robot: Robot, reason: Reason) -> bool:
@@ -72,25 +67,3 @@ def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness
         wait_engageable(second)
     commands.check_counters(commands.of(witness.frames))
     commands.bursts(commands.of(witness.frames))
-
-
-def test_a_driving_gateway_stops_for_another_commander(vcan: Vcan, witness: Candump) -> None:
-    """One valid command of motion that is not its own is enough: it stops the robot, and says why."""
-    endpoint = free_endpoint()
-    with chassis(vcan.name, "--variant", "fine"), gateway(vcan.name, endpoint), operator(endpoint) as robot:
-        wait_engageable(robot)
-        with driving(robot, SPEED_MPS) as drive:
-            send(vcan.name, commands.BRAKING, PEDAL)
-            with pytest.raises(Stopped) as stop:
-                wait_until(lambda: False, drive.keep)
-            assert stop.value.reason is Reason.OTHER_COMMANDER
-            wait_standing_by(robot)
-        state = robot.state().state
-        assert (state.state, state.stop_reason) == (ArbiterState.STANDBY, Reason.OTHER_COMMANDER)
-    (foreign,) = [frame for frame in witness.frames if (frame.can_id, frame.data) == (commands.BRAKING, PEDAL)]
-    own = [frame for frame in commands.of(witness.frames) if frame is not foreign]
-    commands.check_counters(own)
-    told = commands.bursts(own)
-    after = [burst.speed_raw for burst in told if burst.at_us > foreign.at_us]
-    assert after == sorted(after, reverse=True)
-    assert told[-1].enables == (False,) * 5

@@ -420,11 +420,7 @@ class Interface:
     """A CAN interface of the kernel's, which may be down, or go."""
 
     def __init__(self, name: str) -> None:
-        """Bind to it, up or down.
-
-        Raises:
-            OSError: there is no such interface.
-        """
+        """Bind to it, up or down. Raises OSError: there is no such interface."""
         self._socket = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         mask = 0xDFFF_FFFF  # with the bit that is left out a filter would be one of error frames
         filters = b"".join(struct.pack("=II", can_id, mask) for can_id in (*SILENCE_NS, *MOTION, *EXTRAS))
@@ -552,11 +548,7 @@ class Watch:
         self._is_announced = False
 
     def run(self) -> None:
-        """Watch; a stop that has begun is brought to its end.
-
-        Raises:
-            OSError: the interface is down, or gone.
-        """
+        """Watch; a stop that has begun is brought to its end. Raises OSError: the interface is down, or gone."""
         while not self._is_over(time.monotonic_ns()):
             self._act(time.monotonic_ns())
             time.sleep(POLL_S if self._stop.is_sending else WATCH_POLL_S)
@@ -652,11 +644,7 @@ def main(words: list[str]) -> int:
 
 
 def appeared(name: str) -> Interface | None:
-    """The interface, as soon as it is there: this is started before. None if it does not come.
-
-    Raises:
-        OSError: it cannot be used.
-    """
+    """The interface, as soon as it is there: this is started before. None if it does not come. Raises OSError."""
     end_s = time.monotonic() + APPEAR_S
     while time.monotonic() < end_s:
         try:

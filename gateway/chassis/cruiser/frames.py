@@ -1,23 +1,12 @@
 """The Cruiser's frames: identifiers, layouts, feedback that can be, and its variant.
 
-- The Cruiser's frames by their names in the DBC, and the signals of its commands.
-- The layout of the Cruiser's frames, in either firmware variant.
+The checksum is weak: eight zero bytes pass it. A frame with one value that cannot be is not believed at all. Gear
+and mode must have a name in their value table, for commands depend on them. The parking status need not: the
+manual names 1 and 3 of eight bits, a brake on its way may well say 2, and a dropped frame would hide the brake. It
+and the reserved braking frame are published as ``undefined``, which permits nothing.
 
-Plausible values of the Cruiser's feedback. The checksum is weak: eight zero bytes pass it.
-
-A frame with one value outside the table is not believed at all: a fault, never data. A frame whose scale is not
-known is not published, so it is not judged either.
-
-Rules are for what a robot is driven by. Gear and mode must have a name in their value table: the manual's lists of
-them are whole, and commands will depend on them. The parking status need not: the manual names 1 and 3 of eight
-bits, a brake on its way may well say 2, and a dropped frame would hide the brake. The braking frame is reserved.
-Both are published as ``undefined``, which permits nothing, and counted. Lamps, horn and encoder counts have no
-value that is wrong.
-
-Evidence of the firmware variant: the wheel speed frame of a standing robot.
-
-Standing still, it reads about 200 raw in the coarse variant and about 32768 in the fine one; read in the wrong
-variant a standing robot shows -8 m/s or -32.6 m/s (protocol notes, 'Two firmware variants').
+A standing robot's wheel speed frame is evidence of the variant: about 200 raw in the coarse one, about 32768 in
+the fine one; read in the wrong one it shows -8 m/s or -32.6 m/s (protocol notes, 'Two firmware variants').
 """
 
 from __future__ import annotations
@@ -105,11 +94,7 @@ def digest(variant: Variant) -> str:
 
 @cache
 def load(variant: Variant) -> ChassisLayout:
-    """Return the layout of a variant.
-
-    Raises:
-        ValueError: it is not that of the DBC beside which it is installed.
-    """
+    """Return the layout of a variant. Raises ValueError."""
     text = resources.files(__package__).joinpath(LAYOUTS).read_bytes()
     read = msgspec.json.decode(text, type=dict[Variant, ReadLayout])[variant]
     if read.dbc_sha256 != digest(variant):

@@ -1,14 +1,7 @@
-"""The last gate before the bus, with its own table.
+"""The last gate before the bus. Default deny: it admits what its own table allows, and nothing else.
 
-The gate's table of the Cruiser's command frames: identifiers, bits, values, steps.
-
-Written by hand, from the manual, and not from the DBC that the encoder uses, nor from the figures that others
-share: one mistake must not pass both.
-
-The last gate before the bus. Default deny: it admits what its own table allows, and nothing else.
-
-It knows nothing of leases, states or limits in force, and trusts nobody: it reads the bytes. What it refuses is a
-fault of the gateway's own. Its table, ``gateway.chassis.cruiser.gate``, is not the encoder's.
+It trusts nobody and reads the bytes; what it refuses is a fault of the gateway's own. Its table is written by hand
+from the manual, and not from the DBC of the encoder, nor from shared figures: one mistake must not pass both.
 """
 
 from __future__ import annotations
@@ -125,11 +118,7 @@ class Gate:
     """
 
     def __init__(self, *, may_release: bool = False) -> None:
-        """Nothing was sent yet.
-
-        Args:
-            may_release: what is sent first is a stop of an engagement, which may release the parking brake once.
-        """
+        """Nothing was sent yet. A stop of an engagement may release the parking brake once."""
         self.counters: dict[int, int] = {}
         self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
         self._before: MotionBurst | None = None
@@ -144,14 +133,8 @@ class Gate:
         """Return the fault for which these frames must not be sent together, or None if they may.
 
         One stop is always admitted, whatever was admitted before: zero speed, gear and angle of the burst before,
-        the parking request, all enables and no pedal.
-
-        Args:
-            frames: a burst.
-            variant: the scale of the speed in it.
-            now_ns: monotonic.
-            stopping: they belong to a stop. Only a stop may begin with the parking brake released; in a stop no
-                speed rises, and the parking brake stays applied, but for one release at zero speed.
+        the parking request, all enables and no pedal. Only a stop may begin with the parking brake released; in a
+        stop no speed rises, and the parking brake stays applied, but for one release at zero speed.
         """
         if len(frames) > BURST_MAX_FRAMES or len({frame.can_id for frame in frames}) != len(frames):
             return GateFault(0, "too many frames, or one twice")
@@ -204,13 +187,7 @@ class Gate:
 
 
 def word_fault(can_id: int, word: int, last_counter: int | None) -> str:
-    """Return the fault of a frame's eight bytes, read as one little-endian number; empty if there is none.
-
-    Args:
-        can_id: one of ``USED_BITS``.
-        word: the bytes.
-        last_counter: the alive counter sent last under this identifier; None if none was.
-    """
+    """Return the fault of a frame's eight bytes, little-endian, after the last counter; empty if there is none."""
     folded = word ^ word >> 32
     folded ^= folded >> 16
     if (folded ^ folded >> 8) & 0xFF:
@@ -242,16 +219,7 @@ def motion_fault(motion: MotionBurst, variant: Variant) -> str:
 def step_fault(
     motion: MotionBurst, before: MotionBurst | None, variant: Variant, *, stopping: bool, may_release: bool
 ) -> str:
-    """Return the fault of the step from one burst to the next; empty if there is none.
-
-    Args:
-        motion: the burst; neither it nor the one before has a motion fault.
-        before: the one before; None out of silence.
-        variant: the scale of the speeds.
-        stopping: the burst belongs to a stop.
-        may_release: this stop may release the parking brake, for there was an engagement before it, and no release
-            since.
-    """
+    """Return the fault of the step from the burst before, None out of silence; empty if there is none."""
     if before is None:
         return "" if stopping or motion.parking else "released out of silence"
     moves = motion.speed_raw > 0

@@ -25,11 +25,7 @@ FILE: Final = Path(__file__).with_name(LAYOUTS)
 
 
 def layouts_text() -> str:
-    """Return what the file has to say.
-
-    Raises:
-        ValueError: a DBC says something that is not implemented.
-    """
+    """Return what the file has to say. Raises ValueError."""
     layouts = {
         variant: ReadLayout(digest(variant), read_layout(variant, dbc_text(variant))) for variant in DBC_FILES
     }
@@ -37,11 +33,7 @@ def layouts_text() -> str:
 
 
 def read_layout(variant: Variant, dbc: str) -> ChassisLayout:
-    """Read the layout of a variant from the text of its DBC.
-
-    Raises:
-        ValueError: the DBC says something that is not implemented.
-    """
+    """Read the layout of a variant from its DBC. Raises ValueError: it says something that is not implemented."""
     database = Database()
     database.add_dbc_string(dbc)
     return ChassisLayout(variant, {message.name: _message(message) for message in database.messages})

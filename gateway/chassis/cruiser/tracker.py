@@ -50,13 +50,7 @@ class ChassisTracker:
     """Makes the chassis's state of the newest feedback, each tick."""
 
     def __init__(self, streams: Iterable[FeedbackRow], detector: VariantDetector, required: Iterable[str]) -> None:
-        """Nothing was seen yet.
-
-        Args:
-            streams: of all feedback frames.
-            detector: of the variant.
-            required: the frames without which the robot is not commanded, by their names in the DBC.
-        """
+        """Nothing was seen yet; without the ``required`` frames the robot is not commanded."""
         self._streams = {stream.layout.name: stream for stream in streams}
         self._required = {name: self._streams[name] for name in required}
         self._encoders = Encoders()
@@ -88,14 +82,7 @@ class ChassisTracker:
     def state(
         self, controller: ControllerState, variant: Variant, commander_ns: int | None, now_ns: int
     ) -> ChassisState:
-        """The chassis now, but for what the loop knows of the bus and the guard.
-
-        Args:
-            controller: the CAN controller's error state.
-            variant: the firmware variant in force.
-            commander_ns: when another computer's command frame was last received.
-            now_ns: monotonic.
-        """
+        """The chassis now, but for what the loop knows of the bus and the guard."""
         wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)
         drive, gear = self._latest(DRIVE, Drive), self._latest(GEAR, Gear)
         steering = self._latest(STEERING, Steering)

@@ -32,16 +32,45 @@ def service() -> dict[str, str]:
     return section("cruiser-gateway.service")
 
 
-@pytest.mark.parametrize(("line", "command"), [("ExecStart", "gateway"), ("ExecStopPost", "halt")])
-def test_its_commands_exist(service: dict[str, str], line: str, command: str) -> None:
-    """With the same configuration file; a failed halt does not hide how the gateway ended."""
-    program, *words = service[line].split()
-    assert program == {"ExecStart": "", "ExecStopPost": "-"}[line] + "/opt/cruiser/bin/cruiser"
-    assert words[:3] == [command, "--config", "/etc/cruiser/cruiser.toml"]
-    parser = argparse.ArgumentParser()
-    import_module(COMMANDS[command][0]).add_arguments(parser)
+LOGS = f"/var/lib/{section('cruiser-recorder.service')['StateDirectory']}"
+ROBOT: dict[str, object] = {"config": "/etc/cruiser/cruiser.toml"}
+UNITS: dict[str, tuple[str, dict[str, object]]] = {
     # The interface may come later than the service.
-    assert vars(parser.parse_args(words[3:])).get("gateway.wait_for_bus", True)
+    "gateway ExecStart": ("gateway", ROBOT | {"gateway.wait_for_bus": True}),
+    # A failed halt does not hide how the gateway ended.
+    "gateway ExecStopPost": ("-halt", ROBOT),
+    "recorder ExecStart": ("record", ROBOT | {"recorder.directory": LOGS}),
+    "upload ExecStart": ("upload", {"recorder.directory": LOGS}),
+    "router ExecStart": ("router", {"authority.directory": "/etc/cruiser/router"}),
+    **{f"{name} ExecStart": (name, {"config": f"/etc/cruiser/{name}.toml"}) for name in ("desk", "metrics")},
+}
+
+
+@pytest.mark.parametrize("line", UNITS)
+def test_its_command_exists(line: str) -> None:
+    """With these flags; and all come back whatever ended them."""
+    unit, _, entry = line.partition(" ")
+    command, said = UNITS[line]
+    service = section(f"cruiser-{unit}.service")
+    program, *words = service[entry].split()
+    assert [program, words[0]] == [
+        f"{command[: command.startswith('-')]}/opt/cruiser/bin/cruiser",
+        command.strip("-"),
+    ]
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--config")
+    import_module(COMMANDS[words[0]][0]).add_arguments(parser)
+    assert said.items() <= vars(parser.parse_args(words[1:])).items()
+    assert (DEPLOY / str(said.get("config", "/etc/cruiser/cruiser.toml")).lstrip("/")).exists()
+    assert service["Restart"] == "always"
+
+
+def test_a_reload_begins_new_files_and_an_upload_comes_after_everybody_else() -> None:
+    """It reads the recorder's own directory, in which it may change one file."""
+    recorder, unit = section("cruiser-recorder.service"), section("cruiser-upload.service")
+    assert recorder["ExecReload"].split()[1:] == ["-HUP", "$MAINPID"]
+    assert unit["ReadWritePaths"] == f"-{LOGS}/{NAME}"
+    assert (unit["Nice"], unit["CPUSchedulingPolicy"], unit["IOSchedulingClass"]) == ("19", "idle", "idle")
 
 
 def test_the_guard_outlives_the_gateway(service: dict[str, str]) -> None:
@@ -63,38 +92,11 @@ def test_a_stop_by_the_guard_has_a_place_on_the_disk(service: dict[str, str]) ->
     assert int(service["LimitRTPRIO"]) >= Settings().gateway.realtime_priority + 1
 
 
-def test_the_recorder_records_into_the_directory_that_it_may_write_to() -> None:
-    """With the gateway's configuration file; it is always begun again, and a reload begins new files."""
-    recorder = section("cruiser-recorder.service")
-    program, *words = recorder["ExecStart"].split()
-    assert (program, words[:3]) == (
-        "/opt/cruiser/bin/cruiser",
-        ["record", "--config", "/etc/cruiser/cruiser.toml"],
-    )
-    parser = argparse.ArgumentParser()
-    import_module(COMMANDS["record"][0]).add_arguments(parser)
-    directory = vars(parser.parse_args(words[3:]))["recorder.directory"]
-    assert directory == f"/var/lib/{recorder['StateDirectory']}"
-    assert recorder["Restart"] == "always"
-    assert recorder["ExecReload"].split()[1:] == ["-HUP", "$MAINPID"]
-
-
 def test_a_gateway_that_hangs_is_begun_again_after_its_guard_has_acted(service: dict[str, str]) -> None:
     """By the watchdog; a loop that is late for as long as floods have made it is not ended."""
     assert (service["Type"], service["Restart"]) == ("notify", "always")
     assert int(service["WatchdogSec"]) * 1e9 > 50 * GUARD_LATE_NS + 5e9
     assert int(service["TimeoutAbortSec"]) < int(service["TimeoutStopSec"])
-
-
-def test_the_routers_command_exists() -> None:
-    """With the directory that its first lines say how to fill; it comes back whatever ended it."""
-    service = section("cruiser-router.service")
-    program, command, *words = service["ExecStart"].split()
-    assert (program, command) == ("/opt/cruiser/bin/cruiser", "router")
-    parser = argparse.ArgumentParser()
-    import_module(COMMANDS[command][0]).add_arguments(parser)
-    assert vars(parser.parse_args(words))["authority.directory"] == "/etc/cruiser/router"
-    assert service["Restart"] == "always"
 
 
 def test_the_early_stop_begins_with_the_boot_and_with_each_can_interface() -> None:
@@ -107,18 +109,6 @@ def test_the_early_stop_begins_with_the_boot_and_with_each_can_interface() -> No
     assert early["Environment"] == "STATE_DIRECTORY=/var/lib/cruiser/gateway"
     rule = (DEPLOY / "60-cruiser.rules").read_text(encoding="utf-8")
     assert 'ENV{SYSTEMD_WANTS}+="cruiser-early-stop@%k.service"' in rule
-
-
-@pytest.mark.parametrize("name", ["desk", "metrics"])
-def test_the_commands_for_a_fleet_exist(name: str) -> None:
-    """With settings of their own: what serves a fleet is no robot's. They come back whatever ended them."""
-    service = section(f"cruiser-{name}.service")
-    program, command, *words = service["ExecStart"].split()
-    assert (program, command) == ("/opt/cruiser/bin/cruiser", name)
-    assert words == ["--config", f"/etc/cruiser/{name}.toml"]
-    assert command in COMMANDS
-    assert service["Restart"] == "always"
-    assert (DEPLOY / f"etc/cruiser/{name}.toml").exists()
 
 
 def test_the_desk_that_comes_along_is_for_this_machine_alone() -> None:
@@ -134,7 +124,7 @@ def test_the_desk_that_comes_along_is_for_this_machine_alone() -> None:
         "0.0.0.0:8443",
         *keys,
         ["desk.example"],
-        logs=f"/var/lib/{section('cruiser-recorder.service')['StateDirectory']}",
+        logs=LOGS,
     )
     assert settings.zenoh.config == "/etc/cruiser/desk/desk.json5"
 
@@ -150,16 +140,3 @@ def test_the_desk_may_read_the_logs_of_the_recorder() -> None:
 def test_the_settings_that_come_along_are_right(file: Path) -> None:
     """The product reads each."""
     load_settings(str(file), {}, {})
-
-
-def test_the_upload_comes_after_everybody_else() -> None:
-    """And reads the recorder's own directory, in which it may change one file."""
-    unit = section("cruiser-upload.service")
-    _, command, *words = unit["ExecStart"].split()
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--config")
-    import_module(COMMANDS[command][0]).add_arguments(parser)
-    directory = vars(parser.parse_args(words))["recorder.directory"]
-    assert directory == f"/var/lib/{section('cruiser-recorder.service')['StateDirectory']}"
-    assert unit["ReadWritePaths"] == f"-{directory}/{NAME}"
-    assert (unit["Nice"], unit["CPUSchedulingPolicy"], unit["IOSchedulingClass"]) == ("19", "idle", "idle")

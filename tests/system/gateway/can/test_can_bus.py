@@ -87,24 +87,23 @@ def server(
             thread.join()
 
 
-def test_a_server_that_does_not_speak_socketcand_is_told() -> None:
-    """Whatever else listens there, the line says so."""
-    with (
-        server(b"SSH-2.0-OpenSSH_9.2\r\n") as (channel, _),
-        pytest.raises(BusLost, match="does not speak the socketcand protocol"),
-    ):
-        open_bus(CanSettings(interface="socketcand", channel=channel))
-
-
 @pytest.mark.timeout(20)
-@pytest.mark.parametrize("answers", [0, 1])
-def test_a_server_that_falls_silent_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch, answers: int) -> None:
-    """It greets, and then answers the handshake not at all, or not to its end: nobody waits for ever."""
+@pytest.mark.parametrize(
+    ("greeting", "answers", "answer", "why"),
+    [
+        (b"SSH-2.0-OpenSSH_9.2\r\n", 2, b"< ok >", "does not speak the socketcand protocol"),
+        (b"< hi >", 0, b"< ok >", "the server did not answer within 0.5 s"),
+        (b"< hi >", 1, b"< ok >", "the server did not answer within 0.5 s"),
+        # As socketcand says it of a bus that is not there.
+        (b"< hi >", 2, b"< error could not open bus >", "the server answered '< error could not open bus >'"),
+    ],
+)
+def test_a_server_that_does_not_open_the_bus_is_told(
+    monkeypatch: pytest.MonkeyPatch, greeting: bytes, answers: int, answer: bytes, why: str
+) -> None:
+    """Whatever else listens there, falls silent or refuses: nobody waits for ever."""
     monkeypatch.setattr("gateway.can.can_bus.HANDSHAKE_TIMEOUT_S", 0.5)
-    with (
-        server(b"< hi >", answers) as (channel, _),
-        pytest.raises(BusLost, match=f"{channel}: the server did not answer within 0.5 s"),
-    ):
+    with server(greeting, answers, answer) as (channel, _), pytest.raises(BusLost, match=f"{channel}: .*{why}"):
         open_bus(CanSettings(interface="socketcand", channel=channel))
 
 
@@ -119,15 +118,6 @@ def test_frames_right_behind_the_handshake_are_frames(host: str) -> None:
             assert (frame.can_id, frame.data) == (EXTENDED | 0x18C4D1EF, bytes(range(1, 9)))
         finally:
             bus.close()
-
-
-def test_a_server_that_refuses_the_bus_is_told_in_its_words() -> None:
-    """As socketcand says it of a bus that is not there."""
-    with (
-        server(b"< hi >", answer=b"< error could not open bus >") as (channel, _),
-        pytest.raises(BusLost, match="the server answered '< error could not open bus >'"),
-    ):
-        open_bus(CanSettings(interface="socketcand", channel=channel))
 
 
 @pytest.mark.parametrize(
@@ -150,16 +140,6 @@ def test_a_message_that_cannot_be_read_costs_no_other(broken: bytes) -> None:
             received = [bus.receive(DEADLINE_S) for _ in range(2)]
             assert all(one is not None and one.data == bytes(range(1, 9)) for one in received)
             assert bus.drops == 1
-        finally:
-            bus.close()
-
-
-def test_a_message_without_an_end_is_not_kept_for_ever() -> None:
-    """It is dropped and counted like a broken one."""
-    with server(b"< hi >", last=b"0" * 5000) as (channel, _):
-        bus = open_bus(CanSettings(interface="socketcand", channel=channel))
-        try:
-            wait_until(lambda: (bus.receive(0.01), bus.drops > 0)[1])
         finally:
             bus.close()
 

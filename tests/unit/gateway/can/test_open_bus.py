@@ -1,31 +1,197 @@
-"""What keeps a bus from being opened, and whether waiting helps."""
+"""What keeps a bus from being opened, and one that is lost and opened again."""
 
 import re
+import threading
+import time
 import tomllib
-from contextlib import closing
 from pathlib import Path
 
 import can
 import pytest
 
 from gateway.can.can_bus import (
+    BusFull,
     BusLost,
 )
-from gateway.can.open_bus import open_bus
+from gateway.can.open_bus import ReconnectingBus, open_bus
 from gateway.chassis.frame import EXTENDED, Frame
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import CanSettings
+from tests.support.waiting import DEADLINE_S, wait_until
 
 
-def test_frames_go_from_bus_to_bus() -> None:
-    """Two buses on python-can's virtual interface hear each other."""
-    settings = CanSettings(interface="virtual", channel="test-two")
-    with closing(open_bus(settings)) as one, closing(open_bus(settings)) as other:
-        one.send(Frame(EXTENDED | 0x18C4D1EF, b"\x01\x04", 0))
-        received = other.receive(1)
-        assert received is not None
-        assert (received.can_id, received.data) == (EXTENDED | 0x18C4D1EF, b"\x01\x04")
-        assert other.receive(0) is None
+class FakeBus:
+    """A bus with failure knobs."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+        self.drops = 0
+        self.lost = ""
+        self.room = 100
+        self.lost_after = 100
+        self.tried = 0
+        self.closed = False
+        self.may_close = threading.Event()
+        self.may_close.set()
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        if self.lost:
+            raise BusLost(self.lost)
+        if not self.frames:
+            time.sleep(min(timeout_s, 0.001))
+            return None
+        return self.frames.pop(0)
+
+    def send(self, frame: Frame) -> None:
+        self.tried += 1
+        if self.tried > self.lost_after:
+            raise BusLost("Network is down")
+        if self.room == 0:
+            # The next one would have room again.
+            self.room = 1
+            raise BusFull("Transmit buffer full")
+        self.room -= 1
+        self.frames.append(frame)
+
+    def close(self) -> None:
+        assert self.may_close.wait(DEADLINE_S)
+        self.closed = True
+
+
+FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
+
+
+def test_a_lost_bus_is_opened_again() -> None:
+    """While it is away there are no frames and it says why; afterwards frames come again."""
+    first, second = FakeBus(), FakeBus()
+    outcomes: list[FakeBus | str] = ["no such device", "no such device", second]
+
+    def opener() -> FakeBus:
+        outcome = outcomes.pop(0)
+        if isinstance(outcome, str):
+            raise BusLost(outcome)
+        return outcome
+
+    bus = ReconnectingBus(opener, first, first_pause_s=0.001, longest_pause_s=0.004)
+    first.frames.append(FRAME)
+    assert bus.receive(0.01) == FRAME
+    first.lost = "Network is down"
+    assert bus.receive(0.01) is None
+    assert (bus.is_up, bus.losses) == (False, 1)
+    assert bus.detail
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    second.frames.append(FRAME)
+    assert bus.receive(0.01) == FRAME
+    assert (bus.is_up, bus.detail, bus.losses) == (True, "", 1)
+    assert first.closed
+    bus.close()
+    assert second.closed
+
+
+def test_a_lost_bus_that_is_slow_to_close_does_not_stop_the_loop() -> None:
+    """The caller goes on at once; the bus is opened again only when the lost one is closed."""
+    first, second = FakeBus(), FakeBus()
+    closed_before: list[bool] = []
+
+    def opener() -> FakeBus:
+        closed_before.append(first.closed)
+        return second
+
+    bus = ReconnectingBus(opener, first, first_pause_s=0.001)
+    first.may_close.clear()
+    first.lost = "Network is down"
+    assert bus.receive(0.01) is None
+    assert (bus.losses, bus.is_up, first.closed) == (1, False, False)
+    assert bus.receive(0.01) is None
+    assert closed_before == []
+    first.may_close.set()
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    assert closed_before == [True]
+    bus.close()
+
+
+def test_closing_ends_the_search() -> None:
+    """A bus that never comes does not keep the process alive."""
+
+    def opener() -> FakeBus:
+        raise BusLost("never")
+
+    bus = ReconnectingBus(opener, None, first_pause_s=0.001)
+    wait_until(lambda: bus.detail == "never")
+    bus.close()
+    assert not any(thread.name == "bus-opener" for thread in threading.enumerate())
+
+
+BURST = [Frame(EXTENDED | 0x18C4D1D0 + 0x10000 * number, bytes(8)) for number in range(5)]
+
+
+def never_opened() -> FakeBus:
+    """An opener of a bus that does not come back."""
+    raise BusLost("never")
+
+
+@pytest.mark.parametrize("room", range(5))
+def test_a_burst_ends_with_the_first_frame_that_is_not_taken(room: int) -> None:
+    """The rest of it is not tried, also where there would be room again; the bus is not lost by that."""
+    first = FakeBus()
+    bus = ReconnectingBus(never_opened, first)
+    first.room = room
+    assert bus.send(BURST) == room
+    assert first.tried == room + 1
+    assert (bus.is_up, bus.losses) == (True, 0)
+    first.room = 100
+    assert bus.send(BURST) == 5
+    assert first.frames == BURST[:room] + BURST
+    bus.close()
+
+
+@pytest.mark.parametrize("room", range(5))
+def test_a_bus_that_is_lost_in_the_midst_of_a_burst_says_how_far_it_came(room: int) -> None:
+    """What was taken counts, the bus is down, and nothing of the burst goes to the bus that comes next."""
+    first, second = FakeBus(), FakeBus()
+    bus = ReconnectingBus(lambda: second, first, first_pause_s=0.001)
+    first.lost_after = room
+    assert bus.send(BURST) == room
+    assert (bus.is_up, bus.losses, bus.detail) == (False, 1, "Network is down")
+    assert bus.send(BURST) == 0
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    assert second.frames == []
+    assert bus.send(BURST[:2]) == 2
+    assert (first.frames, second.frames) == (BURST[:room], BURST[:2])
+    bus.close()
+
+
+def test_what_was_dropped_is_counted_from_one_bus_to_the_next() -> None:
+    """Each counts from its own opening."""
+    first, second = FakeBus(), FakeBus()
+    bus = ReconnectingBus(lambda: second, first, first_pause_s=0.001)
+    assert bus.drops == 0
+    first.drops = 3
+    assert bus.drops == 3
+    first.lost = "Network is down"
+    assert bus.receive(0.01) is None
+    assert (bus.is_up, bus.drops) == (False, 3)
+    wait_until(lambda: (bus.receive(0.001), bus.is_up)[1])
+    second.drops = 4
+    assert bus.drops == 7
+    bus.close()
+
+
+def test_a_bus_that_opens_and_is_lost_at_once_is_not_tried_without_end() -> None:
+    """The pauses grow for it too."""
+    opened: list[FakeBus] = []
+
+    def opener() -> FakeBus:
+        bus = FakeBus()
+        bus.lost = "Network is down"
+        opened.append(bus)
+        return bus
+
+    bus = ReconnectingBus(opener, opener(), first_pause_s=0.001, longest_pause_s=60)
+    wait_until(lambda: (bus.receive(0.001), bus.losses >= 5)[1])
+    assert bus._pause_s >= 0.001 * 2**4
+    bus.close()
+    assert all(one.closed for one in opened)
 
 
 def test_a_serial_adapter_without_pyserial_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,27 +220,22 @@ def test_a_socketcand_channel_needs_host_and_port(channel: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "error", [OSError("pcanbasic library not found."), NameError("name 'canOpenChannel' is not defined")]
+    ("error", "raised", "said"),
+    [
+        # A library that is not installed will not come by itself; a device may be plugged in later.
+        (OSError("pcanbasic library not found."), CommandError, "its driver is not installed (pcanbasic"),
+        (NameError("name 'canOpenChannel' is not defined"), CommandError, "its driver is not installed (name"),
+        (can.CanInitializationError("A PCAN Channel has no"), BusLost, "pcan PCAN_USBBUS1: A PCAN Channel"),
+    ],
 )
-def test_a_missing_driver_is_no_matter_of_waiting(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
-    """A library that is not installed will not come by itself: a matter of usage, which names the driver."""
+def test_a_vendors_driver_or_device_that_is_missing_is_told_apart(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, raised: type[Exception], said: str
+) -> None:
+    """One is a matter of usage, the other of waiting."""
 
-    def without_library(**_arguments: object) -> can.BusABC:
+    def fail(**_arguments: object) -> can.BusABC:
         raise error
 
-    monkeypatch.setattr(can, "Bus", without_library)
-    with pytest.raises(CommandError, match=r"'pcan' cannot be used: its driver is not installed \(.*n") as caught:
-        open_bus(CanSettings(interface="pcan", channel="PCAN_USBBUS1"))
-    assert caught.value.code is ExitCode.USAGE
-    assert str(error) in str(caught.value)
-
-
-def test_a_vendors_device_that_is_missing_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may be plugged in later."""
-
-    def without_device(**_arguments: object) -> can.BusABC:
-        raise can.CanInitializationError("A PCAN Channel has not been initialized yet")
-
-    monkeypatch.setattr(can, "Bus", without_device)
-    with pytest.raises(BusLost, match="pcan PCAN_USBBUS1: A PCAN Channel"):
+    monkeypatch.setattr(can, "Bus", fail)
+    with pytest.raises(raised, match=re.escape(said)):
         open_bus(CanSettings(interface="pcan", channel="PCAN_USBBUS1"))

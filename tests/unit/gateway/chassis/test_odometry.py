@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.odometry import GAP_NS, SLIP_M, DeadReckoning
+from gateway.chassis.odometry import SLIP_M, DeadReckoning
 from schemas.cruiser import WHEELBASE_M
 from schemas.messages import Odometry, RobotState, Variant
 from schemas.reasons import Reason
@@ -153,19 +153,6 @@ def test_a_gap_moves_nothing_and_is_unsure(missing: str, seconds: float) -> None
     assert pose.x_m == whole.x_m
 
 
-@pytest.mark.parametrize("holes", [5, 10, 40])
-def test_frames_that_are_lost_are_bridged(holes: int) -> None:
-    """Within half a second the way between is known by both ends, a little less surely."""
-    lossy = after((1.0, 0.0, 20.0), period_ns=holes * PERIOD_NS)
-    whole = after((1.0, 0.0, 20.0))
-    assert holes * PERIOD_NS <= GAP_NS
-    assert lossy.x_m == pytest.approx(whole.x_m, abs=holes * 0.011)
-    lossy_said, whole_said = lossy.report(), whole.report()
-    assert lossy_said is not None
-    assert whole_said is not None
-    assert lossy_said.x_variance_m2 > whole_said.x_variance_m2
-
-
 @pytest.mark.parametrize(
     ("parts", "pulses", "is_doubted"),
     [
@@ -203,20 +190,6 @@ def test_a_speed_that_is_frozen_at_zero_is_noticed_by_the_pulses() -> None:
         made.move(last_ns + number * 50 * MS, 0.0, 0.0)
         made.count(last_ns + number * 50 * MS, *[round(PULSES_PER_M * way_m) - 0x8000] * 2)
     assert sd(made)[0] > sure[0] + 0.3
-
-
-def test_a_reset_is_zero_here() -> None:
-    """Pose, way and variances; the count of the messages goes on."""
-    pose = after((1.0, 20.0, 3.0))
-    first = pose.report()
-    pose.reset()
-    pose.move((pose.last_ns or 0) + PERIOD_NS, 0.0, 20.0)
-    again = pose.report()
-    assert first is not None
-    assert again is not None
-    assert again.sequence == first.sequence + 1
-    assert again.distance_m == pytest.approx(0.005)
-    assert again.heading_variance_rad2 < first.heading_variance_rad2 / 100
 
 
 # In the core.
@@ -284,17 +257,6 @@ def test_state_alone_gives_the_same_path(trip: str) -> None:
     assert again.distance_m == pytest.approx(last.distance_m, abs=0.02)
 
 
-def test_a_hole_in_the_frames_is_no_jump() -> None:
-    """The pose waits where it was, nothing is published meanwhile, and what follows is unsure."""
-    rig, operator = driving(1.0, 5.0, Variant.FINE)
-    before = odometry_of(rig)[-1]
-    rig.fault("silence all for 1s")
-    operator.drive(0.0, seconds=2.0)
-    behind = next(one for one in odometry_of(rig) if one.time_ns - before.time_ns > 500 * MS)
-    assert hypot(behind.x_m - before.x_m, behind.y_m - before.y_m) < 0.15
-    assert behind.x_variance_m2 > before.x_variance_m2 + 0.2
-
-
 def test_reset_odometry_wants_the_lease_alone() -> None:
     """In motion too; the reply, the decision and an event say so, and the next sample begins at zero."""
     rig, operator = driving(1.0, 5.0)
@@ -311,11 +273,3 @@ def test_reset_odometry_wants_the_lease_alone() -> None:
     last = odometry_of(rig)[-1]
     assert 0 < last.distance_m < 0.05
     assert last.x_variance_m2 < SLIP_M**2
-
-
-def test_a_robot_that_stands_by_is_reset_without_being_engaged() -> None:
-    """The lease is enough."""
-    rig, operator = ready()
-    operator.take_lease()
-    assert operator.reason("reset_odometry") is Reason.NONE
-    assert not rig.says.engaged

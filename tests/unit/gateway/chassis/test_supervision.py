@@ -1,26 +1,18 @@
-"""Checksum, alive counter, period and silence."""
+"""Checksum, alive counter, period and silence; and error frames as linux/can/error.h lays them out."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.cruiser.frames import load
-from gateway.chassis.frame import FaultKind
-from gateway.chassis.supervision import AliveCounter, FaultWindow, FrameSupervisor, Period, silence_ns
+from gateway.chassis.frame import ERROR, FaultKind, Frame
+from gateway.chassis.supervision import AliveCounter, FrameSupervisor, Period, controller_state, silence_ns
 from recorder.review.checking import AliveCount
-from schemas.messages import Variant
+from schemas.messages import ControllerState, Variant
 from tests.support.messages import feedback
 
 MS = 1_000_000
 GEAR = load(Variant.COARSE).messages["Auto_GearFeedBack"]
-
-
-@given(first=st.integers(0, 15), frames=st.integers(1, 100))
-def test_a_running_counter_has_no_fault(first: int, frames: int) -> None:
-    """Any start, +1 for each frame, 15 wraps to 0: no fault, nothing lost."""
-    alive = AliveCounter()
-    assert [alive.receive((first + i) % 16) for i in range(frames)] == [None] * frames
-    assert (alive.faults, alive.lost) == (0, 0)
 
 
 @pytest.mark.parametrize("step", range(16))
@@ -34,36 +26,16 @@ def test_a_step_is_judged_as_in_e2e_profile_1(step: int) -> None:
         assert alive.lost == max(0, step - 1)
 
 
-def test_a_counter_that_wraps_at_3_is_found() -> None:
-    """0 1 2 3 0 is a wrong sequence (a published driver of this family wraps there)."""
+def test_faults_are_counted_to_their_limit_and_paid_back_one_by_one() -> None:
+    """+1 for each fault, -1 for each good frame, failed at 5 and not below; repeats are stuck from the third."""
     alive = AliveCounter()
-    verdicts = [alive.receive(counter) for counter in (0, 1, 2, 3, 0)]
-    assert verdicts == [None, None, None, None, FaultKind.ALIVE_SEQUENCE]
-
-
-def test_a_counter_that_repeats_is_stuck_at_the_third_repeat() -> None:
-    """Repeats are told one by one, then as stuck; the count of faults stops at its limit, 5."""
-    alive = AliveCounter()
-    verdicts = [alive.receive(7) for _ in range(8)]
-    assert verdicts == [None, *[FaultKind.ALIVE_REPEATED] * 2, *[FaultKind.ALIVE_STUCK] * 5]
-    assert alive.faults == 5
-    assert alive.has_failed
-
-
-def test_faults_are_paid_back_one_by_one() -> None:
-    """+1 for each fault, -1 for each good frame, failed at 5 and not below."""
-    alive = AliveCounter()
-    alive.receive(0)
-    for _ in range(4):
-        alive.receive(0)
-    assert not alive.has_failed
-    alive.receive(0)
-    assert alive.has_failed
-    alive.receive(1)
-    assert not alive.has_failed
-    for counter in range(2, 10):
-        alive.receive(counter)
-    assert alive.faults == 0
+    counters = [7, *[7] * 6, 8, *range(9, 14)]
+    verdicts = [(alive.receive(counter % 16), alive.faults, alive.has_failed) for counter in counters]
+    assert [faults for _, faults, _ in verdicts] == [0, 1, 2, 3, 4, 5, 5, 4, 3, 2, 1, 0, 0]
+    assert [has_failed for _, _, has_failed in verdicts] == [*[False] * 5, True, True, *[False] * 6]
+    assert [verdict for verdict, _, _ in verdicts[1:7]] == [FaultKind.ALIVE_REPEATED] * 2 + [
+        FaultKind.ALIVE_STUCK
+    ] * 4
 
 
 @given(counters=st.lists(st.integers(0, 15), max_size=60))
@@ -76,19 +48,6 @@ def test_the_fault_count_stays_in_its_bounds(counters: list[int]) -> None:
         assert 0 <= alive.faults <= 5
         assert alive.lost >= lost
         lost = alive.lost
-
-
-def test_three_faults_within_a_second_are_a_failure() -> None:
-    """Two are not, three are while they lie within one second, and time heals."""
-    window = FaultWindow(3, 1000 * MS)
-    for at_ms in (0, 500):
-        window.fault(at_ms * MS)
-    assert not window.has_failed(500 * MS)
-    window.fault(1000 * MS)
-    assert window.has_failed(1000 * MS)
-    assert not window.has_failed(1000 * MS + 1)
-    window.fault(1400 * MS)
-    assert window.has_failed(1500 * MS)
 
 
 @pytest.mark.parametrize(("kind", "faults"), [("checksum", 5), ("implausible", 3)])
@@ -199,3 +158,32 @@ def test_a_frame_that_repeats_its_counter_becomes_overdue() -> None:
     assert supervisor.is_silent
     supervisor.receive(4, 120 * MS)
     assert not supervisor.is_silent
+
+
+@pytest.mark.parametrize(
+    ("kinds", "detail", "state"),
+    [
+        (0x040, 0x00, ControllerState.BUS_OFF),
+        (0x044, 0x20, ControllerState.BUS_OFF),
+        (0x100, 0x00, ControllerState.ACTIVE),
+        (0x004, 0x40, ControllerState.ACTIVE),
+        (0x004, 0x04, ControllerState.WARNING),
+        (0x004, 0x08, ControllerState.WARNING),
+        (0x004, 0x10, ControllerState.PASSIVE),
+        (0x004, 0x24, ControllerState.PASSIVE),
+        (0x004, 0x01, None),
+        (0x004, 0x00, None),
+        (0x008, 0x30, None),
+        (0x020, 0x00, None),
+        (0x000, 0xFF, None),
+        # Cut short, it tells nothing of what is not there.
+        (0x004, None, None),
+        (0x040, None, ControllerState.BUS_OFF),
+    ],
+)
+def test_an_error_frame_tells_the_controllers_state_or_nothing(
+    kinds: int, detail: int | None, state: ControllerState | None
+) -> None:
+    """The detail counts only where the frame says that it is about the controller."""
+    data = b"\0" if detail is None else bytes([0, detail, 0, 0, 0, 0, 0, 0])
+    assert controller_state(Frame(ERROR | kinds, data)) is state

@@ -11,7 +11,6 @@ from gateway.chassis.layout import Decoded, Encoder, FrameDecoder
 from gateway.chassis.port import Actuation
 from gateway.choice import CHASSIS
 from gateway.guard.stopper import Stopper
-from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Variant
 from schemas.settings import TICK_NS, CommandSettings
 from tests.support.frames import MS, Feedback
@@ -23,14 +22,6 @@ def begun(view: ChassisView, counters: bytes | None, now_ns: int = 0) -> Stopper
     stopper = Stopper(CHASSIS, view, CommandSettings())
     stopper.begin(DRIVING, Variant.COARSE, counters, now_ns)
     return stopper
-
-
-def test_nothing_is_sent_before_it_begins() -> None:
-    """And it counts as over."""
-    stopper = Stopper(CHASSIS, ChassisView(), CommandSettings())
-    assert stopper.is_over
-    assert stopper.tick(0) == []
-    assert stopper.phase is StopPhase.IDLE
 
 
 @pytest.mark.parametrize("nonsense", [nan, inf])
@@ -55,27 +46,21 @@ def test_one_burst_a_tick() -> None:
     assert len([at_ns for at_ns in range(15 * TICK_NS, 17 * TICK_NS, TICK_NS // 5) if stopper.tick(at_ns)]) == 2
 
 
-def test_without_a_heartbeat_the_counters_are_those_heard() -> None:
-    """Of each frame its own; from 0 where none was heard."""
+@pytest.mark.parametrize(
+    ("known", "at_ms", "counters"),
+    [
+        pytest.param(None, 0, [9, 0, 0, 0, 0], id="without a heartbeat those heard, else 0"),
+        pytest.param(7, 100, [9, 7, 7, 7, 7], id="heard a little ahead of the heartbeat's"),
+        pytest.param(7, 300, [7, 7, 7, 7, 7], id="heard long ago, from another computer"),
+        pytest.param(10, 0, [10, 10, 10, 10, 10], id="heard behind: repeated ones would be refused"),
+    ],
+)
+def test_the_counters_go_on(known: int | None, at_ms: int, counters: list[int]) -> None:
+    """From the heartbeat's, and what was heard since: a drive command with counter 8."""
     view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
     view.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
-    frames = begun(view, None).tick(0)
-    assert [frame.data[6] >> 4 for frame in frames[:5]] == [9, 0, 0, 0, 0]
-
-
-def test_counters_heard_long_ago_do_not_count() -> None:
-    """Another computer's, which happen to be a little ahead of the heartbeat's."""
-    view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
-    view.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
-    assert begun(view, bytes([7] * 8), 100 * MS).tick(100 * MS)[0].data[6] >> 4 == 9
-    assert begun(view, bytes([7] * 8), 300 * MS).tick(300 * MS)[0].data[6] >> 4 == 7
-
-
-def test_counters_heard_that_are_behind_do_not_count() -> None:
-    """The guard has not heard the gateway's last burst yet: repeated counters would be refused."""
-    view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
-    view.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
-    assert begun(view, bytes([10] * 8)).tick(0)[0].data[6] >> 4 == 10
+    frames = begun(view, None if known is None else bytes([known] * 8), at_ms * MS).tick(at_ms * MS)
+    assert [frame.data[6] >> 4 for frame in frames[:5]] == counters
 
 
 def test_it_yields_to_the_hand_transmitter_between_two_ticks() -> None:

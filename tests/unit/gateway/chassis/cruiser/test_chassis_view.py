@@ -43,18 +43,12 @@ def test_remote_is_believed_from_the_second_frame() -> None:
     assert view.mode(80 * MS) is Mode.REMOTE
 
 
-def test_eight_zero_bytes_say_nothing() -> None:
-    """Their checksum is right, and they would read auto."""
-    view = ChassisView()
-    view.receive(Frame(load(Variant.COARSE).messages[BODY].can_id, bytes(8)), 0)
-    assert view.mode(0) is Mode.UNDEFINED
-
-
-def test_a_wrong_checksum_says_nothing() -> None:
-    """Neither of the mode nor of a counter."""
+def test_a_frame_that_is_not_valid_says_nothing() -> None:
+    """Neither of the mode nor of a counter; eight zero bytes have a right checksum, and would read auto."""
     view, feedback = ChassisView(), Feedback(Variant.COARSE)
     for frame in (body(feedback, "auto"), Encoder(load(Variant.COARSE)).encode("Auto_GearCmd", {}, 3)):
         view.receive(Frame(frame.can_id, frame.data[:7] + bytes([frame.data[7] ^ 1])), 0)
+    view.receive(Frame(load(Variant.COARSE).messages[BODY].can_id, bytes(8)), 0)
     assert view.mode(0) is Mode.UNDEFINED
     assert view.next_counters == {}
     assert view.commander_ns is None
@@ -87,31 +81,23 @@ def test_standstill_is_seen_in_either_variant_known_or_not(variant: Variant) -> 
     assert fresh.stands(Variant.UNKNOWN, 990 * MS)
 
 
-@pytest.mark.parametrize("name", [DRIVE, WHEELS])
-def test_either_speed_alone_keeps_it_from_standing(name: str) -> None:
-    """Drive feedback and wheels must both say so."""
-    view, feedback = ChassisView(), Feedback(Variant.COARSE)
-    values: dict[str, dict[str, float]] = {
-        DRIVE: {"Speed": 0.2},
-        WHEELS: {"RearLeftSpeed": 0.2, "RearRightSpeed": 0.2},
-    }
-    feed(view)
-    view.receive(feedback.frame(name, values[name]), 1000 * MS)
-    view.receive(feedback.frame(name, values[name]), 1001 * MS)
-    for variant in (Variant.COARSE, Variant.UNKNOWN):
-        for at_ms in range(1001, 1090, 10):
-            assert not view.stands(variant, at_ms * MS)
-
-
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.UNKNOWN])
-def test_wheels_that_turn_against_each_other_do_not_stand(variant: Variant) -> None:
-    """Their mean is zero, and the robot turns on the spot or slips."""
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        (DRIVE, {"Speed": 0.2}),
+        (WHEELS, {"RearLeftSpeed": 0.2, "RearRightSpeed": 0.2}),
+        # Their mean is zero, and the robot turns on the spot or slips.
+        (WHEELS, {"RearLeftSpeed": 0.4, "RearRightSpeed": -0.4}),
+    ],
+)
+def test_drive_feedback_and_each_wheel_must_stand(name: str, values: dict[str, float], variant: Variant) -> None:
+    """Either alone keeps the robot from standing."""
     view, feedback = ChassisView(), Feedback(Variant.COARSE)
     feed(view)
     for at_ms in range(1000, 1100, 10):
-        view.receive(feedback.frame(WHEELS, {"RearLeftSpeed": 0.4, "RearRightSpeed": -0.4}), at_ms * MS)
-        for name in (DRIVE, BODY):
-            view.receive(feedback.frame(name), at_ms * MS)
+        for each in (DRIVE, WHEELS, BODY):
+            view.receive(feedback.frame(each, values if each == name else {}), at_ms * MS)
         assert not view.stands(variant, at_ms * MS)
 
 

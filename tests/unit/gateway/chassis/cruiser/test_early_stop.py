@@ -159,17 +159,6 @@ def test_a_robot_that_the_remote_control_has_is_left_alone() -> None:
     assert left.chassis.state.speed_mps == 0.0
 
 
-def test_the_remote_control_ends_a_stop() -> None:
-    """At once, between two bursts."""
-    left = Left(Variant.COARSE)
-    left.until(0.2)
-    assert left.early.is_sending
-    left.chassis.inject(fault_line("transmitter remote for 1s"), left.now_ns)
-    left.until(0.5)
-    assert not left.early.is_sending
-    assert left.early.outcome == "the remote control has the robot"
-
-
 # The same as the guard's.
 
 

@@ -1,16 +1,24 @@
-"""From an actuation to frames."""
+"""From an actuation to frames, their layouts against the DBC files, and which firmware variant it is."""
 
+from collections.abc import Iterator
+
+import cantools
 import pytest
+from cantools.database.can import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.cruiser import frames as layout_module
 from gateway.chassis.cruiser.bursts import FrameMaker
-from gateway.chassis.cruiser.frames import MOTION_FRAMES, load
-from gateway.chassis.frame import Frame
-from gateway.chassis.layout import Decoded, FrameDecoder
+from gateway.chassis.cruiser.frames import MOTION_FRAMES, StandstillEvidence, load
+from gateway.chassis.cruiser.layout_file import FILE, layouts_text
+from gateway.chassis.frame import FaultKind, Frame
+from gateway.chassis.layout import Decoded, Encoder, FrameDecoder
 from gateway.chassis.port import AT_REST, Actuation, AuxiliaryFrame
+from gateway.chassis.supervision import VariantDetector
+from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import GearPosition, Variant
-from tests.support.strategies import VARIANTS
+from tests.support.strategies import VARIANTS, payloads
 
 FULL = Actuation(True, GearPosition.REVERSE, 2.222, -24.0, parking=False)  # noqa: FBT003
 
@@ -39,14 +47,6 @@ def test_five_frames_in_their_order(variant: Variant) -> None:
     assert read["Auto_ParkingCmd"]["ParkingRequest"] is False
 
 
-def test_at_rest_all_is_off_but_the_parking_brake() -> None:
-    """Disabled, neutral, parked."""
-    read = signals(FrameMaker().make(AT_REST, [], Variant.COARSE), Variant.COARSE)
-    assert [values["Enable"] for values in read.values()] == [False] * 5
-    assert read["Auto_GearCmd"]["TargetGear"] == "neutral"
-    assert read["Auto_ParkingCmd"]["ParkingRequest"] is True
-
-
 def test_in_an_unknown_variant_the_speed_is_zero() -> None:
     """Which is the same in both; the rest of a stop goes out all the same."""
     frames = FrameMaker().make(FULL, [], Variant.UNKNOWN)
@@ -68,13 +68,6 @@ def test_rounding_never_goes_beyond_what_is_asked(speed_mps: float, angle_deg: f
     assert abs(angle_deg) - 0.0447 < abs(told_deg) <= abs(angle_deg) + 0.0007
 
 
-@given(bits=st.integers(0, 55))
-def test_a_whole_number_of_bits_is_that_number(bits: int) -> None:
-    """And not the one below."""
-    frame = FrameMaker().make(Actuation(True, GearPosition.DRIVE, bits * 0.04), [], Variant.COARSE)[0]  # noqa: FBT003
-    assert frame.data[1] == bits
-
-
 def test_counters_rise_with_what_was_sent_and_only_with_that() -> None:
     """+1 for each frame of an identifier, 15 wraps to 0; what was not sent is made again with the same counter."""
     maker = FrameMaker()
@@ -89,3 +82,123 @@ def test_counters_rise_with_what_was_sent_and_only_with_that() -> None:
     maker.sent(maker.make(AT_REST, [], Variant.COARSE)[:2])
     assert [maker.counters[name] for name in MOTION_FRAMES] == [9, 9, 8, 8, 8]
     assert maker.counters["Auto_LightCmd"] == 0
+
+
+@pytest.fixture
+def _read_anew() -> Iterator[None]:
+    load.cache_clear()
+    yield
+    load.cache_clear()
+
+
+def test_the_file_is_current() -> None:
+    """``make generate`` writes it."""
+    assert FILE.read_text("utf-8") == layouts_text()
+
+
+@pytest.mark.usefixtures("_read_anew")
+def test_a_layout_of_another_dbc_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody changed a scale in the DBC beside it: the gateway does not start with the former one."""
+    changed = dbc_text(Variant.FINE).replace("(0.001,0)", "(0.002,0)")
+    assert changed != dbc_text(Variant.FINE)
+    monkeypatch.setattr(layout_module, "dbc_text", lambda _: changed)
+    with pytest.raises(ValueError, match=r"was not made of this cruiser-fine\.dbc; 'make generate' makes it anew"):
+        load(Variant.FINE)
+
+
+@pytest.mark.parametrize("variant", DBC_FILES)
+def test_a_signal_has_the_value_that_cantools_decodes(variant: Variant) -> None:
+    """Of every signal of every frame, with all patterns of one byte around it."""
+    database = cantools.database.load_string(dbc_text(variant), "dbc")
+    assert isinstance(database, Database)
+    for message in load(variant).messages.values():
+        known = database.get_message_by_name(message.name)
+        for byte in range(256):
+            data = bytes([byte, 255 - byte] * 4)
+            decoded = known.decode(data, decode_choices=False)
+            assert {signal.name: signal.value(data) for signal in message.signals} == decoded
+
+
+COARSE_STANDING = bytes.fromhex("01c800c800000001")
+FINE_STANDING = bytes.fromhex("0100800080000001")
+
+
+def wheels(variant: Variant, left_mps: float, right_mps: float) -> bytes:
+    values: dict[str, float | bool] = {"Valid": True, "RearLeftSpeed": left_mps, "RearRightSpeed": right_mps}
+    return Encoder(load(variant)).encode("Auto_WheelSpdFeedback", values, 0).data
+
+
+def test_the_standstill_frames_of_the_protocol_notes_are_told_apart() -> None:
+    """0xC8 0x00 is coarse, 0x00 0x80 is fine."""
+    evidence = StandstillEvidence()
+    assert evidence.of(COARSE_STANDING) is Variant.COARSE
+    assert evidence.of(FINE_STANDING) is Variant.FINE
+
+
+@given(data=payloads)
+def test_no_frame_is_evidence_for_both(data: bytes) -> None:
+    """Whatever the bytes, flipping the order of the question does not change the answer, and it never raises."""
+    evidence = StandstillEvidence()
+    answer = evidence.of(data)
+    for variant in VARIANTS:
+        if variant is not answer:
+            alone = StandstillEvidence()
+            alone._readers = {variant: alone._readers[variant]}
+            assert alone.of(data) is Variant.UNKNOWN
+
+
+@pytest.mark.parametrize(("data", "variant"), [(COARSE_STANDING, Variant.COARSE), (FINE_STANDING, Variant.FINE)])
+def test_a_frame_with_a_bit_that_the_variant_does_not_have_is_no_evidence(data: bytes, variant: Variant) -> None:
+    """Whatever sets a bit outside the signals is another layout, and its speeds may lie elsewhere too."""
+    evidence = StandstillEvidence()
+    signals = load(variant).messages["Auto_WheelSpdFeedback"].signals
+    used = {signal.start_bit + bit for signal in signals for bit in range(signal.length)}
+    unused = set(range(64)) - used
+    assert len(unused) == {Variant.COARSE: 33, Variant.FINE: 19}[variant]
+    for bit in unused:
+        strange = (int.from_bytes(data, "little") | 1 << bit).to_bytes(8, "little")
+        assert evidence.of(strange) is Variant.UNKNOWN, bit
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("speed_mps", [-2.222, -0.5, -0.12, 0.12, 0.5, 2.222])
+def test_a_moving_robot_is_no_evidence(variant: Variant, speed_mps: float) -> None:
+    """Only a standing robot tells; an invalid frame does not either."""
+    evidence = StandstillEvidence()
+    assert evidence.of(wheels(variant, speed_mps, speed_mps)) is Variant.UNKNOWN
+    assert evidence.of(wheels(variant, 0.0, speed_mps)) is Variant.UNKNOWN
+    assert evidence.of(b"\x00" + wheels(variant, 0, 0)[1:]) is Variant.UNKNOWN
+
+
+FRAMES = {"c": COARSE_STANDING, "f": FINE_STANDING, "m": wheels(Variant.COARSE, 1, 1)}
+"""Of a standing robot in either variant, and of one that moves."""
+
+
+@pytest.mark.parametrize(
+    ("configured", "frames", "found", "is_contradicted", "faults"),
+    [
+        (Variant.UNKNOWN, "cccc", Variant.UNKNOWN, False, 0),
+        (Variant.UNKNOWN, "ccccmcccc", Variant.UNKNOWN, False, 0),
+        (Variant.UNKNOWN, "ccccc", Variant.COARSE, False, 0),
+        (Variant.UNKNOWN, "fffff", Variant.FINE, False, 0),
+        # A chassis that was changed; else the configured variant stays, and is in doubt.
+        (Variant.UNKNOWN, "fffffccccc", Variant.COARSE, False, 5),
+        (Variant.FINE, "", Variant.FINE, False, 0),
+        (Variant.FINE, "ccccc", Variant.FINE, True, 5),
+        (Variant.FINE, "cccccfffff", Variant.FINE, False, 5),
+        # The bus was away, and another chassis may be on it.
+        (Variant.UNKNOWN, "fffff-", Variant.UNKNOWN, False, 0),
+        (Variant.COARSE, "ccccc-", Variant.COARSE, False, 0),
+    ],
+)
+def test_five_frames_in_a_row_decide(
+    configured: Variant, frames: str, found: Variant, *, is_contradicted: bool, faults: int
+) -> None:
+    """Each one that speaks for another variant is a fault; "-" is a reset."""
+    detector = VariantDetector(configured, StandstillEvidence())
+    seen = [detector.receive(FRAMES[one]) for one in frames if one in FRAMES]
+    if frames.endswith("-"):
+        detector.reset()
+    assert seen.count(FaultKind.VARIANT_CONTRADICTED) == faults
+    assert (detector.variant, detector.contradicted) == (found, is_contradicted)
+    assert detector.confirmed is (frames[-5:] in {"ccccc", "fffff"} and not is_contradicted)

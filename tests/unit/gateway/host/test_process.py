@@ -1,11 +1,41 @@
-"""Logging that never holds who logs."""
+"""The process on its computer: real-time scheduling, and logging that never holds who logs."""
 
 import logging
+import os
 import threading
 
+import pytest
+
+from gateway.host import process
 from gateway.host.process import LINES_WAITING, logging_aside
 
 log = logging.getLogger("test")
+
+
+def test_a_refusal_is_logged_and_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An ordinary user may not have it; the gateway runs all the same."""
+
+    def refuse(_pid: int, _policy: int, _parameter: os.sched_param) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with caplog.at_level(logging.INFO):
+        assert process.request_realtime(10) is False
+    assert "no real-time scheduling" in caplog.text
+
+
+def test_real_time_priority_is_what_the_system_says_whoever_gave_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also a policy that was there from the start; locked memory is another matter."""
+    for policy, is_realtime in (
+        (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, True),
+        (os.SCHED_RR, True),
+        (os.SCHED_OTHER, False),
+        (os.SCHED_BATCH | os.SCHED_RESET_ON_FORK, False),
+    ):
+        monkeypatch.setattr(os, "sched_getscheduler", lambda _pid, policy=policy: policy)
+        assert process.has_realtime() is is_realtime
 
 
 class StuckHandler(logging.Handler):
