@@ -72,11 +72,8 @@ PICTURE: Final = (
 )
 
 COMMANDS: Final[dict[str, Run | Start | str]] = {
-    PICTURE: "a picture",
     "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/"),
-    "make demo-fleet": "tests/system/test_fleet_example.py runs its script",
     "make demo-desk": "tests/system/gateway/cli/test_demo_desk.py runs it",
-    "make test": "runs this test",
     # Five minutes.
     "cruiser sim": Start(r" on 127\.0\.0\.1:", stays=True),
     "cruiser gateway --interface socketcand --channel 127.0.0.1:29536": Start("gateway: ", stays=True),
@@ -90,6 +87,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser review events logs": Run("remote_stop", ended=("cruiser record -o logs",)),
     # A client.
     "import time": Run("", drives=True),
+    PICTURE: "a picture",
     # The tour.
     "cruiser fault bumper front on": Run("ok", first=("cruiser record -o logs",)),
     "cruiser fault transmitter remote": Run("ok"),
