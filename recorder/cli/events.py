@@ -38,8 +38,7 @@ EXAMPLE: Final = """\
 DESCRIPTION: Final = (
     "What happened, in order: leases, engages, stops, latches, faults, takeovers, refusals, and what the log "
     "lacks, each with time, cause and operator. Alike refusals and faults that follow each other are told once, "
-    "with a count. What no message says, but two states of the arbiter, is marked 'derived'. Exit code 1 if the "
-    "logs hold nothing of a robot, 3 if a file is not whole."
+    "with a count. Exit code 1 if the logs hold nothing of a robot, 3 if a file is not whole."
 )
 
 
@@ -84,15 +83,13 @@ def _until(entries: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[En
 def record_of(entry: Entry, start_ns: int) -> dict[str, Any]:
     """An entry as a JSON object: its own fields, and some more.
 
-    ``time`` is a text, ``since_s`` seconds since the beginning of the logs, ``cause`` the reason in words, and
-    ``derived`` tells what no message says.
+    ``time`` is a text, ``since_s`` seconds since the beginning of the logs, and ``cause`` the reason in words.
     """
     return {
         "time": in_words(entry.time_ns),
         "since_s": round((entry.time_ns - start_ns) / 1e9, 6),
         **msgspec.structs.asdict(entry),
         "cause": "" if entry.reason is Reason.NONE else TEXTS[entry.reason].means,
-        "derived": entry.is_derived,
     }
 
 
@@ -133,8 +130,6 @@ def _what(entry: Entry) -> str:
     notes = []
     if entry.count > 1:
         notes.append(f"{entry.count} times" + (f" within {lasted_s:.1f} s" if lasted_s >= 0.05 else ""))
-    if entry.is_derived:
-        notes.append("derived")
     if entry.is_late:
         notes.append("out of order")
     return entry.text + (f" [{', '.join(notes)}]" if notes else "")

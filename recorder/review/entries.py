@@ -1,7 +1,7 @@
 """Entries of what happened: their words, the clocks of their robots, stops, repeats and missing samples.
 
 A message's own time is better than that of its receipt, as long as the two clocks agree; else the arbiter's tick
-gives the order. A change between two states, or two healths, is an entry unless an event says it.
+gives the order. A change between two healths is an entry; of the arbiter's states the guard and the run alone.
 
 A stop is the end of being commanded that no client asked for. What a guard or the next gateway says of it later
 belongs to it, and so does each further cause before the robot is engaged again.
@@ -9,27 +9,21 @@ belongs to it, and so does each further cause before the robot is engaged again.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Hashable, Iterable, Iterator
 from enum import Enum
 from itertools import islice, pairwise
+from operator import itemgetter
 from typing import Final
 
 import msgspec
 
-from schemas.decisions import (
-    COMMANDING,
-    GUARD_STOP_ENDED,
-    ArbiterState,
-    EventKind,
-    SafetyState,
-    Severity,
-    is_same_run,
-)
+from schemas.decisions import GUARD_STOP_ENDED, EventKind, Severity, is_same_run
 from schemas.messages import ControllerState, Count, GatewayHealth, TimeNs
-from schemas.reasons import AS_ASKED, TEXTS, Reason
+from schemas.reasons import AS_ASKED, Reason
 from schemas.requests import Tick
-from schemas.settings import SAFETY_STATE_PERIOD_NS, TICK_NS
+from schemas.settings import TICK_NS
 
 NEAR_NS: Final = 1_000_000_000
 """Clocks that differ by no more agree."""
@@ -185,9 +179,6 @@ STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
 ENDS: Final = STOPS | {EntryKind.END}
 """And those that a client asked for."""
 
-YIELDS: Final = frozenset({Reason.HAND_TRANSMITTER, Reason.MODE_NOT_AUTO, Reason.BUS_DOWN, Reason.GUARD})
-"""Reasons for which the output ceases at once, without a stop sequence."""
-
 
 def kind_of(kind: EntryKind, reason: Reason) -> EntryKind:
     """The kind of an entry for this reason: what was asked for is no stop."""
@@ -240,84 +231,9 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     is_stop: bool = False
 
     @property
-    def is_derived(self) -> bool:
-        """No message says so."""
-        return self.source is EntrySource.STATE
-
-    @property
     def tells_of_guard(self) -> bool:
         """It says how a stop by the guard ended, which is no stop itself."""
         return self.kind is EntryKind.GUARD and self.text.startswith(GUARD_STOP_ENDED)
-
-
-class Change(msgspec.Struct, frozen=True):
-    """A change between two states, after the one tick and up to the other. An end that was asked for is a stop."""
-
-    kind: EntryKind
-    severity: Severity
-    reason: Reason
-    operator: str
-    text: str
-    after_tick: int = 0
-    tick: int = 0
-
-
-def changes(before: SafetyState, now: SafetyState) -> Iterator[Change]:
-    """Return the changes between two states of one run."""
-    silent_ns = now.time_ns - before.time_ns
-    said = f" (within {silent_ns / 1e9:.1f} s without a state in the log)"
-    for change in (*_lease(before, now), *_latches(before, now), *_guard(before, now), *_states(before, now)):
-        text = change.text + (said if silent_ns > 4 * SAFETY_STATE_PERIOD_NS else "")
-        yield msgspec.structs.replace(change, text=text, after_tick=before.tick, tick=now.tick)
-
-
-def _lease(before: SafetyState, now: SafetyState) -> Iterator[Change]:
-    was, holder = before.lease_holder, now.lease_holder
-    if holder != was:
-        text = (
-            f"{holder} holds the lease as {now.lease_role.value}" if holder else f"{was} no longer holds the lease"
-        )
-        text += f", {was} before" if holder and was else ""
-        yield Change(EntryKind.LEASE, Severity.INFO, Reason.NONE, holder or was, text)
-
-
-def _latches(before: SafetyState, now: SafetyState) -> Iterator[Change]:
-    for reason in now.latched:
-        if reason not in before.latched:
-            text = f"latched until a reset: {TEXTS[reason].means}"
-            yield Change(EntryKind.LATCH, Severity.ERROR, reason, "", text)
-    cleared = [reason.value for reason in before.latched if reason not in now.latched]
-    if cleared:
-        text = f"reset: {', '.join(cleared)}"
-        yield Change(EntryKind.RESET, Severity.INFO, Reason.NONE, now.lease_holder, text)
-
-
-def _guard(before: SafetyState, now: SafetyState) -> Iterator[Change]:
-    if now.guarded and not before.guarded:
-        yield Change(EntryKind.GUARD, Severity.INFO, Reason.NONE, "", "a guard watches the gateway")
-    if before.guarded and not now.guarded:
-        yield Change(EntryKind.GUARD, Severity.WARNING, Reason.NONE, "", "the guard is gone")
-
-
-def _states(before: SafetyState, now: SafetyState) -> Iterator[Change]:
-    reason, why = now.stop_reason, TEXTS[now.stop_reason].means
-    match now.state:
-        case same if same is before.state:
-            pass
-        case ArbiterState.ENGAGED:
-            text = "engaged: the chassis reads auto"
-            yield Change(EntryKind.ENGAGED, Severity.INFO, Reason.NONE, now.lease_holder, text)
-        case ArbiterState.STOPPING:
-            yield Change(EntryKind.STOP, Severity.WARNING, reason, "", f"stopping: {why}")
-        case ArbiterState.STANDBY if reason in YIELDS:
-            kind = EntryKind.GUARD if reason is Reason.GUARD else EntryKind.TAKEOVER
-            yield Change(kind, Severity.WARNING, reason, "", f"no commands sent any more: {why}")
-        case ArbiterState.STANDBY:
-            if before.state in COMMANDING:
-                yield Change(EntryKind.STOP, Severity.WARNING, reason, "", f"stopping: {why}")
-            yield Change(EntryKind.STOPPED, Severity.INFO, reason, "", "stopped: no commands sent")
-        case _:
-            pass
 
 
 FAILURES_IN_WORDS: Final = {
@@ -515,34 +431,28 @@ class SequenceHole(msgspec.Struct, frozen=True):
     before_ns: int
 
 
-class _Piece(msgspec.Struct):
-    first: int
-    last: int
-    first_ns: int
-    last_ns: int
-
-
 class Sequences:
     """The samples of one topic and one run of its sender, in whatever order they come."""
 
     def __init__(self) -> None:
-        self._pieces: list[_Piece] = []
+        self._pieces: list[tuple[int, int, int, int]] = []
+        """First and last sequence of each piece without a hole, and their times."""
         self._told: list[SequenceHole] = []
 
     def add(self, sequence: int, time_ns: int) -> None:
         """A sample is there."""
         pieces = self._pieces
-        at = len(pieces)
-        while at and pieces[at - 1].first > sequence:
-            at -= 1
-        before = pieces[at - 1] if at else None
-        if before is not None and before.first <= sequence <= before.last + 1:
-            if sequence > before.last:
-                before.last, before.last_ns = sequence, time_ns
-                self._join(at)
+        at = bisect_right(pieces, sequence, key=itemgetter(0))
+        if at and sequence <= pieces[at - 1][1]:
             return
-        pieces.insert(at, _Piece(sequence, sequence, time_ns, time_ns))
-        self._join(at + 1)
+        piece = (sequence, sequence, time_ns, time_ns)
+        if at < len(pieces) and pieces[at][0] == sequence + 1:
+            behind = pieces.pop(at)
+            piece = (sequence, behind[1], time_ns, behind[3])
+        if at and pieces[at - 1][1] == sequence - 1:
+            pieces[at - 1] = (pieces[at - 1][0], piece[1], pieces[at - 1][2], piece[3])
+        else:
+            pieces.insert(at, piece)
         if len(pieces) > PIECES_MAX:
             self._told.append(_hole(pieces[0], pieces[1]))
             del pieces[0]
@@ -551,14 +461,9 @@ class Sequences:
         """Return the ranges of missing samples between the first and the last one."""
         return self._told + [_hole(*pair) for pair in pairwise(self._pieces)]
 
-    def _join(self, at: int) -> None:
-        if 0 < at < len(self._pieces) and self._pieces[at - 1].last + 1 == self._pieces[at].first:
-            behind = self._pieces.pop(at)
-            self._pieces[at - 1].last, self._pieces[at - 1].last_ns = behind.last, behind.last_ns
 
-
-def _hole(before: _Piece, behind: _Piece) -> SequenceHole:
-    return SequenceHole(behind.first - before.last - 1, before.last_ns, behind.first_ns)
+def _hole(before: tuple[int, int, int, int], behind: tuple[int, int, int, int]) -> SequenceHole:
+    return SequenceHole(behind[0] - before[1] - 1, before[3], behind[2])
 
 
 class Repeats:

@@ -6,7 +6,7 @@ one, which the log holds behind newer messages, appears in its place, and so tha
 
 from __future__ import annotations
 
-from bisect import bisect_right, insort
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heappop, heappush
@@ -22,7 +22,6 @@ from recorder.review.entries import (
     IDS_KEPT,
     NEAR_NS,
     OF_EVENT,
-    Change,
     Entry,
     EntryKind,
     EntrySource,
@@ -31,7 +30,6 @@ from recorder.review.entries import (
     Sequences,
     Spells,
     Stops,
-    changes,
     kind_of,
     risen,
 )
@@ -62,9 +60,6 @@ BEFORE_NS: Final = 5 * 1_000_000_000
 
 SILENT_NS: Final = 1_000_000_000
 """The arbiter's state comes 20 times a second; without it for so long, what happened meanwhile is not known."""
-
-TICKS_MAX: Final = 100_000
-"""Ticks of events that are remembered, of each kind."""
 
 HOLDERS_KEPT: Final = 10_000
 """Changes of the lease that are remembered."""
@@ -138,10 +133,9 @@ class LogEnding(msgspec.Struct, frozen=True):
 
 
 class _Held(msgspec.Struct):
-    """An entry that is held back, and may be corrected or taken back; with the change that it was derived from."""
+    """An entry that is held back, and may be corrected or taken back."""
 
     entry: Entry
-    change: Change | None = None
     is_void: bool = False
 
     def correct(self, **fields: Any) -> None:  # noqa: ANN401 - any field of an entry
@@ -180,7 +174,6 @@ class RobotTrack:
         """Entries on the last gateway that began."""
         self.died: _Held | None = None
         """The death that a recorder saw, until the gateway is heard again."""
-        self._ticks: dict[EntryKind, list[int]] = {}
         self._holder_ticks: deque[int] = deque(maxlen=HOLDERS_KEPT)
         self._holders: deque[str] = deque(maxlen=HOLDERS_KEPT)
         self._runs: list[int] = []
@@ -236,19 +229,6 @@ class RobotTrack:
         """Return the holder of the lease before this tick; empty if there was none, or the log does not say."""
         at = bisect_right(self._holder_ticks, tick - 1)
         return self._holders[at - 1] if at else ""
-
-    def add_event(self, kind: EntryKind, tick: int) -> None:
-        """An event is there: it need not be derived."""
-        ticks = self._ticks.setdefault(kind, [])
-        insort(ticks, tick)
-        if len(ticks) > TICKS_MAX:
-            del ticks[0]
-
-    def tells(self, change: Change) -> bool:
-        """There is an event that says what the change does."""
-        ticks = self._ticks.get(change.kind, [])
-        at = bisect_right(ticks, change.after_tick)
-        return at < len(ticks) and ticks[at] <= change.tick
 
     def holes(self) -> Iterator[Entry]:
         """Yield an entry for each range of missing events and decisions."""
@@ -357,8 +337,8 @@ class Timeline:
         while self._held:
             yield from self._next()
 
-    def _hold(self, entry: Entry, change: Change | None = None) -> _Held:
-        held = _Held(entry, change)
+    def _hold(self, entry: Entry) -> _Held:
+        held = _Held(entry)
         robot = self._robots.get(entry.robot)
         order_ns = entry.time_ns if robot is None else robot.order_ns(entry.time_ns, entry.tick)
         self._count += 1
@@ -371,8 +351,6 @@ class Timeline:
         if held.is_void:
             return
         if robot is not None:
-            if held.change is not None and robot.tells(held.change):
-                return
             entry = robot.stops.mark(entry)
         is_late = order_ns < self._told_ns
         self._told_ns = max(self._told_ns, order_ns)
@@ -405,7 +383,6 @@ class Timeline:
 
     def _take_event(self, robot: RobotTrack, row: Row, event: SafetyEvent) -> None:
         kind = OF_EVENT.get(event.kind, EntryKind.FAULT)
-        robot.add_event(kind, event.tick)
         if event.kind is EventKind.GATEWAY:
             robot.ended_tick = event.tick
         time_ns = robot.place(row, event.tick)
@@ -469,9 +446,11 @@ class Timeline:
             if step_ns:
                 said, would_be_ns = f"the computer's clock was set by {step_ns / 1e9:+.1f} s", time_ns - step_ns
             self._look_for_silence(robot, row, state, was, time_ns)
-            if _says(state) != _says(was):
-                for change in changes(was, state):
-                    self._hold(_entry_of(change, robot.name, time_ns, state.lease_holder), change)
+            if state.guarded is not was.guarded:
+                severity = Severity.INFO if state.guarded else Severity.WARNING
+                text = "a guard watches the gateway" if state.guarded else "the guard is gone"
+                guard = _plain(robot.name, EntryKind.GUARD, severity, time_ns, text)
+                self._hold(msgspec.structs.replace(guard, holder=state.lease_holder, tick=state.tick))
         if said:
             entry = _plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, EntrySource.LOG)
             self._hold(msgspec.structs.replace(entry, last_ns=max(time_ns, would_be_ns)))
@@ -638,18 +617,5 @@ def _plain(
     )
 
 
-def _entry_of(change: Change, robot: str, time_ns: int, holder: str) -> Entry:
-    kind = kind_of(change.kind, change.reason)
-    entry = _plain(robot, kind, change.severity, time_ns, change.text)
-    return msgspec.structs.replace(
-        entry, reason=change.reason, operator=change.operator, holder=holder, tick=change.tick
-    )
-
-
 def _says_of_itself(robot: str) -> Wants:
     return lambda topic: topic.robot == robot and topic.kind in {SafetyState, GatewayHealth}
-
-
-def _says(state: SafetyState) -> tuple[object, ...]:
-    """Return the part of a state whose changes make entries."""
-    return state.state, state.lease_holder, state.latched, state.guarded

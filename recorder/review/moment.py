@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import pairwise, takewhile
 from typing import Final
 
@@ -13,7 +13,7 @@ import msgspec
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, read_rows
 from recorder.review.entries import ENDS, SETTLE_NS, STOPS, Entry, EntryKind, EntrySource
-from recorder.review.events import Timeline
+from recorder.review.events import Timeline, hung_ns
 from recorder.review.evidence import last_command
 from recorder.review.window import (
     AFTER_NS,
@@ -33,7 +33,6 @@ from schemas.decisions import (
     COMMANDING,
     ArbiterState,
     Bound,
-    Decision,
     EventKind,
     SafetyEvent,
     SafetyState,
@@ -79,7 +78,6 @@ def actions(window: EvidenceWindow, reason: Reason) -> Iterator[Link]:
     stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
     if stopping:
         yield from _ramp(window, stopping)
-        yield from _phases(window, stopping)
     elif reason is Reason.GUARD:
         yield Link(Step.ACTION, "the gateway sends nothing: the guard has the chassis, and stops it", window.at_ns)
     elif states and states[0].said.state is ArbiterState.STANDBY:
@@ -88,7 +86,7 @@ def actions(window: EvidenceWindow, reason: Reason) -> Iterator[Link]:
     else:
         yield missing("the arbiter's states after this")
     over_ns = window.over_ns
-    yield from standstill(window, over_ns, is_doubtful=reason in _DOUBTFUL)
+    yield standstill(window, over_ns, is_doubtful=reason in _DOUBTFUL)
     ended = next((one for one in window.after(SafetyEvent) if one.said.kind is EventKind.STOPPED), None)
     if ended is not None and ended.time_ns < over_ns:
         after_ns = ended.time_ns - window.at_ns
@@ -97,72 +95,41 @@ def actions(window: EvidenceWindow, reason: Reason) -> Iterator[Link]:
 
 
 def _ramp(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
-    """The ramp of the commanded speed."""
-    was = next((one for one in window.until(SafetyState) if one.time_ns < window.at_ns), None)
+    """The ramp of the commanded speed, and the beginning of each phase of the stop."""
+    was = window.last(SafetyState, window.at_ns - 1)
     zero = next((one for one in stopping if not one.said.output_speed_mps), None)
-    from_mps = 0.0 if was is None else was.said.output_speed_mps
-    if was is None:
-        yield missing("what was commanded before this")
-    elif not from_mps:
-        never = was.said.state is ArbiterState.STANDBY
-        text = "nothing had been commanded until then" if never else "the commanded speed was zero already"
-        yield Link(Step.ACTION, text, stopping[0].time_ns)
-    elif zero is None:
-        yield missing("the end of the ramp of the commanded speed")
+    if was is None or (zero is None and was.said.output_speed_mps):
+        yield missing("the ramp of the commanded speed")
+    elif zero is None or not was.said.output_speed_mps:
+        yield Link(Step.ACTION, "the commanded speed was zero", stopping[0].time_ns)
     else:
-        slope_mps2, took_ns = _slope_mps2(stopping), zero.time_ns - window.at_ns
-        text = f"the commanded speed went from {from_mps:.2f} m/s to zero"
-        if took_ns <= 2 * TICK_NS:
-            text += " at once"
-        else:
-            said = stopping[0].said
-            rules = (said.emergency_deceleration_mps2, "emergency"), (said.deceleration_limit_mps2, "normal")
-            near = [name for limit, name in rules if slope_mps2 is not None and abs(slope_mps2 - limit) < 0.15]
-            text += "" if slope_mps2 is None else f" at {slope_mps2:.1f} m/s2"
-            text += f", the {near[-1]} deceleration," if near else ""
-            text += f" in {span(took_ns)}"
-        data = {"from_mps": from_mps, "deceleration_mps2": slope_mps2, "took_s": took_ns / 1e9}
+        ramp = [one.said for one in stopping if one.said.output_speed_mps]
+        took_ns, slope_mps2 = zero.time_ns - window.at_ns, None
+        if len(ramp) > 1 and ramp[-1].tick > ramp[0].tick:
+            fallen_mps = abs(ramp[0].output_speed_mps) - abs(ramp[-1].output_speed_mps)
+            slope_mps2 = fallen_mps / ((ramp[-1].tick - ramp[0].tick) * TICK_NS / 1e9)
+        slope = "" if slope_mps2 is None else f" at {slope_mps2:.1f} m/s2"
+        text = f"the commanded speed went from {was.said.output_speed_mps:.2f} m/s to zero{slope}"
+        text += f" in {span(took_ns)}"
+        data = {"from_mps": was.said.output_speed_mps, "deceleration_mps2": slope_mps2, "took_s": took_ns / 1e9}
         yield Link(Step.ACTION, text, window.at_ns, data)
-
-
-def _slope_mps2(stopping: Sequence[Heard[SafetyState]]) -> float | None:
-    """The deceleration of the commanded speed, from states in the ramp; None if there are not two."""
-    ramp = [one.said for one in stopping if one.said.output_speed_mps]
-    if len(ramp) < 2 or ramp[-1].tick <= ramp[0].tick:
-        return None
-    fallen_mps = abs(ramp[0].output_speed_mps) - abs(ramp[-1].output_speed_mps)
-    return fallen_mps / ((ramp[-1].tick - ramp[0].tick) * TICK_NS / 1e9)
-
-
-def _phases(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
-    """The beginning of each phase of the stop."""
     begun: dict[StopPhase, int] = {}
     for one in stopping:
         begun.setdefault(one.said.stop_phase, one.time_ns - window.at_ns)
-    parts = [
-        f"{words} {f'after {span(begun[phase])}' if begun[phase] > TICK_NS else 'at once'}"
-        for phase, words in _PHASES.items()
-        if phase in begun
-    ]
+    parts = [f"{words} after {span(begun[phase])}" for phase, words in _PHASES.items() if phase in begun]
     if parts:
         data = {f"{phase.value}_after_s": after_ns / 1e9 for phase, after_ns in begun.items()}
         yield Link(Step.ACTION, ", ".join(parts), stopping[0].time_ns, data)
 
 
-def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Iterator[Link]:
+def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Link:
     """The standstill of the chassis, and its way until then, by its drive feedback until this was over."""
-    before = window.last(Drive)
-    way = [
-        *([before] if before is not None else []),
-        *takewhile(lambda one: one.time_ns < over_ns, window.after(Drive)),
-    ]
+    last = window.last(Drive)
+    way = [one for one in (last, *window.after(Drive)) if one is not None and one.time_ns < over_ns]
     if len(way) < 2:
-        yield missing("the drive feedback of this time")
-        return
+        return missing("the drive feedback of this time")
     if way[0].said.speed_mps < STANDSTILL_MPS:
-        text = f"the robot stood already, by its drive feedback{_moved_again(way, way[0])}"
-        yield Link(Step.ACTION, text, way[0].time_ns)
-        return
+        return Link(Step.ACTION, "the robot stood already, by its drive feedback", way[0].time_ns)
     metres, stood, unseen_ns = 0.0, None, 0
     for was, now in pairwise(way):
         if now.said.speed_mps >= STANDSTILL_MPS:
@@ -171,38 +138,23 @@ def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> It
             stood = now
         if stood is not None and now.time_ns - stood.time_ns >= _STANDS_NS:
             break
-        begin_ns = max(was.time_ns, window.at_ns)
         unseen_ns = max(unseen_ns, now.time_ns - was.time_ns)
-        metres += (was.said.speed_mps + now.said.speed_mps) / 2 * max(0, now.time_ns - begin_ns) / 1e9
+        passed_ns = max(0, now.time_ns - max(was.time_ns, window.at_ns))
+        metres += (was.said.speed_mps + now.said.speed_mps) / 2 * passed_ns / 1e9
     if stood is None:
-        last = way[-1]
-        text = f"the last drive feedback, {window.ago(last.time_ns)}, still said {last.said.speed_mps:.2f} m/s"
-        yield Link(Step.ACTION, text, last.time_ns)
-        return
-    took_ns = stood.time_ns - window.at_ns
-    text = f"the robot, at {way[0].said.speed_mps:.2f} m/s, was slower than {STANDSTILL_MPS:g} m/s after "
-    text += f"{span(took_ns)}"
+        text = f"the last drive feedback, {window.ago(way[-1].time_ns)}, still said "
+        return Link(Step.ACTION, f"{text}{way[-1].said.speed_mps:.2f} m/s", way[-1].time_ns)
     is_known = unseen_ns <= _UNSEEN_NS and not is_doubtful
-    if is_known:
-        text += f" and {metres:.2f} m"
-    else:
-        why = "the speeds are in doubt" if is_doubtful else f"no drive feedback for {span(unseen_ns)}"
-        text += f"; {why}: the distance is not known"
+    why = "the speeds are in doubt" if is_doubtful else f"no drive feedback for {span(unseen_ns)}"
+    text = f"the robot, at {way[0].said.speed_mps:.2f} m/s, was slower than {STANDSTILL_MPS:g} m/s after "
+    text += f"{span(stood.time_ns - window.at_ns)}"
+    text += f" and {metres:.2f} m" if is_known else f"; {why}: the distance is not known"
     data = {
         "from_mps": way[0].said.speed_mps,
-        "after_s": took_ns / 1e9,
+        "after_s": (stood.time_ns - window.at_ns) / 1e9,
         "distance_m": metres if is_known else None,
     }
-    yield Link(Step.ACTION, text + _moved_again(way, stood), stood.time_ns, data)
-
-
-def _moved_again(way: Sequence[Heard[Drive]], stood: Heard[Drive]) -> str:
-    """Words for a robot that did not stay where it stood; empty if it did."""
-    moving = [one for one in way if one.time_ns > stood.time_ns and one.said.speed_mps >= STANDSTILL_MPS]
-    if not moving:
-        return ""
-    fastest_mps = max(one.said.speed_mps for one in moving)
-    return f"; it moved again {span(moving[0].time_ns - stood.time_ns)} later, at up to {fastest_mps:.2f} m/s"
+    return Link(Step.ACTION, text, stood.time_ns, data)
 
 
 FRESH_NS: Final = 500_000_000
@@ -223,26 +175,15 @@ _FORBIDS: Final = {Reason.FRONT_BUMPER: (1, "forward"), Reason.REAR_BUMPER: (-1,
 _WAYS: Final = {GearPosition.REVERSE: "backward ", GearPosition.DRIVE: "forward "}
 
 
-def motion(now: EvidenceWindow) -> Iterator[Link]:
-    """The motion of the robot, by its feedback; by the robot's state where its frames are not in the log."""
-    drive, state, steering = _fresh(now, Drive), _fresh(now, RobotState), _fresh(now, Steering)
-    gear, body, parking = _fresh(now, Gear), _fresh(now, Body), _fresh(now, Parking)
-    if drive is None and state is None:
-        yield missing("feedback of the chassis at this moment")
-        return
-    silent = [] if state is None or not state.said.silent else [f"silent: {', '.join(state.said.silent)}"]
-    if drive is None and state is not None:
-        said = state.said
-        parts = [
-            "its speed was not known" if said.speed_mps is None else f"its speed was {said.speed_mps:.2f} m/s"
-        ]
-        parts += [] if said.angle_deg is None else [f"steering {deg(said.angle_deg)}"]
-        parts += [f"gear {said.gear_position.value}", f"mode {said.mode.value}", *silent]
-        data = {"speed_mps": said.speed_mps, "angle_deg": said.angle_deg}
-        yield Link(Step.MOTION, ", ".join(parts), state.time_ns, data)
-    if drive is None:
-        return
-    speed_mps = drive.said.speed_mps
+def motion(now: EvidenceWindow) -> Link:
+    """The motion of the robot, by its feedback; by its state where the frames are not in the log."""
+    drive, state = _fresh(now, Drive), _fresh(now, RobotState)
+    steering, gear = _fresh(now, Steering), _fresh(now, Gear)
+    body, parking = _fresh(now, Body), _fresh(now, Parking)
+    seen = drive or state
+    if seen is None or seen.said.speed_mps is None:
+        return missing("the robot's speed at this moment")
+    speed_mps = abs(seen.said.speed_mps)
     position = gear.said.gear_position if gear is not None else GearPosition.UNDEFINED
     moved = f"moved {_WAYS.get(position, '')}at {speed_mps:.2f} m/s"
     parts = [f"it {_stood(speed_mps) if speed_mps < STANDSTILL_MPS else moved}"]
@@ -253,13 +194,14 @@ def motion(now: EvidenceWindow) -> Iterator[Link]:
         parts += [f"{side} bumper pressed" for side in ("front", "rear") if getattr(body.said, f"{side}_bumper")]
     if parking is not None and parking.said.parking_status is not ParkingStatus.UNDEFINED:
         parts.append(f"parking brake {parking.said.parking_status.value}")
+    parts += [f"silent: {', '.join(state.said.silent)}"] if state is not None and state.said.silent else []
     facts: dict[str, object] = {
         "speed_mps": speed_mps,
         "angle_deg": None if steering is None else steering.said.angle_deg,
         "gear_position": position.value,
         "mode": None if body is None else body.said.mode.value,
     }
-    yield Link(Step.MOTION, ", ".join(parts + silent), drive.time_ns, facts)
+    return Link(Step.MOTION, ", ".join(parts), seen.time_ns, facts)
 
 
 def _stood(speed_mps: float) -> str:
@@ -267,11 +209,10 @@ def _stood(speed_mps: float) -> str:
     return "stood" if speed_mps < _STILL_MPS else f"hardly moved, at {speed_mps:.2f} m/s"
 
 
-def arbiter(now: EvidenceWindow, state: SafetyState | None, lease: Entry | None) -> Iterator[Link]:
-    """The state of the arbiter, the holder of the lease, and the limits that changed the command."""
+def arbiter(now: EvidenceWindow, state: SafetyState | None, lease: Entry | None) -> Link:
+    """The state of the arbiter, and the holder of the lease."""
     if state is None:
-        yield missing("the arbiter's state at this moment")
-        return
+        return missing("the arbiter's state at this moment")
     text = f"the arbiter was {state.state.value}"
     if state.stop_phase is not StopPhase.IDLE:
         text += f" ({state.stop_phase.value}), because of {state.stop_reason.value}"
@@ -293,34 +234,7 @@ def arbiter(now: EvidenceWindow, state: SafetyState | None, lease: Entry | None)
         "speed_limit_mps": state.speed_limit_mps,
         "output_speed_mps": state.output_speed_mps,
     }
-    yield Link(Step.ARBITER, text, None, data)
-    last = last_command(now) if state.state is ArbiterState.ENGAGED else None
-    for bound in [] if last is None else last.said.bound_by:
-        words = _BOUNDS.get(bound)
-        text = f"{bound.value}, a limit of a newer version"
-        if last is not None and words is not None:
-            text = words(state, last.said)
-        yield Link(Step.ARBITER, text, None if last is None else last.time_ns, {"bound": bound.value})
-
-
-_BOUNDS: Final[dict[Bound, Callable[[SafetyState, Decision], str]]] = {
-    Bound.SPEED: lambda state, said: (
-        f"the speed limit, {state.speed_limit_mps:.2f} m/s, is below the requested "
-        f"{abs(said.requested_speed_mps or 0.0):.2f} m/s"
-    ),
-    Bound.ACCELERATION: lambda state, _: f"it was speeding up, by at most {state.acceleration_limit_mps2:g} m/s2",
-    Bound.DECELERATION: lambda state, _: f"it was slowing down, by at most {state.deceleration_limit_mps2:g} m/s2",
-    Bound.STEERING: lambda state, _: f"the steering limit is {state.steering_limit_deg:g} deg",
-    Bound.STEERING_RATE: lambda state, _: f"it was steering, by at most {state.steering_rate_limit_degps:g} deg/s",
-    Bound.LATERAL_ACCELERATION: lambda state, _: (
-        f"the lateral acceleration, at most {state.lateral_acceleration_limit_mps2:g} m/s2, bounds speed and angle"
-    ),
-    Bound.REVERSAL: lambda *_: "it was reversing, which goes through standstill and neutral",
-    Bound.BUMPER: lambda *_: "a pressed bumper forbids motion to its side",
-    Bound.GEAR: lambda *_: "the gear was not in yet",
-    Bound.PARKING: lambda *_: "the parking brake was applied: no speed is commanded until unpark",
-}
-"""The meaning of each bound, with the limit in force; a test holds that none is missing."""
+    return Link(Step.ARBITER, text, None, data)
 
 
 def headline(
@@ -443,37 +357,54 @@ _TELLS: Final = ENDS | {
 }
 
 
-class GatewayRun(msgspec.Struct):
-    """A run of a gateway: its first state and its last."""
+class GatewaySilence(msgspec.Struct, frozen=True):
+    """A gateway that said nothing for a while: it died, another run follows, or its loop stood still.
 
-    first: Heard[SafetyState]
-    last: Heard[SafetyState]
+    It is dated by the last state of its arbiter, as in ``events`` and ``report``.
+
+    Attributes:
+        then: the first state behind it; None if the logs end with it.
+        is_hang: both are of one run.
+        was_told: the gateway shut down as requested, at rest.
+        text: what a recorder said of a death behind which no state comes.
+    """
+
+    was: Heard[SafetyState]
+    then: Heard[SafetyState] | None
+    is_hang: bool = False
+    was_told: bool = False
+    text: str = ""
+
+    @property
+    def time_ns(self) -> int:
+        """When it began."""
+        return self.was.time_ns
+
+    @property
+    def end_ns(self) -> int:
+        """When it ended."""
+        return END_OF_TIME_NS if self.then is None else self.then.time_ns
 
     @property
     def was_active(self) -> bool:
-        """It ended while it commanded the robot, or stopped it."""
-        return self.last.said.state is not ArbiterState.STANDBY
+        """The gateway commanded the robot, or stopped it."""
+        return self.was.said.state is not ArbiterState.STANDBY
 
 
 class Story:
-    """The entries of a robot, in order.
+    """The entries of a robot, in order, and the silences of its gateways.
 
     Times that are asked for are those of a clock that may have been set back, so that two moments can have one
     time: the later is meant.
 
     Attributes:
-        runs: of its gateways; of two that speak at once the states are of one.
         is_shared: two gateways speak under its name.
     """
 
-    def __init__(
-        self, entries: Iterable[Entry], runs: Sequence[GatewayRun] = (), offsets: Sequence[tuple[int, int]] = ()
-    ) -> None:
-        self.runs = runs
+    def __init__(self, entries: Iterable[Entry]) -> None:
         self.is_shared = False
-        self._offsets = offsets
-        self._entries: list[Entry] = []
-        self._order_ns: list[int] = []
+        self.silences: deque[GatewaySilence] = deque(maxlen=KEPT)
+        self._offsets: list[tuple[int, int]] = []
         self._eras = [(0, END_OF_TIME_NS, 0)]
         """The times between which the clock was not set back, and by how much it had been."""
         ordered = []
@@ -484,9 +415,8 @@ class Story:
                 self._eras.append((entry.time_ns, END_OF_TIME_NS, set_ns + entry.last_ns - entry.time_ns))
             ordered.append((entry.time_ns + self._eras[-1][2], entry))
         ordered.sort(key=lambda one: one[0])
-        for order_ns, entry in ordered:
-            self._order_ns.append(order_ns)
-            self._entries.append(entry)
+        self._order_ns = [order_ns for order_ns, _ in ordered]
+        self._entries = [entry for _, entry in ordered]
 
     @classmethod
     def read(cls, robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
@@ -495,28 +425,32 @@ class Story:
         selection = Selection(
             lambda topic: topic.kind is RecorderEvent or (topic.robot == robot and topic.kind in wanted)
         )
-        timeline, runs, offsets = Timeline(faults), list[GatewayRun](), list[tuple[int, int]]()
+        timeline, silences, offsets = Timeline(faults), deque[GatewaySilence](maxlen=KEPT), list[tuple[int, int]]()
         track = timeline.robot(robot)
-        newest: SafetyState | None = None
+        last: Heard[SafetyState] | None = None
 
         def entries() -> Iterator[Entry]:
-            nonlocal newest
+            nonlocal last
             for row in read_rows(logs, selection, faults, progress):
+                was_told = track.is_ended
                 timeline.take(row)
-                if track.state is not newest and track.state is not None:
-                    newest = track.state
-                    heard = Heard(track.state_ns, newest)
-                    if runs and (track.is_shared or is_same_run(newest.tick, runs[-1].last.said.tick)):
-                        runs[-1].last = heard
-                    else:
-                        runs.append(GatewayRun(heard, heard))
+                if track.state is not None and (last is None or track.state is not last.said):
+                    now = Heard(track.state_ns, track.state)
+                    if last is not None and not track.is_shared:
+                        is_hang = is_same_run(last.said.tick, now.said.tick)
+                        if not is_hang or hung_ns(last.said, now.said, now.time_ns - last.time_ns):
+                            silences.append(GatewaySilence(last, now, is_hang, was_told))
+                    last = now
                     if not offsets or offsets[-1][1] != track.clock.offset_ns:
                         offsets.append((row.log_ns, track.clock.offset_ns))
                 yield from timeline.tell()
             yield from timeline.end()
 
-        story = cls((one for one in entries() if one.robot == robot and one.kind in _TELLS), runs, offsets)
-        story.is_shared = track.is_shared
+        story = cls(one for one in entries() if one.robot == robot and one.kind in _TELLS)
+        story.silences, story.is_shared, story._offsets = silences, track.is_shared, offsets
+        death = next((one for one in reversed(story._entries) if one.kind is not EntryKind.CLOCK), None)
+        if last is not None and death is not None and _is_death(death):
+            silences.append(GatewaySilence(last, None, text=death.text))
         return story
 
     def order_ns(self, at_ns: int) -> int:
@@ -543,21 +477,13 @@ class Story:
 
     def stop_before(self, at_ns: int) -> Entry | None:
         """The last stop up to a time, if the robot has not been engaged since."""
-        for one in self.before(at_ns):
-            if one.kind is EntryKind.ENGAGED:
-                return None
-            if stops(one):
-                return one
-        return None
+        found = (one for one in self.before(at_ns) if one.kind is EntryKind.ENGAGED or stops(one))
+        last = next(found, None)
+        return None if last is None or last.kind is EntryKind.ENGAGED else last
 
     def next_stop(self, from_ns: int) -> Entry | None:
         """The first stop from a time on."""
         return next(filter(stops, self.after(from_ns - 1)), None)
-
-    def death(self, at_ns: int) -> Entry | None:
-        """The death of a gateway that a recorder saw, if it is the last thing that is known up to a time."""
-        last = next((one for one in self.before(at_ns) if one.kind is not EntryKind.CLOCK), None)
-        return last if last is not None and _is_death(last) else None
 
     def latch_before(self, reason: Reason, at_ns: int) -> Entry | None:
         """The last latch for this reason up to a time."""
@@ -568,31 +494,16 @@ class Story:
         """The last that became of the lease up to a time."""
         return next((one for one in self.before(at_ns) if one.kind is EntryKind.LEASE), None)
 
-    def next_engaged(self, after_ns: int) -> Entry | None:
-        """The first engagement behind a time."""
-        return next((one for one in self.after(after_ns) if one.kind is EntryKind.ENGAGED), None)
-
     def reset_of(self, latch: Entry) -> Entry | None:
         """The first reset of what was latched, in the run in which it was."""
         resets = (one for one in self.after(latch.time_ns) if one.kind is EntryKind.RESET)
         named = (one for one in resets if latch.reason.value in one.text.partition(": ")[2].split(", "))
         return next((one for one in named if None in (one.tick, latch.tick) or _of_run(one, latch.tick)), None)
 
-    def run_after(self, tick: int) -> GatewayRun | None:
-        """The run that followed that of a tick."""
-        at = next(
-            (n for n, run in enumerate(self.runs) if is_same_run(run.last.said.tick, tick)),
-            None,
-        )
-        return None if at is None or at + 1 == len(self.runs) else self.runs[at + 1]
-
-    def of_run(self, run: GatewayRun) -> Iterator[Entry]:
+    def of_run(self, tick: int) -> Iterator[Entry]:
         """The entries of a run up to its first engagement: what it found."""
-        for one in self._entries:
-            if _of_run(one, run.first.said.tick):
-                if one.kind is EntryKind.ENGAGED:
-                    return
-                yield one
+        of_run = (one for one in self._entries if _of_run(one, tick))
+        return takewhile(lambda one: one.kind is not EntryKind.ENGAGED, of_run)
 
     def before(self, at_ns: int) -> Iterator[Entry]:
         """The entries up to a time, the last one first."""

@@ -1,7 +1,7 @@
 """The reason of a stop, or of standing: from frames and requests to the decision, in sentences, with the numbers.
 
-Two passes: the first reads the robot's events and states, its story; the second the seconds around the moment and
-around the stop that was under way or had been before it. Of the stop: cause, evidence, actions, latches and cure.
+Two passes: the first reads the robot's events and states, its story; the second the seconds around the moment, and
+those around the stop that had been before it. Of the stop: cause, evidence, actions, latches and cure.
 What the log does not hold is said in one sentence.
 """
 
@@ -21,11 +21,11 @@ from recorder.review import moment
 from recorder.review.entries import Entry, EntryKind
 from recorder.review.events import hung_ns
 from recorder.review.evidence import describe_command, evidence_of, refused_lately
-from recorder.review.moment import Story, actions, blocked_words, blocks, cause_of, cures, stops
+from recorder.review.moment import GatewaySilence, Story, actions, blocked_words, blocks, cause_of, cures, stops
 from recorder.review.window import (
     BEFORE_NS,
+    DecodedFrame,
     EvidenceWindow,
-    Heard,
     Link,
     Step,
     before,
@@ -36,7 +36,7 @@ from recorder.review.window import (
     read_window,
     span,
 )
-from schemas.decisions import COMMANDING, ArbiterState, EventKind, SafetyEvent, SafetyState, is_same_run
+from schemas.decisions import COMMANDING, ArbiterState, SafetyState, is_same_run
 from schemas.messages import Drive, TimeNs
 from schemas.reasons import ASKED_BY, TEXTS, Reason
 from schemas.settings import SAFETY_STATE_PERIOD_NS, STANDSTILL_MPS
@@ -50,8 +50,7 @@ STALE_NS: Final = 500_000_000
 LOOKED_AT_NS: Final = 5_000_000_000
 """A break in the states is reported within this time before the moment."""
 
-LATCHES_SHOWN: Final = 3
-"""Latches besides that of the stop whose evidence is looked for."""
+SHARED: Final = "Two gateways speak under this name: which of them did what is not in the log."
 
 
 class Explanation(msgspec.Struct, frozen=True):
@@ -115,6 +114,8 @@ class Explainer:
 
     def at(self, at_ns: int) -> Explanation:
         """Explain a moment, in nanoseconds since 1970."""
+        if self.story.is_shared:
+            return self._nothing(at_ns, SHARED)
         answer = _Answer(self, at_ns)
         if self._start_ns - STALE_NS <= at_ns <= self._end_ns + STALE_NS or not self._end_ns or answer.is_told:
             return answer.explanation()
@@ -124,78 +125,24 @@ class Explainer:
             else f"begins {span(self._start_ns - at_ns)} after it"
         )
         period = missing(f"that moment: the log goes from {in_words(self._start_ns)} to {in_words(self._end_ns)}")
-        headline = f"The log does not hold that moment: it {ends}."
-        return Explanation(self.robot, at_ns, None, Reason.NONE, None, None, headline, [period])
+        return self._nothing(at_ns, f"The log does not hold that moment: it {ends}.", period)
+
+    def _nothing(self, at_ns: int, why: str, *links: Link) -> Explanation:
+        return Explanation(self.robot, at_ns, None, Reason.NONE, None, None, why, list(links))
 
     def last(self) -> Explanation:
         """Explain the last stop of the logs, or the death of a gateway at work if that was later."""
-        story = self.story
-        died = [] if story.is_shared else [run.last for run in story.runs[:-1] if run.was_active]
-        ends = [one for one in (story.last_stop(), *died[-1:], story.death(self._end_ns + STALE_NS)) if one]
-        return self.at(max((one.time_ns for one in ends), key=story.order_ns, default=self._end_ns))
+        died = [one for one in self.story.silences if not one.is_hang and one.was_active]
+        ends = [one.time_ns for one in (self.story.last_stop(), *died[-1:]) if one is not None]
+        return self.at(max(ends, key=self.story.order_ns, default=self._end_ns))
 
     def window(self, at_ns: int, what: str = "that moment", detail: str = "") -> EvidenceWindow:
         """Read the window around a moment, which these words name, and of which the arbiter said this."""
-        story = self.story
-        window = EvidenceWindow(
-            self.robot,
-            at_ns,
-            story.offset_ns(at_ns),
-            limits_at(at_ns, self.robot, self._configurations, self._faults),
-            is_steady=story.is_steady(at_ns),
-            is_shared=story.is_shared,
-        )
+        limits = limits_at(at_ns, self.robot, self._configurations, self._faults)
+        shift_ns, is_steady = self.story.offset_ns(at_ns), self.story.is_steady(at_ns)
+        window = EvidenceWindow(self.robot, at_ns, shift_ns, limits, is_steady=is_steady)
         window.what, window.detail = what, detail
         return read_window(window, self._logs, self._faults)
-
-
-class GatewaySilence(msgspec.Struct, frozen=True):
-    """A gateway that said nothing for a while: it died, and another run follows; or its loop stood still.
-
-    It is dated by the last state of its arbiter, as in ``events`` and ``report``.
-
-    Attributes:
-        is_hang: both are of one run.
-        speed_mps: the robot's, when it began; None if the log does not have it.
-        was_told: the gateway shut down as requested, at rest.
-    """
-
-    was: Heard[SafetyState]
-    then: Heard[SafetyState]
-    is_hang: bool
-    speed_mps: float | None
-    was_told: bool
-
-    @property
-    def was_active(self) -> bool:
-        """It commanded the robot, or stopped it."""
-        return self.was.said.state is not ArbiterState.STANDBY
-
-    def fell(self, when: str = "") -> str:
-        """Its beginning in words, with the state of the gateway and of the robot."""
-        fell = "shut down as requested" if self.was_told else "fell silent"
-        motion = "at a speed that is not in the log"
-        if self.speed_mps is not None:
-            motion = "standing" if self.speed_mps < STANDSTILL_MPS else f"at {self.speed_mps:.2f} m/s"
-        return f"the gateway {fell}{when}, {self.was.said.state.value}, {motion}"
-
-
-def _silences(now: EvidenceWindow, story: Story) -> list[GatewaySilence]:
-    """All of these seconds."""
-    found = []
-    for was, then in [] if story.is_shared else pairwise(now.all(SafetyState)):
-        is_hang = is_same_run(was.said.tick, then.said.tick)
-        stood_ns = hung_ns(was.said, then.said, then.time_ns - was.time_ns)
-        if is_hang and not (stood_ns and story.is_steady(was.time_ns)):
-            continue
-        drive = now.last(Drive, was.time_ns)
-        is_known = drive is not None and drive.time_ns > was.time_ns - STALE_NS
-        ends = (one.said for one in now.all(SafetyEvent) if one.said.kind is EventKind.GATEWAY)
-        is_told = any(is_same_run(one.tick, was.said.tick) for one in ends)
-        is_rest = was.said.state is ArbiterState.STANDBY
-        speed_mps = drive.said.speed_mps if drive is not None and is_known else None
-        found.append(GatewaySilence(was, then, is_hang, speed_mps, is_told and is_rest))
-    return found
 
 
 class _Answer:
@@ -205,17 +152,15 @@ class _Answer:
         self._explainer = explainer
         self._story = explainer.story
         self._now = explainer.window(at_ns)
-        self._silences = _silences(self._now, self._story)
         self._hang = self._hang_with_stop()
         self._state = self._state_then()
         self._focus = self._stop_asked_about()
         self._silence = self._silence_of_gateway()
-        self._death = self._death_of_gateway()
 
     @property
     def is_told(self) -> bool:
         """The log shows the arbiter, or the death of its gateway."""
-        return self._state is not None or self._death is not None
+        return self._state is not None or (self._silence is not None and self._silence.then is None)
 
     @property
     def _is_active(self) -> bool:
@@ -224,22 +169,19 @@ class _Answer:
 
     def _hang_with_stop(self) -> GatewaySilence | None:
         """The hang at the moment, or whose end is told by a stop of the guard that is the moment's."""
-        at_ns = self._now.at_ns
-        hangs = [
-            one for one in self._silences if one.is_hang and one.was_active and one.was.time_ns <= at_ns + SOON_NS
-        ]
-        if not hangs:
+        at_ns, story = self._now.at_ns, self._story
+        begun = (one for one in reversed(story.silences) if at_ns - BEFORE_NS <= one.time_ns <= at_ns + SOON_NS)
+        hangs = (one for one in begun if one.is_hang and one.was_active and story.is_steady(one.time_ns))
+        hang = next(hangs, None)
+        if hang is None or not any(one.reason is Reason.GUARD for one in self._stops_of(hang)):
             return None
-        stops_then = self._stops_of(hangs[-1])
-        if not any(one.reason is Reason.GUARD for one in stops_then):
-            return None
-        is_last = at_ns < hangs[-1].then.time_ns or self._story.stop_before(at_ns) in {None, *stops_then}
-        return hangs[-1] if is_last else None
+        is_last = at_ns < hang.end_ns or story.stop_before(at_ns) in {None, *self._stops_of(hang)}
+        return hang if is_last else None
 
     def _stops_of(self, hang: GatewaySilence) -> list[Entry]:
         """The stop that a hang was, in all its words: the guard's, and what the gateway found when it went on."""
-        behind = self._story.after(hang.then.time_ns - 1)
-        return [one for one in behind if stops(one) and one.time_ns <= hang.then.time_ns + SOON_NS]
+        behind = self._story.after(hang.end_ns - 1)
+        return [one for one in behind if stops(one) and one.time_ns <= hang.end_ns + SOON_NS]
 
     def _state_then(self) -> SafetyState | None:
         """The arbiter's at the moment; None if there is none, or if its gateway had fallen silent."""
@@ -247,7 +189,7 @@ class _Answer:
         if heard is None or now.at_ns - heard.time_ns > STALE_NS:
             return None
         silence = self._last_silence()
-        return None if silence is not None and silence.then.time_ns > now.at_ns else heard.said
+        return None if silence is not None and silence.end_ns > now.at_ns else heard.said
 
     def _stop_asked_about(self) -> Entry | None:
         """The stop that is asked about.
@@ -275,87 +217,64 @@ class _Answer:
         return stop if silence is None or silence.was.said.state is ArbiterState.STOPPING else None
 
     def _last_silence(self) -> GatewaySilence | None:
-        """The last end of a run before the moment."""
-        ends = (one for one in reversed(self._silences) if not one.is_hang)
-        return next((one for one in ends if one.was.time_ns < self._now.at_ns), None)
+        """The last end of a run before the moment, and not long before."""
+        at_ns = self._now.at_ns
+        ends = (one for one in reversed(self._story.silences) if not one.is_hang and one.time_ns < at_ns)
+        last = next(ends, None)
+        return None if last is None or at_ns - last.time_ns > BEFORE_NS else last
 
     def _silence_of_gateway(self) -> GatewaySilence | None:
         """Return the gateway's silence at the moment, or soon after it; else before it, if nothing came since."""
-        at_ns, last = self._now.at_ns, self._now.last(SafetyState)
-        if self._is_active:
-            ends = (one for one in self._silences if not one.is_hang and one.was_active)
-            return next((one for one in ends if at_ns <= one.was.time_ns <= at_ns + SOON_NS), None)
-        silence = self._last_silence()
+        at_ns, heard, silence = self._now.at_ns, self._now.last(SafetyState), self._last_silence()
+        if self._is_active or self._hang is not None:
+            soon = (one for one in self._story.silences if at_ns <= one.time_ns <= at_ns + SOON_NS)
+            return next((one for one in soon if self._is_active and not one.is_hang and one.was_active), None)
         if self._state is not None:
             return None if self._focus is not None else silence
-        if silence is not None and last is not None and last.time_ns >= silence.then.time_ns:
-            return None  # The gateway that began then has been heard, and its own end is not told.
-        return silence
-
-    def _death_of_gateway(self) -> Entry | None:
-        """The gateway's death before the moment, as a recorder saw it; or soon after it, if it was at work."""
-        at_ns, last = self._now.at_ns, self._now.last(SafetyState)
-        if self._hang is not None or (self._state is not None and not self._is_active):
-            return None
-        death = self._story.death(at_ns + (SOON_NS if self._is_active else 0))
-        if death is None or at_ns - death.time_ns > BEFORE_NS:
-            return None
-        return death if last is None or last.time_ns <= death.time_ns + STALE_NS else None
+        has_followed = silence is not None and heard is not None and heard.time_ns >= silence.end_ns
+        return None if has_followed else silence  # Of the gateway that began then the end is not told.
 
     def explanation(self) -> Explanation:
         """The answer."""
-        now, state, focus, silence, death = self._now, self._state, self._focus, self._silence, self._death
-        links = [
-            *moment.motion(now),
-            *moment.arbiter(now, state, self._story.lease_before(now.at_ns)),
-            *self._command(),
-        ]
-        if self._story.is_shared:
-            links.append(Link(Step.CAUSE, "two gateways speak under this name: the answer may be of either"))
+        now, state, focus, silence = self._now, self._state, self._focus, self._silence
+        lease = self._story.lease_before(now.at_ns)
+        links = [moment.motion(now), moment.arbiter(now, state, lease), *self._command()]
         if silence is not None:
             links += self._silent(silence)
-        elif death is not None:
-            last = now.last(SafetyState)
-            links.append(Link(Step.CAUSE, death.text, death.time_ns))
-            links += self._next_run(None if last is None else last.said, death.time_ns)
-        stop_ns = None if focus is None else self._began_ns(focus)
-        if focus is not None:
-            links += self._stop(focus, stop_ns or focus.time_ns)
+        frames = self._frames_of_guard()
+        stop_ns = None if focus is None else frames[0].bus_time_ns if frames else focus.time_ns
+        if focus is not None and stop_ns is not None:
+            links += self._stop(focus, stop_ns)
         reason = Reason.NONE if focus is None else focus.reason
         links += [*self._blocked(reason), *_lacks(now), *self._untold()]
-        silent_ns = silence.was.time_ns if silence is not None else None if death is None else death.time_ns
         return Explanation(
             robot=now.robot,
             at_ns=now.at_ns,
             state=None if state is None else state.state,
             reason=reason,
             stop_ns=stop_ns,
-            silent_ns=silent_ns,
+            silent_ns=None if silence is None else silence.time_ns,
             headline=self._headline(),
             chain=list({(one.step, one.text): one for one in reversed(links)}.values())[::-1],
         )
 
     def _headline(self) -> str:
-        now, state, silence, death, hang = self._now, self._state, self._silence, self._death, self._hang
+        now, state, silence, hang, focus = self._now, self._state, self._silence, self._hang, self._focus
         if hang is not None:
-            stood, began_ns = span(hang.then.time_ns - hang.was.time_ns), self._guard_ns(hang)
-            text = f"The gateway's loop stood still for {stood}, from {now.ago(hang.was.time_ns)} on"
-            speed = "" if hang.speed_mps is None else f", at {hang.speed_mps:.2f} m/s"
-            guard = "" if began_ns is None else f" {span(began_ns - hang.was.time_ns)} after the last state"
-            return f"{text}, {hang.was.said.state.value}{speed}: the guard began to stop the robot{guard}."
+            speed_mps, frames = self._speed_mps(hang), self._frames_of_guard()
+            text = f"The gateway's loop stood still for {span(hang.end_ns - hang.time_ns)}, from "
+            text += f"{now.ago(hang.time_ns)} on, {hang.was.said.state.value}"
+            text += "" if speed_mps is None else f", at {speed_mps:.2f} m/s"
+            after = f" {span(frames[0].bus_time_ns - hang.time_ns)} after the last state" if frames else ""
+            return f"{text}: the guard began to stop the robot{after}."
         latches = [self._story.latch_before(one, now.at_ns) for one in ([] if state is None else state.latched)]
         latch = max((one for one in latches if one is not None), key=lambda one: one.time_ns, default=None)
-        said = moment.headline(
-            now, state, self._focus, "" if self._focus is None else self._why(self._focus), latch
-        )
-        if silence is not None:
-            fell = silence.fell(f" {before(silence.was.time_ns, now.at_ns)}")
-            told = f"{fell[0].upper()}{fell[1:]}; "
-            told += f"another run began {before(silence.then.time_ns, now.at_ns)}."
-        elif death is not None:
-            told = f"A recorder noticed {before(death.time_ns, now.at_ns)}: {death.text}."
-        else:
+        said = moment.headline(now, state, focus, "" if focus is None else self._why(focus), latch)
+        if silence is None:
             return said
+        fell = self._fell(silence, f" {before(silence.time_ns, now.at_ns)}")
+        then = f"; another run began {before(silence.end_ns, now.at_ns)}" if silence.then is not None else ""
+        told = f"{fell[0].upper()}{fell[1:]}{then}."
         return told if state is None else f"{said} {told}"
 
     def _why(self, focus: Entry) -> str:
@@ -377,58 +296,62 @@ class _Answer:
 
     # A gateway that said nothing.
 
+    def _speed_mps(self, silence: GatewaySilence) -> float | None:
+        """The robot's, when a silence began; None if the log does not have it."""
+        drive = self._now.last(Drive, silence.time_ns)
+        return drive.said.speed_mps if drive is not None and drive.time_ns > silence.time_ns - STALE_NS else None
+
+    def _fell(self, silence: GatewaySilence, when: str = "") -> str:
+        """The beginning of a silence in words, with the state of the gateway and of the robot."""
+        fell = "shut down as requested" if silence.was_told else "fell silent"
+        speed_mps = self._speed_mps(silence)
+        motion = f", at {speed_mps:.2f} m/s" if (speed_mps or 0.0) >= STANDSTILL_MPS else ", standing"
+        motion = "" if speed_mps is None else motion
+        noticed = f" ({silence.text})" if silence.text else ""
+        return f"the gateway {fell}{when}, {silence.was.said.state.value}{motion}{noticed}"
+
     def _silent(self, silence: GatewaySilence) -> Iterator[Link]:
         """The silence, its end, and what is known of the robot in between."""
-        said, silent_ns = silence.was.said, silence.then.time_ns - silence.was.time_ns
+        said = silence.was.said
         data = {
             "state": said.state.value,
             "lease_holder": said.lease_holder,
-            "speed_mps": silence.speed_mps,
+            "speed_mps": self._speed_mps(silence),
             "output_speed_mps": said.output_speed_mps,
             "guarded": said.guarded,
-            "silent_ms": silent_ns / 1e6,
+            "silent_ms": None if silence.then is None else (silence.end_ns - silence.time_ns) / 1e6,
         }
         told = f"; commanded was {said.output_speed_mps:.2f} m/s" if said.state is ArbiterState.ENGAGED else ""
-        yield Link(Step.CAUSE, f"{silence.fell()}{told}", silence.was.time_ns, data)
-        if not silence.was_active:
-            yield _began(silence.was.time_ns, silence.then.time_ns)
+        yield Link(Step.CAUSE, f"{self._fell(silence)}{told}", silence.time_ns, data)
+        if silence.then is None:
             return
-        yield from self._next_run(said, silence.was.time_ns)
-        yield from self._drove_on(silence)
+        text = f"another run of the gateway began {span(silence.end_ns - silence.time_ns)} later: "
+        yield Link(Step.CAUSE, f"{text}leases, engagement and latches of before are void", silence.end_ns)
+        if silence.was_active:
+            yield from self._found_by(silence.then.said, is_guarded=said.guarded)
+            yield from self._drove_on(silence)
 
-    def _next_run(self, last: SafetyState | None, since_ns: int) -> Iterator[Link]:
-        """The next run of the gateway, and what it found and did before the robot was engaged again."""
-        run = None if last is None else self._story.run_after(last.tick)
-        if run is None or last is None:
-            return
-        found = list(self._story.of_run(run))
-        guard = [
-            one
-            for one in found
-            if one.reason is Reason.GUARD and (one.kind is EntryKind.LATCH or one.tells_of_guard)
-        ]
-        links = [_began(since_ns, run.first.time_ns)]
-        for one in guard:
+    def _found_by(self, first: SafetyState, *, is_guarded: bool) -> Iterator[Link]:
+        """The finds of the next gateway, before the robot was engaged again."""
+        found = list(self._story.of_run(first.tick))
+        of_guard = (one for one in found if one.reason is Reason.GUARD)
+        guard = [one for one in of_guard if one.kind is EntryKind.LATCH or one.tells_of_guard]
+        for one in found:
             # The note has its own times; where there is none, the gateway's words are all.
-            note = one.text.partition(f"{TEXTS[Reason.GUARD].means}; ")[2]
-            says = (
-                f"the guard's note, found at the next start: {note}"
-                if note
-                else f"the next gateway says: {one.text}"
-            )
-            links.append(Link(Step.ACTION, says, one.time_ns))
-        others = [one for one in found if stops(one) and one not in guard]
-        links += [Link(Step.ACTION, f"the next gateway found: {one.text}", one.time_ns) for one in others]
-        yield from sorted(links, key=lambda link: link.time_ns or 0)
+            note = one.text.partition(f"{TEXTS[Reason.GUARD].means}; ")[2] if one in guard else ""
+            if note:
+                yield Link(Step.ACTION, f"the guard's note, found at the next start: {note}", one.time_ns)
+            elif one in guard or stops(one):
+                yield Link(Step.ACTION, f"the next gateway says: {one.text}", one.time_ns)
         if not guard:
             watched = "what the guard did, which watched the gateway"
-            yield missing(watched if last.guarded else "what the chassis did, over which no guard watched")
+            yield missing(watched if is_guarded else "what the chassis did, over which no guard watched")
         elif not any(one.tells_of_guard for one in guard):
             yield missing("a note of the guard that the robot stood")
 
     def _drove_on(self, silence: GatewaySilence) -> Iterator[Link]:
         """The way of the robot without a gateway, by the first frames that the next one received."""
-        from_ns, window = silence.was.time_ns, self._now
+        from_ns, window = silence.time_ns, self._now
         if abs(from_ns - window.at_ns) > SOON_NS:
             window = self._explainer.window(from_ns)
         speeds = window.speeds_after(from_ns)
@@ -437,50 +360,48 @@ class _Answer:
         if not pauses or max(pauses) < STALE_NS:
             return
         speeds = speeds[pauses.index(max(pauses)) :]
-        (seen_ns, seen_mps), left_mps = speeds[0], silence.speed_mps or 0.0
+        seen_ns, seen_mps = speeds[0]
         text = f"{span(seen_ns - from_ns)} after that, in the first drive feedback of the next gateway, the robot "
         if seen_mps < STANDSTILL_MPS:
             text += f"stood: {seen_mps:.2f} m/s; when it came to stand is not in the log"
             yield evidence(text, seen_ns, speed_mps=seen_mps)
             return
         stood_ns = next((at_ns for at_ns, mps in speeds if mps < STANDSTILL_MPS), None)
-        metres = min(left_mps, seen_mps) * (seen_ns - from_ns) / 1e9
+        metres = min(self._speed_mps(silence) or 0.0, seen_mps) * (seen_ns - from_ns) / 1e9
         for (was_ns, was_mps), (now_ns, now_mps) in pairwise(speeds):
-            if stood_ns is not None and now_ns > stood_ns:
-                break
-            metres += (was_mps + now_mps) / 2 * (now_ns - was_ns) / 1e9
+            if stood_ns is None or now_ns <= stood_ns:
+                metres += (was_mps + now_mps) / 2 * (now_ns - was_ns) / 1e9
         text += f"still moved, at {seen_mps:.2f} m/s: it drove on for at least {metres:.1f} m"
         text += "" if stood_ns is None else f"; it stood after {span(stood_ns - from_ns)}"
         stood_after_s = None if stood_ns is None else (stood_ns - from_ns) / 1e9
         yield evidence(text, seen_ns, speed_mps=seen_mps, distance_m=metres, stood_after_s=stood_after_s)
 
-    def _guard_ns(self, hang: GatewaySilence) -> int | None:
-        """When the guard began to stop the robot: by its first frame on the bus."""
-        frames = self._now.commands_between(hang.was.time_ns, hang.then.time_ns)
-        return frames[0].bus_time_ns if frames else None
-
-    def _began_ns(self, focus: Entry) -> int:
-        """When a stop began; that of a guard before the gateway could say so."""
-        guard_ns = None if self._hang is None else self._guard_ns(self._hang)
-        return focus.time_ns if guard_ns is None else guard_ns
+    def _frames_of_guard(self) -> list[DecodedFrame]:
+        """The frames on the bus by which the guard stopped the robot of a gateway that hung."""
+        hang = self._hang
+        return [] if hang is None else self._now.commands_between(hang.time_ns, hang.end_ns)
 
     # The stop.
 
     def _stop(self, focus: Entry, began_ns: int) -> Iterator[Link]:
         """The stop: cause, evidence, what was done, what is latched, the cure."""
         what = "the takeover" if focus.reason is Reason.HAND_TRANSMITTER else "the stop"
-        window = self._beside(began_ns, what, focus.text)
+        window = self._now
+        if began_ns != window.at_ns:
+            window = self._explainer.window(began_ns)
+        window.what, window.detail = what, focus.text
         who = focus.operator if focus.operator not in focus.text else ""
         by = "" if not who else f", by {who}" if focus.reason in ASKED_BY else f"; {who} held it"
-        derived = "; by two states of the arbiter, for the event is not in the log" if focus.is_derived else ""
-        yield Link(Step.CAUSE, f"{focus.text}{by}{derived}", focus.time_ns, {"reason": focus.reason.value})
+        yield Link(Step.CAUSE, f"{focus.text}{by}", focus.time_ns, {"reason": focus.reason.value})
         if self._hang is not None:
             yield from self._hung(self._hang)
         shown = evidence_of(focus.reason)(window)
         yield from shown
         yield from actions(window, focus.reason)
-        yield from self._latches(window, focus)
-        latched = [] if self._state is None else self._state.latched
+        latched = [] if self._state is None else list(self._state.latched)
+        behind = next((one.said for one in window.after(SafetyState, focus.time_ns - 1)), None)
+        for reason in dict.fromkeys([*latched, *([] if behind is None else behind.latched)]):
+            yield self._latch(reason, focus)
         is_past = self._state is not None and focus.tick is not None and self._state.tick >= focus.tick
         refused = _refused_before(shown) if focus.reason is Reason.DEADMAN else None
         cured = focus.reason if refused is None else refused[0]
@@ -489,23 +410,17 @@ class _Answer:
 
     def _hung(self, hang: GatewaySilence) -> Iterator[Link]:
         """The hang of the gateway, and the first frame of its guard."""
-        stood_ns = hang.then.time_ns - hang.was.time_ns
+        stood_ns, frames = hang.end_ns - hang.time_ns, self._frames_of_guard()
         text = f"the gateway's loop stood still for {span(stood_ns)}; the same run went on after it"
-        yield Link(Step.CAUSE, text, hang.was.time_ns, {"silent_ms": stood_ns / 1e6, "speed_mps": hang.speed_mps})
-        frames = self._now.commands_between(hang.was.time_ns, hang.then.time_ns)
+        data = {"silent_ms": stood_ns / 1e6, "speed_mps": self._speed_mps(hang)}
+        yield Link(Step.CAUSE, text, hang.time_ns, data)
         if not frames:
             yield missing("the frames of the guard")
             return
-        after_ns = frames[0].bus_time_ns - hang.was.time_ns
+        after_ns = frames[0].bus_time_ns - hang.time_ns
         text = f"the guard began {span(after_ns)} after the last state, by the first of its "
         text += f"{count(len(frames), 'frame')} on the bus: {frames[0]}"
         yield evidence(text, frames[0].bus_time_ns, frames=len(frames), after_ms=after_ns / 1e6)
-
-    def _latches(self, window: EvidenceWindow, focus: Entry) -> Iterator[Link]:
-        latched = list(self._state.latched) if self._state is not None else []
-        behind = next((one.said for one in window.after(SafetyState, focus.time_ns - 1)), None)
-        for reason in dict.fromkeys([*latched, *([] if behind is None else behind.latched)]):
-            yield self._latch(reason, focus)
 
     def _latch(self, reason: Reason, focus: Entry | None = None) -> Link:
         at_ns = self._now.at_ns
@@ -513,7 +428,8 @@ class _Answer:
         if entry is None:
             return Link(Step.LATCH, f"latched: {reason.value}; since when is not in the log")
         with_this = focus is not None and entry.tick == focus.tick
-        text = f"latched {'with this stop' if with_this else before(entry.time_ns, at_ns)}: {reason.value}"
+        when = before(entry.time_ns, at_ns) + (f" by {entry.operator}" if entry.operator else "")
+        text = f"latched {'with this stop' if with_this else when}: {reason.value}"
         reset = self._story.reset_of(entry)
         if reset is None:
             text += ", and no reset of it is in the log"
@@ -527,42 +443,24 @@ class _Answer:
         state = self._state
         if state is None:
             return
-        blocked_by = [reason for reason in state.blocked_by if reason is not told]
-        if state.state is ArbiterState.ENGAGED:
-            blocked_by = [reason for reason in blocked_by if blocks(reason, self._now, state)]
-        for number, reason in enumerate(blocked_by):
-            if reason in moment.PLAIN:
-                continue
-            yield Link(Step.CAUSE, blocked_words(reason, state), None, {"reason": reason.value})
-            if reason not in state.latched:
-                yield from evidence_of(reason)(self._now)
-                continue
-            yield self._latch(reason)
-            latch = self._story.latch_before(reason, self._now.at_ns) if number < LATCHES_SHOWN else None
-            if latch is not None:
-                yield from evidence_of(reason)(self._beside(latch.time_ns, "the latch", latch.text))
+        blocked_by = [one for one in state.blocked_by if one is not told and blocks(one, self._now, state)]
+        for reason in blocked_by:
+            if reason not in moment.PLAIN:
+                yield Link(Step.CAUSE, blocked_words(reason, state), None, {"reason": reason.value})
+                yield from [self._latch(reason)] if reason in state.latched else evidence_of(reason)(self._now)
         for reason in blocked_by:
             yield from cures(reason, self._now.robot, blocked_by, is_reset=reason not in state.latched)
-
-    def _beside(self, at_ns: int, what: str, detail: str) -> EvidenceWindow:
-        """The window around another moment; where it is this one, this one's, with other words."""
-        if at_ns != self._now.at_ns:
-            return self._explainer.window(at_ns, what, detail)
-        self._now.what, self._now.detail = what, detail
-        return self._now
 
     def _untold(self) -> Iterator[Link]:
         """Yield a link where the log ends or pauses before the answer is known."""
         at_ns, focus = self._now.at_ns, self._focus
-        has_ended = self._silence is not None or self._death is not None or self._hang is not None
-        if self._state is None and focus is None and not has_ended:
-            stop = self._story.stop_before(at_ns)
-            if stop is not None:
-                yield missing(f"what was since the last stop, {before(stop.time_ns, at_ns)}")
-        if self._is_active and not has_ended:
-            heard_ns = max(one.time_ns for one in self._now.all(SafetyState))
-            if heard_ns < at_ns + SOON_NS:
-                yield missing("the seconds behind this: the gateway died, or the recording ended")
+        if self._silence is not None or self._hang is not None:
+            return
+        stop = self._story.stop_before(at_ns)
+        if self._state is None and focus is None and stop is not None:
+            yield missing(f"what was since the last stop, {before(stop.time_ns, at_ns)}")
+        if self._is_active and max(one.time_ns for one in self._now.all(SafetyState)) < at_ns + SOON_NS:
+            yield missing("the seconds behind this: the gateway died, or the recording ended")
 
 
 def _refused_before(shown: Sequence[Link]) -> tuple[Reason, int] | None:
@@ -570,13 +468,6 @@ def _refused_before(shown: Sequence[Link]) -> tuple[Reason, int] | None:
     refused = [link.data for link in shown if "count" in link.data and "reason" in link.data]
     most = max(refused, key=lambda data: int(data["count"]), default=None)
     return None if most is None else (Reason(most["reason"]), int(most["count"]))
-
-
-def _began(since_ns: int, began_ns: int) -> Link:
-    text = (
-        f"another run of the gateway began {span(began_ns - since_ns)} later: leases, engagement and latches of "
-    )
-    return Link(Step.CAUSE, f"{text}before are void", began_ns)
 
 
 def _lacks(window: EvidenceWindow) -> Iterator[Link]:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from enum import Enum
+from functools import reduce
 from itertools import pairwise
+from operator import xor
 from typing import Any, Final, Generic, TypeVar
 
 import msgspec
@@ -34,7 +37,6 @@ from schemas.decisions import (
 from schemas.journal import Kind
 from schemas.messages import (
     Body,
-    CanFrame,
     Drive,
     GatewayHealth,
     Gear,
@@ -116,9 +118,9 @@ def mps(speed_mps: float) -> str:
     return f"{round(speed_mps, 2) + 0.0:.2f} m/s"
 
 
-def count(number: int, one: str, many: str = "") -> str:
+def count(number: int, one: str) -> str:
     """``1 frame``, ``2 frames``."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
+    return f"{number} {one}{'' if number == 1 else 's'}"
 
 
 BEFORE_NS: Final = 12_000_000_000
@@ -131,13 +133,10 @@ LATER_NS: Final = 900_000_000_000
 """Time behind the moment in which decisions are looked for that a recorder asked for later."""
 
 KEPT: Final = 5_000
-"""Messages of each class that a window holds; the oldest go first."""
-
-FRAMES_KEPT: Final = 500
-"""Frames of each identifier up to the moment, 5 s of the most frequent; and behind it."""
+"""Messages of each class that a window holds, and frames of each identifier; the oldest go first."""
 
 REACH_NS: Final = 5_000_000_000
-"""Length of the journal that is read before a moment."""
+"""A frame that waited for longer is of an adapter with another clock."""
 
 LINK_NS: Final = 1_500_000_000
 """Longest usual time between publication and receipt."""
@@ -158,24 +157,23 @@ class Heard(msgspec.Struct, Generic[Said], frozen=True):
 
 
 class DecodedFrame(msgspec.Struct, frozen=True):
-    """A raw frame with an extended identifier. Times are nanoseconds since 1970.
+    """A raw frame of the chassis. Times are nanoseconds since 1970.
 
     Attributes:
-        time_ns: when it was sent, or received: when the arbiter was given it, or where the log does not hold the
-            journal when the bus had it.
-        bus_ns: when the bus had it; None where that is ``time_ns``.
+        time_ns: when the arbiter was given it.
+        bus_ns: when the bus had it.
     """
 
     time_ns: int
     identifier: int
     data: bytes
-    bus_ns: int | None = None
+    bus_ns: int
 
     @property
     def waited_ns(self) -> int:
         """The time between the bus and the arbiter; 0 where that is not known."""
-        waited_ns = 0 if self.bus_ns is None else max(0, self.time_ns - self.bus_ns)
-        return waited_ns if waited_ns < REACH_NS else 0  # The adapter has another clock.
+        waited_ns = max(0, self.time_ns - self.bus_ns)
+        return waited_ns if waited_ns < REACH_NS else 0
 
     @property
     def bus_time_ns(self) -> int:
@@ -190,10 +188,7 @@ class DecodedFrame(msgspec.Struct, frozen=True):
     @property
     def checksum(self) -> int:
         """The right value of byte 7: the XOR of those before."""
-        found = 0
-        for byte in self.data[:7]:
-            found ^= byte
-        return found
+        return reduce(xor, self.data[:7], 0)
 
     @property
     def alive_counter(self) -> int:
@@ -202,9 +197,7 @@ class DecodedFrame(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         """Identifier, name and bytes."""
-        known = BY_IDENTIFIER.get(self.identifier)
-        name = f" {known.name}" if known is not None else ""
-        return f"0x{self.identifier:08X}{name}, {self.data.hex(' ').upper()}"
+        return f"0x{self.identifier:08X} {BY_IDENTIFIER[self.identifier].name}, {self.data.hex(' ').upper()}"
 
 
 BY_IDENTIFIER: Final[dict[int, MessageLayout]] = {
@@ -225,151 +218,57 @@ def silence_ns(name: str) -> int:
 
 
 def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str, float]:
-    """A frame's signals by name, scaled, whatever its checksum is; empty if it is none of the DBC."""
-    known = BY_IDENTIFIER.get(frame.identifier)
-    if known is None or len(frame.data) != 8:
+    """A frame's signals by name, scaled, whatever its checksum is; empty if it has not eight bytes."""
+    if len(frame.data) != 8:
         return {}
-    return {
-        signal.name: signal.value(frame.data) for signal in CHASSIS.layout(variant).messages[known.name].signals
-    }
+    layout = CHASSIS.layout(variant).messages[BY_IDENTIFIER[frame.identifier].name]
+    return {signal.name: signal.value(frame.data) for signal in layout.signals}
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """The settings that were in force.
-
-    Attributes:
-        is_known: the log holds them; else these are the start values.
-    """
+    """The settings that were in force, and where they are from, in words to be put behind a limit."""
 
     command: CommandSettings = CommandSettings()
-    is_known: bool = False
-
-    @property
-    def origin(self) -> str:
-        """The origin of a limit in words, to be put behind it."""
-        return "by its configuration" if self.is_known else "the start value; no configuration is in the log"
+    origin: str = "the start value; no configuration is in the log"
 
 
-class GivenInputs(msgspec.Struct, frozen=True):
-    """The frames that the arbiter was given up to a tick, by the journal.
-
-    A busy machine reads frames later than the bus had them, and the arbiter judges their age by when it was given
-    them. Times are nanoseconds since 1970, by the clock of the moment.
-
-    Attributes:
-        from_ns: from here on the journal is there without a gap.
-        frames: by identifier, in their order, each at the time at which the arbiter was given it.
-    """
-
-    from_ns: int
-    frames: dict[int, list[DecodedFrame]]
-
-
-def given_until(at_ns: int, journals: Sequence[Journal], shift_ns: int) -> GivenInputs | None:
-    """The frames that the arbiter was given before the last tick up to a moment.
-
-    A tick that is so near to the moment that it must be meant is one of it. None if the log does not hold the
-    journal of it.
-    """
-    inputs: list[tuple[Any, ...]] = []
-    next_first: int | None = None
-    for journal in reversed(journals):
-        if next_first not in {None, journal.first + journal.count}:
-            break
+def limits_at(at_ns: int, robot: str, configurations: Sequence[tuple[int, str]], faults: Faults) -> Limits:
+    """Return the limits of the configuration that was published last, or else next."""
+    texts = [text for time_ns, text in configurations if time_ns <= at_ns][-1:]
+    for text in texts + [text for _, text in configurations][:1]:
         try:
-            found = _DECODER.decode(journal.inputs)
-        except UNREADABLE:
-            break
-        if not inputs:
-            found = _up_to_tick(found, at_ns - shift_ns)
-            if not found:
-                continue  # All of it came behind the moment.
-        inputs = found + inputs
-        next_first = journal.first
-        match inputs:
-            case [(_, int(from_ns), *_), *_, (_, int(now_ns), *_)] if now_ns - from_ns < REACH_NS:
-                pass
-            case _:
-                break
-    match inputs:
-        case [(_, int(from_ns), *_), *_, (_, int(now_ns), int(wall_ns), *_)]:
-            if at_ns - shift_ns - wall_ns > SAFETY_STATE_PERIOD_NS + TICK_NS:
-                return None
-            offset_ns = wall_ns + shift_ns - now_ns
-            return GivenInputs(from_ns + offset_ns, _frames(inputs, offset_ns, shift_ns))
-        case _:
-            return None
-
-
-_DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
-
-
-def _up_to_tick(inputs: list[tuple[Any, ...]], wall_ns: int) -> list[tuple[Any, ...]]:
-    """The inputs up to the last tick that is not behind this time; none if there is no such tick."""
-    for at in range(len(inputs) - 1, -1, -1):
-        match inputs[at]:
-            case (kind, int(), int(tick_ns), *_) if kind == Kind.TICK.value and tick_ns <= wall_ns + TICK_NS // 2:
-                return inputs[: at + 1]
-    return []
-
-
-def _frames(inputs: Sequence[tuple[Any, ...]], offset_ns: int, shift_ns: int) -> dict[int, list[DecodedFrame]]:
-    frames: dict[int, list[DecodedFrame]] = {}
-    for one in inputs:
-        match one:
-            case (kind, int(now_ns), [int(word), bytes(data), int(wall_ns), *_]) if kind == Kind.FRAME.value:
-                if word & EXTENDED and not word & (REMOTE | ERROR):
-                    given_ns = now_ns + offset_ns
-                    bus_ns = wall_ns + shift_ns if wall_ns else given_ns
-                    identifier = word & IDENTIFIER_MASK
-                    frames.setdefault(identifier, []).append(DecodedFrame(given_ns, identifier, data, bus_ns))
-    return frames
-
-
-Frames = tuple["deque[DecodedFrame]", "deque[DecodedFrame]"]
-"""Those before the moment, and those behind it, each in their order."""
-
-_NONE: Final[Frames] = deque(), deque()
+            settings = merge(TomlSource("configuration.toml", text, is_recorded=True), {}, {})
+            return Limits(settings.command, "by its configuration")
+        except CommandError as error:
+            faults.add(f"{robot}: its configuration cannot be read: {error}")
+    return Limits()
 
 
 class EvidenceWindow:
     """The messages of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
 
     Attributes:
+        shift_ns: to be added to the robot's times.
+        is_steady: no clock was set in this time.
         what: it is, in words.
         detail: the arbiter's own remark; may be empty.
-        frames: received ones by identifier. As far as the journal is in the log, those before the moment are what
-            the arbiter had been given.
-        waiting: by identifier, those that the bus had before the moment, and the arbiter was given behind it.
-        is_journaled: the journal of the moment is in the log, and shows when the arbiter was given a frame.
-        sent: likewise those that the gateway sent.
-        received: number of frames received in the last second before the moment.
+        received: number of frames that the arbiter was given in the second before the moment.
+        has_frames: the log has the journal of the moment, and so its frames.
     """
 
-    def __init__(
-        self,
-        robot: str,
-        at_ns: int,
-        shift_ns: int,
-        limits: Limits,
-        *,
-        is_steady: bool = True,
-        is_shared: bool = False,
-    ) -> None:
+    def __init__(self, robot: str, at_ns: int, shift_ns: int, limits: Limits, *, is_steady: bool = True) -> None:
         self.robot = robot
         self.at_ns = at_ns
+        self.limits = limits
         self.what = "that moment"
         self.detail = ""
-        self.limits = limits
-        self.frames: dict[int, Frames] = {}
-        self.sent: dict[int, Frames] = {}
-        self.waiting: dict[int, list[DecodedFrame]] = {}
-        self.is_journaled = False
         self.received = 0
+        self.has_frames = False
         self.gaps: list[RecordGap] = []
         self._shift_ns = shift_ns
         self._is_steady = is_steady
-        self._is_shared = is_shared
+        self._frames: dict[int, deque[DecodedFrame]] = {}
+        self._behind: dict[int, deque[DecodedFrame]] = {}
         self._said: dict[type[Message], list[Heard[Any]]] = {}
         self._during: dict[type[Message], list[Heard[Any]]] = {}
         self._run_ns = (0, END_OF_TIME_NS)
@@ -382,20 +281,15 @@ class EvidenceWindow:
             what ``recorder.reading.topics.UNREADABLE`` lists.
         """
         kind, decode = row.topic.kind, row.topic.decode
-        if kind is None or decode is None:
+        one = (row.topic.name, row.publish_ns, row.sequence, row.data)
+        if kind is None or decode is None or one in self._seen:
             return
+        self._seen.add(one)
         time_ns = row.publish_ns + self._shift_ns
         # What a gateway that hung had not read is late, and has its right time; else it has another clock.
         late_ns = BEFORE_NS if self._is_steady else STALL_NS
         if kind not in _ASKED_LATER and not -STALL_NS <= row.log_ns - time_ns <= late_ns:
             time_ns = row.log_ns
-        if kind is CanFrame:
-            self._take_frame(row, time_ns, decode)
-            return
-        one = (row.topic.name, row.publish_ns, row.sequence, row.data)
-        if one in self._seen:
-            return
-        self._seen.add(one)
         if kind is RecordGap:
             gap = decode(row.data)
             parts = keys.parse(gap.key)
@@ -412,29 +306,12 @@ class EvidenceWindow:
         from_ns, to_ns = self._run_ns = self._run()
         for kind in _OF_A_GATEWAY & self._said.keys():
             self._during[kind] = [one for one in self._said[kind] if from_ns <= one.time_ns < to_ns]
-        given = given_until(self.at_ns, [one.said for one in self.during(Journal)], self._shift_ns)
-        if given is not None:
-            self._give(given)
-
-    def _give(self, given: GivenInputs) -> None:
-        """Put the arbiter's view of the frames before the moment into the place of the bus's."""
-        self.is_journaled = True
-        if not self.frames:
-            # Raw frames were not recorded; the journal holds them all the same.
-            since_ns = self.at_ns - 1_000_000_000
-            self.received = sum(one.time_ns > since_ns for frames in given.frames.values() for one in frames)
-        for identifier in self.frames.keys() | given.frames.keys():
-            before, behind = self.frames.get(identifier, _NONE)
-            had = given.frames.get(identifier, [])
-            first_ns, last_ns = (had[0].bus_ns, had[-1].bus_ns) if had else (given.from_ns, given.from_ns)
-            older = [one for one in before if one.time_ns < (first_ns or 0)]
-            self.waiting[identifier] = [one for one in before if one.time_ns > (last_ns or 0)]
-            self.frames[identifier] = deque(older + had, maxlen=FRAMES_KEPT), behind
+        self._read_journal()
 
     def _run(self) -> tuple[int, int]:
         """The times at which the gateway of the moment began, and the next one did."""
         from_ns, to_ns = 0, END_OF_TIME_NS
-        for was, then in [] if self._is_shared else pairwise(self.all(SafetyState)):
+        for was, then in pairwise(self.all(SafetyState)):
             if not is_same_run(was.said.tick, then.said.tick):
                 if then.time_ns > self.at_ns:
                     return from_ns, then.time_ns
@@ -458,6 +335,30 @@ class EvidenceWindow:
             if self.at_ns - BEFORE_NS - STALL_NS <= time_ns <= self.at_ns + AFTER_NS + STALL_NS:
                 placed.append(Heard(time_ns, one.said))
         return placed
+
+    def _read_journal(self) -> None:
+        """Part the frames into those that the arbiter was given before the last tick up to the moment, and later.
+
+        A tick that is so near to the moment that it must be meant is one of it. What came before a part of the
+        journal that is missing, or in another run, is not known.
+        """
+        upto_ns, told_ns, told = self.at_ns + TICK_NS // 2, 0, 0
+        frames: list[DecodedFrame] = []
+        for follows, part in _parts([one.said for one in self.all(Journal)], self._shift_ns):
+            first_ns = next(time_ns for time_ns, frame in part if frame is None)
+            if not follows and first_ns <= upto_ns:
+                frames, told, told_ns = [], 0, 0
+            for time_ns, frame in part:
+                if frame is not None:
+                    frames.append(frame)
+                elif time_ns <= upto_ns:
+                    told, told_ns = len(frames), time_ns
+        self.has_frames = self.at_ns - told_ns <= SAFETY_STATE_PERIOD_NS + TICK_NS
+        for number, one in enumerate(frames):
+            if number >= told or self.has_frames:
+                place = self._frames if number < told else self._behind
+                place.setdefault(one.identifier, deque(maxlen=KEPT)).append(one)
+                self.received += number < told and one.time_ns > self.at_ns - 1_000_000_000
 
     def ago(self, time_ns: int) -> str:
         """``12.3 ms before the stop``."""
@@ -498,19 +399,22 @@ class EvidenceWindow:
         engaged = (one for one in self.after(SafetyEvent) if one.said.kind is EventKind.ENGAGED)
         return next((one.time_ns for one in engaged), self._run_ns[1])
 
-    def frames_before(self, identifier: int) -> Sequence[DecodedFrame]:
-        """Frames that the arbiter was given up to the moment, in their order; see ``frames``."""
-        return self.frames.get(identifier, _NONE)[0]
+    def frames(self, identifier: int) -> Sequence[DecodedFrame]:
+        """Frames that the arbiter was given up to the moment, in their order."""
+        return self._frames.get(identifier, ())
+
+    def waiting(self, identifier: int) -> Sequence[DecodedFrame]:
+        """Frames that the bus had by the moment, and the arbiter was given behind it."""
+        return [one for one in self._behind.get(identifier, ()) if one.bus_time_ns <= self.at_ns]
 
     def commands_between(self, from_ns: int, to_ns: int) -> list[DecodedFrame]:
         """Received command frames, which this gateway did not send, by their time on the bus."""
-        known = (identifier for identifier in self.frames if identifier in BY_IDENTIFIER)
         heard = [
             one
-            for identifier in known
-            if not BY_IDENTIFIER[identifier].is_feedback
-            for frames in self.frames[identifier]
-            for one in frames
+            for identifier, layout in BY_IDENTIFIER.items()
+            if not layout.is_feedback
+            for part in (self._frames, self._behind)
+            for one in part.get(identifier, ())
             if from_ns <= one.bus_time_ns < to_ns
         ]
         return sorted(heard, key=lambda one: one.bus_time_ns)
@@ -519,7 +423,7 @@ class EvidenceWindow:
         """Times and speeds by the drive feedback: decoded by whichever gateway, or raw where none had begun to."""
         found = {one.time_ns: one.said.speed_mps for one in self.all(Drive) if one.time_ns > from_ns}
         first_ns = min(found, default=END_OF_TIME_NS)
-        for frame in (one for frames in self.frames.get(DRIVE, _NONE) for one in frames):
+        for frame in (one for part in (self._frames, self._behind) for one in part.get(DRIVE, ())):
             if from_ns < frame.time_ns < first_ns and frame.is_whole:
                 found[frame.time_ns] = signals(frame, self.variant)["Speed"]
         return sorted(found.items())
@@ -541,24 +445,46 @@ class EvidenceWindow:
         numbers = sorted({one.said.sequence for one in self.all(Decision)})
         return numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0
 
-    def _take_frame(self, row: Row, time_ns: int, decode: Callable[[bytes], Any]) -> None:
-        raw = decode(row.data)
-        is_behind = time_ns > self.at_ns
-        is_sent = row.topic.subject.endswith("/tx")
-        if not is_sent and not is_behind and time_ns > self.at_ns - 1_000_000_000:
-            self.received += 1
-        of = self.sent if is_sent else self.frames
-        if (
-            not raw.is_extended
-            or raw.is_remote
-            or raw.is_error
-            or (len(of) >= FRAMES_KEPT and raw.identifier not in of)
-        ):
-            return
-        frames = of.setdefault(raw.identifier, (deque(maxlen=FRAMES_KEPT), deque(maxlen=FRAMES_KEPT)))[is_behind]
-        frame = DecodedFrame(time_ns, raw.identifier, raw.data)
-        if not (is_behind and len(frames) == FRAMES_KEPT) and not (frames and frames[-1] == frame):
-            frames.append(frame)
+
+_DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
+
+
+_Input = tuple[int, DecodedFrame | None]
+"""When the arbiter was given a frame; or a tick."""
+
+
+def _parts(journals: Sequence[Journal], shift_ns: int) -> Iterator[tuple[bool, list[_Input]]]:
+    """The frames and ticks of each message of a journal that has ticks, and whether it follows the one before."""
+    expected = (-1, -1)
+    for journal in journals:
+        found: list[_Input] = []
+        inputs: list[tuple[Any, ...]] = []
+        with suppress(*UNREADABLE):
+            inputs = _DECODER.decode(journal.inputs)
+        offset_ns = next((shift_ns + offset_ns for offset_ns in map(_offset_ns, reversed(inputs)) if offset_ns), 0)
+        for one in inputs if offset_ns else ():
+            match one:
+                case (Kind.TICK, int(now_ns), int(), *_):
+                    found.append((now_ns + offset_ns, None))
+                case (Kind.FRAME, int(now_ns), [int(word), bytes(data), int(bus_ns), *_]):
+                    identifier, given_ns = word & IDENTIFIER_MASK, now_ns + offset_ns
+                    if word & EXTENDED and not word & (REMOTE | ERROR) and identifier in BY_IDENTIFIER:
+                        bus_ns = bus_ns + shift_ns if bus_ns else given_ns
+                        found.append((given_ns, DecodedFrame(given_ns, identifier, data, bus_ns)))
+                case _:
+                    pass
+        if offset_ns:
+            yield (journal.run, journal.first) == expected, found
+        expected = (journal.run, journal.first + journal.count)
+
+
+def _offset_ns(one: tuple[Any, ...]) -> int:
+    """The wall clock's, from the monotonic one, by an input that is a tick; else 0."""
+    match one:
+        case (Kind.TICK, int(now_ns), int(wall_ns), *_):
+            return wall_ns - now_ns
+        case _:
+            return 0
 
 
 def _tick_of(one: Heard[Any]) -> int:
@@ -569,11 +495,11 @@ def _tick_of(one: Heard[Any]) -> int:
 _ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent})
 
 _OF_A_GATEWAY: Final[frozenset[type[Message]]] = frozenset(
-    {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState, Journal}
+    {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState}
 )
 """Classes in which a gateway describes itself and the chassis; the others are the chassis's own feedback."""
 
-_WANTED: Final = _OF_A_GATEWAY | {CanFrame, Drive, WheelSpeed, Steering, Gear, Body, Parking}
+_WANTED: Final = _OF_A_GATEWAY | {Journal, Drive, WheelSpeed, Steering, Gear, Body, Parking}
 
 
 def read_window(window: EvidenceWindow, logs: Sequence[LogFile], faults: Faults) -> EvidenceWindow:
@@ -600,15 +526,3 @@ def read_window(window: EvidenceWindow, logs: Sequence[LogFile], faults: Faults)
     window.gaps = [gap for gap in window.gaps if gap.first_ns < to_ns and gap.last_ns >= from_ns]
     window.settle()
     return window
-
-
-def limits_at(at_ns: int, robot: str, configurations: Sequence[tuple[int, str]], faults: Faults) -> Limits:
-    """Return the limits of the configuration that was published last, or else next."""
-    texts = [text for time_ns, text in configurations if time_ns <= at_ns][-1:]
-    for text in texts + [text for _, text in configurations][:1]:
-        try:
-            settings = merge(TomlSource("configuration.toml", text, is_recorded=True), {}, {})
-            return Limits(settings.command, is_known=True)
-        except CommandError as error:
-            faults.add(f"{robot}: its configuration cannot be read: {error}")
-    return Limits()

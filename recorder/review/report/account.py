@@ -45,22 +45,6 @@ UNKNOWN: Final = Variant.UNKNOWN.value
 _PACKAGE: Final = "versions."
 
 
-class _Told(msgspec.Struct):
-    """A gateway's own description; ``heard_ns`` is its log time, None if only the metadata have it."""
-
-    started_ns: int
-    heard_ns: int | None
-    variant: str
-    configuration_sha256: str
-    versions: dict[str, str]
-
-    def is_like(self, other: _Told) -> bool:
-        """Both say the same, as far as both know."""
-        is_same = (self.started_ns, self.configuration_sha256) == (other.started_ns, other.configuration_sha256)
-        is_of_variant = self.variant == other.variant or UNKNOWN in {self.variant, other.variant}
-        return is_same and self.versions == other.versions and is_of_variant
-
-
 class Versions:
     """Gathers gateways' own descriptions, and a recorder's notes of them, in any order.
 
@@ -69,16 +53,15 @@ class Versions:
     """
 
     def __init__(self) -> None:
-        self._told: list[_Told] = []
+        self._told: dict[tuple[int, str], InForce] = {}
         self._texts: dict[str, str] = {}
         self.left_out = 0
 
-    def hear(self, info: GatewayInfo, log_ns: int) -> None:
-        """A gateway's own answer, which was received then."""
-        sha256 = info.configuration_sha256
+    def hear(self, info: GatewayInfo) -> None:
+        """A gateway's own answer."""
         if len(self._texts) < MOST and len(info.configuration) <= TEXT_MAX:
-            self._texts.setdefault(sha256, info.configuration)
-        self._add(_Told(info.started_ns, log_ns, info.variant.value, sha256, dict(info.versions)))
+            self._texts.setdefault(info.configuration_sha256, info.configuration)
+        self._add(info.started_ns, info.variant.value, info.configuration_sha256, info.versions)
 
     def read(self, facts: Mapping[str, str]) -> None:
         """Add what a recorder's metadata say of the robot."""
@@ -87,20 +70,16 @@ class Versions:
             packages = {
                 name.removeprefix(_PACKAGE): one for name, one in facts.items() if name.startswith(_PACKAGE)
             }
-            variant, sha256 = facts.get("variant", UNKNOWN), facts.get("configuration_sha256", "")
             if 0 <= started_ns < 2**63:
-                self._add(_Told(started_ns, None, variant, sha256, packages))
+                sha256 = facts.get("configuration_sha256", "")
+                self._add(started_ns, facts.get("variant", UNKNOWN), sha256, packages)
 
-    def _add(self, told: _Told) -> None:
-        same = next((one for one in self._told if one.is_like(told)), None)
-        if same is not None:
-            same.variant = told.variant if same.variant == UNKNOWN else same.variant
-            if told.heard_ns is not None:
-                same.heard_ns = told.heard_ns if same.heard_ns is None else min(same.heard_ns, told.heard_ns)
-        elif len(self._told) < MOST:
-            self._told.append(told)
-        else:
+    def _add(self, started_ns: int, variant: str, sha256: str, versions: Mapping[str, str]) -> None:
+        known = self._told.get((started_ns, sha256))
+        if known is None and len(self._told) >= MOST:
             self.left_out += 1
+        elif known is None or known.variant == UNKNOWN:
+            self._told[started_ns, sha256] = InForce(started_ns, variant, sha256, dict(versions), [])
 
     def in_force(self, offset_ns: int = 0, from_ns: int = 0, to_ns: int = 2**64) -> list[InForce]:
         """Return the gateways, by the time since when they were in force.
@@ -108,27 +87,17 @@ class Versions:
         Those that another one followed before ``from_ns`` are left out, and those that came at ``to_ns`` or
         later.
         """
-        dated = sorted(self._dated(offset_ns), key=lambda one: one[0])
-        ends_ns = [since_ns for since_ns, _ in dated[1:]] + [2**64]
-        kept = [one for one, end_ns in zip(dated, ends_ns, strict=False) if one[0] < to_ns and end_ns > from_ns]
-        changed = [[], *(self._settings(before, now) for (_, before), (_, now) in pairwise(kept))]
-        return [
-            InForce(since_ns, told.variant, told.configuration_sha256, told.versions, settings)
-            for (since_ns, told), settings in zip(kept, changed, strict=False)
+        told = sorted(self._told.values(), key=lambda one: one.since_ns)
+        dated = [msgspec.structs.replace(one, since_ns=max(0, one.since_ns + offset_ns)) for one in told]
+        ends_ns = [one.since_ns for one in dated[1:]] + [2**64]
+        kept = [
+            one for one, end_ns in zip(dated, ends_ns, strict=False) if one.since_ns < to_ns and end_ns > from_ns
         ]
-
-    def _dated(self, offset_ns: int) -> Iterator[tuple[int, _Told]]:
-        starts = set()
-        for told in self._told:
-            since_ns = max(0, told.started_ns + offset_ns)
-            if told.heard_ns is not None:
-                # What is told later of one that was there before holds since then, for all that is known.
-                since_ns = told.heard_ns if told.started_ns in starts else min(since_ns, told.heard_ns)
-            starts.add(told.started_ns)
-            yield since_ns, told
-
-    def _settings(self, before: _Told, now: _Told) -> list[str]:
-        return changed_settings(*(self._texts.get(one.configuration_sha256, "") for one in (before, now)))
+        texts = [self._texts.get(one.configuration_sha256, "") for one in kept]
+        changed = [[], *(changed_settings(before, now) for before, now in pairwise(texts))]
+        return [
+            msgspec.structs.replace(one, settings=settings) for one, settings in zip(kept, changed, strict=False)
+        ]
 
 
 def changed_settings(before: str, now: str) -> list[str]:
@@ -287,7 +256,7 @@ class Account:
             motion.miss(to_ns - motion.last_ns)
 
     def sum_up(
-        self, completeness: dict[str, KeyReport], facts: dict[str, str], from_ns: int = 0, to_ns: int = 2**64
+        self, completeness: dict[str, KeyReport], from_ns: int = 0, to_ns: int = 2**64
     ) -> RobotReport | None:
         """Sum up what has been found; None if nothing came."""
         if not self._end_ns:
@@ -332,7 +301,6 @@ class Account:
             lost_frames=sum((one.lost_bus or 0) + one.lost_source for one in accounts) if accounts else None,
             completeness=completeness,
             unwritten=[Unwritten(*about, count) for about, count in self._unwritten.most_common()],
-            facts=facts,
             in_force=self.versions.in_force(self._clock.offset_ns, from_ns, to_ns),
             more_in_force=self.versions.left_out,
         )

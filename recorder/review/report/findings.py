@@ -6,7 +6,9 @@ Times are nanoseconds since 1970, by the robot's clock. Names and texts come fro
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import groupby
 from math import cos, degrees, hypot, isfinite, pi, radians, remainder, sin, tau
+from operator import itemgetter
 from typing import Final
 
 import msgspec
@@ -49,7 +51,6 @@ TARGETS: Final = frozenset({"target_speed_mps", "target_angle_deg"})
 """Commanded values. The state repeats them until others come; they hold while the arbiter is engaged."""
 
 _OUTPUTS: Final = ("target_speed_mps", "output_speed_mps", "target_angle_deg", "output_angle_deg")
-_FIRST_WIDTH_NS: Final = 1_000_000
 _FIRST_STEP_M: Final = 0.01
 _FIRST_TURN_RAD: Final = radians(2)
 
@@ -90,7 +91,7 @@ class Charts:
     def __init__(self) -> None:
         self.lines = {name: Series() for name in LINES}
         self.bands = {name: Spans() for name in BANDS}
-        self.path = Path()
+        self.path = DrivenPath()
 
     def bound(self, share: float) -> None:
         """Keep this part of the points that a chart usually has."""
@@ -127,82 +128,55 @@ class Charts:
 class Series:
     """One line of a chart. Samples may come out of order.
 
-    Time is cut into buckets, and of each the first, lowest, highest and last sample are kept: no spike is lost.
-    When there are too many buckets they are made twice as wide.
+    Of each bucket of time the first, lowest, highest and last sample are kept: no spike is lost.
     """
 
     def __init__(self, limit: int = BUCKETS_MAX) -> None:
         self.limit = limit
-        self._width_ns = _FIRST_WIDTH_NS
-        self._buckets: dict[int, list[Point]] = {}
-        self._breaks: list[tuple[int, int]] = []
+        self._points: list[Point] = []
+        self._breaks: list[int] = []
         self._last_ns: int | None = None
 
     def add(self, time_ns: int, value: float) -> None:
         """One more sample."""
-        point = (time_ns, value)
-        bucket = self._buckets.get(time_ns // self._width_ns)
-        if bucket is None:
-            self._buckets[time_ns // self._width_ns] = [point] * 4
-            self._widen()
-        else:
-            _merge(bucket, point)
         if self._last_ns is not None and time_ns - self._last_ns > GAP_NS:
-            self._add_break(self._last_ns, time_ns)
+            self.cut()
         self._last_ns = time_ns
+        self._points.append((time_ns, value))
+        if len(self._points) > 6 * self.limit:
+            self._reduce()
 
     def cut(self) -> None:
         """The value is not known from here on: the next sample begins a new piece."""
-        if self._last_ns is not None:
-            self._add_break(self._last_ns, self._last_ns + 1)
-            self._last_ns = None
+        if self._last_ns is not None and len(self._breaks) < BREAKS_MAX:
+            self._breaks.append(self._last_ns)
+        self._last_ns = None
 
     def points(self, from_ns: int = 0, to_ns: int = 2**64) -> Iterator[Point | None]:
         """Yield the line in the order of time, None where it is broken."""
-        self._widen()
-        breaks = sorted(self._breaks, reverse=True)
-        before_ns = None
-        for number in sorted(self._buckets):
-            for point in sorted(dict.fromkeys(self._buckets[number])):
-                if not from_ns <= point[0] <= to_ns:
-                    continue
-                is_broken = False
-                while breaks and breaks[-1][0] < point[0]:
-                    broken_ns = breaks.pop()[0]
-                    is_broken |= before_ns is not None and broken_ns >= before_ns
-                if is_broken:
+        self._reduce()
+        breaks, is_begun = sorted(self._breaks, reverse=True), False
+        for point in self._points:
+            if from_ns <= point[0] <= to_ns:
+                if is_begun and breaks and breaks[-1] < point[0]:
                     yield None
                 yield point
-                before_ns = point[0]
+                is_begun = True
+            while breaks and breaks[-1] < point[0]:
+                breaks.pop()
 
-    def _add_break(self, from_ns: int, to_ns: int) -> None:
-        self._breaks.append((from_ns, to_ns))
-        if len(self._breaks) > BREAKS_MAX:
-            # Those that are too short to be seen go first.
-            self._breaks = sorted(self._breaks, key=lambda one: one[0] - one[1])[: BREAKS_MAX // 2]
-
-    def _widen(self) -> None:
-        while len(self._buckets) > self.limit:
-            self._width_ns *= 2
-            wider: dict[int, list[Point]] = {}
-            for number, points in self._buckets.items():
-                bucket = wider.setdefault(number // 2, points)
-                if bucket is not points:
-                    for point in points:
-                        _merge(bucket, point)
-            self._buckets = wider
-
-
-def _merge(bucket: list[Point], point: Point) -> None:
-    first, lowest, highest, last = bucket
-    if point[0] < first[0]:
-        bucket[0] = point
-    if point[1] < lowest[1]:
-        bucket[1] = point
-    if point[1] > highest[1]:
-        bucket[2] = point
-    if point[0] >= last[0]:
-        bucket[3] = point
+    def _reduce(self) -> None:
+        self._points = sorted(set(self._points))
+        if len(self._points) <= self.limit:
+            return
+        first_ns = self._points[0][0]
+        width_ns = (self._points[-1][0] - first_ns) // self.limit + 1
+        kept: list[Point] = []
+        for _, points in groupby(self._points, key=lambda point: (point[0] - first_ns) // width_ns):
+            bucket = list(points)
+            by_value = sorted(bucket, key=itemgetter(1))
+            kept += sorted({bucket[0], by_value[0], by_value[-1], bucket[-1]})
+        self._points = kept
 
 
 class Spans:
@@ -254,7 +228,7 @@ def _coarser(spans: list[Span], shortest_ns: int) -> list[Span]:
     return coarse
 
 
-class Path:
+class DrivenPath:
     """A path from zero, as many places of it as are worth drawing. Where samples are missing it breaks off."""
 
     def __init__(self) -> None:
@@ -398,7 +372,6 @@ class RobotSummary(msgspec.Struct, frozen=True):
         lost_samples: of the recorder's account; None if it gives none.
         lost_frames: likewise, of the bus and of the gateway's raw frames.
         unwritten: messages that reached the recorder and are not in the log.
-        facts: variant, bus, versions and hash of the configuration, as the logs' metadata have them.
         in_force: all gateways that the logs mention, one after the other, with their configurations;
             ``more_in_force`` are left out.
     """
@@ -432,7 +405,6 @@ class RobotSummary(msgspec.Struct, frozen=True):
     lost_frames: int | None
     completeness: dict[str, KeyReport]
     unwritten: list[Unwritten]
-    facts: dict[str, str]
     in_force: list[InForce]
     more_in_force: int
 
@@ -662,12 +634,11 @@ def _missing(robot: RobotSummary, report: Report) -> list[str]:
 
 def _versions(robot: RobotSummary) -> str:
     """Versions of the first gateway, and how many others there were."""
-    recorder = robot.facts.get("recorder_version")
-    said = [f"recorder {recorder}"] if recorder else []
+    said = []
     for first in robot.in_force[:1]:
         packages = (f"{package} {value}" for package, value in sorted(first.versions.items()))
         configuration = f"configuration {first.configuration_sha256[:12] or ABSENT}"
-        said = [f"variant {first.variant}", *said, *packages, configuration]
+        said = [f"variant {first.variant}", *packages, configuration]
     if len(robot.in_force) > 1:
         said.append(f"{counted(len(robot.in_force) - 1, 'later gateway')}, see below")
     return ", ".join(said) or ABSENT

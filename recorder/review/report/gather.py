@@ -112,11 +112,9 @@ def _metadata_of(log: LogFile) -> list[tuple[str, Facts]]:
 
 def _by_name(metadata: Facts) -> Iterator[tuple[str, Facts]]:
     """The names of the robots in a log, and what its metadata say of each."""
-    version = {"recorder_version": metadata["recorder_version"]} if "recorder_version" in metadata else {}
     for name in filter(None, metadata.get("robots", "").split(",")[:NAMES_MAX]):
         prefix = f"{name}."
-        facts = {one.removeprefix(prefix): value for one, value in metadata.items() if one.startswith(prefix)}
-        yield name, version | facts
+        yield name, {one.removeprefix(prefix): value for one, value in metadata.items() if one.startswith(prefix)}
 
 
 def _key_of(name: str, names: Iterable[str], log: LogFile) -> str:
@@ -168,7 +166,7 @@ class _Fleet:
             if account is None:
                 return
             if isinstance(message, GatewayInfo):
-                account.versions.hear(message, row.log_ns)
+                account.versions.hear(message)
             elif not account.take(message, row.publish_ns, row.log_ns):
                 return
         self._timeline.take(row, message)
@@ -187,7 +185,7 @@ class _Fleet:
             begins_before = any(log.start_ns < asked.from_ns for log in files)
             ends_behind = any(log.end_ns > asked.to_ns for log in files)
             account.miss(asked.from_ns if begins_before else None, asked.to_ns if ends_behind else None)
-            found = account.sum_up(*_of_robot(key, self._margins), asked.from_ns, asked.to_ns)
+            found = account.sum_up(_completeness(key, self._margins), asked.from_ns, asked.to_ns)
             if found is not None:
                 yield found
 
@@ -235,19 +233,14 @@ def _facts_of(key: str, margin: Margins) -> list[Facts]:
     return margin.facts.get(key, margin.facts.get(key.rpartition("/")[2], []))
 
 
-def _of_robot(key: str, margins: Sequence[Margins]) -> tuple[dict[str, KeyReport], Facts]:
-    """The account of its topics, and what is known of it, of all files."""
+def _completeness(key: str, margins: Sequence[Margins]) -> dict[str, KeyReport]:
+    """The account of a robot's topics, of all files."""
     reports: dict[str, list[KeyReport]] = {}
-    values: dict[str, dict[str, None]] = {}
     for margin in margins:
         for topic, report in margin.completeness.items():
             if topic.startswith(f"{key}/"):
                 reports.setdefault(topic, []).append(report)
-        for facts in _facts_of(key, margin)[-1:]:
-            for name, value in facts.items():
-                values.setdefault(name, {})[value] = None
-    completeness = {topic: total(of_topic) for topic, of_topic in sorted(reports.items())}
-    return completeness, {name: ", ".join(list(found)[:5]) for name, found in list(values.items())[:NAMES_MAX]}
+    return {topic: total(of_topic) for topic, of_topic in sorted(reports.items())}
 
 
 def _is_wanted(topic: Topic) -> bool:

@@ -374,9 +374,14 @@ class _Page:
             yield from card("Events outside of the drives that are drawn", self._events(robot, others))
         yield from card("Details", definitions(summary_lines(robot, self._report)))
         if summary.refusals:
-            yield from card("Refusals", self._refusals(summary))
+            more = f", and {summary.other_refusals} of further kinds" if summary.other_refusals else ""
+            yield from card(
+                "Refusals", records(f"Refused requests by verb, operator and reason{more}", summary.refusals)
+            )
         yield from card("Completeness", _completeness(summary))
-        yield from card("Versions and configurations", _in_force(summary))
+        more = f", and {summary.more_in_force} more" if summary.more_in_force else ""
+        caption = f"Gateways, each in force until the next{more}"
+        yield from card("Versions and configurations", records(caption, summary.in_force))
 
     def _overview(self) -> Iterator[str]:
         """Yield all drives in a table; one that is not drawn has the command that draws it."""
@@ -443,14 +448,12 @@ class _Page:
         yield "</section>"
 
     def _stops(self, robot: RobotSummary, stops: Sequence[Moment]) -> Iterator[str]:
-        """Each stop, with its reason to be opened. Those without one stand behind the others, as commands."""
-        others: list[Row] = []
+        """Each stop, with its reason to be opened; of those without one the command that gives it."""
+        others = []
         for stop in stops:
             why = self._whys.get((robot.key, stop.time_ns))
             if why is None:
-                named = shlex.quote(robot.name)
-                command = f"cruiser review why {self._logs} --robot {named} --at {iso(stop.time_ns)}"
-                others.append((clock(stop.time_ns), moment_words(stop), command))
+                others.append(iso(stop.time_ns))
                 continue
             reason = "" if stop.reason == "none" else reason_words(stop.reason)
             said = stop.text if reason in stop.text else f"{stop.text}: {reason}"
@@ -461,9 +464,8 @@ class _Page:
                 yield f"<li><span>{when}</span> <span>{at}</span> <b>{step}</b> <span>{said}</span></li>"
             yield "</ol></details>"
         if others:
-            caption = f"{counted(len(others), 'stop')} without a reason here, and the command that finds it"
-            table = table_of(caption, ("time, UTC", "what", "command"), others[:MOMENTS_SHOWN])
-            yield from folded(caption, table, others)
+            command = f"cruiser review why {self._logs} --robot {shlex.quote(robot.name)} --at {others[0]}"
+            yield f"<p>{counted(len(others), 'stop')} more; <code>{text(command)}</code> gives the reason.</p>"
 
     def _events(self, robot: RobotReport, all_moments: Sequence[Moment]) -> Iterator[str]:
         """Yield a table of events; of too many, those that matter most."""
@@ -488,25 +490,6 @@ class _Page:
         head = ("time, UTC", "what", "reason", "operator", "text")
         looks = [(one.severity, f' data-ms="{one.time_ns // _MS}"') for one in moments]
         yield from folded(caption, table_of(caption, head, rows, looks), rows)
-
-    def _refusals(self, summary: RobotSummary) -> Iterator[str]:
-        rows: list[Row] = [
-            (
-                one.count,
-                one.request,
-                one.operator,
-                one.reason,
-                reason_words(one.reason),
-                Html(self._at(summary, one.first_ns, clock(one.first_ns))),
-            )
-            for one in summary.refusals
-        ]
-        caption = "Refused requests by verb, operator and reason" + (
-            f"; {summary.other_refusals} of further kinds" if summary.other_refusals else ""
-        )
-        yield from folded(
-            caption, table_of(caption, ("count", "request", "operator", "reason", "in words", "first"), rows), rows
-        )
 
     def _at(self, robot: RobotSummary, time_ns: int, words: str) -> str:
         """A link to a moment; the words alone where it is not drawn."""
@@ -574,8 +557,7 @@ def _completeness(summary: RobotSummary) -> Iterator[str]:
     elif not lossy:
         yield f"<p>{counted(len(summary.completeness), 'topic')}, nothing lost.</p>"
     if summary.unwritten:
-        unwritten: list[Row] = [(one.topic, one.reason, one.count) for one in summary.unwritten]
-        yield from table_of("Received by the recorder and not stored", ("topic", "why", "count"), unwritten)
+        yield from records("Received by the recorder and not stored", summary.unwritten)
     if summary.completeness:
         rows: list[Row] = [
             (topic.removeprefix(f"{summary.key}/"), *msgspec.structs.astuple(one))
@@ -586,39 +568,9 @@ def _completeness(summary: RobotSummary) -> Iterator[str]:
         yield from table if lossy else folded("All topics", table)
 
 
-def _in_force(summary: RobotSummary) -> Iterator[str]:
-    if not summary.in_force:
-        yield f"<p>{ABSENT.capitalize()}.</p>"
-        return
-    rows: list[Row] = [
-        (
-            in_words(one.since_ns),
-            one.variant,
-            one.configuration_sha256[:12] or ABSENT,
-            ", ".join(f"{name} {value}" for name, value in sorted(one.versions.items())) or ABSENT,
-            "; ".join(one.settings),
-        )
-        for one in summary.in_force
-    ]
-    more = f"; {summary.more_in_force} more are left out" if summary.more_in_force else ""
-    caption = f"Gateways, each in force until the next{more}"
-    head = ("since", "variant", "configuration", "packages", "changed settings")
-    yield from folded(caption, table_of(caption, head, rows), rows)
-
-
 def _files(report: Report) -> Iterator[str]:
-    rows: list[Row] = [
-        (
-            file.name,
-            size(file.bytes),
-            in_words(file.start_ns),
-            in_words(file.end_ns),
-            "finished" if file.is_accounted else "being written" if file.is_being_written else "not finished",
-        )
-        for file in report.files
-    ]
     yield '<section aria-labelledby="files"><h2 id="files">Files</h2><div class="card">'
-    yield from table_of("Source of this report", ("file", "size", "from", "to", "state"), rows)
+    yield from records("Source of this report", report.files)
     if report.faults:
         yield "<h3>What could not be read</h3><ul>"
         yield from (f"<li>{text(fault)}</li>" for fault in report.faults)
@@ -667,6 +619,31 @@ def folded(title: str, table: Iterable[str], rows: Sequence[Row] | None = None) 
     yield f"<details><summary>{text(title)}</summary>"
     yield from table
     yield "</details>"
+
+
+def records(caption: str, found: Sequence[msgspec.Struct]) -> Iterator[str]:
+    """A table of alike records, a column a field."""
+    if not found:
+        yield f"<p>{ABSENT.capitalize()}.</p>"
+        return
+    fields = found[0].__struct_fields__
+    head = [field.removesuffix("_ns").removesuffix("_sha256").replace("_", " ") for field in fields]
+    rows = [tuple(_cell(field, getattr(one, field)) for field in fields) for one in found]
+    yield from folded(caption, table_of(caption, head, rows), rows)
+
+
+def _cell(field: str, value: Any) -> str | int:  # noqa: ANN401 - any field of a record
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case int():
+            return in_words(value) if field.endswith("_ns") else value
+        case dict():
+            return ", ".join(f"{name} {one}" for name, one in sorted(value.items())) or ABSENT
+        case list():
+            return "; ".join(value)
+        case _:
+            return reason_words(value) if field == "reason" else value[:12] if field.endswith("_sha256") else value
 
 
 def table_of(

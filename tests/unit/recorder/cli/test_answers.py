@@ -74,7 +74,6 @@ FILES: dict[str, Callable[[], bytes]] = {
     "stub-8.mcap": lambda: recorded(scenarios.front_bumper)[:8],
     "stub-100.mcap": lambda: recorded(scenarios.front_bumper)[:100],
     "stale.mcap": lambda: recorded(scenarios.stale_commands),
-    "derived.mcap": lambda: recorded(scenarios.deadman, "safety/event"),
     "other.mcap": lambda: acted(scenarios.deadman).log(robot="cruiser-2"),
     "drive.mcap": drive_log,
     "drive-2.mcap": lambda: drive_log("cruiser-2"),
@@ -160,8 +159,6 @@ $ events gears.mcap --json --kind takeover => = ""
 $ events stale.mcap --robot cruiser-1 => deadman
 $ events stale.mcap --robot 'cruiser-*' => deadman
 $ events stale.mcap --robot '*' => deadman
-== what is derived says so in the table [derived.mcap]
-$ events derived.mcap --kind stop => [derived]
 == the last stop is explained in one sentence, and each link has its times [bumper.mcap]
 $ why bumper.mcap
     cruiser-1 at 2.028 s, 2023-11-14 22:13:22.040 UTC: It was being stopped: the front bumper was hit.

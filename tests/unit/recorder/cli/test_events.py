@@ -25,7 +25,7 @@ def test_json_is_an_object_a_line(log: Path, capsys: pytest.CaptureFixture[str])
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     fields = (
         "time since_s time_ns last_ns robot kind severity source text count reason operator holder request tick "
-        "is_late is_stop cause derived"
+        "is_late is_stop cause"
     )
     assert {frozenset(record) for record in records} == {frozenset(fields.split())}
     (stop,) = (record for record in records if record["kind"] == "stop")

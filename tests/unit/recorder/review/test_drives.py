@@ -20,7 +20,6 @@ from recorder.review.drives import (
     Drives,
     Outage,
     SpeedMeter,
-    operators_stops,
 )
 from recorder.review.entries import Entry, EntryKind, EntrySource, Stops, kind_of
 from schemas.cruiser import WHEELBASE_M
@@ -186,15 +185,6 @@ def test_the_worst_moment_is_the_first_of_the_gravest(severities: str, worst: st
     assert (drive.worst, "" if found.worst is None else found.worst.text) == (worst, worst)
 
 
-def test_the_way_to_a_standstill_belongs_to_the_drive() -> None:
-    """The only drive has all of the distance."""
-    found = Drives()
-    for number, speed_mps in enumerate((0.0, 1.0, 1.0, 0.015, 0.01, 0.0)):
-        found.move(WALL_NS + number * STEP_NS, WALL_NS, speed_mps)
-    (drive,) = found.drives()
-    assert drive.distance_m == pytest.approx(found.motion.distance_m)
-
-
 def test_drives_beyond_the_limit_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory does not grow with the log."""
     monkeypatch.setattr(drives, "DRIVES_MAX", 2)
@@ -220,11 +210,6 @@ def test_the_cause_of_a_gateways_death_is_what_the_next_one_latches(is_latched: 
     found = happened(died, *[latch] * is_latched)
     assert +found.stops == ({"guard": 1} if is_latched else {DIED: 1})
     assert [one.reason for one in found.entries if one.is_stop] == [Reason.GUARD if is_latched else Reason.NONE]
-
-
-def test_stops_by_operators_are_no_faults() -> None:
-    """A remote stop, a takeover by the remote control, a lease that was taken."""
-    assert operators_stops({"remote_stop": 2, "hand_transmitter": 1, "lease_taken": 1, "deadman": 9, DIED: 9}) == 4
 
 
 def test_the_silence_before_a_restart_is_its_own() -> None:

@@ -1,29 +1,50 @@
-"""All of one robot, from its messages one by one."""
+"""A robot in figures: from its messages, and out of logs."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from recorder.reading.logs import Faults, LogFile
-from recorder.reading.rows import END_OF_TIME_NS, Row
+from recorder.reading.logs import Faults, LogFile, find_logs
+from recorder.reading.rows import END_OF_TIME_NS, Row, Selection
 from recorder.reading.topics import Topic
-from recorder.review.drives import ENTRIES_MAX
+from recorder.record.robot_log import LogPlan
+from recorder.review.drives import ENTRIES_MAX, MARGIN_NS, Outage
 from recorder.review.events import Timeline
+from recorder.review.report import account, gather
 from recorder.review.report.account import (
+    CHANGES_MAX,
     DRIVERS_MAX,
-    FAULTS_MAX,
+    MOST,
     OTHERS,
     REFUSALS_MAX,
     REMOTE_CONTROL,
     Account,
+    Versions,
+    changed_settings,
 )
-from recorder.review.report.findings import Drawn, RobotReport, RobotSummary
-from schemas.decisions import ArbiterState, EventKind, Verdict
-from schemas.messages import Message, Mode
-from schemas.reasons import Reason
-from tests.support.drives import drive_messages
-from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, arbiter, event, health, key_of, refusal, state
+from recorder.review.report.findings import Drawn, InForce, RobotReport, RobotSummary
+from recorder.review.report.gather import read_report
+from schemas.decisions import ArbiterState, Severity
+from schemas.messages import GatewayInfo, Message, Mode, Variant
+from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
+from tests.support.drives import drive_messages, drives_over, restart, write_messages
+from tests.support.logs import Log
+from tests.support.messages import (
+    PERIOD_NS,
+    SECOND,
+    WALL_NS,
+    arbiter,
+    event,
+    gateway_info,
+    health,
+    info,
+    key_of,
+    refusal,
+    sample_of,
+    state,
+)
+from tests.support.reading import report_of
 
 
 def row_of(message: Message, log_ns: int) -> Row:
@@ -33,7 +54,7 @@ def row_of(message: Message, log_ns: int) -> Row:
     return Row(topic, message.sequence, log_ns, message.time_ns, b"")
 
 
-def report_of(
+def summed_up(
     *messages: Message,
     off_ns: int = 0,
     late: Sequence[tuple[int, Message]] = (),
@@ -54,41 +75,20 @@ def report_of(
         account.end(ending)
     for entry in timeline.end():
         account.take_entry(entry)
-    report = account.sum_up({}, {})
+    report = account.sum_up({})
     assert report is not None
     return report
 
 
 def summary_of(*messages: Message) -> RobotSummary:
     """In figures."""
-    return report_of(*messages).summary
+    return summed_up(*messages).summary
 
 
 def charts_of(*messages: Message) -> Drawn:
     """Over time."""
-    (drawn,) = report_of(*messages).drawn
+    (drawn,) = summed_up(*messages).drawn
     return drawn
-
-
-def test_a_drive_in_figures() -> None:
-    """How far, how fast, how often stopped and why, who drove, what was refused."""
-    summary = summary_of(*drive_messages(201))
-    assert summary.distance_m == pytest.approx(10.0)
-    assert [summary.moving_s, summary.known_s, summary.top_mps] == pytest.approx([10.0, 10.0, 1.0])
-    assert (summary.start_ns, summary.end_ns) == (WALL_NS, WALL_NS + 200 * PERIOD_NS)
-    assert summary.stops == {"front_bumper": 1}
-    (driver,) = summary.drivers
-    # The first state came before anybody was known to drive.
-    assert driver.name == "operator-1"
-    assert driver.seconds == pytest.approx(10.0, abs=0.06)
-    assert driver.distance_m == pytest.approx(10.0, abs=0.06)
-    (refused,) = summary.refusals
-    assert (refused.request, refused.operator, refused.reason, refused.count) == (
-        "drive",
-        "operator-2",
-        "no_lease",
-        1,
-    )
 
 
 def test_who_drives_is_told_by_mode_and_lease() -> None:
@@ -102,24 +102,6 @@ def test_who_drives_is_told_by_mode_and_lease() -> None:
     assert seconds == {"operator-1": pytest.approx(1.0), REMOTE_CONTROL: pytest.approx(1.0)}
 
 
-def test_what_is_there_twice_counts_once() -> None:
-    """As in an incident beside its log."""
-    once = summary_of(*drive_messages())
-    twice = summary_of(*(message for message in drive_messages() for _ in range(2)))
-    assert twice == once
-
-
-def test_commands_are_drawn_while_the_chassis_is_told_something() -> None:
-    """In standby the line is broken; the limits are always drawn."""
-    messages = [
-        arbiter(number, state=ArbiterState.STANDBY if 5 <= number < 9 else ArbiterState.ENGAGED)
-        for number in range(12)
-    ]
-    lines = charts_of(*messages).lines
-    assert [point is None for point in lines["output_speed_mps"]] == [False] * 5 + [True] + [False] * 3
-    assert None not in lines["speed_limit_mps"]
-
-
 def test_what_was_asked_for_is_drawn_while_it_holds() -> None:
     """The state repeats the last command while the robot is stopped; nobody asks for that any more."""
     was = {5: ArbiterState.STOPPING, 6: ArbiterState.STOPPING, 7: ArbiterState.ENGAGING}
@@ -131,15 +113,6 @@ def test_what_was_asked_for_is_drawn_while_it_holds() -> None:
     assert None not in lines["output_speed_mps"]
 
 
-def test_values_that_are_no_numbers_are_not_drawn() -> None:
-    """Neither are those that the robot does not know."""
-    lines = charts_of(
-        *(state(number, speed_mps=(None, float("nan"), 1.0)[number % 3]) for number in range(9))
-    ).lines
-    assert [point[1] for point in lines["speed_mps"] if point is not None] == [1.0] * 3
-    assert lines["speed_mps"].count(None) == 2
-
-
 def test_an_event_is_placed_on_the_path() -> None:
     """Where the robot was then, whenever the event was asked for."""
     charts = charts_of(*(state(number) for number in range(101)), event(40))
@@ -147,18 +120,9 @@ def test_an_event_is_placed_on_the_path() -> None:
     assert [moment.x_m, moment.y_m] == pytest.approx([2.0, 0.0], abs=0.06)
 
 
-def test_what_was_asked_for_later_stands_where_it_happened() -> None:
-    """By the robot's time, though it was received long after."""
-    late = event(20)
-    drive_on = (one for number in range(100) for one in (state(number), arbiter(number)))
-    report = report_of(*drive_on, late=[(late.time_ns + 60 * SECOND, late)])
-    assert [moment.time_ns for moment in report.moments] == [late.time_ns]
-    assert report.summary.end_ns < WALL_NS + 10 * SECOND
-
-
 def test_a_clock_that_is_years_off_is_not_believed() -> None:
     """The time axis is the recorder's then, for all that is said, and has no hole of years."""
-    summary = report_of(*drive_messages(), off_ns=50 * 365 * 24 * 3600 * SECOND).summary
+    summary = summed_up(*drive_messages(), off_ns=50 * 365 * 24 * 3600 * SECOND).summary
     assert (summary.end_ns - summary.start_ns) == 199 * PERIOD_NS
     assert summary.gaps == 0
 
@@ -185,14 +149,6 @@ def test_faults_that_no_frame_counts_are_counted_too() -> None:
     }
 
 
-def test_kinds_of_faults_without_end_cost_no_memory_without_end() -> None:
-    """A damaged log may hold any."""
-    summary = summary_of(
-        *(health(number, lost=0, faults={f"kind-{number}": 1}) for number in range(2 * FAULTS_MAX))
-    )
-    assert 0 < len(summary.health) <= FAULTS_MAX
-
-
 def test_names_without_end_cost_no_memory_without_end() -> None:
     """Operators can be made up: the first ones are told one by one, the others are counted."""
     messages: list[Message] = [state(0)]
@@ -206,26 +162,14 @@ def test_names_without_end_cost_no_memory_without_end() -> None:
     assert (len(summary.refusals), summary.refused) == (REFUSALS_MAX, many)
     assert summary.other_refusals == many - REFUSALS_MAX
     assert summary.stops == {"front_bumper": 1}
-    report = report_of(*(event(number) for number in range(ENTRIES_MAX + 5)))
+    report = summed_up(*(event(number) for number in range(ENTRIES_MAX + 5)))
     assert (len(report.moments), report.more_moments) == (ENTRIES_MAX, 5)
-
-
-def test_accepted_requests_and_other_events_are_no_stops() -> None:
-    """They are counted as what they are."""
-    accepted = refusal(1, verdict=Verdict.ACCEPTED, reason=Reason.NONE)
-    summary = summary_of(accepted, event(2, EventKind.ENGAGED))
-    assert (summary.accepted, summary.refused, summary.stops, summary.events) == (1, 0, {}, {"engaged": 1})
-
-
-def test_a_robot_that_said_nothing_is_no_report() -> None:
-    """It was only named."""
-    assert Account("cruiser-1", "fleet/cruiser-1").sum_up({}, {}) is None
 
 
 @pytest.mark.parametrize("engaged", [ArbiterState.ENGAGED, ArbiterState.STOPPING, ArbiterState.STANDBY])
 def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState) -> None:
     """What came after is not known; in standby there is nothing to say."""
-    report = report_of(
+    report = summed_up(
         *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 5 * PERIOD_NS)]
     )
     assert report.summary.ends_commanding is (engaged is not ArbiterState.STANDBY)
@@ -234,21 +178,10 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(engaged: ArbiterState)
     assert told == [ends] * report.summary.ends_commanding
 
 
-def test_a_period_that_ends_in_the_middle_of_a_drive_is_no_end_of_the_log() -> None:
-    """The log goes on."""
-    report = report_of(
-        *(arbiter(number) for number in range(5)),
-        spans=[(WALL_NS, WALL_NS + 60 * SECOND)],
-        to_ns=WALL_NS + 5 * PERIOD_NS,
-    )
-    assert not report.summary.ends_commanding
-    assert report.summary.outages == []
-
-
 def test_a_period_that_ends_in_a_pause_of_the_recorder_accuses_no_gateway() -> None:
     """Nobody was there to hear it: the log ends, as far as is known, and another one begins behind the period."""
     spans = [(WALL_NS, WALL_NS + 5 * PERIOD_NS), (WALL_NS + 60 * SECOND, WALL_NS + 90 * SECOND)]
-    report = report_of(*(arbiter(number) for number in range(5)), spans=spans, to_ns=WALL_NS + 30 * SECOND)
+    report = summed_up(*(arbiter(number) for number in range(5)), spans=spans, to_ns=WALL_NS + 30 * SECOND)
     assert report.summary.outages == []
     (moment,) = report.moments
     assert moment.text == "the log ends here: engaged, commanded 1.00 m/s"
@@ -258,7 +191,7 @@ def test_a_period_that_ends_in_a_pause_of_the_recorder_accuses_no_gateway() -> N
 def test_a_gateway_of_which_nothing_comes_any_more_fell_silent(is_commanding: bool) -> None:  # noqa: FBT001 - a case
     """The log goes on without it; that matters more if it commanded the robot."""
     engaged = ArbiterState.ENGAGED if is_commanding else ArbiterState.STANDBY
-    report = report_of(
+    report = summed_up(
         *(arbiter(number, state=engaged) for number in range(5)), spans=[(WALL_NS, WALL_NS + 60 * SECOND)]
     )
     (outage,) = report.summary.outages
@@ -268,3 +201,261 @@ def test_a_gateway_of_which_nothing_comes_any_more_fell_silent(is_commanding: bo
     assert moment.severity == ("error" if is_commanding else "warning")
     assert moment.text.startswith("nothing of the arbiter for 59.8 s, up to the end: the gateway fell silent")
     assert not report.summary.ends_commanding
+
+
+def test_several_robots_have_a_report_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of their names. Names can be made up without end: beyond a limit they are counted."""
+    path = write_messages(tmp_path / "a.mcap", drive_messages(20), robots=["r-2", "r-1", "r-3", "r-4"])
+    monkeypatch.setattr(gather, "ROBOTS_MAX", 2)
+    report = report_of(path)
+    assert ([robot.summary.name for robot in report.robots], report.more_robots) == (["r-1", "r-2"], 2)
+    assert all("fleet/r-1/" in topic for topic in report.robots[0].summary.completeness)
+
+
+def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
+    """Each recorder knows but one of the name; neither's gateway, nor what is said of it, is the other's."""
+    paths = []
+    for root in ("fleet", "depot"):
+        log = Log()
+        log.receive(sample_of(gateway_info(0, f"[robot]\nroot = '{root}'\n"), root=root))
+        for message in drive_messages(20):
+            log.receive(sample_of(message, root=root), wall_ns=message.time_ns)
+        said = RecorderEvent(
+            WALL_NS + 9, 0, Severity.WARNING, RecorderEventKind.FULL, "cruiser-1", "", "", f"of {root}"
+        )
+        log.add_own(f"{root}/@recorder/vm/event", said, 0)
+        paths.append(tmp_path / f"{root}.mcap")
+        paths[-1].write_bytes(log.close())
+    for one, root in zip(report_of(*paths).robots, ("depot", "fleet"), strict=True):
+        hash_of_its_own = gateway_info(0, f"[robot]\nroot = '{root}'\n").configuration_sha256
+        assert one.summary.name == f"{root}/cruiser-1"
+        assert [known.configuration_sha256 for known in one.summary.in_force] == [hash_of_its_own]
+        assert [moment.text for moment in one.moments if moment.kind == "recorder"] == [f"of {root}"]
+
+
+def died(path: Path) -> Path:
+    """A log in which a gateway dies at 9.95 s, and another one with another configuration begins at 13 s."""
+    log = Log()
+    told = {0: gateway_info(0, "[command]\nspeed_limit_mps = 2.222\n")}
+    told[260] = gateway_info(260, "[command]\nspeed_limit_mps = 0.6\n")
+    for message in restart(200, 60):
+        number = (message.time_ns - WALL_NS) // PERIOD_NS
+        if number in told:
+            log.receive(sample_of(told.pop(number)), wall_ns=message.time_ns)
+        log.receive(sample_of(message), wall_ns=message.time_ns)
+    path.write_bytes(log.close())
+    return path
+
+
+def test_a_gateway_that_died_and_another_that_began_are_told(tmp_path: Path) -> None:
+    """In the summary, among the events, and with both configurations."""
+    (robot,) = report_of(died(tmp_path / "a.mcap")).robots
+    heard_ns, began_ns = WALL_NS + 199 * PERIOD_NS, WALL_NS + 260 * PERIOD_NS
+    assert robot.summary.outages == [Outage(heard_ns, began_ns, is_commanding=True)]
+    told = [(one.kind, one.severity, one.time_ns) for one in robot.moments if one.severity == "error"]
+    assert told == [("gap", "error", heard_ns), ("gateway", "error", began_ns)]
+    assert [one.since_ns for one in robot.summary.in_force] == [WALL_NS, began_ns]
+    assert robot.summary.in_force[1].settings == ["command.speed_limit_mps 0.6, 2.222 before"]
+    assert robot.summary.silences == []
+    assert robot.drawn[0].outages == [(heard_ns, began_ns)]
+
+
+@pytest.mark.parametrize(
+    ("from_number", "to_number", "is_again", "in_force"),
+    [(220, 280, True, 2), (100, 250, False, 1), (262, 280, None, 1), (100, 190, None, 1)],
+)
+def test_a_period_knows_of_a_gateway_that_died_in_it(
+    tmp_path: Path,
+    from_number: int,
+    to_number: int,
+    is_again: bool | None,  # noqa: FBT001 - a case
+    in_force: int,
+) -> None:
+    """That begins while nothing is heard, or ends so; before and after there is nothing to tell."""
+    faults = Faults()
+    logs = find_logs([died(tmp_path / "a.mcap")], faults)
+    period = WALL_NS + from_number * PERIOD_NS, WALL_NS + to_number * PERIOD_NS
+    (robot,) = read_report(logs, Selection(from_ns=period[0], to_ns=period[1]), faults).robots
+    assert [one.began_ns is not None for one in robot.summary.outages] == ([] if is_again is None else [is_again])
+    assert len(robot.summary.in_force) == in_force
+    assert not robot.summary.ends_commanding
+    assert robot.summary.start_ns >= period[0]
+
+
+def test_an_incident_beside_its_log_tells_nothing_twice(tmp_path: Path) -> None:
+    """Neither of the robot's nor of the recorder's."""
+    data = died(tmp_path / "a.mcap").read_bytes()
+    once = report_of(tmp_path / "a.mcap").robots[0]
+    (tmp_path / "b.mcap").write_bytes(data)
+    twice = report_of(tmp_path / "a.mcap", tmp_path / "b.mcap").robots[0]
+    assert twice.moments == once.moments
+    assert twice.summary.outages == once.summary.outages
+    assert twice.summary.in_force == once.summary.in_force
+
+
+def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path: Path) -> None:
+    """A recorder asks a gateway for what it did not hear, and gets the stops and requests of an hour ago too."""
+    log = Log()
+    for number in range(100):
+        log.receive(sample_of(state(number)), wall_ns=WALL_NS + number * PERIOD_NS)
+    before = [one(-72_000, sequence=49, tick=1) for one in (event, refusal)]
+    for message in (*before, event(50), refusal(50)):
+        log.receive(sample_of(message), wall_ns=WALL_NS + 100 * PERIOD_NS)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    (robot,) = report_of(path).robots
+    assert robot.summary.start_ns == WALL_NS
+    assert (robot.summary.stops, robot.summary.refused) == ({"front_bumper": 1}, 1)
+    assert [moment.time_ns for moment in robot.moments] == [WALL_NS + 50 * PERIOD_NS]
+
+
+def test_metadata_tell_of_each_gateway_not_only_of_the_last(tmp_path: Path) -> None:
+    """Of two robots of one name, too: their recorder calls only the second one by its root."""
+    log = Log()
+    log.receive(sample_of(gateway_info(0), root="fleet"))
+    for root in ("fleet", "depot"):
+        log.receive(sample_of(gateway_info(50, f"root = '{root}'\n"), root=root))
+        log.receive(sample_of(state(0), root=root), wall_ns=WALL_NS)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    for robot, root in zip(report_of(path).robots, ("depot", "fleet"), strict=True):
+        own = gateway_info(50, f"root = '{root}'\n").configuration_sha256
+        hashes = [one.configuration_sha256 for one in robot.summary.in_force]
+        assert hashes == [*([gateway_info(0).configuration_sha256] if root == "fleet" else []), own]
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "gap_s"),
+    [(0, 8, 3.9 + 0.05), (6, 14, 6.4), (0, 20, 8.3), (0, 4, 0.05), (None, None, 8.3)],
+)
+def test_a_pause_of_the_recorder_is_missing_in_any_period(
+    tmp_path: Path, from_s: float | None, to_s: float | None, gap_s: float
+) -> None:
+    """Also in one that ends or begins within it: the distance is at least what is told."""
+    paths = []
+    for first, last in ((0, 82), (248, 400)):
+        log = Log()
+        for number in range(first, last):
+            for message in (state(number), arbiter(number)):
+                log.receive(sample_of(message), wall_ns=message.time_ns)
+        paths.append(tmp_path / f"{first}.mcap")
+        paths[-1].write_bytes(log.close())
+    faults = Faults()
+    period = Selection()
+    if from_s is not None and to_s is not None:
+        period = Selection(from_ns=WALL_NS + round(from_s * SECOND), to_ns=WALL_NS + round(to_s * SECOND))
+    (robot,) = read_report(find_logs(paths, faults), period, faults).robots
+    assert robot.summary.gap_s == pytest.approx(gap_s if gap_s > 0.5 else 0.0, abs=0.15)
+    assert robot.summary.outages == []
+
+
+def test_each_drive_of_many_days_is_for_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its path, its stop and its time are its own; the newest are drawn."""
+    monkeypatch.setattr(account, "DRAWN_MAX", 5)
+    (robot,) = report_of(write_messages(tmp_path / "a.mcap", drives_over(25, 12))).robots
+    assert len(robot.drives) == 12
+    assert [one.drive for one in robot.drawn] == robot.drives[-5:]
+    for drawn in robot.drawn:
+        drive = drawn.drive
+        assert drive is not None
+        assert (drive.stops, drive.missing_s, drive.worst) == (1, 0.0, "stopping: the front bumper was hit")
+        assert drive.distance_m == pytest.approx(2.95)
+        assert (drawn.places[0].time_ns, drawn.places[0].x_m) == (drive.start_ns, 0.0)
+        assert drawn.start_ns == drive.start_ns - MARGIN_NS
+        assert drawn.end_ns == min(drive.end_ns + MARGIN_NS, robot.summary.end_ns)
+        assert [one.time_ns for one in drawn.moments if one.is_stop] == [drive.end_ns]
+        times_ns = [point[0] for point in drawn.lines["speed_mps"] if point is not None]
+        assert (times_ns[0], times_ns[-1]) == (drive.start_ns, drive.end_ns)
+    assert robot.summary.distance_m == pytest.approx(12 * 2.95)
+    assert robot.summary.stops == {"front_bumper": 12}
+
+
+def test_what_the_recorder_could_not_keep_is_told(tmp_path: Path) -> None:
+    """By topic and reason."""
+    log = Log(LogPlan(name="a", chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
+    log.receive(sample_of(info()), *(sample_of(message) for message in drive_messages(3)))
+    for reason in (GapReason.DISK, GapReason.QUEUE, GapReason.DISK):
+        gap = RecordGap(WALL_NS, 0, "fleet/cruiser-1/state", reason, WALL_NS, WALL_NS, 5)
+        log.add_own("fleet/@recorder/vm/gap", gap, 0)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log.close())
+    (robot,) = report_of(path).robots
+    assert [(one.reason, one.count) for one in robot.summary.unwritten] == [("disk", 10), ("queue", 5)]
+
+
+FAST = "[command]\nspeed_limit_mps = 2.222\n"
+SLOW = "[command]\nspeed_limit_mps = 0.6\n"
+
+
+def heard(*infos: GatewayInfo) -> Versions:
+    """The answers of gateways."""
+    versions = Versions()
+    for one in infos:
+        versions.hear(one)
+    return versions
+
+
+def noted(told: GatewayInfo) -> dict[str, str]:
+    """The same as a recorder's metadata have it."""
+    return {
+        "variant": told.variant.value,
+        "started_ns": str(told.started_ns),
+        "configuration_sha256": told.configuration_sha256,
+        **{f"versions.{name}": version for name, version in told.versions.items()},
+    }
+
+
+def since(found: list[InForce]) -> list[int]:
+    """The periods."""
+    return [(one.since_ns - WALL_NS) // PERIOD_NS for one in found]
+
+
+def test_each_gateway_is_told_with_what_is_otherwise() -> None:
+    """Since when, and which settings; one that learns its variant is one, and metadata tell the same."""
+    first = gateway_info(0, FAST, variant=Variant.UNKNOWN)
+    versions = heard(first, gateway_info(0, FAST), gateway_info(90, SLOW), gateway_info(50, SLOW))
+    found = versions.in_force()
+    assert since(found) == [0, 50, 90]
+    assert [one.variant for one in found] == ["coarse"] * 3
+    assert [one.settings for one in found] == [[], ["command.speed_limit_mps 0.6, 2.222 before"], []]
+    assert since(versions.in_force(3 * SECOND))[0] == 3 * SECOND // PERIOD_NS
+    versions.read(noted(gateway_info(50, SLOW)))
+    assert versions.in_force() == found
+    bare = Versions()
+    bare.read(noted(gateway_info(50, SLOW)))
+    assert (since(bare.in_force()), bare.in_force()[0].versions) == ([50], found[1].versions)
+
+
+def test_gateways_outside_of_the_period_are_left_out() -> None:
+    """The one that was there when it began is not; what is otherwise is told of those that are left."""
+    versions = heard(*(gateway_info(number, f"a = {number}\n") for number in (0, 50, 90)))
+    for from_s, to_s, kept in ((0, 60, [0, 50]), (60, 80, [50]), (60, 95, [50, 90]), (91, 200, [90])):
+        found = versions.in_force(0, WALL_NS + from_s * PERIOD_NS, WALL_NS + to_s * PERIOD_NS)
+        assert since(found) == kept
+        assert not found[0].settings
+
+
+def test_metadata_of_no_sense_and_gateways_without_end_are_bounded() -> None:
+    """Anybody can write a log."""
+    versions = heard(*(gateway_info(number) for number in range(MOST + 5)))
+    for started in ("", "x", "-5", "1" * 5000, str(2**64)):
+        versions.read({"started_ns": started})
+    assert (len(versions.in_force()), versions.left_out) == (MOST, 5)
+
+
+@pytest.mark.parametrize("text", ["", "no TOML", "a = [" * 5000, "a = 1\na = 2\n"])
+def test_a_configuration_that_cannot_be_read_tells_no_settings(text: str) -> None:
+    """That it is another one is told all the same."""
+    assert changed_settings(text, FAST) == changed_settings(FAST, text) == []
+
+
+def test_settings_are_compared_whole_and_shown_short() -> None:
+    """Those that are only in one of the two are told, too."""
+    assert changed_settings("a.b = 1\nc = [1]\n", "a.b = 1\nd = true\n") == [
+        "c not set, [1] before",
+        "d True, not set before",
+    ]
+    (said,) = changed_settings(f"a = '{'x' * 500}1'\n", f"a = '{'x' * 500}2'\n")
+    assert len(said) < 200
+    many = ["".join(f"s{key} = {number}\n" for key in range(100)) for number in (0, 50)]
+    assert changed_settings(*many)[CHANGES_MAX:] == [f"and {100 - CHANGES_MAX} more"]

@@ -1,4 +1,4 @@
-"""The page of a report, as text."""
+"""The page of a report, its charts and its words."""
 
 import hashlib
 import json
@@ -6,20 +6,333 @@ import re
 from base64 import b64encode
 from collections.abc import Iterator
 from html.parser import HTMLParser
-from itertools import pairwise
+from itertools import accumulate, pairwise
+from math import cos, hypot, radians, sin, tan
 from pathlib import Path
+from random import Random
+from typing import Any
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.review.report.findings import Report
-from recorder.review.report.page import MOMENTS_SHOWN, page, safe_json, text
-from schemas.messages import Message
+from recorder.record.accounting import KeyReport
+from recorder.review.drives import DIED, Outage
+from recorder.review.entries import EntryKind
+from recorder.review.report.findings import (
+    MIXED,
+    PLACES_MAX,
+    Drawn,
+    DrivenPath,
+    Place,
+    Point,
+    Report,
+    RobotReport,
+    Series,
+    Span,
+    Spans,
+    summary_lines,
+    verdict,
+)
+from recorder.review.report.page import (
+    COLOURS,
+    LINES,
+    MARKS,
+    MOMENTS_SHOWN,
+    STOP_LINES_MAX,
+    band_colours,
+    figures,
+    page,
+    safe_json,
+    text,
+)
+from schemas.decisions import ArbiterState, EventKind
+from schemas.messages import Message, Mode
 from tests.support.drives import HOSTILE, drive_messages, drives_over, restart, write_messages
-from tests.support.messages import arbiter, event, gateway_info, refusal, state
+from tests.support.messages import MS, PERIOD_NS, SECOND, WALL_NS, arbiter, event, gateway_info, refusal, state
 from tests.support.reading import report_of
+
+STEP_NS = 50 * MS
+
+
+def series_of(*samples: tuple[int, float], limit: int = 1500) -> list[Point | None]:
+    """The line of these samples, at milliseconds."""
+    series = Series(limit)
+    for time_ms, value in samples:
+        series.add(time_ms * MS, value)
+    return list(series.points())
+
+
+@given(
+    values=st.lists(st.floats(-10, 10), min_size=1, max_size=400),
+    random=st.randoms(use_true_random=False),
+    limit=st.integers(1, 40),
+)
+def test_bounds_and_ends_survive_whatever_the_order(values: list[float], random: Random, limit: int) -> None:
+    """The lowest and highest value, the first and the last sample are drawn; the number of points is bounded."""
+    samples = [(number * 20, value) for number, value in enumerate(values)]
+    shuffled = list(samples)
+    random.shuffle(shuffled)
+    points = [point for point in series_of(*shuffled, limit=limit) if point is not None]
+    assert len(points) <= 4 * limit
+    assert points == sorted(points)
+    assert {points[0], points[-1]} == {(samples[0][0], values[0]), (samples[-1][0] * MS, values[-1])}
+    assert (min(value for _, value in points), max(value for _, value in points)) == (min(values), max(values))
+
+
+def test_a_spike_of_one_sample_in_many_is_drawn() -> None:
+    """It is what the report is read for; a period without it has it not."""
+    series = Series()
+    for number in range(300_000):
+        series.add(number * STEP_NS, 9.0 if number == 123_456 else 1.0)
+    points = list(series.points())
+    assert (123_456 * STEP_NS, 9.0) in points
+    assert len(points) <= 6000
+    part = list(series.points(1000 * SECOND, 2000 * SECOND))
+    assert all(point is not None and 1000 * SECOND <= point[0] <= 2000 * SECOND for point in part)
+
+
+def test_a_silence_breaks_the_line() -> None:
+    """And nothing else does."""
+    times_ms = (0, 100, 200, 300, 3000, 3100)
+    found = series_of(*((time_ms, float(time_ms)) for time_ms in times_ms))
+    assert [None if point is None else point[1] for point in found] == [0, 100, 200, 300, None, 3000, 3100]
+
+
+@pytest.mark.parametrize(
+    ("samples", "found"),
+    [
+        pytest.param([(0, "a"), (100, "a"), (200, "b"), (300, "b")], [(0, 200, "a"), (200, 300, "b")], id="holds"),
+        pytest.param(
+            [(0, "a"), (400, "a"), (5000, "a"), (5001, "a")], [(0, 400, "a"), (5000, 5001, "a")], id="silence"
+        ),
+        pytest.param(
+            [(0, ""), (100, "a"), (200, ""), (300, "a"), (250, "late"), (400, "a")],
+            [(100, 200, "a"), (300, 400, "a")],
+            id="nothing",
+        ),
+    ],
+)
+def test_a_value_holds_until_another_comes(
+    samples: list[tuple[int, str]], found: list[tuple[int, int, str]]
+) -> None:
+    """Across a silence nothing is known; an empty value leaves a hole; what comes late is passed over."""
+    spans = Spans()
+    for time_ms, value in samples:
+        spans.add(time_ms * MS, value)
+    assert spans.spans() == [Span(start_ms * MS, end_ms * MS, value) for start_ms, end_ms, value in found]
+
+
+def test_what_changes_too_often_is_mixed_and_long_spans_stay() -> None:
+    """The number of spans is bounded; what is long enough to be seen is seen."""
+    spans = Spans(limit=50)
+    for number in range(10_000):
+        spans.add(number * MS, "ab"[number % 2])
+    for number in range(300):
+        spans.add((10_000 + number * 400) * MS, "long")
+    found = spans.spans()
+    assert len(found) <= 52
+    assert found[0].start_ns == 0
+    assert MIXED in {span.value for span in found}
+    assert any(span.value == "long" and span.end_ns - span.start_ns > 99 * SECOND for span in found)
+
+
+def test_a_path_that_breaks_off_goes_on_from_the_same_place() -> None:
+    """A robot that stands is one place, and the last one."""
+    path = DrivenPath()
+    for number, (x_m, begins) in enumerate(((0.0, True), (0.05, False), (0.1, False), (0.1, True))):
+        path.add(number * STEP_NS, (x_m, 0.0, 0.0), begins=begins)
+    for number in range(4, 100):
+        path.add(number * STEP_NS, (0.1, 0.0, 0.0), begins=False)
+    assert [place.x_m for place in path.places()] == pytest.approx([0.0, 0.05, 0.1, 0.1, 0.1])
+    assert [place.begins for place in path.places()] == [True, False, False, True, False]
+
+
+def test_a_long_drive_keeps_a_bounded_number_of_places_near_the_path() -> None:
+    """Ten hours in a circle: few places, each on the circle, the last one where it ends."""
+    path = DrivenPath()
+    radius_m = 0.660 / tan(radians(10))
+    for number in range(10 * 3600 * 5):
+        turn_rad = number * 0.2 / radius_m
+        pose = (radius_m * sin(turn_rad), radius_m * (1 - cos(turn_rad)), turn_rad)
+        path.add(number * 200 * MS, pose, begins=not number)
+    places = path.places()
+    assert PLACES_MAX // 4 < len(places) <= PLACES_MAX + 1
+    assert all(abs(hypot(place.x_m, place.y_m - radius_m) - radius_m) < 0.05 for place in places)
+    assert places[-1].time_ns == (10 * 3600 * 5 - 1) * 200 * MS
+    assert places == sorted(places, key=lambda place: place.time_ns)
+
+
+FIRST = "2027-01-15 08:00:01.000 UTC"
+LOSSY = {"fleet/cruiser-1/state": KeyReport(sent=9, received=7, written=7, lost_link=2, lost_bus=3)}
+BUMPER = "the front bumper was hit"
+REMOTE = "the hand transmitter has the robot"
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
+    """Of a short drive."""
+    return report_of(write_messages(tmp_path_factory.mktemp("log") / "a.mcap", drive_messages(201)))
+
+
+def changed(report: Report, **changes: object) -> Report:
+    """With other figures of its robot."""
+    (robot,) = report.robots
+    summary = msgspec.structs.replace(robot.summary, **changes)
+    return msgspec.structs.replace(report, robots=[msgspec.structs.replace(robot, summary=summary)])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, f"1 drive, 10.0 m; 1 stop: {BUMPER}."),
+        ({"distance_m": 0.01, "stops": {}}, "1 drive, 0 m; no stops."),
+        ({"known_s": 0.0, "stops": {}}, "1 drive, distance not in the log; no stops."),
+        ({"gaps": 2, "gap_s": 8.31, "stops": {}}, "1 drive, at least 10.0 m (8.3 s not recorded); no stops."),
+        ({"stops": {DIED: 1}}, "1 drive, 10.0 m; 1 stop: the gateway died."),
+        ({"stops": {}, "ends": {"disengaged": 2}}, "1 drive, 10.0 m; no stops; 2 normal ends."),
+        (
+            {"stops": {"remote_stop": 1}},
+            "1 drive, 10.0 m; 1 stop by an operator: a remote stop was received.",
+        ),
+        (
+            {"stops": {"front_bumper": 2, "hand_transmitter": 1}},
+            f"1 drive, 10.0 m; 3 stops (2 faults, 1 by operators): 2 x {BUMPER}, 1 x {REMOTE}.",
+        ),
+        (
+            {"stops": {}, "ends_commanding": True},
+            "1 drive, 10.0 m; no stops; recording ends while the robot is commanded.",
+        ),
+    ],
+)
+def test_the_verdict(report: Report, changes: dict[str, Any], said: str) -> None:
+    """Distance, drives, stops by cause, normal ends."""
+    (robot,) = changed(report, **{"ends_commanding": False} | changes).robots
+    assert verdict(robot) == said
+
+
+@pytest.mark.parametrize(
+    ("line", "changes", "said"),
+    [
+        (
+            "Distance",
+            {"top_mps": -1.0},
+            "10.0 m, moving 10.0 s of 10.0 s; top speed 1.00 m/s in reverse at 2027-01-15 08:00:00.000 UTC",
+        ),
+        ("Distance", {"known_s": 0.0}, "not in the log"),
+        (
+            "Gateway",
+            {"outages": [Outage(WALL_NS + SECOND, WALL_NS + 6 * SECOND, is_commanding=True)]},
+            f"silent for 5.0 s from {FIRST} while commanding, then restarted",
+        ),
+        (
+            "Gateway",
+            {"outages": [Outage(WALL_NS + SECOND, WALL_NS + SECOND, is_commanding=False)]},
+            f"restarted at {FIRST}",
+        ),
+        (
+            "Gateway",
+            {"outages": [Outage(WALL_NS + SECOND, None, is_commanding=False)]},
+            f"silent from {FIRST} to the end",
+        ),
+        ("Refused", {}, "1 of 1 requests: 1 x drive of operator-2: this lease is not in force"),
+        ("Lost", {"completeness": {}}, "the recorder's account"),
+        (
+            "Lost",
+            {"completeness": LOSSY, "gaps": 1, "gap_s": 3.5},
+            "3.5 s of motion in 1 gap; 3 frames between chassis and gateway; 2 samples on the way to the recorder",
+        ),
+        ("Versions", {"in_force": []}, "not in the log"),
+    ],
+)
+def test_a_line(report: Report, line: str, changes: dict[str, Any], said: str) -> None:
+    """Each answers its question; what is not in the log is called so."""
+    told = changed(report, **changes)
+    assert dict(summary_lines(told.robots[0], told))[line] == said
+
+
+NOTHING = Drawn(WALL_NS, WALL_NS, None, {}, {}, [], [], [])
+
+
+def drawn_of(robot: RobotReport) -> dict[str, Any]:
+    """Its charts."""
+    (drawn,) = robot.drawn
+    return figures(robot.summary, drawn)
+
+
+def robot_of(tmp_path: Path, *more: object) -> RobotReport:
+    """Of a short drive, and what else is given."""
+    messages = [*drive_messages(100), *more]
+    return report_of(write_messages(tmp_path / "a.mcap", messages)).robots[0]  # type: ignore[arg-type]
+
+
+def with_charts(robot: RobotReport, drawn: Drawn) -> dict[str, Any]:
+    """The charts of a robot of which this is known."""
+    return figures(robot.summary, drawn)
+
+
+def line_of(found: dict[str, Any], key: str) -> list[tuple[int, float | None]]:
+    """Times, since the robot's first, and values of a line."""
+    steps, values = found["lines"][[line.key for line in LINES].index(key)]
+    return list(zip((time_ms - found["from_ms"] for time_ms in accumulate(steps)), values, strict=True))
+
+
+def test_a_line_has_the_values_of_its_time_and_breaks_off(tmp_path: Path) -> None:
+    """Where it breaks there is no value right behind the last one."""
+    robot = robot_of(tmp_path)
+    begin = robot.summary.start_ns
+    points = [(begin, 1.0), (begin + 20 * MS, 1.00049), None, (begin + 900 * MS, 2.0)]
+    found = with_charts(robot, msgspec.structs.replace(robot.drawn[0], lines={"speed_mps": points}))
+    assert line_of(found, "speed_mps") == [(0, 1.0), (20, 1.0), (21, None), (900, 2.0)]
+    assert line_of(found, "angle_deg") == []
+    measured = line_of(drawn_of(robot), "speed_mps")
+    assert measured[0] == (0, 1.0)
+    assert measured[-1][0] == 99 * PERIOD_NS // MS
+
+
+def test_too_many_stops_and_outages_are_marks_alone(tmp_path: Path) -> None:
+    """Lines and shades across the charts would hide them."""
+    engaged = [event(101 + 2 * number, EventKind.ENGAGED) for number in range(STOP_LINES_MAX)]
+    many = [one for number, first in enumerate(engaged) for one in (first, event(102 + 2 * number))]
+    assert len(drawn_of(robot_of(tmp_path, *many[:-2]))["stops"]) == STOP_LINES_MAX
+    robot = robot_of(tmp_path, *many)
+    assert not drawn_of(robot)["stops"]
+    spans = [(WALL_NS + number, WALL_NS + number + 1) for number in range(STOP_LINES_MAX + 1)]
+    for outages, expected in ((spans, 0), (spans[1:], STOP_LINES_MAX)):
+        found = with_charts(robot, msgspec.structs.replace(robot.drawn[0], outages=outages))
+        assert len(found["outages"]) == expected
+
+
+def test_what_a_log_says_rules_no_line(tmp_path: Path) -> None:
+    """It is shown as text, which the page's tests see; characters that rule the line are written out."""
+    hostile = event(101, text=HOSTILE, operator="a\x1b[31m\nb")
+    holders = [arbiter(101 + number, lease_holder=HOSTILE) for number in range(3)]
+    encoded = msgspec.json.encode(drawn_of(robot_of(tmp_path, hostile, *holders))).decode()
+    assert "\u202e" not in encoded
+    assert "operator: a\\\\x1b[31m\\\\nb" in encoded
+
+
+def test_a_broken_path_is_drawn_broken_and_in_its_order(tmp_path: Path) -> None:
+    """Though a clock was set back in it."""
+    places = [Place(2 * MS, 1.0, 0.0, 0.0, begins=True), Place(3 * MS, 2.0, 0.0, 0.0, begins=False)]
+    places += [Place(1 * MS, 2.0, 0.0, 0.0, begins=True), Place(4 * MS, 3.0, 0.0, 0.0, begins=False)]
+    path = with_charts(robot_of(tmp_path), msgspec.structs.replace(NOTHING, places=places))["path"]
+    assert list(accumulate(path["time_ms"])) == [2, 3, 1, 4]
+    assert path["x_m"] == [1.0, 2.0, 2.0, 3.0]
+    assert path["begins"] == [0, 2]
+
+
+def test_every_state_and_event_has_a_look_of_its_own() -> None:
+    """The arbiter's states and the chassis's modes have colours; all kinds of events marks that differ."""
+    assert {state.value for state in ArbiterState} <= COLOURS.keys()
+    assert {mode.value for mode in Mode if mode is not Mode.UNDEFINED} <= COLOURS.keys()
+    in_tables = {EntryKind.REFUSAL, EntryKind.REQUEST}
+    assert MARKS.keys() == {kind.value for kind in EntryKind if kind not in in_tables}
+    assert len(set(MARKS.values())) == len(MARKS)
+    assert (
+        band_colours(["operator-1", "operator-2"])["operator-1"] != band_colours(["x", "operator-1"])["operator-1"]
+    )
 
 
 def hostile_drive() -> list[Message]:
@@ -37,7 +350,7 @@ def hostile_drive() -> list[Message]:
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> Report:
     """Of two robots, in which every text is an attack."""
     path = tmp_path_factory.mktemp("log") / "<b>a&b.mcap"
     found = report_of(write_messages(path, hostile_drive(), robots=["cruiser-1", "cruiser-2"]))
@@ -61,9 +374,9 @@ class Elements(HTMLParser):
         return (attributes for name, attributes in self.found if name == tag)
 
 
-def test_the_page_names_nothing_outside_itself(report: Report) -> None:
+def test_the_page_names_nothing_outside_itself(hostile: Report) -> None:
     """No address in an attribute; the policy lets the browser fetch nothing."""
-    elements = Elements(page(report))
+    elements = Elements(page(hostile))
     for tag, attributes in elements.found:
         for name in ("src", "href", "action", "srcset"):
             assert (attributes.get(name) or "#").startswith(("#", "data:")), tag
@@ -72,9 +385,9 @@ def test_the_page_names_nothing_outside_itself(report: Report) -> None:
     assert "unsafe-inline" not in policy.partition("script-src")[2]
 
 
-def test_no_script_but_the_pages_own_may_run(report: Report) -> None:
+def test_no_script_but_the_pages_own_may_run(hostile: Report) -> None:
     """The policy names the hash of each; the licence of the library is there, as it demands."""
-    html = page(report)
+    html = page(hostile)
     scripts = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
     assert len(scripts) == 2
     hashes = (b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
@@ -82,7 +395,7 @@ def test_no_script_but_the_pages_own_may_run(report: Report) -> None:
     assert allowed.replace("&#x27;", "'") == " ".join(f"'sha256-{one}'" for one in hashes)
     assert "Copyright (c) 2022 Leon Sorokin" in html
     assert "MessagePack" not in html
-    assert page(report) == html
+    assert page(hostile) == html
 
 
 def test_a_page_is_no_load_for_a_mailbox(tmp_path: Path) -> None:
@@ -90,9 +403,9 @@ def test_a_page_is_no_load_for_a_mailbox(tmp_path: Path) -> None:
     assert len(page(report_of(write_messages(tmp_path / "a.mcap", drive_messages(6000)))).encode()) < 400_000
 
 
-def test_the_page_can_be_read_without_seeing_it(report: Report) -> None:
+def test_the_page_can_be_read_without_seeing_it(hostile: Report) -> None:
     """Language, headings in order, charts that are named, tables with captions and heads."""
-    html = page(report)
+    html = page(hostile)
     elements = Elements(html)
     assert next(elements.of("html"))["lang"] == "en"
     levels = [int(tag[1]) for tag, _ in elements.found if re.fullmatch("h[1-6]", tag)]
@@ -104,21 +417,6 @@ def test_the_page_can_be_read_without_seeing_it(report: Report) -> None:
     assert all(one["role"] == "group" and one["aria-label"] for one in charts)
     assert html.count("<table>") == html.count("<caption>") > 4
     assert all(one.get("scope") == "col" for one in elements.of("th"))
-
-
-def test_what_the_summary_says_is_on_the_page(report: Report) -> None:
-    """Stops, refusals, completeness, versions, faults, files."""
-    html = page(report)
-    for said in (
-        "the front bumper was hit",
-        "operator-2",
-        "samples on the way",
-        "cruiser-gateway 0.1.0",
-        "3 faults",
-    ):
-        assert said in html
-    assert "&lt;b&gt;a&amp;b.mcap" in html
-    assert "<b>a&b" not in html
 
 
 def test_the_verdict_comes_first(tmp_path: Path) -> None:
@@ -138,15 +436,15 @@ def test_the_verdict_comes_first(tmp_path: Path) -> None:
     assert "<td>a 2, 1 before</td>" in after
 
 
-def test_errors_are_shown_however_many_events_there_are(report: Report) -> None:
+def test_errors_are_shown_however_many_events_there_are(hostile: Report) -> None:
     """The table has room for so many; those that matter least are left out."""
-    robot = report.robots[0]
+    robot = hostile.robots[0]
     lease = msgspec.structs.replace(robot.moments[0], severity="info", kind="lease")
     death = msgspec.structs.replace(lease, severity="error", kind="gateway", time_ns=lease.time_ns + 1)
     moments = [lease] * (MOMENTS_SHOWN + 50) + [death]
     drawn = msgspec.structs.replace(robot.drawn[0], moments=moments)
     changed = msgspec.structs.replace(robot, drawn=[drawn], moments=moments, more_moments=2)
-    html = page(msgspec.structs.replace(report, robots=[changed]))
+    html = page(msgspec.structs.replace(hostile, robots=[changed]))
     assert html.count("<td>lease</td>") == MOMENTS_SHOWN - 1
     assert html.count("<td>gateway</td>") == 1
     assert "53 of less weight, or later, are left out" in html
