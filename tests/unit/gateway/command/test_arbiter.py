@@ -1,732 +1,570 @@
-"""The arbiter's states, causes and outputs."""
+"""The arbiter's states, causes and outputs, and what it says of them. Rows are those of ``ArbiterRig``."""
+
+from itertools import product
 
 import pytest
 
-from gateway.chassis.port import Actuation, AuxiliaryFrame
-from gateway.command.motion import Target
-from gateway.command.rulings import Ruling
-from schemas.decisions import ArbiterState, EventKind, Severity, StopPhase
-from schemas.messages import GearPosition, Mode, ParkingStatus, Variant
-from schemas.reasons import Reason
+from gateway.chassis.port import AT_REST
+from gateway.command.arbiter import Reporter, reply
+from gateway.command.rulings import Judged, RawRequest, Ruling, VerbAnswer
+from schemas.decisions import ArbiterState, Bound, EventKind, LeaseReply, Reply, SafetyState, Verdict
+from schemas.messages import SEQUENCE_MAX, GearPosition
+from schemas.reasons import TEXTS, Reason
+from schemas.requests import Role
 from schemas.settings import YIELD_BURSTS
-from tests.support.rigs.arbiter import MS, ArbiterRig, engaged
+from tests.support.rigs.arbiter import MS, begun, play
+from tests.support.rigs.steps import rows
 
+WALL_NS = 1_700_000_000_000_000_000
+INTO_AUTO = "ready; see mode:stop; acquire; engage; mark"
+OTHER = "commander_ns:1000000000000"
 
-def test_standing_by_is_silent() -> None:
-    """Row 'standing by: silent on the bus'."""
-    bench = ArbiterRig()
-    for _ in range(50):
-        assert bench.tick().actuation is None
-
-
-def test_engaging_gives_five_enables_with_zero_speed_until_it_reads_auto() -> None:
-    """Row 'engage: then five enables with zero speed, and mode must read auto'; the reply comes then."""
-    bench = ArbiterRig()
-    bench.changes = {"angle_deg": 7.0, "mode": Mode.STOP}
-    bench.ask("acquire")
-    assert bench.ask("engage").is_pending
-    for _ in range(20):
-        told = bench.arbiter.output.actuation
-        assert told is not None
-        assert (told.enabled, told.gear, told.speed_mps, told.parking) == (True, GearPosition.NEUTRAL, 0.0, True)
-        assert told.angle_deg == 7.0, "the wheels stay where they are"
-        assert bench.tick().answers == []
-    bench.changes = {}
-    [answer] = bench.tick().answers
-    assert (answer.verb, answer.ruling.reason) == ("engage", Reason.NONE)
-    assert bench.arbiter.state is ArbiterState.ENGAGED
-    assert [event.operator for event in bench.told(EventKind.ENGAGED)] == ["first"]
-    assert bench.arbiter.setpoint.target == Target(0.0, 7.0), "until the first command nothing changes"
-
-
-def test_what_failed_before_does_not_count_after_engaging() -> None:
-    """The bus takes our frames again, or we shall see."""
-    bench = ArbiterRig()
-    bench.arbiter.monitor.send_failures = 9
-    bench.ask("acquire")
-    bench.ask("engage")
-    assert bench.arbiter.monitor.send_failures == 0
-    assert bench.arbiter.state is ArbiterState.ENGAGING
-
-
-def test_a_chassis_that_reads_auto_already_confirms_nothing() -> None:
-    """By somebody's old enables: first ours have to be sent."""
-    bench = ArbiterRig()
-    bench.changes = {"mode": Mode.AUTO}
-    bench.ask("acquire")
-    bench.ask("engage")
-    before = bench.arbiter.state
-    bench.tick()
-    assert (before, bench.arbiter.state) == (ArbiterState.ENGAGING, ArbiterState.ENGAGED)
-
-
-def test_a_chassis_that_does_not_read_auto_in_a_second_is_not_engaged() -> None:
-    """Row 'engage: mode must read auto within 1 s'."""
-    bench = ArbiterRig()
-    bench.changes = {"mode": Mode.STOP}
-    bench.ask("acquire")
-    bench.ask("engage")
-    bench.tick(count=99)
-    before = bench.arbiter.state
-    [answer] = bench.tick().answers
-    assert answer.ruling.reason is Reason.NOT_CONFIRMED
-    assert (before, bench.arbiter.state) == (ArbiterState.ENGAGING, ArbiterState.STOPPING)
-
-
-def test_a_bench_told_nothing_yet_stops_by_what_is_seen() -> None:
-    """Engage and stop in one tick: the sequence begins at rest."""
-    bench = ArbiterRig()
-    bench.ask("acquire")
-    bench.changes = {"mode": Mode.STOP}
-    bench.ask("engage")
-    bench.arbiter.output.actuation = None
-    bench.ask("stop")
-    assert bench.arbiter.output.actuation is not None
-    assert bench.arbiter.output.actuation.speed_mps == 0
-
-
-@pytest.mark.parametrize(("deadman_s", "ticks"), [(0.3, 30), (0.1, 10)])
-def test_the_deadman(deadman_s: float, ticks: int) -> None:
-    """Row 'deadman: no acceptable drive command for 300 ms: controlled stop'; from the moment it is engaged on."""
-    bench = engaged(deadman_s=deadman_s)
-    bench.drive()
-    bench.tick(count=ticks)
-    assert bench.arbiter.state is ArbiterState.ENGAGED
-    bench.tick()
-    assert bench.arbiter.engagement.stop_reason is Reason.DEADMAN
-    assert bench.told(EventKind.STOP)[-1].text.endswith(f"none for {ticks * 10 + 10} ms")
-    assert bench.told(EventKind.STOP)[-1].severity is Severity.INFO
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"missing": ("Auto_GearFeedBack", "Auto_LightFeedback")}, Reason.FEEDBACK_MISSING),
-        ({"faulty": ("Auto_GearFeedBack",)}, Reason.FEEDBACK_FAULTY),
-        ({"variant": Variant.UNKNOWN}, Reason.VARIANT_UNKNOWN),
-        ({"variant": Variant.FINE}, Reason.VARIANT_UNKNOWN),
-        ({"front_bumper": True}, Reason.FRONT_BUMPER),
-        ({"rear_bumper": True}, Reason.REAR_BUMPER),
-        ({"guarded": False}, Reason.UNGUARDED),
-        ({"commander_ns": 10**12}, Reason.OTHER_COMMANDER),
-    ],
-)
-def test_each_cause_stops_an_engaged_robot(changes: dict[str, object], reason: Reason) -> None:
-    """In the tick in which it is seen, with an event that says so."""
-    bench = engaged()
-    bench.drive_for(100, 0.5)
-    bench.changes = changes
-    bench.drive(0.5)
-    assert bench.arbiter.state is ArbiterState.STOPPING
-    assert bench.arbiter.engagement.stop_reason is reason
-    event = bench.told(EventKind.STOP)[-1]
-    assert event.reason is reason
-    if reason is Reason.FEEDBACK_MISSING:
-        assert event.text.endswith("; Auto_GearFeedBack, Auto_LightFeedback")
-    told = bench.arbiter.output.actuation
-    assert told is not None
-    expected_mps = 0.5 - (0.012 if reason is Reason.UNGUARDED else 0.02)
-    assert told.speed_mps == pytest.approx(0.0 if reason is Reason.VARIANT_UNKNOWN else expected_mps)
-
-
-def test_a_stop_ends_horn_lamps_and_clearing() -> None:
-    """The chassis keeps the last command for ever: each is told off, or to hazard, while it is brought to rest."""
-    bench = engaged()
-    bench.ask("horn", on=True)
-    bench.ask("light", headlamp=True)
-    bench.ask("clear_odometer")
-    bench.ask("stop")
-    off = {frame.name: frame.values for frame in bench.tick().auxiliary}
-    assert off == {
-        "Auto_LightCmd": {"Headlamp": False, "RightIndicator": True, "LeftIndicator": True},
-        "Auto_SpeakerCmd": {"Horn": False},
-        "Auto_OdometerCmd": {"Enable": False, "ClearMileage": False},
-    }
-
-
-def test_a_horn_that_was_cut_off_does_not_sound_again() -> None:
-    """Nothing resumes by itself, with the next engagement either."""
-    bench = engaged()
-    bench.ask("horn", on=True)
-    bench.changes = {"mode": Mode.REMOTE}
-    bench.tick()
-    bench.changes = {"mode": Mode.STOP}
-    bench.tick(count=6)
-    bench.ask("engage")
-    assert bench.tick().auxiliary == [AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": False})]
-    assert bench.tick(count=10).auxiliary == []
-
-
-def test_unguarded_is_accepted_where_the_settings_say_so() -> None:
-    """Else it refuses to engage."""
-    bench = ArbiterRig(accept_unguarded=True)
-    bench.changes = {"guarded": False}
-    bench.engage()
-    assert bench.arbiter.state is ArbiterState.ENGAGED
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"mode": Mode.REMOTE}, Reason.HAND_TRANSMITTER),
-        ({"bus_up": False}, Reason.BUS_DOWN),
-        ({"bus_losses": 1, "mode": Mode.UNDEFINED, "bus_up": False}, Reason.BUS_DOWN),
-        ({"guard_sends": True}, Reason.GUARD),
-    ],
-)
-@pytest.mark.parametrize("stopping", [True, False])
-def test_the_output_ceases_at_once(changes: dict[str, object], reason: Reason, *, stopping: bool) -> None:
-    """Row 'remote control takes over: output ceases at once', in a stop too."""
-    bench = engaged()
-    bench.drive_for(100, 0.5)
-    if stopping:
-        bench.ask("disengage")
-    bench.ask("horn", on=True)
-    handle = bench.ask("clear_odometer")
-    bench.changes = changes
-    outcome = bench.tick()
-    # The remote control alone leaves a way to the chassis: it is left with zero speed and its parking brake.
-    if reason is Reason.HAND_TRANSMITTER:
-        left = outcome.actuation
-        assert left is not None
-        assert (left.enabled, left.gear, left.speed_mps, left.parking) == (True, GearPosition.DRIVE, 0.0, True)
-    else:
-        assert outcome.actuation is None
-    assert outcome.auxiliary == []
-    assert bench.arbiter.state is ArbiterState.STANDBY
-    assert bench.arbiter.engagement.stop_reason is reason
-    assert bench.arbiter.output.stop_phase is StopPhase.IDLE
-    kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
-    assert [event.reason for event in bench.told(kind)] == [reason]
-    assert (Reason.GUARD in bench.arbiter.latches.details) is (reason is Reason.GUARD)
-    assert handle.reason in {Reason.MOVING, Reason.NOT_ENGAGED}
-    bench.tick(count=YIELD_BURSTS - 1)
-    for _ in range(50):
-        assert bench.tick().actuation is None, "no automatic return"
-
-
-AT_REST = {"speed_mps": 0.0, "wheel_speed_mps": 0.0, "fastest_wheel_mps": 0.0, "turns": False}
-
-
-@pytest.mark.parametrize("seen", [{"pulses": 1}, {"fastest_wheel_mps": 0.5}, {"turns": True, "confirmed": False}])
-@pytest.mark.parametrize("stopping", [True, False])
-def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake(
-    seen: dict[str, object], *, stopping: bool
-) -> None:
-    """Row 'a robot in mode stop that is seen to move: enables, zero speed, parking brake', until it stands."""
-    bench = engaged()
-    bench.drive_for(100, 0.5)
-    if stopping:
-        bench.ask("disengage")
-    bench.changes = {"mode": Mode.STOP, **AT_REST, **seen}
-    told = bench.tick().actuation
-    assert told is not None
-    assert (told.enabled, told.speed_mps, told.gear, told.parking) == (True, 0.0, GearPosition.DRIVE, True)
-    bench.tick(count=1_000)
-    assert bench.arbiter.output.stop_phase is StopPhase.HOLD, "a robot that is seen to move is not left"
-    bench.changes = {"mode": Mode.STOP, **AT_REST}
-    assert bench.tick(count=200).actuation is None
-    assert bench.arbiter.engagement.stop_reason is (Reason.DISENGAGED if stopping else Reason.MODE_NOT_AUTO)
-
-
-STOPPED_BY_GUARD = {
-    "guard_stops": 1,
-    "mode": Mode.STOP,
-    "brake": ParkingStatus.APPLIED,
-    "speed_mps": 0.0,
-    "wheel_speed_mps": 0.0,
-    "fastest_wheel_mps": 0.0,
+ENGAGE = {
+    "nobody asks": "ready; tick 50; = quiet",
+    "five enables with zero speed until it reads auto": "ready; see angle_deg:7 mode:stop; acquire; engage; mark; "
+    "= pending, engaging; tick 20; = spoken, speechless, braked, enabled, gear neutral, angle 7, answered; see; "
+    "tick; = answered engage none, engaged, by engaged first, target 0 7",
+    "the bus takes frames again, or we shall see": "ready; fails 9; acquire; engage; = fails 0, engaging",
+    "somebody's old enables confirm nothing": "ready; see mode:auto; acquire; engage; = engaging; tick; = engaged",
+    "it does not read auto in a second": f"{INTO_AUTO}; tick 99; = engaging; tick; = stopping, "
+    "answered engage not_confirmed",
+    "the remote control has it": f"{INTO_AUTO}; see mode:remote; tick; = answered engage hand_transmitter",
+    "a bumper is hit": f"{INTO_AUTO}; see front_bumper:true; tick; = answered engage front_bumper",
+    "stopped in the same tick": "ready; see mode:stop; acquire; together engage + stop; = told 0, stopping",
+    "no guard, where the settings accept that": "engaged unguarded:true; tick; = engaged",
 }
 
 
-@pytest.mark.parametrize("seen", [{}, {"mode": Mode.AUTO}, {"mode": Mode.UNDEFINED, "speed_mps": None}])
-def test_a_gateway_that_comes_back_after_the_guard_has_ended_tells_the_chassis_nothing(
-    seen: dict[str, object],
-) -> None:
-    """Row 'nothing ever resumes by itself': it was stopped at 1 m/s for 6 s, and the robot stands by now."""
-    bench = engaged()
-    bench.drive_for(150, 1.0)
-    assert bench.arbiter.output.motion.speed_mps == 1.0
-    bench.changes = STOPPED_BY_GUARD | seen
-    bench.now_ns += 6000 * MS
-    told = bench.tick(late_ns=6000 * MS).actuation
-    # One that reads auto all the same is stopped from where it stands.
-    assert (told is None) is (bench.chassis.mode is not Mode.AUTO)
-    assert told is None or told.speed_mps == 0
-    assert list(bench.arbiter.latches.details) == [Reason.GUARD]
-    assert [event.reason for event in bench.told(EventKind.GUARD)] == [Reason.GUARD]
-    for _ in range(300):
-        told = bench.tick().actuation
-        assert told is None or told.speed_mps == 0
+@rows(ENGAGE)
+def test_how_it_is_engaged(row: str) -> None:
+    """Row 'engage: five enables with zero speed, and mode must read auto within 1 s'; the reply comes then."""
+    play(row)
 
 
-def test_a_burst_that_left_after_a_pause_is_not_what_the_next_stop_begins_from() -> None:
-    """It went out when the guard had brought the robot to rest; the chassis has hardly begun to obey it."""
-    bench = engaged()
-    bench.drive_for(150, 1.0)
-    bench.now_ns += 3500 * MS
-    bench.arbiter.output.told_ns = bench.now_ns
-    bench.changes = {"guard_stops": 1, "mode": Mode.AUTO, "speed_mps": 0.04, "fastest_wheel_mps": 0.05}
-    told = bench.tick(late_ns=0).actuation
-    assert told is not None
-    assert told.speed_mps < 0.04
+def stops(cause: str, reason: str, told_mps: float = 0.48) -> str:
+    return (
+        f"driving 0.5 100; see {cause}; drive 0.5; = stopping, event stop {reason}, told {told_mps}, for {reason}"
+    )
 
 
-@pytest.mark.parametrize(("slowest_mps", "first_mps"), [(0.0, 0.0), (0.4, 0.4), (None, 0.0), (1.3, 0.98)])
-def test_an_unguarded_gateway_that_comes_back_stops_from_what_is_seen(
-    slowest_mps: float | None, first_mps: float
-) -> None:
-    """Row 'loop late over 100 ms: stop': never from a speed above the one that the robot has now."""
-    bench = ArbiterRig(accept_unguarded=True)
-    bench.changes = {"guarded": False}
-    bench.engage()
-    bench.drive_for(150, 1.0)
-    seen = {"speed_mps": slowest_mps, "wheel_speed_mps": slowest_mps, "fastest_wheel_mps": slowest_mps}
-    bench.changes = {"guarded": False, "mode": Mode.AUTO} | seen
-    bench.now_ns += 500 * MS
-    told = bench.tick(late_ns=500 * MS).actuation
-    assert told is not None
-    assert told.speed_mps == pytest.approx(max(0.0, first_mps - (0.0 if first_mps == 0.98 else 0.02)), abs=1e-9)
+LIMITED = "ready; acquire; engage speed_limit_mps:0.5; tick 2; drive; unpark; drive 0.5 150"
+CAUSES = {
+    **{
+        f"deadman of {deadman_s} s": f"engaged deadman_s:{deadman_s}; drive; tick {ticks}; = engaged; tick; "
+        f"= for deadman, event stop deadman info; text stop none for {ticks * 10 + 10} ms"
+        for deadman_s, ticks in ((0.3, 30), (0.1, 10))
+    },
+    "missing": stops("missing:Auto_GearFeedBack+Auto_LightFeedback", "feedback_missing")
+    + "; text stop Auto_GearFeedBack, Auto_LightFeedback",
+    "faulty": stops("faulty:Auto_GearFeedBack", "feedback_faulty"),
+    "of no variant": stops("variant:unknown", "variant_unknown", 0),
+    "of another variant": stops("variant:fine", "variant_unknown", 0),
+    "front bumper": stops("front_bumper:true", "front_bumper"),
+    "rear bumper": stops("rear_bumper:true", "rear_bumper"),
+    "no guard": stops("guarded:false", "unguarded", 0.488),
+    "another computer": stops(OTHER, "other_commander"),
+    # A warning makes an incident. The planned end of a drive makes none; a stop at once always does.
+    **{
+        f"{does} at {speed_mps} m/s": f"driving {speed_mps} 200; {does}; = events stop {reason}, "
+        f"event stop {reason} {moving if speed_mps else standing}"
+        for (does, reason, standing, moving), speed_mps in product(
+            [
+                ("tick 31", "deadman", "info", "warning"),
+                ("take by second role:supervisor override:true", "lease_taken", "info", "warning"),
+                ("disengage", "disengaged", "info", "info"),
+                ("release", "lease_released", "info", "info"),
+                ("stop", "remote_stop", "warning", "warning"),
+            ],
+            (0.0, 1.0),
+        )
+    },
+    "a stop in a slower stop": "driving 1 200; disengage; = told 0.988; stop by second; = told 0.968, "
+    "for disengaged, latched remote_stop; stop by carl; = events latch remote_stop",
+    "a graver cause in a stop": "driving 1 200; disengage; see speed_mps:1 wheel_speed_mps:1; tick 100; "
+    "= has implausible_speed",
+    "a bumper standing by": "ready; see rear_bumper:true; tick 3; = latched rear_bumper, silent, "
+    "events latch rear_bumper",
+    "the end": "engaged; drive 0.5 10; shutdown; = for shutdown; tick; = event gateway shutdown info, "
+    "event stop shutdown info",
+    "the end standing by: somebody else may have it in auto": "ready; see mode:auto; tick; shutdown; = standby; "
+    "acquire; engage; = refused shutdown",
+    # A fault of our own: in gear, and from there the stop goes on; also where the bus takes nothing.
+    **{
+        f"a burst is refused{stop}": f"driving 1 60{stop}; drive 1; refuse; = enabled, gear drive, told 0, "
+        "parking, "
+        "latched gate; latch gate why; undo; tick; = enabled, gear drive, told 0, parking; tick 3; = phase hold; "
+        "tick 200; = standby"
+        for stop in ("", "; disengage")
+    },
+    # A speed is judged as its frames say it: asked 0.11 m/s, a coarse chassis is told 0.08, and may read one bit.
+    **{
+        f"asked {asked_mps} m/s, one bit seen": f"driving {asked_mps} 60; see all:0.04 pulses:1; "
+        f"drive {asked_mps} 60; = {is_found}for feedback_frozen"
+        for asked_mps, is_found in ((0.11, "un"), (0.13, ""))
+    },
+    "horn, lamps and odometer end": "engaged; horn on:true; light headlamp:true; clear_odometer; stop; mark; "
+    "tick; "
+    "= beside Light Speaker Odometer, lamps lit",
+}
 
 
-def test_a_chassis_that_the_guard_left_to_the_hand_transmitter_is_stopped_when_it_is_given_back() -> None:
-    """It still holds what it was told last."""
-    bench = engaged()
-    bench.drive_for(150, 1.0)
-    bench.changes = {"guard_sends": True, "mode": Mode.REMOTE}
-    bench.tick(count=5)
-    bench.changes = {"mode": Mode.REMOTE, "guard_stops": 1}
-    assert bench.tick(count=5).actuation is None
-    bench.changes = {"mode": Mode.AUTO, "guard_stops": 1, "gear": GearPosition.DRIVE}
-    told = bench.tick().actuation
-    assert told is not None
-    assert told.speed_mps == 0
+@rows(CAUSES)
+def test_each_cause_stops_the_robot(row: str) -> None:
+    """In the tick in which it is seen, by its own deceleration, with an event of its own severity."""
+    play(row)
 
 
-def test_nothing_is_released_that_is_not_seen() -> None:
-    """A remote stop, standing by, with no feedback at all: the parking brake is asked for from the first frame."""
-    bench = ArbiterRig()
-    blind = {"mode": Mode.UNDEFINED, "gear": GearPosition.UNDEFINED, "speed_mps": None, "fastest_wheel_mps": None}
-    bench.changes = blind | {"missing": ("all",)}
-    bench.ask("stop")
-    for _ in range(600):
-        told = bench.outcome.actuation if bench.outcome is not None else None
-        assert told is None or (told.parking and told.speed_mps == 0)
-        bench.tick()
-
-
-@pytest.mark.parametrize("parked", [True, False])
-def test_a_bus_that_comes_back_to_a_chassis_that_is_not_seen_parks_it(*, parked: bool) -> None:
-    """What is not seen in the first moment may be seen in the next: nothing is told before."""
-    bench = engaged()
-    bench.drive_for(60, 0.0 if parked else 0.5)
-    blind = {"mode": Mode.UNDEFINED, "gear": GearPosition.UNDEFINED}
-    bench.changes = blind | {"bus_up": False, "bus_losses": 1}
-    bench.tick(count=100)
-    bench.changes = blind | {"bus_losses": 1}
-    for _ in range(19):
-        assert bench.tick().actuation is None
-    told = bench.tick().actuation
-    assert told is not None
-    assert (told.speed_mps, told.parking) == (0.0, True)
-
-
-@pytest.mark.parametrize(
-    ("left_mps", "slowest_mps", "told_mps"),
-    [(0.5, 0.3, 0.3), (0.5, 1.9, 0.5), (0.0, 1.9, 0.0), (-0.5, 0.3, 0.0)],
-)
-@pytest.mark.parametrize("latched", [True, False])
-def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_on(
-    left_mps: float, slowest_mps: float, told_mps: float, *, latched: bool
-) -> None:
-    """Row 'given back: never above the lower of left on and seen; emergency deceleration if latched'."""
-    bench = engaged()
-    bench.drive_for(150, left_mps)
-    bench.changes = {"mode": Mode.REMOTE}
-    bench.tick(count=100)
-    if latched:
-        bench.ask("stop", "anyone")
-    moving = {"speed_mps": slowest_mps, "wheel_speed_mps": slowest_mps, "fastest_wheel_mps": slowest_mps}
-    released = {"gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED}
-    bench.changes = {"mode": Mode.AUTO, **released, **moving}
-    speeds = [told.speed_mps for told in (bench.tick().actuation for _ in range(40)) if told is not None]
-    assert len(speeds) == 40
-    step_mps = 0.02 if latched else 0.012
-    assert speeds[:5] == pytest.approx([max(0.0, told_mps - step_mps * tick) for tick in range(1, 6)])
-    assert speeds == sorted(speeds, reverse=True)
-
-
-def test_who_waits_is_told_when_the_output_ceases() -> None:
-    """And when it stops."""
-    bench = ArbiterRig()
-    bench.changes = {"mode": Mode.STOP}
-    bench.ask("acquire")
-    bench.ask("engage")
-    bench.changes = {"mode": Mode.REMOTE}
-    [answer] = bench.tick().answers
-    assert (answer.verb, answer.ruling.reason) == ("engage", Reason.HAND_TRANSMITTER)
-    bench.tick(count=YIELD_BURSTS)
-    bench.changes = {}
-    bench.tick(count=6)
-    bench.ask("engage")
-    bench.changes = {"front_bumper": True}
-    [answer] = bench.tick().answers
-    assert (answer.verb, answer.ruling.reason) == ("engage", Reason.FRONT_BUMPER)
-
-
-def test_where_nobody_waits_nobody_is_told() -> None:
-    """A result that nobody asked for."""
-    bench = ArbiterRig()
-    bench.arbiter.outbox.settle("engage", Ruling())
-    assert bench.tick().answers == []
-
-
-def test_the_mode_may_leave_auto_when_the_frames_are_disabled() -> None:
-    """That is what they are for."""
-    bench = engaged()
-    bench.ask("disengage")
-    while bench.arbiter.output.stop_phase is not StopPhase.DISABLE:
-        bench.tick()
-    for _ in range(49):
-        assert bench.tick().actuation is not None
-    assert bench.chassis.mode is Mode.STOP
-    assert bench.tick().actuation is None
-    assert bench.arbiter.state is ArbiterState.STANDBY
-    [event] = bench.told(EventKind.STOPPED)
-    assert (event.reason, event.severity) == (Reason.DISENGAGED, Severity.INFO)
-    assert event.text.endswith("and stands")
-    assert bench.told(EventKind.TAKEOVER) == []
-
-
-def test_a_robot_that_is_not_seen_to_stand_at_the_end_is_an_error() -> None:
-    """Somebody has to look."""
-    bench = engaged()
-    bench.changes = {"missing": ("Auto_DriveFeedBack",), "speed_mps": None}
-    bench.tick(count=600)
-    [event] = bench.told(EventKind.STOPPED)
-    assert event.severity is Severity.ERROR
-    assert event.text.endswith("but the robot is not seen to stand")
-
-
-def test_a_stop_beside_another_commander_does_not_say_that_the_robot_is_safe() -> None:
-    """It is told nothing by us any more, and may be moved by the other one at once."""
-    bench = engaged()
-    bench.ask("stop")
-    for _ in range(400):
-        bench.changes = {"commander_ns": bench.now_ns}
-        bench.tick()
-    [event] = bench.told(EventKind.STOPPED)
-    assert event.text.endswith("but another computer commands it, and can move it")
-
-
-@pytest.mark.parametrize("changes", [{"mode": Mode.AUTO}, {"mode": Mode.UNDEFINED, "missing": ("body",)}])
-def test_what_was_left_under_command_is_stopped_when_it_may_obey_again(changes: dict[str, object]) -> None:
-    """Row 'nothing ever resumes by itself': the chassis keeps our last command, and would."""
-    bench = engaged()
-    bench.changes = {"mode": Mode.REMOTE}
-    bench.tick(count=100)
-    assert bench.told(EventKind.STOP) == []
-    bench.changes = changes
-    bench.tick()
-    assert bench.arbiter.state is ArbiterState.STOPPING
-    assert bench.arbiter.engagement.stop_reason is Reason.FOUND_MOVING
-    assert bench.arbiter.output.actuation is not None
-    assert bench.arbiter.output.actuation.speed_mps == 0
-
-
-@pytest.mark.parametrize(
-    ("seen", "gear", "speed_mps", "angle_deg"),
-    [
-        ({"gear": GearPosition.DRIVE}, GearPosition.DRIVE, 1.0, 24.0),
-        ({"gear": GearPosition.REVERSE, "wheel_speed_mps": -1.0}, GearPosition.REVERSE, 1.0, 24.0),
-        ({"gear": GearPosition.NEUTRAL, "angle_deg": None}, GearPosition.NEUTRAL, 0.0, 0.0),
-        ({"gear": GearPosition.DRIVE, "speed_mps": None, "angle_deg": -30.0}, GearPosition.DRIVE, 1.0, -24.0),
-        ({"gear": GearPosition.DRIVE, "speed_mps": 2.5}, GearPosition.DRIVE, 1.309, 24.0),
-    ],
-)
-def test_a_robot_found_moving_is_stopped_from_what_is_seen(
-    seen: dict[str, object], gear: GearPosition, speed_mps: float, angle_deg: float
-) -> None:
-    """Row 'found at start: in auto, moving, nobody sending: the stop sequence, an event'."""
-    bench = ArbiterRig()
-    moving = {"mode": Mode.AUTO, "turns": True, "speed_mps": 1.0, "wheel_speed_mps": 1.0, "angle_deg": 30.0}
-    released = {"brake": ParkingStatus.RELEASED}
-    bench.changes = moving | released | {"fastest_wheel_mps": 2.6 if seen.get("speed_mps") else 1.0} | seen
-    bench.tick(count=20)
-    assert bench.arbiter.state is ArbiterState.STANDBY
-    told = bench.tick().actuation
-    assert told is not None
-    assert (told.enabled, told.gear, told.parking) == (True, gear, gear is GearPosition.NEUTRAL)
-    assert told.speed_mps == pytest.approx(max(0.0, speed_mps - 0.012), abs=1e-3)
-    assert told.angle_deg == angle_deg
-    assert [event.reason for event in bench.told(EventKind.STOP)] == [Reason.FOUND_MOVING]
-    later = bench.tick(count=25).actuation
-    assert later is not None
-    assert later.speed_mps == pytest.approx(max(0.0, speed_mps - 26 * 0.012), abs=1e-3), "its scale is known"
-    rolls = gear is GearPosition.NEUTRAL  # told to stand, and no slower for a fifth of a second
-    assert [*bench.arbiter.latches.details] == [Reason.ROLLING] * rolls, "its own speed is no fault"
-
-
-@pytest.mark.parametrize(("ticks", "parks"), [(10, True), (99, False)])
-def test_a_mode_that_flickers_parks_a_robot_that_moves(ticks: int, *, parks: bool) -> None:
-    """A stop out of standing by that follows another one within a second: no ramp begins over and over again."""
-    bench = ArbiterRig()
-    moving = {"gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED, "turns": True, "angle_deg": 0.0}
-    moving |= {"speed_mps": 1.0, "wheel_speed_mps": 1.0, "fastest_wheel_mps": 1.0}
-    bench.changes = moving | {"mode": Mode.AUTO}
-    told = bench.tick(count=21).actuation
-    assert told is not None
-    assert not told.parking
-    bench.changes = moving | {"mode": Mode.REMOTE}
-    bench.tick(count=ticks)
-    bench.changes = moving | {"mode": Mode.AUTO}
-    told = bench.tick().actuation
-    assert told is not None
-    assert told.parking is parks
-
-
-@pytest.mark.parametrize(
-    ("cause", "standing", "moving"),
-    [
-        ("deadman", Severity.INFO, Severity.WARNING),
-        ("take", Severity.INFO, Severity.WARNING),
-        ("disengage", Severity.INFO, Severity.INFO),
-        ("release", Severity.INFO, Severity.INFO),
-        ("stop", Severity.WARNING, Severity.WARNING),
-    ],
-)
-@pytest.mark.parametrize("speed_mps", [0.0, 1.0])
-def test_a_stop_at_speed_is_an_incident_unless_it_was_asked_for(
-    cause: str, speed_mps: float, standing: Severity, moving: Severity
-) -> None:
-    """A warning makes an incident. The planned end of a drive makes none; a stop at once always does."""
-    bench = engaged()
-    bench.drive_for(200, speed_mps)
-    if cause == "deadman":
-        bench.tick(count=31)
-    elif cause == "take":
-        bench.ask("take", "second", role="supervisor", override=True)
-    else:
-        bench.ask(cause)
-    [event] = bench.told(EventKind.STOP)
-    assert event.severity is (moving if speed_mps else standing)
-
-
-COASTING = {"mode": Mode.STOP, "gear": GearPosition.DRIVE, "brake": ParkingStatus.RELEASED}
-
-
-@pytest.mark.parametrize(
-    ("changes", "is_told"),
-    [
-        ({"mode": Mode.AUTO}, True),
-        ({"mode": Mode.UNDEFINED}, True),
-        ({"mode": Mode.STOP}, False),
-        ({"mode": Mode.REMOTE}, False),
-        ({"mode": Mode.AUTO, "bus_up": False}, False),
-        ({"mode": Mode.AUTO, "guard_sends": True}, False),
-        (COASTING | {"pulses": 1}, True),
-        (COASTING | {"fastest_wheel_mps": 0.5}, True),
-    ],
-)
-def test_a_remote_stop_while_standing_by(changes: dict[str, object], *, is_told: bool) -> None:
-    """Row 'stop': latched always; sent where the chassis may obey an old command, or coasts in mode stop."""
-    bench = ArbiterRig()
-    bench.changes = changes
-    bench.tick()
-    bench.ask("stop", "anyone")
-    told = bench.arbiter.output.actuation
-    assert (told is not None) is is_told
-    assert told is None or (told.enabled, told.speed_mps, told.parking) == (True, 0.0, True)
-    assert Reason.REMOTE_STOP in bench.arbiter.latches.details
-    assert bench.told(EventKind.LATCH)[-1].text.endswith("by anyone")
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason", "detail"),
-    [
-        ({}, Reason.NONE, "the robot stands"),
-        ({"mode": Mode.AUTO, "speed_mps": 0.7}, Reason.NONE, "the robot moves at 0.70 m/s"),
-        (
-            {"speed_mps": None, "fastest_wheel_mps": None},
-            Reason.FEEDBACK_MISSING,
-            "latched; not carried out: the robot is not seen to stand",
-        ),
-        ({"guard_sends": True}, Reason.NONE, "the guard is stopping it; the robot stands"),
-        ({"bus_up": False}, Reason.BUS_DOWN, "latched; not carried out: the robot stands"),
-        (
-            {"mode": Mode.REMOTE, "fastest_wheel_mps": 0.8, "pulses": 1},
-            Reason.HAND_TRANSMITTER,
-            "latched; not carried out: the robot moves at 0.80 m/s",
-        ),
-        ({"commander_ns": 10**12}, Reason.OTHER_COMMANDER, "latched; not carried out: the robot stands"),
-    ],
-)
-def test_the_reply_to_a_stop_says_what_the_robot_does(
-    changes: dict[str, object], reason: Reason, detail: str
-) -> None:
-    """Row 'a stop that cannot be carried out: the reply says so with reason and what the robot does now'."""
-    bench = ArbiterRig()
-    bench.changes = changes
-    bench.tick()
-    ruling = bench.ask("stop", "anyone")
-    assert (ruling.reason, ruling.detail) == (reason, detail)
-    assert Reason.REMOTE_STOP in bench.arbiter.latches.details
-
-
-def test_a_brake_that_does_not_read_applied_is_told_once() -> None:
-    """Row 'stop: neutral only behind an applied parking brake': after 3 s, and in gear till then."""
-    bench = engaged()
-    bench.drive_for(100, 0.5)
-    bench.changes = {"brake": ParkingStatus.RELEASED}
-    bench.ask("stop")
-    bench.tick(count=30)
-    assert bench.arbiter.output.stop_phase is StopPhase.PARK
-    bench.tick(count=269)
-    assert bench.told(EventKind.FAULT) == []
-    told = bench.tick(count=500).actuation
-    [event] = bench.told(EventKind.FAULT)
-    assert (event.reason, event.severity) == (Reason.NOT_CONFIRMED, Severity.ERROR)
-    assert "the parking brake does not read applied" in event.text
-    assert told is not None
-    assert (told.gear, told.parking) == (GearPosition.DRIVE, True)
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason", "ticks"),
-    [
-        ({"wheel_speed_mps": -0.11, "fastest_wheel_mps": 0.11, "speed_mps": 0.11}, Reason.ROLLING, 11),
-        ({"pulses": -1}, Reason.ROLLING, 11),
+ITSELF = {
+    f"{seen}": f"{LIMITED}; see {seen}; drive 0.5 {ticks - 1}; = engaged; drive 0.5; = latched {reason}, {told}"
+    for seen, reason, ticks, told in [
+        ("wheel_speed_mps:-0.11 fastest_wheel_mps:0.11 speed_mps:0.11", "rolling", 11, "told 0, parking"),
+        ("pulses:-1", "rolling", 11, "told 0, parking"),
         # So sudden a rise is that of a motor that has died: the parking brake, and no ramp.
-        ({"speed_mps": 0.8, "wheel_speed_mps": 0.8, "fastest_wheel_mps": 0.8}, Reason.OVERSPEED, 11),
-        ({"angle_deg": 5.1}, Reason.STEERING, 31),
-    ],
-)
-def test_what_the_robot_does_of_itself_stops_it_and_is_latched(
-    changes: dict[str, object], reason: Reason, ticks: int
-) -> None:
-    """Rows 'rolling', 'measured speed over the limit in force' (a lowered one) and 'steering'."""
-    bench = ArbiterRig()
-    bench.ask("acquire")
-    bench.ask("engage", speed_limit_mps=0.5)
-    bench.tick(count=2)
-    bench.drive()
-    bench.ask("unpark")
-    bench.drive_for(150, 0.5)
-    bench.changes = changes
-    bench.drive_for(ticks - 1, 0.5)
-    assert bench.arbiter.state is ArbiterState.ENGAGED
-    bench.drive(0.5)
-    assert [*bench.arbiter.latches.details] == [reason]
-    told = bench.arbiter.output.actuation
-    assert told is not None
-    assert (told.speed_mps, told.parking) == ((0.48, False) if reason is Reason.STEERING else (0.0, True))
+        ("all:0.8", "overspeed", 11, "told 0, parking"),
+        ("angle_deg:5.1", "steering", 31, "told 0.48, unparking"),
+    ]
+} | {
+    "a brake that does not read applied": "driving 0.5 100; see brake:released; stop; tick 30; = phase park; "
+    "tick 269; = events fault; tick 500; = events fault not_confirmed, event fault not_confirmed error, gear "
+    "drive, "
+    "parking; text fault the parking brake does not read applied| the motor holds the robot in gear meanwhile"
+}
 
 
-def test_stop_wins_over_everything_in_its_tick() -> None:
-    """Row 'stop: from any operator, lease or not'; the emergency deceleration, also in a slower stop."""
-    bench = engaged()
-    bench.drive_for(200, 1.0)
-    bench.ask("disengage")
-    before = bench.arbiter.output.actuation
-    bench.ask("stop", "second")
-    after = bench.arbiter.output.actuation
-    assert before is not None
-    assert after is not None
-    assert before.speed_mps - after.speed_mps == pytest.approx(0.02)
-    assert bench.arbiter.engagement.stop_reason is Reason.DISENGAGED
-    assert Reason.REMOTE_STOP in bench.arbiter.latches.details
-    bench.ask("stop", "carl")
-    assert len(bench.told(EventKind.LATCH)) == 1
+@rows(ITSELF)
+def test_what_the_robot_does_of_itself_stops_it_and_is_latched(row: str) -> None:
+    """Rows 'rolling', 'measured speed over the limit in force' (a lowered one), 'steering', 'a parking brake'."""
+    play(row)
 
 
-def test_a_graver_cause_during_a_stop_latches() -> None:
-    """The wheels do not slow down as they are told."""
-    bench = engaged()
-    bench.drive_for(200, 1.0)
-    bench.ask("disengage")
-    bench.changes = {"speed_mps": 1.0, "wheel_speed_mps": 1.0}
-    bench.tick(count=100)
-    assert Reason.IMPLAUSIBLE_SPEED in bench.arbiter.latches.details
+END = {
+    "disabled": "engaged; disengage; until phase disable; mark; tick 49; = spoken; tick; = silent, standby, "
+    "event stopped disengaged info, events takeover; text stopped and stands",
+    "not seen to stand": "engaged; see missing:Auto_DriveFeedBack speed_mps:null; tick 600; "
+    "= event stopped feedback_missing error; text stopped but the robot is not seen to stand",
+    "beside another computer": f"engaged; stop; see {OTHER}; tick 400; "
+    "text stopped but another computer commands it, and can move it",
+}
 
 
-def test_a_bumper_latches_in_every_state() -> None:
-    """Row 'bumper: latched'."""
-    bench = ArbiterRig()
-    bench.changes = {"rear_bumper": True}
-    bench.tick(count=3)
-    assert [*bench.arbiter.latches.details] == [Reason.REAR_BUMPER]
-    assert bench.arbiter.output.actuation is None
-    assert len(bench.told(EventKind.LATCH)) == 1
+@rows(END)
+def test_how_a_stop_ends(row: str) -> None:
+    """Row 'a stop: disable 0.5 s, silence'; and whether the robot is seen to stand."""
+    play(row)
 
 
-def test_shutting_down() -> None:
-    """Engaged: a controlled stop. Standing by: nothing. Then nobody engages it."""
-    bench = engaged()
-    bench.drive_for(10, 0.5)
-    bench.arbiter.engagement.shut_down(bench.now_ns)
-    assert bench.arbiter.engagement.stop_reason is Reason.SHUTDOWN
-    bench.tick()
-    told = [(event.kind, event.severity) for event in bench.events if event.reason is Reason.SHUTDOWN]
-    assert told == [(EventKind.GATEWAY, Severity.INFO), (EventKind.STOP, Severity.INFO)]
-    idle = ArbiterRig()
-    idle.changes = {"mode": Mode.AUTO}
-    idle.tick()
-    idle.arbiter.engagement.shut_down(idle.now_ns)
-    assert idle.arbiter.state is ArbiterState.STANDBY, "somebody else may have it in auto"
-    idle.ask("acquire")
-    assert idle.ask("engage").reason is Reason.SHUTDOWN
+YIELDS = {
+    # The remote control alone leaves a way to the chassis: it is left with zero speed and its parking brake.
+    **{
+        f"{seen}{stop}": f"driving 0.5 100{stop}; horn on:true; see {seen}; mark; tick; = standby, for {reason}, "
+        f"phase idle, beside, events {kind} {reason}, {left}; tick {YIELD_BURSTS - 1}; mark; tick 50; = quiet"
+        for (seen, kind, reason, left), stop in product(
+            [
+                ("mode:remote", "takeover", "hand_transmitter", "latched, enabled, gear drive, told 0, parking"),
+                ("bus_up:false", "takeover", "bus_down", "latched, silent"),
+                ("bus_losses:1 mode:undefined bus_up:false", "takeover", "bus_down", "latched, silent"),
+                ("guard_sends:true", "guard", "guard", "latched guard, silent"),
+            ],
+            ("", "; disengage"),
+        )
+    },
+    "a horn that was cut off": "engaged; horn on:true; see mode:remote; tick; see mode:stop; tick 6; engage; "
+    "tick; "
+    "= beside Speaker; tick 10; = beside",
+    # A robot that is seen to move is not left.
+    **{
+        f"coasts by {seen}{stop}": f"driving 0.5 100{stop}; see mode:stop all:0 turns:false {seen}; tick; = "
+        "enabled, "
+        f"told 0, gear drive, parking; tick 1000; = phase hold; see mode:stop all:0 turns:false; tick 200; = "
+        "silent, "
+        f"for {reason}"
+        for seen, (stop, reason) in product(
+            ("pulses:1", "fastest_wheel_mps:0.5", "turns:true confirmed:false"),
+            (("", "mode_not_auto"), ("; disengage", "disengaged")),
+        )
+    },
+    # The guard stopped it for 6 s, and stands by now; one that reads auto all the same is stopped from there.
+    **{
+        f"back after the guard has ended, {seen}": "driving 1; = told 1; see guard_stops:1 mode:stop "
+        "brake:applied "
+        f"all:0 {seen}; mark; late 6000; = latched guard, events guard guard, {says}; tick 300; = speechless"
+        for seen, says in (("", "silent"), ("mode:auto", "told 0"), ("mode:undefined speed_mps:null", "silent"))
+    },
+    "a burst went out after the pause": "driving 1; see guard_stops:1 mode:auto speed_mps:0.04 "
+    "fastest_wheel_mps:0.05; told 3500; = unsilent, below 0.04",
+    # Never from a speed above the one that the robot has now.
+    **{
+        f"back without a guard, at {seen_mps}": "driving 1 unguarded:true; see guarded:false mode:auto "
+        f"all:{seen_mps}; late 500; = told {told_mps}"
+        for seen_mps, told_mps in ((0, 0), (0.4, 0.38), ("null", 0), (1.3, 0.98))
+    },
+    "the guard left it to the remote control": "driving 1; see guard_sends:true mode:remote; tick 5; "
+    "see mode:remote guard_stops:1; tick 5; = silent; see mode:auto guard_stops:1 gear:drive; tick; = told 0",
+    # What is not seen in the first moment may be seen in the next: nothing is told before.
+    **{
+        f"a bus that comes back, unseen, left at {speed_mps} m/s": f"engaged; drive {speed_mps} 60; see "
+        "mode:undefined "
+        "gear:undefined bus_up:false bus_losses:1; tick 100; see mode:undefined gear:undefined bus_losses:1; "
+        "mark; "
+        "tick 19; = quiet; tick; = told 0, parking"
+        for speed_mps in (0, 0.5)
+    },
+    # The chassis keeps our last command, and would obey it.
+    **{
+        f"obeys again, {seen}": f"engaged; see mode:remote; tick 100; = events stop; see {seen}; tick; = "
+        "stopping, "
+        "for found_moving, told 0"
+        for seen in ("mode:auto", "mode:undefined missing:body")
+    },
+}
+
+
+@rows(YIELDS)
+def test_when_the_output_ceases_and_what_comes_after(row: str) -> None:
+    """Rows 'remote control takes over: output ceases at once', 'mode leaves auto', 'nothing resumes by itself'."""
+    play(row)
+
+
+ADRIFT = "gear:drive brake:released turns:true angle_deg:0 all:1"
+GIVEN_BACK = {
+    f"left at {left_mps}, seen at {seen_mps}{stop}": f"driving {left_mps}; see mode:remote; tick 100{stop}; "
+    f"see mode:auto gear:drive brake:released all:{seen_mps}; mark; tick; = told {max(0.0, from_mps - step_mps)}; "
+    f"tick 4; = told {max(0.0, from_mps - 5 * step_mps)}; tick 35; = spoken, falling"
+    for (left_mps, seen_mps, from_mps), (stop, step_mps) in product(
+        [(0.5, 0.3, 0.3), (0.5, 1.9, 0.5), (0.0, 1.9, 0.0), (-0.5, 0.3, 0.0)],
+        (("", 0.012), ("; stop by anyone", 0.02)),
+    )
+}
+
+
+@rows(GIVEN_BACK)
+def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_on(row: str) -> None:
+    """Row 'given back: never above the lower of left on and seen; emergency deceleration if latched'."""
+    play(row)
+
+
+FOUND = {
+    **{
+        f"{seen}": f"ready; see {ADRIFT} mode:auto angle_deg:30 {seen}; tick 20; = standby; tick; = enabled, "
+        f"gear {gear}, told {max(0.0, from_mps - 0.012)}, angle {angle_deg}, events stop found_moving, {rest}"
+        for seen, gear, from_mps, angle_deg, rest in [
+            ("gear:drive", "drive", 1.0, 24, "unparking; tick 25; = told 0.688, latched"),
+            ("gear:reverse wheel_speed_mps:-1", "reverse", 1.0, 24, "unparking; tick 25; = told 0.688, latched"),
+            # Told to stand, and no slower for a fifth of a second.
+            ("gear:neutral angle_deg:null", "neutral", 0.0, 0, "parking; tick 25; = told 0, latched rolling"),
+            ("speed_mps:null angle_deg:-30", "drive", 1.0, -24, "unparking; tick 25; = told 0.688, latched"),
+            # Its own speed is no fault: its scale is known.
+            (
+                "speed_mps:2.5 fastest_wheel_mps:2.6",
+                "drive",
+                1.309,
+                24,
+                "unparking; tick 25; = told 0.997, latched",
+            ),
+        ]
+    },
+    # A stop out of standing by that follows another one within a second: no ramp begins over and over again.
+    **{
+        f"a mode that flickers, {ticks} ticks": f"ready; see {ADRIFT} mode:auto; tick 21; = unsilent, unparking; "
+        f"see {ADRIFT} mode:remote; tick {ticks}; see {ADRIFT} mode:auto; tick; = unsilent, {parks}parking"
+        for ticks, parks in ((10, ""), (99, "un"))
+    },
+    "nothing is seen: the brake from the first frame on": "ready; see mode:undefined gear:undefined "
+    "speed_mps:null "
+    "fastest_wheel_mps:null missing:all; mark; stop; tick 600; = unquiet, speechless, braked",
+    # A remote stop is sent where the chassis may obey an old command, or coasts in mode stop.
+    **{
+        f"stopped in {seen}": f"ready; see {seen}; tick; stop by anyone; = has remote_stop, {told}; "
+        "text latch by anyone"
+        for seen, told in [
+            ("mode:auto", "enabled, told 0, parking"),
+            ("mode:undefined", "enabled, told 0, parking"),
+            ("mode:stop", "silent"),
+            ("mode:remote", "silent"),
+            ("mode:auto bus_up:false", "silent"),
+            ("mode:auto guard_sends:true", "silent"),
+            ("mode:stop gear:drive brake:released pulses:1", "enabled, told 0, parking"),
+            ("mode:stop gear:drive brake:released fastest_wheel_mps:0.5", "enabled, told 0, parking"),
+        ]
+    },
+    # The reply says what the robot does, and what keeps the stop from being carried out.
+    **{
+        f"a stop with {seen}": f"ready; see {seen}; tick; stop by anyone; = ruled {reason}, has remote_stop; "
+        f"detail {detail}"
+        for seen, reason, detail in [
+            ("mode:stop", "none", "the robot stands"),
+            ("mode:auto speed_mps:0.7", "none", "the robot moves at 0.70 m/s"),
+            (
+                "speed_mps:null fastest_wheel_mps:null",
+                "feedback_missing",
+                "latched| not carried out: the robot is not seen to stand",
+            ),
+            ("guard_sends:true", "none", "the guard is stopping it| the robot stands"),
+            ("bus_up:false", "bus_down", "latched| not carried out: the robot stands"),
+            (
+                "mode:remote fastest_wheel_mps:0.8 pulses:1",
+                "hand_transmitter",
+                "latched| not carried out: the robot moves at 0.80 m/s",
+            ),
+            (OTHER, "other_commander", "latched| not carried out: the robot stands"),
+        ]
+    },
+}
+
+
+@rows(FOUND)
+def test_a_robot_that_is_found_so(row: str) -> None:
+    """Rows 'found at start: moving, nobody sending', 'stop: from any operator' and 'a stop that cannot be'."""
+    play(row)
+
+
+STANDING = {
+    # Any speed begins the time anew; 0 is never.
+    **{
+        f"idle for {idle_s} s": f"engaged idle_s:{idle_s}; drive 0 300; drive 0.5 10; drive 0 520; = held first, "
+        f"{says}"
+        for idle_s, says in (
+            (5.0, "unengaged, for idle, events stop idle, event stop idle info, latched"),
+            (5.5, "engaged"),
+            (0.0, "engaged"),
+        )
+    },
+    "warned from engage on, and no speed is told": "engaged warning_s:2; drive 0.5 190; = lamps dark lit, told 0, "
+    "bound warning; drive 0.5 40; mark; drive 0.5 60; = lamps none, unsilent, untold 0, unbound warning",
+    **{
+        f"stood for {ticks} ticks": f"engaged warning_s:1; drive 0.5 300; = told 0.5; mark; drive 0 {ticks + 50}; "
+        f"= lamps none; mark; drive 0.5 90; = {un}lit, {un}bound warning; drive 0.5 200; = told 0.5"
+        for ticks, un in ((450, "un"), (560, ""))
+    },
+    "nobody is warned where it is off": "engaged; drive 0.5 200; = lamps none, unsilent, untold 0",
+    "a stop puts the lamps out": "engaged warning_s:2; drive 0 50; mark; disengage; = lamps dark",
+    # The chassis keeps its indicators while somebody else commands it: what we send next clears them.
+    **{
+        f"cut off by the remote control, then {then}": "engaged warning_s:2; drive 0.5 50; see mode:remote; tick "
+        "500; "
+        f"see; tick 50; {then}; mark; tick 50; = dark"
+        for then in ("acquire; engage", "see all:0.3 turns:true")
+    },
+}
+
+
+@rows(STANDING)
+def test_what_standing_leads_to(row: str) -> None:
+    """Rows 'an engaged robot at zero command' and 'warning people', from engage and after 5 s of standing."""
+    play(row)
 
 
 def test_what_the_bus_did_not_take_was_no_step() -> None:
     """The next burst is a step from what the chassis was told last."""
-    bench = engaged()
-    bench.drive_for(60, 1.0)
-    before = bench.arbiter.output.actuation
-    bench.drive(1.0)
-    once = bench.arbiter.output.actuation
-    bench.arbiter.output.undo_step()
-    assert bench.arbiter.output.actuation == before
-    bench.drive(1.0)
-    assert bench.arbiter.output.actuation == once
-    bench.arbiter.output.undo_step()
-    bench.ask("stop")
+    rig = begun("driving 1 60")
+    output = rig.arbiter.output
+    before = output.actuation
+    rig.drive(1.0)
+    once = output.actuation
+    output.undo_step()
     assert before is not None
-    assert bench.arbiter.output.actuation is not None
-    assert bench.arbiter.output.actuation.speed_mps == pytest.approx(before.speed_mps - 0.02)
+    assert output.actuation == before
+    rig.drive(1.0)
+    assert output.actuation == once
+    output.undo_step()
+    rig.ask("stop")
+    assert output.actuation is not None
+    assert output.actuation.speed_mps == pytest.approx(before.speed_mps - 0.02)
 
 
-@pytest.mark.parametrize("stopping", [True, False])
-def test_in_place_of_a_refused_burst_zero_speed_and_the_parking_brake_are_told(*, stopping: bool) -> None:
-    """A fault of our own: latched, in gear, and from there the stop goes on; also where the bus takes nothing."""
-    bench = engaged()
-    bench.drive_for(60, 1.0)
-    if stopping:
-        bench.ask("disengage")
-    bench.drive(1.0)
-    instead = Actuation(True, GearPosition.DRIVE, 0.0, parking=True)  # noqa: FBT003
-    assert bench.arbiter.engagement.refuse_output("why", bench.now_ns) == bench.arbiter.output.actuation == instead
-    assert bench.arbiter.latches.details == {Reason.GATE: "why"}
-    bench.arbiter.output.undo_step()
-    told = bench.tick().actuation
-    assert told == instead
+# What it says.
+
+
+class Told:
+    def __init__(self, begin: str = "ready") -> None:
+        self.bench = begun(begin)
+        self.reporter = Reporter(self.bench.arbiter)
+
+    def state(self) -> SafetyState | None:
+        return self.reporter.state(self.bench.now_ns, WALL_NS, self.bench.challenge())
+
+    def now(self) -> SafetyState:
+        """The state, due or not."""
+        self.reporter.state_due_ns = 0
+        state = self.state()
+        assert state is not None
+        return state
+
+
+def test_the_state_goes_out_at_20_hz_and_on_change_and_at_50_hz_while_engaged() -> None:
+    """And its challenge counts as published from then on, and only then."""
+    told, due = Told(), []
+    bench, challenges = told.bench, told.bench.arbiter.link.challenges
+    for _ in range(20):
+        bench.outcome = bench.arbiter.tick(bench.chassis, [], bench.now_ns, 0)
+        challenge, state = bench.challenge(), told.state()
+        assert isinstance(challenges.age_ns(challenge, bench.now_ns), int) is (state is not None)
+        assert state is None or state.challenge == challenge
+        due.append(state is not None)
+        bench.now_ns += 10 * MS
+    assert due == [True, False, False, False, False] * 4
+    told.state()
+    bench.ask("acquire")
+    state = told.state()
+    assert state is not None
+    assert (state.lease_holder, state.sequence, state.time_ns) == ("first", 5, WALL_NS)
+    told = Told("engaged")
+    told.now()
+    due = []
+    for _ in range(20):
+        told.bench.drive()
+        due.append(told.state() is not None)
+    assert due == [False, True] * 10
+
+
+SAID = {
+    "ready": {
+        "lease_holder": "",
+        "lease_role": Role.PROGRAM,
+        "lease_expires_s": 0.0,
+        "parking": True,
+        "output_gear": GearPosition.UNDEFINED,
+        "output_speed_mps": 0.0,
+        "blocked_by": [Reason.NO_LEASE, Reason.NOT_ENGAGED],
+        "stop_detail": "",
+        "deadman_s": 0.3,
+        **dict.fromkeys(("link_age_s", "link_age_last_s", "link_age_p50_s", "link_age_p99_s"), None),
+        "travel_delay_m": 0.0,
+        "travel_speed_limit_mps": None,
+        "accepted_seq": None,
+    },
+    # Of a robot on its way, backward and to the right.
+    "engaged; drive -0.4 80 angle_deg:-6": {
+        "state": ArbiterState.ENGAGED,
+        "engaged": True,
+        "stop_reason": Reason.NONE,
+        "blocked_by": [],
+        "lease_holder": "first",
+        "lease_role": Role.OPERATOR,
+        "lease_expires_s": 2.0,
+        "latched": [],
+        "target_speed_mps": -0.4,
+        "target_angle_deg": -6.0,
+        "guarded": True,
+        "parking": False,
+        "output_speed_mps": -0.4,
+        "output_angle_deg": -6.0,
+        "output_gear": GearPosition.REVERSE,
+        "speed_limit_mps": 2.222,
+        "acceleration_limit_mps2": 0.8,
+        "deceleration_limit_mps2": 1.2,
+        "emergency_deceleration_mps2": 2.0,
+        "steering_limit_deg": 24.0,
+        "steering_rate_limit_degps": 60.0,
+        "lateral_acceleration_limit_mps2": 1.5,
+    },
+    # A lower limit, while it is in force.
+    "ready; acquire; engage speed_limit_mps:0.5": {"speed_limit_mps": 0.5, "blocked_by": [Reason.ENGAGING]},
+    "ready; acquire; engage; tick 2": {"speed_limit_mps": 2.222, "blocked_by": [Reason.PARKED]},
+    "ready; acquire; engage speed_limit_mps:0.5; disengage": {"speed_limit_mps": 2.222},
+    "ready; acquire; see mode:remote; tick": {"blocked_by": [Reason.HAND_TRANSMITTER, Reason.NOT_ENGAGED]},
+    "engaged; see gear:neutral; drive 0.5": {"blocked_by": [Reason.GEAR_SHIFTING]},
+    "engaged; drive 0.5 30; drive -0.5": {"blocked_by": [Reason.GEAR_SHIFTING]},
+    "engaged; stop by second": {
+        "blocked_by": [Reason.REMOTE_STOP, Reason.STOPPING],
+        "latched": [Reason.REMOTE_STOP],
+        "stop_reason": Reason.REMOTE_STOP,
+    },
+    # It forbids a direction.
+    "ready; see front_bumper:true; acquire; tick 60; reset; engage; tick 2": {
+        "blocked_by": [Reason.FRONT_BUMPER, Reason.PARKED]
+    },
+}
+FAR = "ready; acquire; engage deadman_s:0.8; tick 2; drive; unpark; drive 1 150 challenge:20"
+SAID |= {
+    # Row 'travel delay': the ages, the metres until it can react, the limit from them, the deadman, the echo.
+    FAR: {
+        **dict.fromkeys(("link_age_s", "link_age_last_s", "link_age_p50_s", "link_age_p99_s"), 0.2),
+        "travel_speed_limit_mps": 1.0,
+        "output_speed_mps": 1.0,
+        "travel_delay_m": 1.0,
+        "deadman_s": 0.8,
+        "accepted_seq": 151,
+    },
+    f"{FAR}; tick 90": {
+        "stop_reason": Reason.DEADMAN,
+        "stop_detail": "none for 810 ms",
+        "travel_delay_m": 0.0,
+        "deadman_s": 0.8,
+    },
+    f"{FAR}; release": {"link_age_s": None, "link_age_p50_s": None, "accepted_seq": None, "deadman_s": 0.3},
+}
+
+
+@pytest.mark.parametrize(("row", "says"), list(SAID.items()))
+def test_what_the_state_says(row: str, says: dict[str, object]) -> None:
+    """Holder, link, limits, target and output, and why it stands still, in every state."""
+    begin, _, steps = row.partition("; ")
+    told = Told(begin)
+    if steps:
+        told.bench.play(steps)
+    state = told.now()
+    assert {name: getattr(state, name) for name in says} == says
+    assert state.tick == told.bench.arbiter.tick_number
+
+
+def test_a_decision_says_all_that_became_of_a_request() -> None:
+    """Request, operator, lease, age, verdict, reason, limits, speed and angle before and after, frames sent."""
+    told = Told("engaged")
+    bench = told.bench
     bench.tick(count=3)
-    assert bench.arbiter.output.stop_phase is StopPhase.HOLD
-    bench.tick(count=200)
-    assert bench.arbiter.state is ArbiterState.STANDBY
+    bench.drive(1.0, challenge=2, angle_deg=2.0)
+    assert bench.outcome is not None
+    decision = told.reporter.decision(bench.outcome.judged[0], [Bound.ACCELERATION], 5, WALL_NS)
+    assert (decision.request, decision.operator, decision.lease) == ("drive", "first", bench.lease)
+    assert (decision.request_sequence, decision.age_ms) == (bench.sequence, 20.0)
+    assert (decision.verdict, decision.reason, decision.detail) == (Verdict.ACCEPTED, Reason.NONE, "")
+    assert decision.bound_by == [Bound.ACCELERATION]
+    assert (decision.requested_speed_mps, decision.requested_angle_deg) == (1.0, 2.0)
+    assert (decision.output_speed_mps, decision.output_angle_deg, decision.frames_sent) == (0.0, 0.6, 5)
+    assert (decision.tick, decision.time_ns, decision.sequence) == (bench.arbiter.tick_number, WALL_NS, 0)
 
 
-def test_a_run_is_told_by_its_number() -> None:
-    """Ticks and leases of another run fit none of this one; those of the same run are the same."""
-    one, same = ArbiterRig(), ArbiterRig()
-    assert one.arbiter.tick_number == same.arbiter.tick_number
-    assert one.ask("acquire") == same.ask("acquire")
+def test_a_refusal_is_bound_by_nothing() -> None:
+    """It has a reason in words, with the figures; a verb asks for no speed."""
+    told = Told()
+    raw = RawRequest(1, "x" * 99, "second", b"", 0)
+    decision = told.reporter.decision(Judged(raw, Ruling(Reason.TOO_OLD, "410 ms")), [Bound.SPEED], 0, WALL_NS)
+    assert (decision.verdict, decision.reason, decision.bound_by) == (Verdict.REFUSED, Reason.TOO_OLD, [])
+    assert decision.detail == f"{TEXTS[Reason.TOO_OLD].means}; 410 ms"
+    assert (decision.requested_speed_mps, decision.requested_angle_deg, decision.age_ms) == (None, None, None)
+    assert (decision.request, decision.output_speed_mps) == ("x" * 32, AT_REST.speed_mps)
+    accepted = told.reporter.decision(Judged(raw, Ruling()), [Bound.SPEED], 0, WALL_NS)
+    assert (accepted.bound_by, accepted.sequence) == ([], 1)
 
 
-@pytest.mark.parametrize(("asked_mps", "is_stopped"), [(0.11, False), (0.13, True)])
-def test_a_speed_is_judged_as_its_frames_say_it(asked_mps: float, *, is_stopped: bool) -> None:
-    """Row 'frozen feedback': asked 0.11 m/s, a coarse chassis is told 0.08 m/s, and may read one bit, 0.04 m/s."""
-    bench = engaged()
-    bench.drive_for(60, asked_mps)
-    bench.changes = {"speed_mps": 0.04, "wheel_speed_mps": 0.04, "fastest_wheel_mps": 0.04, "pulses": 1}
-    bench.drive_for(60, asked_mps)
-    assert (bench.arbiter.engagement.stop_reason is Reason.FEEDBACK_FROZEN) is is_stopped
+def test_an_event_keeps_what_it_is_made_of() -> None:
+    """Each subject has a sequence of its own, which wraps."""
+    told = Told("ready")
+    told.bench.ask("acquire")
+    told.reporter.sequences["SafetyEvent"] = SEQUENCE_MAX
+    first, second = (told.reporter.event(told.bench.events[0], WALL_NS) for _ in range(2))
+    assert (first.kind, first.operator, first.reason) == (EventKind.LEASE, "first", Reason.NONE)
+    assert (first.text, first.time_ns) == ("first has acquired the lease as operator", WALL_NS)
+    assert first.tick == told.bench.arbiter.tick_number
+    assert (first.sequence, second.sequence) == (SEQUENCE_MAX, 0)
+
+
+@pytest.mark.parametrize(
+    ("verb", "ruling", "expected"),
+    [
+        ("acquire", Ruling(lease=7, expires_ns=2 * 10**9), LeaseReply(True, Reason.NONE, "", "", 7, 2.0)),  # noqa: FBT003
+        ("engage", Ruling(lease=7), Reply(True, Reason.NONE, "", "")),  # noqa: FBT003
+        ("nonsense", Ruling(), Reply(True, Reason.NONE, "", "")),  # noqa: FBT003
+    ],
+)
+def test_a_reply_has_its_verbs_own_fields(verb: str, ruling: Ruling, expected: Reply) -> None:
+    """The lease and how long it lasts, for those that give one; a refusal has words and a cure for each reason."""
+    made = reply(VerbAnswer(1, verb, ruling))
+    assert (type(made), made) == (type(expected), expected)
+    for reason in set(Reason) - {Reason.NONE}:
+        refused = reply(VerbAnswer(1, verb, Ruling(reason, "42", lease=7)))
+        assert (refused.ok, refused.reason, refused.cure) == (False, reason, TEXTS[reason].cure)
+        assert refused.detail == f"{TEXTS[reason].means}; 42"
+        assert refused.cure
+        assert not isinstance(refused, LeaseReply) or refused.lease == 0

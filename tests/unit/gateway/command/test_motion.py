@@ -1,18 +1,27 @@
-"""From a target to what the chassis is told."""
+"""The limits in force, the bicycle model, and the way from a target to what the chassis is told.
 
-from math import radians, tan
+A row begins with "new" or "going M/S". "tick M/S [COUNT] [DEGREES]" asks for a speed; "set" sets what is seen.
+"""
 
+from itertools import product
+from math import atan, degrees, radians, sqrt, tan
+from typing import Any
+
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.chassis.port import AT_REST, Actuation
+from gateway.chassis.port import AT_REST
 from gateway.choice import CHASSIS
-from gateway.command.motion import MotionConstraints, MotionLimits, MotionProfile, Target
+from gateway.command.motion import MotionConstraints, MotionLimits, MotionProfile, Target, steering_angle_deg
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus
+from schemas.requests import Drive
 from schemas.settings import CommandSettings
+from tests.support.rigs.steps import Acted, Doing, fields_of, near, rows
 
+L_M = CHASSIS.wheelbase_m
 LIMITS = MotionLimits.of(CommandSettings(speed_limit_mps=2.222))
 DRIVE, REVERSE, NEUTRAL, PARK = (
     GearPosition.DRIVE,
@@ -20,257 +29,140 @@ DRIVE, REVERSE, NEUTRAL, PARK = (
     GearPosition.NEUTRAL,
     GearPosition.PARK,
 )
-APPLIED, RELEASED = ParkingStatus.APPLIED, ParkingStatus.RELEASED
-DT_S = 0.01
-GO_TICKS = 30
-"""More than it takes to shift and to release the brake, where the chassis follows at once."""
+LATERAL_MPS = sqrt(1.5 * 0.66 / tan(radians(24)))
+"""At full lock: 1.491 m/s."""
 
 
-class Robot:
-    """A motion with a chassis that follows at once, unless something is set otherwise.
+class Robot(Acted):
+    """A motion with a chassis that follows at once, but for what is set.
 
     Attributes:
-        gear, brake, stands: the feedback; None follows.
-        speed_mps, angle_deg: as measured; None follows.
+        bounds: those of all the ticks of the last step.
     """
 
-    def __init__(self, limits: MotionLimits = LIMITS) -> None:
-        self.motion = MotionProfile()
-        self.limits = limits
-        self.told = AT_REST
-        self.gear: GearPosition | None = None
-        self.brake: ParkingStatus | None = None
-        self.stands: bool | None = None
-        self.speed_mps: float | None = None
-        self.angle_deg: float | None = None
-        self.parked = False
-        self.forward = self.backward = True
-        self.bounds: set[Bound] = set()
+    def __init__(self, begin: str = "new", limits: MotionLimits = LIMITS) -> None:
+        self.motion, self.limits, self.told = MotionProfile(), limits, AT_REST
+        self.changes: dict[str, Any] = {}
+        self.bounds: set[str] = set()
+        if begin != "new":
+            speed_mps = begin.removeprefix("going ")
+            self.tick(speed_mps, "330")
+            assert near(self.told.signed_speed_mps, speed_mps)
 
-    def tick(self, speed_mps: float, angle_deg: float = 0.0, count: int = 1) -> Actuation:
+    def tick(self, speed_mps: str, count: str = "1", angle_deg: str = "0") -> None:
         self.bounds = set()
-        for _ in range(count):
+        for _ in range(int(count)):
             told = self.told
             seen = MotionConstraints(
-                wheelbase_m=CHASSIS.wheelbase_m,
-                stands=told.speed_mps == 0 if self.stands is None else self.stands,
-                gear=self.gear or (PARK if told.parking else told.gear),
-                brake=self.brake or (APPLIED if told.parking else RELEASED),
-                parked=self.parked,
-                speed_mps=told.speed_mps if self.speed_mps is None else self.speed_mps,
-                angle_deg=told.angle_deg if self.angle_deg is None else self.angle_deg,
-                forward=self.forward,
-                backward=self.backward,
+                wheelbase_m=L_M,
+                stands=told.speed_mps == 0,
+                gear=PARK if told.parking else told.gear,
+                brake=ParkingStatus.APPLIED if told.parking else ParkingStatus.RELEASED,
+                parked=False,
+                speed_mps=told.speed_mps,
+                angle_deg=told.angle_deg,
+                forward=True,
+                backward=True,
             )
-            self.told = self.motion.tick(Target(speed_mps, angle_deg), self.limits, seen, DT_S)
-            self.bounds |= set(self.motion.bounds)
-        return self.told
+            seen = msgspec.structs.replace(seen, **self.changes)
+            self.told = self.motion.tick(Target(float(speed_mps), float(angle_deg)), self.limits, seen, 0.01)
+            self.bounds |= {bound.value for bound in self.motion.bounds}
+
+    def until(self, speed_mps: str, *claim: str) -> None:
+        while not self.holds(*claim):
+            self.tick(speed_mps)
+
+    def set(self, *words: str) -> None:
+        self.changes |= fields_of(words)
+        self.changes = {name: value for name, value in self.changes.items() if value is not None}
+
+    def steps(self) -> Doing:
+        return {"tick": self.tick, "until": self.until, "set": self.set}
+
+    def claims(self) -> Doing:
+        told = self.told
+        return {
+            "told": lambda mps: near(told.signed_speed_mps, mps),
+            "angle": lambda deg: near(told.angle_deg, deg),
+            "gear": lambda gear: told.gear.value == gear,
+            "parking": lambda: told.parking,
+            "enabled": lambda: told.enabled,
+            "bounds": lambda *bounds: self.bounds == {*bounds},
+            "bound": lambda bound: Bound(bound) in self.motion.bounds,
+        }
 
 
-def going(speed_mps: float = 1.0, limits: MotionLimits = LIMITS) -> Robot:
-    """A robot that drives at this speed."""
-    robot = Robot(limits)
-    assert robot.tick(speed_mps, count=GO_TICKS + 300).signed_speed_mps == speed_mps
-    return robot
+def move(row: str) -> None:
+    begin, _, steps = row.partition("; ")
+    Robot(begin).play(steps)
 
 
-# Setting off.
+SETS_OFF = {
+    # Never in neutral unbraked: with all enables, for as long as nobody drives it.
+    "parked before any speed is asked for": "new; tick 0 500; = enabled, gear neutral, parking, told 0, angle 0",
+    **{
+        f"by gear, brake and ramp to {mps}": f"new; tick {mps}; = gear {gear}, parking, told 0, bounds gear; "
+        f"until {mps} unparking; = gear {gear}, told 0, bounds parking; tick {mps}; = told {0.016 * mps}; "
+        f"tick {mps} 61; = told {0.992 * mps}; tick {mps}; = told {mps}, bounds"
+        for mps, gear in ((0.5, "drive"), (-0.5, "reverse"))
+    },
+    **{
+        f"after a rest, the brake is {brake}": f"going 1; tick 0 300; = parking; set brake:{brake}; tick 0.5 100; "
+        "= unparking, told 0, gear drive, bounds parking; set brake:released; tick 0.5; = told 0.008"
+        for brake in ("applied", "undefined")
+    },
+}
 
 
-def test_before_any_speed_is_asked_for_it_is_parked() -> None:
-    """Row 'slopes: never stands in neutral unbraked': with all enables, for as long as nobody drives it."""
-    assert Robot().tick(0.0, count=500) == Actuation(True, NEUTRAL, 0.0, 0.0, parking=True)  # noqa: FBT003
+@rows(SETS_OFF)
+def test_it_sets_off_by_gear_brake_and_ramp(row: str) -> None:
+    """Row 'standing: a drive command releases the brake, waits until the feedback says so, then ramps'."""
+    move(row)
 
 
-@pytest.mark.parametrize(("sign", "gear"), [(1, DRIVE), (-1, REVERSE)])
-def test_it_sets_off_by_gear_brake_and_ramp(sign: int, gear: GearPosition) -> None:
-    """Row 'reversal: brake confirmed, the other gear, brake released'; then 0.8 m/s2 up to the target."""
-    robot = Robot()
-    first = robot.tick(sign * 0.5)
-    assert (first.gear, first.parking, first.speed_mps) == (gear, True, 0.0)
-    assert robot.bounds == {Bound.GEAR}
-    while robot.told.parking:
-        assert robot.tick(sign * 0.5).gear is gear
-        assert robot.told.speed_mps == 0
-    assert robot.motion.bounds == [Bound.PARKING]
-    told = [robot.tick(sign * 0.5).speed_mps for _ in range(63)]
-    assert told == pytest.approx([min(0.5, 0.008 * tick) for tick in range(1, 64)])
-    assert robot.told.signed_speed_mps == sign * 0.5
-    assert robot.motion.bounds == []
+GEARS = {
+    # Neither the first gear nor another one, and no speed in a gear that is not in.
+    **{
+        f"no gear while the brake is {brake}, {begin}": f"{begin}; set brake:{brake}; tick {asked} 200; = {then}"
+        for brake, (begin, asked, then) in product(
+            ("released", "undefined"),
+            (("new", 1, "gear neutral, parking, bounds gear"), ("going 1", -1, "gear drive, parking, told 0")),
+        )
+    },
+    "the gear is not in": "new; set gear:neutral; tick 1 200; = told 0",
+    "the gear is lost at speed": "going 1; set gear:neutral; tick 1; = bound gear; tick 1 100; = told 0, gear "
+    "drive",
+    # By the normal deceleration, and in gear.
+    "the brake reads applied at speed": "going 1; set brake:applied; tick 1; = told 0.988; tick 1 100; = told 0, "
+    "gear drive",
+    "a reversal that is given up midway": "going 1; until -1 gear neutral; tick 0 300; = gear neutral, parking; "
+    "tick 1 230; = told 1",
+    # After a second, which begins anew with each motion; in gear at zero speed.
+    "held after a second of standing": "going 1; set stands:false; tick 0 300; = gear drive, told 0, unparking; "
+    "set stands:true; tick 0 100; = gear drive, told 0, unparking; tick 0; = gear drive, told 0, parking, bounds",
+    "the second begins anew": "going 1; tick 0 84; "
+    + "; ".join(f"set stands:{stands}; tick 0 99; = unparking" for stands in ("true", "false", "true")),
+    # In gear, and no speed against it.
+    **{
+        f"parked, and it stands is {stands}": f"going 1; set parked:true stands:{stands}; tick 0; = told 0, gear "
+        "drive, "
+        "parking; tick 1 50; = told 0, gear drive, parking, bounds parking"
+        for stands in ("true", "false")
+    },
+    # Only motion away from the hit side.
+    **{
+        f"{side} is hit": f"new; set {forbidden}:false; tick {toward} 200; = told 0, bounds bumper; tick "
+        f"{-toward} 300; "
+        f"= told {-toward}, bounds gear parking acceleration; tick 0 300; = told 0, bounds deceleration"
+        for side, forbidden, toward in (("front", "forward", 1), ("rear", "backward", -1))
+    },
+}
 
 
-@pytest.mark.parametrize("brake", [APPLIED, ParkingStatus.UNDEFINED])
-def test_a_hill_start_waits_for_the_feedback_of_the_brake(brake: ParkingStatus) -> None:
-    """Row 'standing: a drive command releases it, waits until the feedback says so, then ramps'."""
-    robot = going()
-    robot.tick(0.0, count=300)
-    assert robot.told.parking
-    robot.brake = brake
-    told = robot.tick(0.5, count=100)
-    assert (told.parking, told.speed_mps, told.gear) == (False, 0.0, DRIVE)
-    assert robot.motion.bounds == [Bound.PARKING]
-    robot.brake = RELEASED
-    assert robot.tick(0.5).speed_mps == pytest.approx(0.008)
-
-
-@pytest.mark.parametrize("brake", [RELEASED, ParkingStatus.UNDEFINED])
-def test_without_an_applied_brake_there_is_no_gear(brake: ParkingStatus) -> None:
-    """Row 'reversal: parking brake applied and confirmed': neither the first gear nor another one."""
-    robot = Robot()
-    robot.brake = brake
-    told = robot.tick(1.0, count=100)
-    assert (told.gear, told.parking, robot.bounds) == (NEUTRAL, True, {Bound.GEAR})
-    robot = going()
-    robot.brake = brake
-    told = robot.tick(-1.0, count=200)
-    assert (told.gear, told.parking, told.speed_mps) == (DRIVE, True, 0.0)
-
-
-def test_a_gear_that_is_not_in_gets_no_speed() -> None:
-    """Row 'reversal: the other gear, confirmed': neither at first nor where it is lost at speed."""
-    robot = Robot()
-    robot.gear = NEUTRAL
-    assert robot.tick(1.0, count=200).speed_mps == 0
-    robot = going()
-    robot.gear = NEUTRAL
-    assert robot.tick(1.0, count=100).speed_mps == 0
-    assert Bound.GEAR in robot.bounds
-    assert robot.told.gear is DRIVE
-
-
-def test_a_brake_that_does_not_read_released_at_speed_takes_the_speed() -> None:
-    """By the normal deceleration, and in gear."""
-    robot = going()
-    robot.brake = APPLIED
-    assert robot.tick(1.0).speed_mps == pytest.approx(0.988)
-    assert (robot.tick(1.0, count=100).speed_mps, robot.told.gear) == (0.0, DRIVE)
-
-
-# MotionLimits.
-
-
-@pytest.mark.parametrize(
-    ("asked_mps", "told_mps"), [(2.222, 2.222), (2.2221, 2.222), (1e308, 2.222), (-9.0, 2.222)]
-)
-def test_the_speed_limit(asked_mps: float, told_mps: float) -> None:
-    """Row 'speed limit', the chassis's highest, 2.222 m/s: at the limit unchanged, beyond it bound."""
-    robot = Robot()
-    assert robot.tick(asked_mps, count=400).speed_mps == told_mps
-    assert (Bound.SPEED in robot.motion.bounds) is (abs(asked_mps) > 2.222)
-
-
-def test_the_lower_speed_limit() -> None:
-    """Row 'speed limit: and the configured lower one'."""
-    robot = Robot(LIMITS.lowered(0.5))
-    assert robot.tick(2.0, count=400).speed_mps == 0.5
-
-
-def test_acceleration_and_deceleration() -> None:
-    """Row 'acceleration / normal deceleration: 0.8 / 1.2 m/s2', also between two speeds."""
-    robot = going()
-    assert robot.tick(2.0).speed_mps == pytest.approx(1.008)
-    assert robot.bounds == {Bound.ACCELERATION}
-    assert robot.tick(0.5).speed_mps == pytest.approx(0.996)
-    assert robot.bounds == {Bound.DECELERATION}
-    robot.tick(1.0, count=10)
-    assert robot.tick(1.0079).speed_mps == 1.0079
-    assert robot.bounds == set()
-
-
-@pytest.mark.parametrize(("seen_mps", "told_mps"), [(0.0, 1.0), (0.6, 1.1), (1.2, 1.5)])
-def test_a_robot_that_does_not_follow_is_told_no_more_and_no_less(seen_mps: float, told_mps: float) -> None:
-    """Row 'the ramp': it rises to the greatest seen speed and 0.5 m/s; above that it is held, and never cut."""
-    robot = going(1.0)
-    robot.speed_mps = seen_mps
-    assert robot.tick(1.5, count=100).speed_mps == pytest.approx(told_mps)
-    assert (Bound.FOLLOWING in robot.motion.bounds) is (told_mps < 1.5)
-
-
-@pytest.mark.parametrize(("asked_deg", "told_deg"), [(24.0, 24.0), (24.1, 24.0), (-1e308, -24.0)])
-def test_the_steering_limit(asked_deg: float, told_deg: float) -> None:
-    """Row 'steering limit: 24 deg'."""
-    robot = Robot()
-    assert robot.tick(0.0, asked_deg, count=100).angle_deg == told_deg
-    assert (Bound.STEERING in robot.motion.bounds) is (abs(asked_deg) > 24)
-
-
-def test_the_steering_rate() -> None:
-    """Row 'steering rate: 60 deg/s': 0.6 deg in a tick, to either side; a step of just that is not bound."""
-    robot = Robot()
-    assert robot.tick(0.0, 10.0).angle_deg == pytest.approx(0.6)
-    assert robot.bounds == {Bound.STEERING_RATE}
-    assert robot.tick(0.0, -10.0).angle_deg == pytest.approx(0.0)
-    assert robot.tick(0.0, 0.6).angle_deg == 0.6
-    assert robot.bounds == set()
-
-
-def test_in_a_bend_the_speed_is_reduced_and_not_the_steering() -> None:
-    """Row 'lateral acceleration: 1.5 m/s2: speed is reduced, not steering'."""
-    robot = Robot()
-    told = robot.tick(2.0, 24.0, count=500)
-    assert told.angle_deg == 24.0
-    assert told.speed_mps == pytest.approx(1.491, abs=0.001)
-    assert Bound.LATERAL_ACCELERATION in robot.motion.bounds
-
-
-def test_steering_waits_for_the_speed() -> None:
-    """Turned at speed: never beyond the lateral limit on the way, and there in the end."""
-    robot = going(2.2)
-    for _ in range(200):
-        told = robot.tick(2.2, 24.0)
-        assert told.speed_mps**2 * tan(radians(told.angle_deg)) / 0.66 <= 1.5 + 1e-9
-    assert robot.told.angle_deg == 24.0
-    robot.tick(2.2, 0.0, count=400)
-    assert robot.tick(1.0, 24.0, count=30).speed_mps > 1.4
-    assert Bound.LATERAL_ACCELERATION in robot.motion.bounds
-    robot.tick(1.4, 24.0, count=100)
-    # And turned back: the speed waits for the wheels.
-    assert robot.tick(2.2, 0.0).speed_mps < 1.5
-
-
-def test_wheels_that_are_turned_further_than_they_were_told_bound_the_speed() -> None:
-    """Row 'steering: limits use the greater of commanded and measured angle'."""
-    robot = going(2.2)
-    robot.angle_deg = -24.0
-    assert robot.tick(2.2, 0.0, count=100).speed_mps == pytest.approx(1.491, abs=0.001)
-    assert Bound.LATERAL_ACCELERATION in robot.motion.bounds
-
-
-def test_a_robot_that_is_faster_than_it_was_told_is_not_turned_further() -> None:
-    """Row 'steering: limits use the greater of commanded and measured speed'."""
-    robot = going(1.0)
-    robot.speed_mps = 2.2
-    told = robot.tick(1.0, 24.0, count=100)
-    assert told.angle_deg == pytest.approx(LIMITS.angle_at(2.2, CHASSIS.wheelbase_m))
-    assert Bound.LATERAL_ACCELERATION in robot.motion.bounds
-    robot.speed_mps = None
-    assert robot.tick(1.0, 24.0, count=100).angle_deg == 24.0
-
-
-# Standing and reversing.
-
-
-def test_standing_at_zero_command_it_stays_in_gear_and_is_held_after_a_second() -> None:
-    """Row 'standing: in gear at zero speed; after 1 s of standing the parking brake is applied by itself'."""
-    robot = going()
-    robot.stands = False
-    told = robot.tick(0.0, count=300)
-    assert (told.gear, told.speed_mps, told.parking) == (DRIVE, 0.0, False)
-    robot.stands = True
-    told = robot.tick(0.0, count=100)
-    assert (told.gear, told.speed_mps, told.parking) == (DRIVE, 0.0, False)
-    told = robot.tick(0.0)
-    assert (told.gear, told.speed_mps, told.parking) == (DRIVE, 0.0, True)
-    assert robot.bounds == set()
-
-
-def test_the_second_of_standing_begins_anew_with_each_motion() -> None:
-    """Row 'standing: after 1 s of standing'."""
-    robot = going()
-    robot.tick(0.0, count=84)
-    for stands in (True, False, True):
-        robot.stands = stands
-        assert not robot.tick(0.0, count=99).parking
+@rows(GEARS)
+def test_without_an_applied_brake_there_is_no_gear(row: str) -> None:
+    """Rows 'standing', 'reversal: parking brake applied and confirmed', 'park' and 'bumper'."""
+    move(row)
 
 
 @pytest.mark.parametrize(("sign", "before", "after"), [(1, DRIVE, REVERSE), (-1, REVERSE, DRIVE)])
@@ -278,56 +170,84 @@ def test_reversal_goes_through_standstill_behind_the_parking_brake(
     sign: int, before: GearPosition, after: GearPosition
 ) -> None:
     """Row 'reversal: standstill, parking brake applied and confirmed, neutral, the other gear, released'."""
-    robot = going(sign * 1.0)
-    robot.stands = False
-    told = robot.tick(-sign * 1.0, count=200)
-    assert (told.speed_mps, told.gear, told.parking) == (0.0, before, False)
-    assert robot.bounds == {Bound.REVERSAL, Bound.DECELERATION}
-    robot.stands, robot.brake = True, RELEASED
-    told = robot.tick(-sign * 1.0, count=50)
-    assert (told.gear, told.parking) == (before, True)
-    robot.brake = None
-    steps = [(robot.tick(-sign * 1.0).gear, robot.told.parking) for _ in range(35)]
+    robot = Robot(f"going {sign}")
+    robot.play(
+        f"set stands:false; tick {-sign} 200; = told 0, gear {before.value}, unparking, bounds reversal "
+        "deceleration; "
+        f"set stands:true brake:released; tick {-sign} 50; = gear {before.value}, parking; set brake:null"
+    )
+    steps = []
+    for _ in range(35):
+        robot.tick(str(-sign))
+        steps.append((robot.told.gear, robot.told.parking))
     assert list(dict.fromkeys(steps)) == [(before, True), (NEUTRAL, True), (after, True), (after, False)]
     counts = [steps.count((gear, True)) for gear in (before, NEUTRAL, after)]
     assert counts == [9, 10, 10], "each for 100 ms, the first from the tick on that confirms the brake"
-    robot.stands = None
-    assert robot.tick(-sign * 1.0, count=200).signed_speed_mps == -sign * 1.0
+    robot.play(f"set stands:null; tick {-sign} 200; = told {-sign}")
 
 
-def test_a_reversal_that_is_given_up_midway_stays_parked() -> None:
-    """Row 'slopes: never stands in neutral unbraked', whatever is asked next."""
-    robot = going()
-    while robot.told.gear is not NEUTRAL:
-        robot.tick(-1.0)
-    told = robot.tick(0.0, count=300)
-    assert (told.gear, told.parking) == (NEUTRAL, True)
-    assert robot.tick(1.0, count=GO_TICKS + 200).signed_speed_mps == 1.0
+BOUND = {
+    # At the limit unchanged, beyond it bound.
+    **{
+        f"{asked_mps} m/s": f"new; tick {asked_mps} 400; = told {told_mps}, {un}bound speed"
+        for asked_mps, told_mps, un in (
+            (2.222, 2.222, "un"),
+            (2.2221, 2.222, ""),
+            (1e308, 2.222, ""),
+            (-9, -2.222, ""),
+        )
+    },
+    "to other speeds": "going 1; tick 2; = told 1.008, bounds acceleration; tick 0.5; = told 0.996, bounds "
+    "deceleration; "
+    "tick 1 10; tick 1.0079; = told 1.0079, bounds",
+    # It rises to the greatest seen speed and 0.5 m/s; above that it is held, and never cut.
+    **{
+        f"seen at {seen_mps} m/s": f"going 1; set speed_mps:{seen_mps}; tick 1.5 100; = told {told_mps}, "
+        f"{un}bound following"
+        for seen_mps, told_mps, un in ((0.0, 1.0, ""), (0.6, 1.1, ""), (1.2, 1.5, "un"))
+    },
+    **{
+        f"{asked_deg} deg": f"new; tick 0 100 {asked_deg}; = angle {told_deg}, {un}bound steering"
+        for asked_deg, told_deg, un in ((24.0, 24, "un"), (24.1, 24, ""), (-1e308, -24, ""))
+    },
+    # 60 deg/s is 0.6 deg in a tick, to either side; a step of just that is not bound.
+    "the steering rate": "new; tick 0 1 10; = angle 0.6, bounds steering_rate; tick 0 1 -10; = angle 0; tick 0 1 "
+    "0.6; "
+    "= angle 0.6, bounds",
+    # The speed is reduced, and not the steering.
+    "in a bend": f"new; tick 2 500 24; = angle 24, told {LATERAL_MPS}, bound lateral_acceleration",
+}
+MEASURED = {
+    "turned further": f"going 2.2; set angle_deg:-24; tick 2.2 100; = told {LATERAL_MPS}, bound "
+    "lateral_acceleration",
+    "faster": f"going 1; set speed_mps:2.2; tick 1 100 24; = angle {LIMITS.angle_at(2.2, L_M)}, "
+    "bound lateral_acceleration; set speed_mps:null; tick 1 100 24; = angle 24",
+}
 
 
-@pytest.mark.parametrize("stands", [True, False])
-def test_the_parking_brake_is_told_at_once_when_it_is_asked_for(*, stands: bool) -> None:
-    """Row 'rolling: park is accepted at any speed while the command is zero': in gear, and no speed against it."""
-    robot = going()
-    robot.parked, robot.stands = True, stands
-    told = robot.tick(0.0)
-    assert (told.speed_mps, told.gear, told.parking) == (0.0, DRIVE, True)
-    told = robot.tick(1.0, count=50)
-    assert (told.speed_mps, told.gear, told.parking) == (0.0, DRIVE, True)
-    assert robot.bounds == {Bound.PARKING}
+@rows(BOUND)
+def test_what_bounds_the_motion(row: str) -> None:
+    """Rows 'speed limit', 'acceleration', 'the ramp', 'steering limit / rate', 'lateral acceleration'."""
+    move(row)
 
 
-@pytest.mark.parametrize("toward", [1, -1])
-def test_a_pressed_bumper_forbids_its_direction(toward: int) -> None:
-    """Row 'bumper: only motion away from the hit side'."""
-    robot = Robot()
-    robot.forward, robot.backward = toward < 0, toward > 0
-    assert robot.tick(toward * 1.0, count=200).speed_mps == 0
-    assert robot.bounds == {Bound.BUMPER}
-    assert robot.tick(-toward * 1.0, count=300).signed_speed_mps == -toward * 1.0
-    assert Bound.BUMPER not in robot.bounds
-    assert robot.tick(0.0, count=300).speed_mps == 0
-    assert Bound.BUMPER not in robot.bounds
+@rows(MEASURED)
+def test_limits_use_the_greater_of_commanded_and_measured(row: str) -> None:
+    """Row 'steering': of the angle for the speed, and of the speed for the angle."""
+    move(row)
+
+
+def test_steering_waits_for_the_speed() -> None:
+    """Turned at speed: never beyond the lateral limit on the way, and there in the end."""
+    robot = Robot("going 2.2")
+    for _ in range(200):
+        robot.tick("2.2", "1", "24")
+        assert robot.told.speed_mps**2 * tan(radians(robot.told.angle_deg)) / 0.66 <= 1.5 + 1e-9
+    robot.play("= angle 24; tick 2.2 400; tick 1 30 24; = bound lateral_acceleration")
+    assert robot.told.speed_mps > 1.4
+    # And turned back: the speed waits for the wheels.
+    robot.play("tick 1.4 100 24; tick 2.2")
+    assert robot.told.speed_mps < 1.5
 
 
 targets = st.lists(st.tuples(st.floats(-4, 4), st.floats(-40, 40), st.integers(1, 60)), min_size=1, max_size=8)
@@ -342,14 +262,17 @@ def test_every_step_is_within_every_limit(
 ) -> None:
     """Whatever is asked in whatever order, and whatever standstill and brake read."""
     robot = Robot()
-    before = robot.tick(0.0)
+    robot.tick("0")
+    before = robot.told
     for number, (speed_mps, angle_deg, ticks) in enumerate(targets):
-        robot.stands, robot.brake = feedback[number % len(feedback)]
+        seen = dict(zip(("stands", "brake"), feedback[number % len(feedback)], strict=True))
+        robot.changes = {name: value for name, value in seen.items() if value is not None}
         for _ in range(ticks):
-            told = robot.tick(speed_mps, angle_deg)
+            robot.tick(str(speed_mps), "1", str(angle_deg))
+            told = robot.told
             change_mps = told.signed_speed_mps - before.signed_speed_mps
             away = abs(told.signed_speed_mps) > abs(before.signed_speed_mps)
-            assert abs(change_mps) <= (0.8 if away else 1.2) * DT_S + 1e-12
+            assert abs(change_mps) <= (0.8 if away else 1.2) * 0.01 + 1e-12
             assert abs(told.angle_deg - before.angle_deg) <= 0.6 + 1e-9
             assert abs(told.angle_deg) <= 24
             assert told.speed_mps <= 2.222
@@ -365,9 +288,93 @@ def test_every_step_is_within_every_limit(
 
 @given(speed_mps=st.floats(-2.222, 2.222), share=st.floats(-0.999, 0.999))
 def test_what_is_within_the_limits_is_reached_unchanged(speed_mps: float, share: float) -> None:
-    """To the last bit, and nothing is told to have bound it."""
-    angle_deg = share * LIMITS.angle_at(speed_mps, CHASSIS.wheelbase_m)
+    """To the last bit, and nothing is told to have bound it. Both limits are the same rule, whatever the speed."""
+    limit_deg = LIMITS.angle_at(speed_mps, L_M)
+    assert 0 < limit_deg <= 24
+    assert abs(speed_mps) <= LIMITS.speed_at(limit_deg, L_M) * (1 + 1e-9)
     robot = Robot()
-    told = robot.tick(speed_mps, angle_deg, count=450)
-    assert (told.signed_speed_mps, told.angle_deg) == (speed_mps, angle_deg)
+    robot.tick(repr(speed_mps), "450", repr(share * limit_deg))
+    assert (robot.told.signed_speed_mps, robot.told.angle_deg) == (speed_mps, share * limit_deg)
     assert robot.motion.bounds == []
+
+
+# The limits in force.
+
+
+@pytest.mark.parametrize(
+    ("settings", "limits"),
+    [
+        (CommandSettings(), MotionLimits(1.0, 0.8, 1.2, 2.0, 24.0, 60.0, 1.5)),
+        # Whatever the settings say, a graver stop is no slower.
+        (
+            CommandSettings(deceleration_mps2=1.5, emergency_deceleration_mps2=0.5),
+            MotionLimits(1.0, 0.8, 1.5, 1.5, 24.0, 60.0, 1.5),
+        ),
+    ],
+)
+def test_the_start_values_are_those_of_the_table(settings: CommandSettings, limits: MotionLimits) -> None:
+    """Rows 'speed limit', 'acceleration / normal / emergency deceleration', 'steering limit / rate', 'lateral'."""
+    assert MotionLimits.of(settings) == limits
+
+
+@pytest.mark.parametrize(
+    ("asked_mps", "limit_mps"), [(None, 2.222), (3.0, 2.222), (2.222, 2.222), (1.0, 1.0), (0.0, 0.0), (-1.0, 0.0)]
+)
+def test_limits_scale_down_never_up(asked_mps: float | None, limit_mps: float) -> None:
+    """At run time."""
+    assert LIMITS.lowered(asked_mps).speed_mps == limit_mps
+
+
+def test_the_lateral_limit() -> None:
+    """Row 'lateral acceleration v^2 tan(angle)/0.660: 1.5 m/s2': at full lock 1.491 m/s."""
+    assert LIMITS.speed_at(24, L_M) == LIMITS.speed_at(-24, L_M) == pytest.approx(LATERAL_MPS)
+    assert pytest.approx(1.491, abs=0.001) == LATERAL_MPS
+    assert LIMITS.speed_at(0, L_M) == LIMITS.speed_at(5e-324, L_M) == 2.222
+    assert LIMITS.angle_at(2.222, L_M) == LIMITS.angle_at(-2.222, L_M) == pytest.approx(11.34, abs=0.01)
+    assert LIMITS.angle_at(0, L_M) == 24
+
+
+# Three ways to say a bend.
+
+
+def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any field
+    """A command with this bend."""
+    return Drive(lease=1, seq=1, challenge=bytes(8), speed_mps=speed_mps, **asked)
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        # 2 m radius, to the left; backward it turns the other way.
+        (drive(angle_deg=degrees(atan(0.66 / 2))), degrees(atan(0.66 / 2))),
+        (drive(curvature_1pm=0.5), degrees(atan(0.66 / 2))),
+        (drive(yaw_rate_radps=0.5), degrees(atan(0.66 / 2))),
+        (drive(-2.0, yaw_rate_radps=-1.0), degrees(atan(0.66 / 2))),
+        (drive(0.0, yaw_rate_radps=0.0), 0.0),
+        # None, two, or one that no robot can drive.
+        (drive(), "exactly one"),
+        (drive(angle_deg=0.0, curvature_1pm=0.0), "exactly one"),
+        (drive(angle_deg=0.0, yaw_rate_radps=0.0), "exactly one"),
+        (drive(curvature_1pm=0.0, yaw_rate_radps=0.0), "exactly one"),
+        (drive(0.0, yaw_rate_radps=0.1), "on the spot"),
+        (drive(5e-324, yaw_rate_radps=1e300), "too tight"),
+    ],
+)
+def test_three_ways_to_say_a_bend(asked: Drive, says: float | str) -> None:
+    """The bicycle model with a wheelbase of 0.660 m."""
+    told = steering_angle_deg(asked, L_M)
+    if isinstance(says, str):
+        assert isinstance(told, str)
+        assert says in told
+    else:
+        assert told == pytest.approx(says)
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(speed_mps=numbers, bend=numbers, name=st.sampled_from(["angle_deg", "curvature_1pm", "yaw_rate_radps"]))
+def test_no_finite_numbers_raise(speed_mps: float, bend: float, name: str) -> None:
+    """An angle that is asked for as a bend is within a right angle."""
+    told = steering_angle_deg(drive(speed_mps, **{name: bend}), L_M)
+    assert isinstance(told, str) or name == "angle_deg" or abs(told) <= 90

@@ -1,61 +1,24 @@
-"""What is ruled on each verb.
+"""What is ruled on each verb, in open and in signed mode. Rows are those of ``ArbiterRig``."""
 
-The rows of the tables are steps (see ``ArbiterRig.play``), of which the last one is ruled on; the ruling's reason;
-and what else the ruling holds. What is refused changes nothing.
-"""
-
-from itertools import pairwise
-from math import inf, nan
-from typing import Any
+from itertools import pairwise, product
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.command.rulings import RawRequest, Ruling
-from schemas.cruiser import SPEED_TOP_MPS
+from gateway.command.rulings import Credentials
 from schemas.decisions import ArbiterState, Bound, EventKind
-from schemas.messages import GearPosition, Mode, Variant
-from schemas.reasons import TEXTS, Reason
-from schemas.settings import CommandSettings
-from schemas.subjects import COMMANDS, Asking, Command
+from schemas.reasons import Reason
+from schemas.subjects import BY_VERB, COMMANDS, Asking, Command
 from tests.support.requests import LEASED, REQUESTS
-from tests.support.rigs.arbiter import MS, ArbiterRig, Step, engaged
+from tests.support.rigs.arbiter import ArbiterRig, begun, play
+from tests.support.rigs.steps import rows
 
-Row = tuple[tuple[Step, ...], Reason] | tuple[tuple[Step, ...], Reason, dict[str, Any]]
-Table = dict[str, Row]
-ENGAGED: tuple[Step, ...] = ("acquire", "engage", 2, 0.0, "unpark")
-LATCHED: tuple[Step, ...] = ("acquire", "stop", 60)
-ENGAGING: tuple[Step, ...] = ("acquire", {"mode": Mode.STOP, "gear": GearPosition.NEUTRAL}, "engage")
-
-
-def rows(table: Table) -> pytest.MarkDecorator:
-    """The table's rows, under their names."""
-    whole = [(row[0], row[1], row[2] if len(row) > 2 else {}) for row in table.values()]
-    return pytest.mark.parametrize(("steps", "reason", "said"), whole, ids=table)
-
-
-def rule(steps: tuple[Step, ...], reason: Reason, said: dict[str, Any]) -> tuple[ArbiterRig, Ruling]:
-    """Take the steps; the last one is ruled so, and changes nothing if it is refused."""
-    bench = ArbiterRig(CommandSettings(speed_limit_mps=SPEED_TOP_MPS, lease_s=10.0))
-    bench.play(*steps[:-1])
-    before = (bench.arbiter.state, bench.arbiter.setpoint.target, dict(bench.arbiter.latches.details))
-    ruling = bench.play(steps[-1])
-    assert ruling is not None
-    assert ruling.reason is reason, ruling
-    assert {name: getattr(ruling, name) for name in said} == said
-    after = (bench.arbiter.state, bench.arbiter.setpoint.target, dict(bench.arbiter.latches.details))
-    assert reason is Reason.NONE or after == before
-    return bench, ruling
-
-
-def stopped(bench: ArbiterRig) -> None:
-    """Let a stop that is under way end; the lease is kept."""
-    for _ in range(6):
-        bench.ask("renew")
-        bench.tick(count=100)
-
+ENGAGED = "engaged lease_s:10"
+MOVING = "engaged lease_s:10; drive 1 30"
+ENGAGING = "ready lease_s:10; acquire; see mode:stop gear:neutral; engage"
+LATCHED = "ready lease_s:10; acquire; stop; tick 60"
 
 # The request itself.
 
@@ -63,81 +26,59 @@ def stopped(bench: ArbiterRig) -> None:
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_a_verb_is_asked_for_in_its_own_way(command: Command) -> None:
     """A query where it is one, a put where it is one; stop either way."""
-    bench = ArbiterRig()
     wrong = 0 if command.asking is Asking.QUERY else 1
-    ruling = bench.send(command.verb, b"\x80", handle=wrong)
+    ruling = ArbiterRig().send(command.verb, b"\x80", handle=wrong)
     if command.verb == "stop":
         assert ruling.reason is Reason.NONE
     else:
-        assert ruling.reason is Reason.UNKNOWN_VERB
-        assert ruling.detail == f"'{command.verb}' as a {'query' if wrong else 'put'}"
-
-
-def test_what_is_no_verb_is_refused() -> None:
-    """And repeated in no more than 32 plain characters."""
-    ruling = ArbiterRig().send("ä" * 99, b"")
-    assert ruling.reason is Reason.UNKNOWN_VERB
-    assert len(ruling.detail) < 32 * 4 + 14
+        words = f"'{command.verb}' as a {'query' if wrong else 'put'}"
+        assert (ruling.reason, ruling.detail) == (Reason.UNKNOWN_VERB, words)
 
 
 @pytest.mark.parametrize(
-    ("size", "reason"), [(1024, Reason.NONE), (1025, Reason.TOO_LARGE), (10**7, Reason.TOO_LARGE)]
-)
-def test_no_request_is_larger_than_a_kilobyte(size: int, reason: Reason) -> None:
-    """It is not even read."""
-    assert ArbiterRig().send("acquire", b"\x80", size=size).reason is reason
-
-
-@pytest.mark.parametrize(
-    "payload",
+    ("verb", "payload", "size", "reason", "most"),
     [
-        b"\xc1",
-        b"\x81",
-        msgspec.msgpack.encode([1, 2]),
-        msgspec.msgpack.encode({"role": "king"}),
-        msgspec.msgpack.encode({"more": 1}),
-        b"\x91" * 1000,
+        ("ä" * 99, b"", None, Reason.UNKNOWN_VERB, 32 * 4 + 14),
+        ("acquire", b"\x80", 1024, Reason.NONE, 0),
+        ("acquire", b"\x80", 1025, Reason.TOO_LARGE, 200),
+        ("acquire", b"\x80", 10**7, Reason.TOO_LARGE, 200),
+        *(
+            ("acquire", payload, None, Reason.MALFORMED, 200)
+            for payload in (
+                *(b"\xc1", b"\x81", b"\x91" * 1000),
+                *map(msgspec.msgpack.encode, ([1, 2], {"role": "king"}, {"more": 1})),
+            )
+        ),
     ],
 )
-def test_bytes_that_are_no_request_are_refused(payload: bytes) -> None:
-    """With why, in no more than 200 characters; and nothing is changed."""
-    bench = ArbiterRig()
-    ruling = bench.send("acquire", payload)
-    assert ruling.reason is Reason.MALFORMED
-    assert 0 < len(ruling.detail) <= 200
-    assert bench.arbiter.leases.held is None
-
-
-def test_an_operator_without_a_name_may_only_stop() -> None:
-    """The router binds the chunk to a certificate; one that is not of its form is nobody."""
-    bench = ArbiterRig()
-    assert bench.send("acquire", b"\x80", "").reason is Reason.MALFORMED
-    assert bench.send("stop", b"", "").reason is Reason.NONE
-    assert bench.told(EventKind.LATCH)[0].text.endswith("by an unnamed operator")
+def test_what_is_no_request_is_refused(
+    verb: str, payload: bytes, size: int | None, reason: Reason, most: int
+) -> None:
+    """With why, in few characters; a request of more than a kilobyte is not even read."""
+    rig = ArbiterRig()
+    ruling = rig.send(verb, payload, size=size)
+    assert ruling.reason is reason
+    assert min(1, most) <= len(ruling.detail) <= most
+    assert (rig.arbiter.leases.held is None) is (reason is not Reason.NONE)
 
 
 @pytest.mark.parametrize("command", LEASED, ids=lambda command: command.verb)
 def test_every_other_verb_wants_the_lease_in_force(command: Command) -> None:
-    """Row 'lease: exclusive'."""
-    bench = engaged()
-    fields = REQUESTS[command.verb] | {"lease": bench.lease + 1}
-    payload = msgspec.msgpack.encode(fields)
+    """Row 'lease: exclusive'; and what only an engaged robot does is refused before."""
+    rig = begun("engaged")
+    fields = REQUESTS[command.verb] | {"lease": rig.lease + 1}
     handle = int(command.asking is Asking.QUERY)
-    ruling = bench.send(command.verb, payload, handle=handle)
-    assert (ruling.reason, ruling.lease) == (Reason.NO_LEASE, bench.lease + 1)
-    own = msgspec.msgpack.encode(fields | {"lease": bench.lease})
-    assert bench.send(command.verb, own, "second", handle=handle).reason is Reason.NO_LEASE
-    assert bench.arbiter.state is ArbiterState.ENGAGED
-
-
-@pytest.mark.parametrize("command", [one for one in LEASED if one.engaged_only], ids=lambda command: command.verb)
-def test_what_only_an_engaged_robot_does_is_refused_before(command: Command) -> None:
-    """Frames go out only together with the five."""
-    bench = ArbiterRig()
-    bench.ask("acquire")
-    ruling = bench.send(command.verb, msgspec.msgpack.encode(REQUESTS[command.verb] | {"lease": bench.lease}))
-    assert ruling.reason is Reason.NOT_ENGAGED
-    assert bench.tick().auxiliary == []
+    ruling = rig.send(command.verb, msgspec.msgpack.encode(fields), handle=handle)
+    assert (ruling.reason, ruling.lease) == (Reason.NO_LEASE, rig.lease + 1)
+    own = msgspec.msgpack.encode(fields | {"lease": rig.lease})
+    assert rig.send(command.verb, own, "second", handle=handle).reason is Reason.NO_LEASE
+    assert rig.arbiter.state is ArbiterState.ENGAGED
+    if command.engaged_only:
+        rig = begun("ready")
+        rig.ask("acquire")
+        own = msgspec.msgpack.encode(fields | {"lease": rig.lease})
+        assert rig.send(command.verb, own).reason is Reason.NOT_ENGAGED
+        assert rig.tick().auxiliary == []
 
 
 @given(
@@ -145,494 +86,374 @@ def test_what_only_an_engaged_robot_does_is_refused_before(command: Command) -> 
 )
 def test_no_bytes_raise_or_move(verb: str, payload: bytes, put: bool) -> None:  # noqa: FBT001
     """Any bytes on any command key get a typed refusal, and change nothing."""
-    bench = ArbiterRig()
-    ruling = bench.send(verb, payload, handle=0 if put else 1)
-    assert isinstance(ruling.reason, Reason)
-    assert bench.arbiter.state is ArbiterState.STANDBY
+    rig = ArbiterRig()
+    assert isinstance(rig.send(verb, payload, handle=0 if put else 1).reason, Reason)
+    assert rig.arbiter.state is ArbiterState.STANDBY
 
 
 # The lease.
 
-
-LEASES: Table = {
-    "held by another": (
-        ("acquire", 49, "acquire by second"),
-        Reason.LEASE_HELD,
-        {"detail": "by first, expires in 9.5 s"},
-    ),
-    "taken from a robot that moves": ((*ENGAGED, *[1.0] * 30, "take by second"), Reason.MOVING),
-    "taken with a lower role": (
-        (*ENGAGED, *[1.0] * 30, ("take by second", {"override": True, "role": "program"})),
-        Reason.ROLE_TOO_LOW,
-        {"detail": "first holds it as operator"},
-    ),
-    "given back and used": ((*ENGAGED, "release", 0.0), Reason.LEASE_RELEASED),
-    "a reset keeps it": (("acquire", 800, "reset", 400, 0.0), Reason.NOT_ENGAGED),
-    "a drive that is not engaged keeps it": (("acquire", 800, 0.0, 400, "renew"), Reason.NONE),
-    "renewed": (("acquire", 800, "renew", 400, "renew"), Reason.NONE, {"expires_ns": 10_000 * MS}),
-    "about to expire": (("acquire", 998, 0.0), Reason.NOT_ENGAGED),
-    "expired": (("acquire", 999, 0.0), Reason.LEASE_EXPIRED),
+LEASES = {
+    "two seconds": "ready; acquire; = lasts 2",
+    "without a name one may only stop": "ready; acquire by nobody; = refused malformed; stop by nobody; = ruled "
+    "none; "
+    "text latch by an unnamed operator",
+    "held by another": "ready lease_s:10; acquire; tick 49; acquire by second; = refused lease_held; "
+    "detail by first, expires in 9.5 s",
+    "taken from a robot that moves": f"{MOVING}; take by second; = refused moving",
+    "taken with a lower role": f"{MOVING}; take by second override:true role:program; = refused role_too_low; "
+    "detail first holds it as operator",
+    "given back and used": f"{ENGAGED}; release; drive; = refused lease_released",
+    "a reset keeps it": "ready lease_s:10; acquire; tick 800; reset; tick 400; drive; = refused not_engaged",
+    "a drive that is not engaged keeps it": "ready lease_s:10; acquire; tick 800; drive; tick 400; renew; = "
+    "ruled none",
+    "renewed": "ready lease_s:10; acquire; tick 800; renew; tick 400; renew; = ruled none, lasts 10",
+    "about to expire": "ready lease_s:10; acquire; tick 998; drive; = refused not_engaged",
+    "expired": "ready lease_s:10; acquire; tick 999; drive; = ruled lease_expired",
+    # Its end stops the robot, also one that is being engaged; the events name who lost it and who has it.
+    "given back": f"{ENGAGED}; release; = ruled none, stopping, for lease_released, by lease first; "
+    "text lease first gave the lease back",
+    "given back while engaging": f"{ENGAGING}; release; = stopping, for lease_released, by lease first",
+    "taken": f"{MOVING}; take by second override:true; = held second, stopping, for lease_taken, by lease second, "
+    "events lease none lease_taken none; text lease second has taken the lease as operator",
+    "taken while engaging": f"{ENGAGING}; take; = held first, stopping, for lease_taken",
+    "it expires": "engaged lease_s:0.5 deadman_s:0.5; tick 52; = stopping, for lease_expired, by lease first, "
+    "by stop first",
+    # Nothing is stopped that is not told anything; what nobody holds is acquired.
+    "taken in standby": "ready; take by second role:program; = ruled none; "
+    "text lease second has acquired the lease as program; take; = ruled none, standby",
 }
 
 
 @rows(LEASES)
-def test_who_has_the_lease(steps: tuple[Step, ...], reason: Reason, said: dict[str, Any]) -> None:
+def test_who_has_the_lease(row: str) -> None:
     """Rows 'lease' and 'take': exclusive, renewed by what its holder sends, and taken from a robot that stands."""
-    rule(steps, reason, said)
-    assert reason is not Reason.MOVING or "--take --override" in TEXTS[reason].cure
-
-
-def test_a_lease_is_of_two_seconds() -> None:
-    """Row 'lease: 2 s'."""
-    assert ArbiterRig().ask("acquire").expires_ns == 2_000 * MS
-
-
-TAKEN = ("take by second", {"override": True})
-LOST = ("second took the lease from first", "second has taken the lease as operator")
-
-
-@pytest.mark.parametrize(
-    ("steps", "reason", "told"),
-    [
-        ((*ENGAGED, "release"), Reason.LEASE_RELEASED, ("first gave the lease back",)),
-        ((*ENGAGED, *[1.0] * 30, TAKEN), Reason.LEASE_TAKEN, LOST),
-        ((*ENGAGING, "take"), Reason.LEASE_TAKEN, ()),
-        ((*ENGAGING, "release"), Reason.LEASE_RELEASED, ("first gave the lease back",)),
-    ],
-)
-def test_the_end_of_a_lease_stops_the_robot(
-    steps: tuple[Step, ...], reason: Reason, told: tuple[str, ...]
-) -> None:
-    """Also of one that is being engaged; the events name who lost it and who has it."""
-    bench, _ = rule(steps, Reason.NONE, {})
-    assert (bench.arbiter.state, bench.arbiter.engagement.stop_reason) == (ArbiterState.STOPPING, reason)
-    events = bench.told(EventKind.LEASE)
-    assert events[0].text == "first has acquired the lease as operator"
-    assert not told or [event.text for event in events[-len(told) :]] == [*told]
-    assert not told or events[-len(told)].operator == "first"
-    assert events[-1].operator == ("second" if told == LOST else "first")
-
-
-def test_a_lease_that_expires_stops_the_robot() -> None:
-    """Row 'lease: expires'; the event names who lost it."""
-    bench = engaged(lease_s=0.5, deadman_s=0.5)
-    bench.tick(count=52)
-    assert bench.arbiter.state is ArbiterState.STOPPING
-    assert bench.arbiter.engagement.stop_reason is Reason.LEASE_EXPIRED
-    assert (bench.told(EventKind.LEASE)[-1].operator, bench.told(EventKind.STOP)[-1].operator) == (
-        "first",
-        "first",
-    )
-
-
-def test_take_of_a_standing_robot_in_standby() -> None:
-    """Nothing is stopped that is not told anything; what nobody holds is acquired."""
-    bench = ArbiterRig()
-    assert bench.ask("take", "second", role="program").reason is Reason.NONE
-    assert bench.told(EventKind.LEASE)[-1].text == "second has acquired the lease as program"
-    assert bench.ask("take", "first").reason is Reason.NONE
-    assert bench.arbiter.state is ArbiterState.STANDBY
+    play(row)
 
 
 # Engage.
 
 
-def seen(**changes: object) -> tuple[Step, ...]:
+def refused(seen: str, reason: str, detail: str = "") -> str:
     """It is asked to engage a tick after the chassis shows this."""
-    return ("acquire", changes, 1, "engage")
+    return f"ready; acquire; see {seen}; tick; engage; = refused {reason}" + f"; detail {detail}" * bool(detail)
 
 
-ENGAGE: Table = {
-    "no bus": (seen(bus_up=False), Reason.BUS_DOWN),
-    "no guard": (seen(guarded=False), Reason.UNGUARDED),
-    "remote control": (seen(mode=Mode.REMOTE), Reason.HAND_TRANSMITTER),
-    "another computer": (seen(commander_ns=80 * MS), Reason.OTHER_COMMANDER),
-    "silent feedback": (
-        seen(missing=("Auto_GearFeedBack", "Auto_LightFeedback")),
-        Reason.FEEDBACK_MISSING,
-        {"detail": "Auto_GearFeedBack, Auto_LightFeedback"},
+ENGAGE = {
+    "no bus": refused("bus_up:false", "bus_down"),
+    "no guard": refused("guarded:false", "unguarded"),
+    "remote control": refused("mode:remote", "hand_transmitter"),
+    "another computer": refused("commander_ns:80000000", "other_commander"),
+    "silent feedback": refused(
+        "missing:Auto_GearFeedBack+Auto_LightFeedback", "feedback_missing", "Auto_GearFeedBack, Auto_LightFeedback"
     ),
-    "faulty feedback": (seen(faulty=("Auto_GearFeedBack",)), Reason.FEEDBACK_FAULTY),
-    "unknown scale": (seen(variant=Variant.UNKNOWN), Reason.VARIANT_UNKNOWN),
-    "unconfirmed scale": (seen(confirmed=False), Reason.VARIANT_UNKNOWN),
-    "moving": (seen(speed_mps=0.1), Reason.MOVING),
-    "moving by a wheel": (seen(fastest_wheel_mps=0.1), Reason.MOVING),
-    "bumper": (seen(front_bumper=True), Reason.FRONT_BUMPER),
-    "the guard sends": (seen(guard_sends=True), Reason.GUARD),
-    "several, the gravest first": (
-        ("acquire", "stop by second", *seen(mode=Mode.REMOTE, faulty=("Auto_GearFeedBack",), speed_mps=1.0)[1:]),
-        Reason.REMOTE_STOP,
-        {"detail": "and hand_transmitter, feedback_faulty"},
-    ),
-    "a link at the limit": (
-        (200, "acquire", ("engage", {"challenge": 100})),
-        Reason.NONE,
-        {"detail": "", "age_ns": 1_000 * MS},
-    ),
-    "a link too slow": (
-        (200, "acquire", ("engage", {"challenge": 101})),
-        Reason.LINK_TOO_SLOW,
-        {"detail": "1010 ms, at most 1000 ms", "age_ns": 1_010 * MS},
-    ),
-    "a challenge forgotten": (
-        (200, "acquire", ("engage", {"challenge": 500})),
-        Reason.CHALLENGE_UNKNOWN,
-        {"detail": "", "age_ns": None},
-    ),
-    "a challenge to come": (
-        (200, "acquire", ("engage", {"challenge": -5})),
-        Reason.CHALLENGE_UNKNOWN,
-        {"detail": "", "age_ns": None},
-    ),
-    "a command of 280 ms ago": (("acquire", 0.1, 28, "engage"), Reason.COMMAND_NOT_ZERO),
-    "a command of 290 ms ago": (("acquire", 0.1, 29, "engage"), Reason.COMMAND_NOT_ZERO),
-    "a command of 310 ms ago": (("acquire", 0.1, 31, "engage"), Reason.NONE),
-    "a command of zero": (("acquire", 0.0, 1, "engage"), Reason.NONE),
-    "a limit of 0": (("acquire", ("engage", {"speed_limit_mps": 0.0})), Reason.MALFORMED),
-    "a limit below 0": (("acquire", ("engage", {"speed_limit_mps": -1.0})), Reason.MALFORMED),
-    "no deadman": (("acquire", ("engage", {"deadman_s": 0.0})), Reason.MALFORMED),
-    "a short deadman": (("acquire", ("engage", {"deadman_s": 0.04})), Reason.MALFORMED),
-    "a long deadman": (("acquire", ("engage", {"deadman_s": 1.01})), Reason.MALFORMED),
-    "a deadman below 0": (("acquire", ("engage", {"deadman_s": -1.0})), Reason.MALFORMED),
-    "engaging": ((*ENGAGING, "engage"), Reason.ENGAGING),
-    "engaged": ((*ENGAGED, "engage"), Reason.ALREADY_ENGAGED),
-    "stopping": ((*ENGAGED, "disengage", "engage"), Reason.STOPPING),
+    "faulty feedback": refused("faulty:Auto_GearFeedBack", "feedback_faulty"),
+    "unknown scale": refused("variant:unknown", "variant_unknown"),
+    "unconfirmed scale": refused("confirmed:false", "variant_unknown"),
+    "moving": refused("speed_mps:0.1", "moving"),
+    "moving by a wheel": refused("fastest_wheel_mps:0.1", "moving"),
+    "bumper": refused("front_bumper:true", "front_bumper"),
+    "the guard sends": refused("guard_sends:true", "guard"),
+    "several, the gravest first": "ready; acquire; stop by second; see mode:remote faulty:Auto_GearFeedBack "
+    "speed_mps:1; tick; engage; = refused remote_stop; detail and hand_transmitter, feedback_faulty",
+    "a link at the limit": "ready; tick 200; acquire; engage challenge:100; = pending, engaging, age 1000",
+    "a link too slow": "ready; tick 200; acquire; engage challenge:101; = refused link_too_slow, age 1010; "
+    "detail 1010 ms, at most 1000 ms",
+    "a challenge forgotten": "ready; tick 200; acquire; engage challenge:500; = refused challenge_unknown, age "
+    "none",
+    "a challenge to come": "ready; tick 200; acquire; engage challenge:-5; = refused challenge_unknown, age none",
+    "a command of 290 ms ago": "ready; acquire; drive 0.1; tick 29; engage; = refused command_not_zero",
+    "a command of 310 ms ago": "ready; acquire; drive 0.1; tick 31; engage; = pending, engaging",
+    "a command of zero": "ready; acquire; drive; tick; engage; = pending, engaging",
+    **{
+        asked: f"ready; acquire; engage {asked}; = refused malformed"
+        for asked in (
+            *("speed_limit_mps:0.0", "speed_limit_mps:-1.0", "deadman_s:0.0", "deadman_s:0.04"),
+            *("deadman_s:1.01", "deadman_s:-1.0"),
+        )
+    },
+    "engaging": f"{ENGAGING}; engage; = refused engaging",
+    "engaged": f"{ENGAGED}; engage; = refused already_engaged",
+    "stopping": f"{ENGAGED}; disengage; engage; = refused stopping",
+    # Limits scale down, never up, at run time.
+    **{
+        f"a limit of {asked} m/s": f"ready; acquire; engage speed_limit_mps:{asked}; = pending, limit {limit_mps}"
+        for asked, limit_mps in ((0.5, 0.5), (9.0, 2.222), ("null", 2.222))
+    },
+    # The configured deadman is the least.
+    **{
+        f"a deadman of {asked}": f"ready; acquire; engage deadman_s:{asked}; tick 2; drive; tick {ticks - 1}; "
+        "= engaged; tick; = for deadman"
+        for asked, ticks in (("null", 31), (0.1, 31), (0.8, 81), (1.0, 101))
+    },
+    "disengage": "driving 0.5 100; disengage; = ruled none, stopping, told 0.488; disengage; = ruled none, "
+    "told 0.476, latched; hold 600; disengage; = refused not_engaged",
+    **{
+        f"barred by {reason}": f"ready signed:true; bar {reason} the file x is missing; acquire; engage; "
+        f"= refused {reason}; detail the file x is missing; bar; engage; = pending"
+        for reason in ("unauthenticated", "self_test")
+    },
 }
 
 
 @rows(ENGAGE)
-def test_engage_wants_all_of_the_table(steps: tuple[Step, ...], reason: Reason, said: dict[str, Any]) -> None:
+def test_engage_wants_all_of_the_table(row: str) -> None:
     """Row 'engage: lease held, every feedback seen and fresh, variant confirmed, mode not remote, no latch'.
 
     And a command of zero in the last 300 ms, a link that is fast enough, and limits that are some.
     """
-    bench, ruling = rule(steps, reason, said)
-    if reason is Reason.NONE:
-        assert ruling.is_pending
-        assert bench.arbiter.state is ArbiterState.ENGAGING
-
-
-@pytest.mark.parametrize(("limit_mps", "in_force_mps"), [(0.5, 0.5), (9.0, 2.222), (None, 2.222)])
-def test_engage_may_lower_the_speed_limit(limit_mps: float | None, in_force_mps: float) -> None:
-    """Limits scale down, never up, at run time."""
-    bench, _ = rule(("acquire", ("engage", {"speed_limit_mps": limit_mps})), Reason.NONE, {"is_pending": True})
-    assert bench.arbiter.setpoint.limits.speed_mps == in_force_mps
-
-
-def test_disengage() -> None:
-    """Row 'disengage: controlled stop, no latch'; where nothing is engaged, it says so."""
-    bench = engaged()
-    bench.drive_for(100, 0.5)
-    assert bench.ask("disengage").reason is Reason.NONE
-    assert bench.arbiter.state is ArbiterState.STOPPING
-    assert bench.ask("disengage").reason is Reason.NONE
-    assert bench.arbiter.output.actuation is not None
-    assert bench.arbiter.output.actuation.speed_mps == pytest.approx(0.5 - 0.024)
-    assert bench.arbiter.latches.details == {}
-    stopped(bench)
-    assert bench.ask("disengage").reason is Reason.NOT_ENGAGED
+    play(row)
 
 
 # Reset.
 
-
-HIT_TWICE: tuple[Step, ...] = ("acquire", {"front_bumper": True}, 60, {}, 30, {"front_bumper": True}, 1, "reset")
-NOT_SEEN = {"detail": "it was made before this was to be seen"}
-RESET: Table = {
-    "at rest": ((*LATCHED, "reset"), Reason.NONE, {"detail": "remote_stop"}),
-    "stopping": ((*ENGAGED, "stop by second", "reset"), Reason.STOPPING),
-    "moving": ((*LATCHED, {"speed_mps": 0.1}, 1, "reset"), Reason.MOVING),
-    "the guard sends": ((*LATCHED, {"guard_sends": True}, 1, "reset"), Reason.GUARD),
-    "silent feedback": ((*LATCHED, {"missing": ("Auto_GearFeedBack",)}, 1, "reset"), Reason.FEEDBACK_MISSING),
-    "unknown scale": ((*LATCHED, {"variant": Variant.UNKNOWN}, 1, "reset"), Reason.VARIANT_UNKNOWN),
-    "a command": ((*LATCHED, 1.0, "reset"), Reason.COMMAND_NOT_ZERO),
-    "a command of zero": ((*LATCHED, 1.0, 0.0, "reset"), Reason.NONE),
-    "490 ms after the latch": (("acquire", "stop", 48, "reset"), Reason.REMOTE_STOP),
-    "500 ms after the latch": (("acquire", "stop", 49, "reset"), Reason.NONE),
-    "a challenge of now": ((*LATCHED, 140, ("reset", {"challenge": 0})), Reason.NONE),
-    "a challenge of 1 s ago": ((*LATCHED, 140, ("reset", {"challenge": 100})), Reason.NONE),
-    "a challenge older than 1 s": ((*LATCHED, 140, ("reset", {"challenge": 101})), Reason.TOO_OLD, NOT_SEEN),
-    "a challenge forgotten": ((*LATCHED, 140, ("reset", {"challenge": 500})), Reason.CHALLENGE_UNKNOWN, NOT_SEEN),
-    "a challenge after the latch": ((*LATCHED, ("reset", {"challenge": 61})), Reason.NONE),
-    "a challenge before the latch": ((*LATCHED, ("reset", {"challenge": 62})), Reason.REMOTE_STOP),
-    "nothing latched": (("acquire", 60, ("reset", {"challenge": 20})), Reason.NONE),
-    "a bumper hit again": (HIT_TWICE, Reason.FRONT_BUMPER),
-    "a bumper held down": ((*HIT_TWICE, 60, "reset"), Reason.NONE),
+UNSEEN = "detail it was made before this was to be seen"
+HIT_TWICE = "ready; acquire; see front_bumper:true; tick 60; see; tick 30; see front_bumper:true; tick; reset"
+STOPPERS = [
+    ("first", "", ""),
+    ("second", "", "second"),
+    ("second", "third", "second"),
+    ("second", "second", ""),
+    ("second first", "", "second"),
+    ("second third", "second", "third"),
+    ("second third", "third", ""),
+    ("third second third", "third", ""),
+    ("a b c d e f first", "f", ""),
+    ("nobody", "", "an unnamed operator"),
+    ("nobody", "an_unnamed_operator", ""),
+]
+RESET = {
+    "at rest": f"{LATCHED}; reset; = ruled none, latched, own; detail remote_stop; text reset reset: remote_stop",
+    "stopping": f"{ENGAGED}; stop by second; reset; = refused stopping, own",
+    **{
+        seen: f"{LATCHED}; see {seen}; tick; reset; = refused {reason}, own"
+        for seen, reason in [
+            ("speed_mps:0.1", "moving"),
+            ("guard_sends:true", "guard"),
+            ("missing:Auto_GearFeedBack", "feedback_missing"),
+            ("variant:unknown", "variant_unknown"),
+        ]
+    },
+    "a command": f"{LATCHED}; drive 1; reset; = refused command_not_zero",
+    "a command of zero": f"{LATCHED}; drive 1; drive; reset; = ruled none, latched",
+    # One that comes at once may have been on its way when the stop came. The rig's challenges are a tick late.
+    "490 ms after the latch": "ready; acquire; stop; tick 48; reset; = refused remote_stop, own",
+    "500 ms after the latch": "ready; acquire; stop; tick 49; reset; = ruled none, latched",
+    "a challenge of now": f"{LATCHED}; tick 140; reset challenge:0; = ruled none, latched",
+    "a challenge of 1 s ago": f"{LATCHED}; tick 140; reset challenge:100; = ruled none, latched",
+    "a challenge older than 1 s": f"{LATCHED}; tick 140; reset challenge:101; = refused too_old; {UNSEEN}",
+    "a challenge forgotten": f"{LATCHED}; tick 140; reset challenge:500; = refused challenge_unknown, own; "
+    f"{UNSEEN}",
+    "a challenge after the latch": f"{LATCHED}; reset challenge:61; = ruled none, latched",
+    "a challenge before the latch": f"{LATCHED}; reset challenge:62; = refused remote_stop, own; {UNSEEN}",
+    "nothing latched": "ready; acquire; tick 60; reset challenge:20; = ruled none; "
+    "text reset reset: nothing was latched",
+    "a bumper hit again": f"{HIT_TWICE}; = refused front_bumper",
+    "a bumper held down": f"{HIT_TWICE}; tick 60; reset; = ruled none, latched",
+    "what is reset is not engaged": "engaged; stop by second; hold 600; engage; = refused remote_stop; "
+    "reset of:second; = ruled none, standby; detail remote_stop",
+    # Whoever resets has not seen a stop of the same tick: stop always wins.
+    "a second stop in its tick": "ready; acquire; stop; tick 60; together stop by second + reset + engage; = "
+    "standby; "
+    "detail none remote_stop remote_stop",
+}
+WHOSE = {
+    f"of {stoppers}, cleared is {of or 'none'}": "ready lease_s:10; acquire; "
+    + "".join(f"stop by {name}; " for name in stoppers.split())
+    + f"tick 60; reset{f' of:{of}' * bool(of)}; "
+    + (f"= refused stopped_by_other; detail {refused_for}" if refused_for else "= ruled none, latched")
+    for stoppers, of, refused_for in STOPPERS
+} | {
+    # Whoever stops it again is the newest. So says the detail, which outlives a restart, too.
+    "the last four are named": "ready; "
+    + "".join(f"stop by {name}; " for name in "abcdeb")
+    + "= events latch remote_stop; latch remote_stop by b, e, d, c, others"
 }
 
 
 @rows(RESET)
-def test_what_a_reset_wants(steps: tuple[Step, ...], reason: Reason, said: dict[str, Any]) -> None:
-    """Row 'stop: latched; reset needs the lease, a standing robot, zero command, the cause gone'.
-
-    One that comes at once may have been on its way when the stop came. The bench's challenges are a tick late.
-    """
-    bench, ruling = rule(steps, reason, said)
-    assert ruling.lease == bench.lease
-    assert (not bench.arbiter.latches.details) is (reason is Reason.NONE)
+def test_what_a_reset_wants(row: str) -> None:
+    """Row 'stop: latched; reset needs the lease, a standing robot, zero command, the cause gone'."""
+    play(row)
 
 
-def test_reset_clears_what_is_latched() -> None:
-    """With an event; and nothing ever resumes by itself."""
-    bench = engaged()
-    bench.ask("stop", "second")
-    stopped(bench)
-    assert bench.ask("engage").reason is Reason.REMOTE_STOP
-    assert bench.ask("reset", of="second").detail == "remote_stop"
-    assert bench.told(EventKind.RESET)[-1].text == "reset: remote_stop"
-    assert bench.arbiter.state is ArbiterState.STANDBY
-    bench.ask("reset")
-    assert bench.told(EventKind.RESET)[-1].text == "reset: nothing was latched"
-
-
-@pytest.mark.parametrize(
-    ("stops", "of", "refused_for"),
-    [
-        (("first",), "", None),
-        (("second",), "", "second"),
-        (("second",), "third", "second"),
-        (("second",), "second", None),
-        (("second", "first"), "", "second"),
-        (("second", "third"), "second", "third"),
-        (("second", "third"), "third", None),
-        (("third", "second", "third"), "third", None),
-        ((*"abcdef", "first"), "f", None),
-        (("",), "", "an unnamed operator"),
-        (("",), "an unnamed operator", None),
-    ],
-)
-def test_a_reset_says_whose_stop_it_clears(stops: tuple[str, ...], of: str, refused_for: str | None) -> None:
+@rows(WHOSE)
+def test_a_reset_says_whose_stop_it_clears(row: str) -> None:
     """Row 'reset of a stop by somebody else': the newest of them, else refused with that name."""
-    bench = ArbiterRig()
-    bench.ask("acquire")
-    for operator in stops:
-        bench.ask("stop", operator)
-    bench.tick(count=60)
-    ruling = bench.ask("reset", of=of)
-    refused = (Reason.STOPPED_BY_OTHER, refused_for)
-    assert (ruling.reason, ruling.detail) == (refused if refused_for else (Reason.NONE, "remote_stop"))
-    assert bool(bench.arbiter.latches.details) is (refused_for is not None)
-
-
-def test_the_last_four_who_stopped_it_are_named() -> None:
-    """Then "others"; whoever stops it again is the newest. So says the detail, which outlives a restart, too."""
-    bench = ArbiterRig()
-    for operator in "abcdeb":
-        bench.ask("stop", operator)
-    assert bench.arbiter.latches.stopped_by == ["b", "e", "d", "c", "others"]
-    assert bench.arbiter.latches.details == {Reason.REMOTE_STOP: "by b, e, d, c, others"}
-    assert len(bench.told(EventKind.LATCH)) == 1
-
-
-def test_a_second_stop_is_not_wiped_by_a_reset_of_its_tick() -> None:
-    """Whoever resets has not seen it: stop always wins."""
-    bench = ArbiterRig()
-    bench.ask("acquire")
-    bench.ask("stop")
-    bench.tick(count=60)
-    reset = msgspec.msgpack.encode({"lease": bench.lease})
-    engage = msgspec.msgpack.encode({"lease": bench.lease, "challenge": bench.challenge()})
-    requests = [
-        RawRequest(0, "stop", "second", b"", 0),
-        RawRequest(1, "reset", "first", reset, len(reset)),
-        RawRequest(2, "engage", "first", engage, len(engage)),
-    ]
-    rulings = [judged.ruling.reason for judged in bench.tick(requests).judged]
-    assert rulings == [Reason.NONE, Reason.REMOTE_STOP, Reason.REMOTE_STOP]
-    assert bench.arbiter.state is ArbiterState.STANDBY
+    play(row)
 
 
 # The rest.
 
-
-AUXILIARY: Table = {
-    "unpark under a command": (("acquire", "engage", 2, 1.0, "unpark"), Reason.COMMAND_NOT_ZERO),
-    "park under a command": ((*ENGAGED, *[1.0] * 100, "park"), Reason.COMMAND_NOT_ZERO),
-    "lamps": ((*ENGAGED, ("light", {"left": True})), Reason.NONE),
-    "horn": ((*ENGAGED, ("horn", {"on": True})), Reason.NONE),
-    "odometer": ((*ENGAGED, "clear_odometer"), Reason.NONE, {"is_pending": True}),
-    "odometer twice": ((*ENGAGED, "clear_odometer", "clear_odometer"), Reason.BUSY),
-    "odometer in motion": ((*ENGAGED, *[1.0] * 30, "clear_odometer"), Reason.MOVING),
+AUXILIARY = {
+    "unpark under a command": "ready; acquire; engage; tick 2; drive 1; unpark; = refused command_not_zero",
+    "park under a command": "driving 1 100; park; = refused command_not_zero",
+    # At any speed, while the command is zero.
+    "park at speed": "driving 1 100; drive; = unbelow 0.5; park; = ruled none, parking, told 0, gear drive",
+    "lamps": f"{ENGAGED}; light left:true; = ruled none, beside Light",
+    "horn": f"{ENGAGED}; horn on:true; = ruled none, beside Speaker",
+    "odometer": f"{ENGAGED}; clear_odometer; = pending; mark; drive 0 8; see total_mileage_km:0; tick 5; "
+    "= answered clear_odometer none",
+    "odometer that is not cleared": f"{ENGAGED}; drive 0 6; clear_odometer; mark; drive 0 205; "
+    "= answered clear_odometer not_confirmed",
+    "odometer twice": f"{ENGAGED}; clear_odometer; clear_odometer; = refused busy",
+    "odometer in motion": f"{MOVING}; clear_odometer; = refused moving",
 }
 
 
 @rows(AUXILIARY)
-def test_what_an_engaged_robot_does_besides(steps: tuple[Step, ...], reason: Reason, said: dict[str, Any]) -> None:
-    """What is served is sent together with the five motion frames."""
-    bench, _ = rule(steps, reason, said)
-    if reason is Reason.NONE and not said:
-        asked = {"light": "Auto_LightCmd", "horn": "Auto_SpeakerCmd"}[steps[-1][0]]  # type: ignore[index]
-        assert asked in [frame.name for frame in bench.tick().auxiliary]
-
-
-def test_park_and_unpark() -> None:
-    """Row 'rolling: park is accepted at any speed while the command is zero'; unpark at zero command too."""
-    bench = engaged()
-    assert not bench.arbiter.setpoint.parked
-    bench.drive_for(100, 1.0)
-    bench.drive(0.0)
-    assert bench.arbiter.output.motion.speed_mps > 0.5
-    assert bench.ask("park").reason is Reason.NONE
-    told = bench.arbiter.output.actuation
-    assert told is not None
-    assert (told.parking, told.speed_mps, told.gear) == (True, 0.0, GearPosition.DRIVE)
-
-
-def test_the_odometer_is_told_when_it_is_cleared() -> None:
-    """The reply comes later."""
-    bench = engaged()
-    assert bench.ask("clear_odometer").is_pending
-    bench.drive_for(8, 0.0)
-    bench.changes = {"total_mileage_km": 0.0}
-    answers = [answer for _ in range(5) for answer in bench.tick().answers]
-    assert [(answer.verb, answer.ruling.reason) for answer in answers] == [("clear_odometer", Reason.NONE)]
-
-
-def test_an_odometer_that_is_not_cleared_is_told() -> None:
-    """Within two seconds."""
-    bench = engaged()
-    bench.drive_for(6, 0.0)
-    assert bench.ask("clear_odometer").is_pending
-    answers = []
-    for _ in range(205):
-        bench.drive()
-        answers += bench.outcome.answers if bench.outcome is not None else []
-    assert [(a.ruling.reason, a.ruling.detail) for a in answers] == [
-        (Reason.NOT_CONFIRMED, "the mileage does not read zero")
-    ]
+def test_what_an_engaged_robot_does_besides(row: str) -> None:
+    """What is served is sent together with the five motion frames. Row 'rolling: park at zero command'."""
+    play(row)
 
 
 # Drive.
 
-
-NO_NUMBERS: Table = {
-    f"{name} {number}": ((*ENGAGED, ("drive", {name: number})), Reason.MALFORMED, {})
-    for name in ("speed_mps", "angle_deg")
-    for number in (nan, inf, -inf)
+DRIVE = {
+    **{
+        f"{name} {number}": f"{ENGAGED}; drive {name}:{number}; = refused malformed, target 0"
+        for name, number in product(("speed_mps", "angle_deg"), ("nan", "inf", "-inf"))
+    },
+    "standing by": "ready; acquire; drive 1; = refused not_engaged, target 0",
+    "engaging, zero": f"{ENGAGING}; drive; = ruled none",
+    "engaging": f"{ENGAGING}; drive 1; = refused engaging",
+    "stopping": f"{ENGAGING}; disengage; drive; = refused stopping",
+    "two bends": f"{ENGAGED}; drive curvature_1pm:0.1; = refused malformed",
+    "obeyed, and told with its age": f"{ENGAGED}; drive 1 1 angle_deg:3; = ruled none, own, age 0, target 1 3",
+    "sequence 0": "ready; acquire; drive seq:0; = refused not_engaged; drive seq:0; = refused sequence; release; "
+    "acquire; drive seq:0; = refused not_engaged",
+    # It is strictly rising within a lease.
+    **{
+        f"sequence {seq} after 50": f"{ENGAGED}; drive 0.5 1 seq:50; drive 1 1 seq:{seq}; = refused sequence, "
+        f"target 0.5; detail {seq} after 50; drive 1 1 seq:51; = ruled none"
+        for seq in (50, 49)
+    },
+    # Nobody lifts it to where the holder's own numbers are refused; a new lease begins at the bottom.
+    **{
+        f"sequence {seq} after 1": f"{ENGAGED}; drive 1 1 seq:{seq}; = refused sequence; "
+        f"detail {seq} after 1, at most 1000 more; drive 1 1 seq:1001; = ruled none; drive 1 1 seq:1002; = ruled "
+        "none; "
+        "release; acquire; drive seq:1000; = refused sequence; drive seq:999; = unruled sequence"
+        for seq in (2**53 - 1, 1002)
+    },
+    # At the limit it is not refused. What is refused does not renew, nor does its sequence count.
+    "as old as may be": "engaged deadman_s:0.5 max_age_s:0.4; tick 40; drive 1 1 challenge:40; = ruled none, age "
+    "400, "
+    "fresh",
+    "too old": "engaged deadman_s:0.5 max_age_s:0.4; tick 41; drive 1 1 seq:2 challenge:41; = refused too_old, "
+    "age 410, "
+    "unfresh; detail 410 ms, at most 400 ms; drive 1 1 seq:2; = ruled none",
+    # It was not published: of another run, of none, or one that nobody can have seen yet.
+    "an unknown challenge": f"{ENGAGED}; drive 1 1 challenge:-5; = refused challenge_unknown, age none, target 0",
+    # A stream that comes too late is told from one that has ended.
+    "refused until the deadman": "driving 0.5 60 max_age_s:0.4; drive 0.5 31 challenge:47; = for deadman; "
+    "text stop none for 310 ms| 31 commands refused as too old, 470 ms",
 }
-DRIVE: Table = {
-    "standing by": (("acquire", 1.0), Reason.NOT_ENGAGED),
-    "engaging, zero": ((*ENGAGING, 0.0), Reason.NONE),
-    "engaging": ((*ENGAGING, 1.0), Reason.ENGAGING),
-    "stopping": ((*ENGAGING, "disengage", 0.0), Reason.STOPPING),
-    "two bends": ((*ENGAGED, ("drive", {"curvature_1pm": 0.1})), Reason.MALFORMED, {"asked": None}),
-    "sequence 0": (("acquire", ("drive", {"seq": 0})), Reason.NOT_ENGAGED),
-    "sequence 0 again": (("acquire", ("drive", {"seq": 0}), ("drive", {"seq": 0})), Reason.SEQUENCE),
-    "sequence 0 of the next lease": (
-        ("acquire", ("drive", {"seq": 0}), "release", "acquire", ("drive", {"seq": 0})),
-        Reason.NOT_ENGAGED,
-    ),
-}
 
 
-@rows(NO_NUMBERS | DRIVE)
-def test_what_is_ruled_on_a_drive(steps: tuple[Step, ...], reason: Reason, said: dict[str, Any]) -> None:
-    """Each state has its reason; zero is welcome while it is being engaged. No command leaves a speed behind."""
-    bench, ruling = rule(steps, reason, said)
-    assert bench.arbiter.setpoint.target.speed_mps == 0
-    assert "asked" not in said or "exactly one" in ruling.detail
-
-
-def test_a_fresh_command_is_obeyed() -> None:
-    """And told with its sequence, its age and what it asks for."""
-    bench = engaged()
-    ruling = bench.drive(1.0, angle_deg=3.0)
-    assert (ruling.reason, ruling.sequence, ruling.age_ns) == (Reason.NONE, bench.sequence, 0)
-    assert ruling.asked == bench.arbiter.setpoint.target
-    assert (bench.arbiter.setpoint.target.speed_mps, bench.arbiter.setpoint.target.angle_deg) == (1.0, 3.0)
-
-
-@pytest.mark.parametrize("step", [0, -1])
-def test_the_sequence_rises(step: int) -> None:
-    """Row 'sequence: strictly rising within a lease; repeated or older: refused'."""
-    bench = engaged()
-    bench.drive(0.5, seq=50)
-    ruling = bench.drive(1.0, seq=50 + step)
-    assert (ruling.reason, ruling.detail) == (Reason.SEQUENCE, f"{50 + step} after 50")
-    assert bench.arbiter.setpoint.target.speed_mps == 0.5
-    assert bench.drive(1.0, seq=51).reason is Reason.NONE
-
-
-def test_a_sequence_cannot_be_used_up() -> None:
-    """Row 'sequence': it rises by 1 to 1,000. Nobody lifts it to where the holder's own numbers are refused."""
-    bench = engaged()
-    last = bench.sequence
-    for seq in (2**53 - 1, last + 1001):
-        ruling = bench.drive(1.0, seq=seq)
-        assert (ruling.reason, ruling.detail) == (Reason.SEQUENCE, f"{seq} after {last}, at most 1000 more")
-    assert bench.drive(1.0, seq=last + 1000).reason is Reason.NONE
-    assert bench.drive(1.0, seq=last + 1001).reason is Reason.NONE
-    bench.ask("release")
-    bench.ask("acquire")
-    assert bench.drive(seq=1000).reason is Reason.SEQUENCE, "a new lease begins at the bottom"
-    assert bench.drive(seq=999).reason is not Reason.SEQUENCE
-
-
-@pytest.mark.parametrize(("ticks", "reason"), [(40, Reason.NONE), (41, Reason.TOO_OLD)])
-def test_the_age_is_bounded_by_the_echo(ticks: int, reason: Reason) -> None:
-    """Row 'command age, by echo': at the limit it is not refused. What is refused does not renew."""
-    bench = engaged(deadman_s=0.5, max_age_s=0.4)
-    echo = bench.challenge()
-    bench.tick(count=ticks)
-    before_ns = bench.arbiter.link.fresh_ns
-    ruling = bench.drive(1.0, challenge=echo)
-    assert (ruling.reason, ruling.age_ns) == (reason, ticks * 10 * MS)
-    assert (bench.arbiter.link.fresh_ns > before_ns) is (reason is Reason.NONE)
-    if reason is Reason.TOO_OLD:
-        assert ruling.detail == "410 ms, at most 400 ms"
-        assert bench.drive(1.0, seq=bench.sequence).reason is Reason.NONE, "its sequence does not count either"
-
-
-def test_the_deadman_tells_what_was_refused_before_it() -> None:
-    """Row 'deadman': a stream that comes too late is told from one that has ended."""
-    bench = engaged(max_age_s=0.4)
-    bench.drive_for(60, 0.5)
-    while bench.arbiter.state is ArbiterState.ENGAGED:
-        bench.drive(0.5, challenge=bench.challenge(47))
-    [stop] = bench.told(EventKind.STOP)
-    assert stop.reason is Reason.DEADMAN
-    assert stop.text.endswith("none for 310 ms; 31 commands refused as too old, 470 ms")
-    assert bench.arbiter.engagement.stop_detail == "none for 310 ms; 31 commands refused as too old, 470 ms"
-
-
-@pytest.mark.parametrize(("asked_s", "ticks"), [(None, 31), (0.1, 31), (0.8, 81), (1.0, 101)])
-def test_an_engagement_has_the_deadman_that_it_asked_for(asked_s: float | None, ticks: int) -> None:
-    """Row 'deadman: engage may ask for up to 1 s'; the configured one is the least."""
-    bench = ArbiterRig()
-    bench.ask("acquire")
-    bench.ask("engage", deadman_s=asked_s)
-    bench.tick(count=2)
-    bench.drive()
-    bench.tick(count=ticks - 1)
-    assert bench.arbiter.state is ArbiterState.ENGAGED
-    bench.tick()
-    assert bench.arbiter.engagement.stop_reason is Reason.DEADMAN
+@rows(DRIVE)
+def test_what_is_ruled_on_a_drive(row: str) -> None:
+    """Rows 'sequence', 'command age, by echo' and 'deadman'; each state has its reason."""
+    play(row)
 
 
 def test_old_commands_drive_slowly() -> None:
     """Row 'travel delay': down by the normal deceleration, up by the acceleration, and recorded as what bound."""
-    bench = engaged()
-    bench.drive_for(300, 2.0)
-    assert bench.arbiter.output.motion.speed_mps == 2.0
-    assert Bound.TRAVEL_DELAY not in bench.arbiter.output.motion.bounds
-    speeds_mps = [2.0]
+    rig = begun("driving 2 300")
+    motion = rig.arbiter.output
+    speeds_mps = [motion.motion.speed_mps]
     for ticks_ago in [70] * 300 + [0] * 300:
-        bench.drive(2.0, challenge=bench.challenge(ticks_ago))
-        limit_mps = bench.arbiter.link.age.speed_limit_mps(bench.now_ns)
+        rig.drive(2.0, challenge=ticks_ago)
+        limit_mps = rig.arbiter.link.age.speed_limit_mps(rig.now_ns)
         assert limit_mps is not None
-        assert (Bound.TRAVEL_DELAY in bench.arbiter.output.motion.bounds) is (limit_mps < 2.0)
-        speeds_mps.append(bench.arbiter.output.motion.speed_mps)
-    assert speeds_mps[300] == pytest.approx(1.0 / (0.7 + 0.3))
-    assert speeds_mps[-1] == 2.0
+        assert (Bound.TRAVEL_DELAY in motion.motion.bounds) is (limit_mps < 2.0)
+        speeds_mps.append(motion.motion.speed_mps)
+    assert (speeds_mps[0], speeds_mps[300], speeds_mps[-1]) == pytest.approx((2.0, 1.0 / (0.7 + 0.3), 2.0))
     steps_mps = [after - before for before, after in pairwise(speeds_mps)]
-    assert min(steps_mps) == pytest.approx(-0.012)
-    assert max(steps_mps) == pytest.approx(0.008)
+    assert (min(steps_mps), max(steps_mps)) == pytest.approx((-0.012, 0.008))
 
 
-def test_an_unknown_challenge_is_refused() -> None:
-    """It was not published: of another run, of none, or one that nobody can have seen yet."""
-    bench = engaged()
-    for challenge in (bytes(8), bench.challenge(-5)):
-        ruling = bench.drive(1.0, challenge=challenge, tick=bench.arbiter.tick_number)
-        assert (ruling.reason, ruling.age_ns) == (Reason.CHALLENGE_UNKNOWN, None)
-    assert bench.arbiter.setpoint.target.speed_mps == 0
+# Signed mode: what a grant says counts, and nothing that the sender says of himself.
+
+QUERIES = [verb for verb, command in BY_VERB.items() if command.asking is Asking.QUERY]
+
+
+@pytest.mark.parametrize("verb", [*QUERIES, "drive"])
+@pytest.mark.parametrize(
+    "reason", [Reason.PROOF_MISSING, Reason.PROOF_WRONG, Reason.GRANT_REVOKED, Reason.REPLAYED]
+)
+def test_a_request_whose_proof_does_not_hold_is_refused_with_its_reason(verb: str, reason: Reason) -> None:
+    """Every verb but the stop, whatever its fields say."""
+    rig = begun("engaged signed:true")
+    rig.credentials = Credentials(reason, "so many")
+    own = {"lease": rig.lease, "challenge": rig.challenge(), "seq": 99}
+    fields = {name: own.get(name, value) for name, value in REQUESTS[verb].items()}
+    ruling = rig.send(verb, msgspec.msgpack.encode(fields), handle=0 if verb == "drive" else 1)
+    assert (ruling.reason, ruling.detail) == (reason, "so many")
+    assert rig.state() == rig.before
+
+
+def test_without_credentials_nothing_is_accepted() -> None:
+    """A door that forgot to judge is a closed one; a stop is served all the same, and says so."""
+    rig = begun("ready signed:true")
+    rig.credentials = None
+    rig.play("acquire; = refused proof_missing; stop; = ruled none; latch remote_stop by first (unproven)")
+
+
+PROGRAM, NOBODY = "grant role:program", "grant reason:proof_missing"
+SIGNED = {
+    "the role is the grant's": f"ready signed:true; {PROGRAM}; acquire role:supervisor; = held first program; "
+    "grant; "
+    f"take by second role:program; = held second operator; {PROGRAM}; take role:supervisor; = refused "
+    "role_too_low",
+    "in open mode it is what people say": "ready; acquire role:supervisor; = held first supervisor",
+    # Also where it would not be needed.
+    "an override has to be granted": "ready signed:true; take override:true; = refused not_granted; "
+    "grant override:true; take override:true; = ruled none",
+    # The lowest limit counts: that of the grant, that of the request and the configured one.
+    **{
+        f"granted {granted}, asked {asked}": f"ready signed:true; grant speed_limit_mps:{granted}; acquire; "
+        f"engage speed_limit_mps:{asked}; = limit {limit_mps}"
+        for granted, asked, limit_mps in [
+            ("null", "null", 2.222),
+            (0.7, "null", 0.7),
+            (0.7, 0.4, 0.4),
+            (0.7, 2.0, 0.7),
+            (9.0, "null", 2.222),
+            ("null", 0.4, 0.4),
+        ]
+    },
+    **{
+        f"a stop by {credentials}": f"driving 0.3 20 signed:true; {credentials}; stop; = ruled none, stopping; "
+        f"latch remote_stop {who}"
+        for credentials, who in (("grant", "by first"), (NOBODY, "by first (unproven)"))
+    },
+    # The first word of a stop waits for no proof, so the record says afterwards whose it was; once.
+    "proven afterwards": f"driving 0.3 20 signed:true; {NOBODY}; stop; "
+    "text latch latched until a reset: a remote stop was received| by first (unproven); grant; stop; "
+    f"{NOBODY}; stop; grant; stop; latch remote_stop by first; = events latch remote_stop none; "
+    "text latch proven: a remote stop was received| by first",
+    "a proven stop takes no name from another's": f"ready signed:true; {NOBODY}; stop by vic; grant; stop; "
+    "latch remote_stop by first, vic (unproven); = events latch remote_stop",
+    # In a controlled way; nothing is latched, and the lease says why to its holder.
+    **{
+        f"{reason} in a drive": f"driving 0.5 100 signed:true; mark; lose {reason}; = stopping, free; drive 0.5; "
+        f"= refused {reason}; tick 100; = falling 0.012, latched, event lease {reason}; until standby; = free"
+        for reason in ("grant_revoked", "grant_expired")
+    },
+    "no holder, no lease to end": "ready signed:true; lose grant_revoked; tick; = standby, events lease",
+}
+
+
+@rows(SIGNED)
+def test_what_a_grant_says_counts(row: str) -> None:
+    """And nothing that the sender says of himself."""
+    play(row)
+
+
+def test_the_events_of_a_lease_say_who_lost_it() -> None:
+    """The former holder, beside the cause."""
+    rig = begun("driving 1 30")
+    rig.ask("take", "second", override=True)
+    lost = rig.events_of(EventKind.LEASE)[1]
+    assert (lost.operator, lost.text) == ("first", "second took the lease from first")
