@@ -13,7 +13,7 @@ import msgspec
 from recorder.cli.asking import add_logs, end_with, find, progress_bar, table, worst
 from recorder.reading.times import in_words
 from recorder.review.verify import RobotProofReport, verify_logs
-from recorder.review.verifying import GrantInfo, ProofFault, ProofFinding, RefusedProof, SignedFile, SignedVerb
+from recorder.review.verifying import GrantInfo, ProofFault, ProofFinding, RefusedProof, SignedFile
 from schemas.authority.trust import AuthorityKeys, key_fingerprint, keys_fingerprint
 from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.settings import Settings
@@ -49,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Verify."""
     given = {path: read_authority(path) for path in arguments.authority}
-    # Nobody has signed a catalog.
-    asked = find(arguments, settings, stopped, with_covered=True, with_catalog=False)
+    asked = find(arguments, settings, stopped, with_covered=True)
     codes = list[int]()
     with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
         for report in verify_logs(asked.logs, asked.faults, [keys.trust for keys in given.values()], progress):
@@ -120,7 +119,7 @@ def _lines(report: RobotProofReport) -> Iterator[str]:
     yield from table(
         ("signed verb", "operator", "time", "grant", ""),
         [
-            (one.verb, one.operator, in_words(one.time_ns), one.grant, _verdict(one))
+            (one.verb, one.operator, in_words(one.time_ns), one.grant, "holds" if one.holds else one.detail)
             for one in report.verbs[:VERBS_SHOWN]
         ],
         words=5,
@@ -147,15 +146,6 @@ def _whole(report: RobotProofReport) -> str:
     return "not all of it can be proven"
 
 
-def _verdict(verb: SignedVerb) -> str:
-    if not verb.holds:
-        return verb.detail
-    before = verb.unsigned_before
-    text = f"holds, and proves {before} right before it" if before else "holds"
-    text += f"; {verb.unsigned_after} more in this name right after it, unsigned" if verb.unsigned_after else ""
-    return text
-
-
 def _when(finding: ProofFinding) -> str:
     if finding.time_ns is None:
         return ""
@@ -177,7 +167,6 @@ def _grant(one: GrantInfo) -> str:
     by = " < ".join([*one.signers, "authority"])
     until = f"{in_words(one.not_before * 1_000_000_000)} to {in_words(one.not_after * 1_000_000_000)}"
     fault = f"; DOES NOT HOLD: {one.objection}" if one.objection else ""
-    fault += f"; held then, and ended later: {one.revoked_later}" if one.revoked_later else ""
     return f"{one.id}: {one.name}, {one.role}, serial {one.serial}, by {by}, {until}{fault}"
 
 

@@ -107,11 +107,7 @@ def verify_logs(
 ) -> Iterator[RobotProofReport]:
     """Verify the logs of each robot.
 
-    Args:
-        logs: in the order of their beginnings.
-        faults: collects what cannot be read.
-        trusts: the fleet's authority, and those before it; without any the one that the logs name is believed.
-        progress: receives the count of bytes that were read, for each robot anew.
+    Without an authority the one that the logs name is believed; the progress is told again for each robot.
     """
     robots, verified = set(survey(logs, faults).robots), set[str]()
     # What the summaries leave out, a verification comes upon.
@@ -120,21 +116,6 @@ def verify_logs(
         robot = min(left)
         yield _Verification(robot, logs, files, faults, trusts, robots).run(progress)
         verified.add(robot)
-
-
-def shown_statements(
-    logs: Sequence[LogFile], faults: Faults, progress: Progress = lambda _: None
-) -> list[ShownStatement]:
-    """All grants and revocations that logs hold, by their log time; each text once for each robot."""
-    found: dict[tuple[str, str], ShownStatement] = {}
-    wanted = Selection(lambda topic: topic.subject == STATEMENT)
-    for row, message in decoded_rows(logs, wanted, faults, progress):
-        if isinstance(message, SignedStatement):
-            robot = row.topic.robot
-            found.setdefault((robot, message.text), ShownStatement(robot, message.time_ns, message.text))
-    for one in file_statements(logs, faults):
-        found.setdefault((one.robot, one.text), one)
-    return list(found.values())
 
 
 class _Verification:

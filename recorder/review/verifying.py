@@ -20,7 +20,6 @@ proven by a key that only the robot and the holder of the lease have: it is attr
 from __future__ import annotations
 
 import hashlib
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum
 from pathlib import Path
@@ -124,8 +123,6 @@ class GrantInfo(msgspec.Struct, frozen=True):
         signers: names of those above it in the chain, the nearest first.
         root: the key of the authority at which the chain ends, hexadecimal.
         objection: why it did not hold when it was first used; empty if it did.
-        revoked_later: the reason for which it was revoked, or its authority replaced, by the end of the logs;
-            empty if it was not, or did not hold from the first.
     """
 
     id: str
@@ -138,7 +135,6 @@ class GrantInfo(msgspec.Struct, frozen=True):
     signers: list[str]
     root: str
     objection: str
-    revoked_later: str = ""
 
 
 class _InForce(msgspec.Struct, frozen=True):
@@ -165,13 +161,7 @@ class LogAuthority:
     """
 
     def __init__(self, robot: str, given: Sequence[Trust], statements: Iterable[ShownStatement]) -> None:
-        """Read statements.
-
-        Args:
-            robot: the robot's name, without its root.
-            given: the fleet's authority, and those before it; without any the log is believed.
-            statements: in any order, repeated ones too.
-        """
+        """Read statements."""
         self.is_vouched = bool(given)
         self.findings: list[ProofFinding] = []
         self._given = tuple(given)
@@ -218,21 +208,7 @@ class LogAuthority:
     @property
     def grants(self) -> list[GrantInfo]:
         """The grants that were judged."""
-        judged = self._judged.values()
-        return [msgspec.structs.replace(one, revoked_later=self._revoked_later(one)) for one in judged]
-
-    def _revoked_later(self, info: GrantInfo) -> str:
-        """Return why no authority of the end of the logs counts a grant that held once; empty if one does."""
-        if info.objection:
-            return ""
-        objection: Objection | None = None
-        for chain in self._grants[bytes.fromhex(info.id)]:
-            for trust in self._in_force[-1].trusts:
-                held = self._held(chain, trust, info.not_before)
-                if isinstance(held, HeldGrant):
-                    return ""
-                objection = objection or held
-        return "" if objection is None else objection.text
+        return list(self._judged.values())
 
     def judge(self, identifier: bytes, at_ns: int) -> HeldGrant | Objection | None:
         """Judge a grant as the robot had to at a time, nanoseconds since 1970; None if it is not in the log."""
@@ -480,12 +456,7 @@ def _info(chain: Sequence[Signed], grant: Grant, held: HeldGrant | Objection) ->
 
 
 def file_statements(logs: Sequence[LogFile], faults: Faults) -> Iterator[ShownStatement]:
-    """Yield the statements in the metadata of logs; entries of another form are passed over.
-
-    Args:
-        logs: the files.
-        faults: takes what cannot be read.
-    """
+    """Yield the statements in the metadata of logs; entries of another form are passed over."""
     for log in logs:
         try:
             with log.open() as stream:
@@ -528,12 +499,6 @@ COMMANDING_ROLES: Final = frozenset({GrantRole.PROGRAM, GrantRole.OPERATOR, Gran
 SAME_NS: Final = 50_000_000
 """A request and its decision are of one tick, or of two that follow each other."""
 
-PROOF_OF_STOP_NS: Final = 5_000_000_000
-"""The proof of a stop follows within this time: whoever stops waits no longer."""
-
-STOPS_WAITING: Final = 256
-"""Unsigned stops of an operator that wait for their proof; of a flood the oldest are nobody's."""
-
 VERBS_MAX: Final = 20_000
 """Signed verbs that are kept one by one; a flood is counted."""
 
@@ -549,10 +514,6 @@ class SignedVerb(msgspec.Struct, frozen=True):
         grant: the identifier of the grant; empty if there was no proof.
         holds: signature and grant hold.
         detail: why not.
-        unsigned_before: stops of the same operator that came without a proof, and for which this one is it: a stop
-            waits for no proof, which follows as soon as the robot has said what to sign.
-        unsigned_after: stops in the same name that came without a proof right after this one: who stops says it
-            again until the robot is seen to stand, and anybody may say it in that name. They stop what is stopped.
     """
 
     time_ns: int
@@ -561,8 +522,6 @@ class SignedVerb(msgspec.Struct, frozen=True):
     grant: str
     holds: bool
     detail: str = ""
-    unsigned_before: int = 0
-    unsigned_after: int = 0
 
 
 class RefusedProof(msgspec.Struct):
@@ -612,21 +571,13 @@ class CommandRecord:
     """
 
     def __init__(self, robot: str, authority: LogAuthority) -> None:
-        """Nothing was commanded yet.
-
-        Args:
-            robot: its name.
-            authority: judges the grants.
-        """
+        """Nothing was commanded yet."""
         self.root = ""
         self._robot, self._authority = robot, authority
         self.verbs: list[SignedVerb] = []
         self.verbs_untold = 0
         self.findings: list[ProofFinding] = []
         self._refused: dict[tuple[str, str, str], RefusedProof] = {}
-        self._stops: dict[str, deque[int]] = {}
-        self._signed_stops: dict[str, int] = {}
-        """The place of the last one of each operator among the verbs."""
         self._holders: dict[tuple[str, int], Holder] = {}
 
     @property
@@ -636,11 +587,7 @@ class CommandRecord:
 
     @property
     def unproven_stops(self) -> list[RefusedProof]:
-        """Stops that nobody signed, neither right before nor right after."""
-        for operator, stops in self._stops.items():
-            while stops:
-                at_ns = stops.popleft()
-                self._refuse(operator, STOP_VERB, Reason.PROOF_MISSING.value, at_ns)
+        """Stops that nobody signed. Who stops waits for no proof: the signed one of its operator follows."""
         return [one for one in self._refused.values() if one.verb == STOP_VERB]
 
     def holders(self) -> list[Holder]:
@@ -705,14 +652,7 @@ class CommandRecord:
     def _take_request(self, one: tuple[Any, ...], at_ns: int) -> None:
         _, _, _, verb, operator, payload, _, _, attachment, credentials = one
         reason = Reason(credentials[0])
-        if verb == STOP_VERB and reason is Reason.PROOF_MISSING:
-            if self._repeats(operator, at_ns):
-                return
-            stops = self._stops.setdefault(operator, deque())
-            stops.append(at_ns)
-            if len(stops) > STOPS_WAITING:
-                self._refuse(operator, verb, reason.value, stops.popleft())
-        elif reason is not Reason.NONE:
+        if reason is not Reason.NONE:
             self._refuse(operator, verb, reason.value, at_ns)
         elif verb != DRIVE_VERB:
             proof = RequestProof.read(attachment)
@@ -724,33 +664,13 @@ class CommandRecord:
                 return
             grant = "" if proof is None else proof.grant.hex()
             detail = found.what if isinstance(found, ProofFinding) else ""
-            before = 0
-            if verb == STOP_VERB and not detail:
-                before = self._proven_by_it(operator, at_ns)
-                self._signed_stops[operator] = len(self.verbs)
-            self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail, before))
+            self.verbs.append(SignedVerb(at_ns, operator, verb, grant, not detail, detail))
 
     def _refuse(self, operator: str, verb: str, reason: str, at_ns: int) -> None:
         new = RefusedProof(operator, verb, reason, 0, at_ns, at_ns)
         refused = self._refused.setdefault((operator, verb, reason), new)
         refused.count += 1
         refused.first_ns, refused.last_ns = min(refused.first_ns, at_ns), max(refused.last_ns, at_ns)
-
-    def _proven_by_it(self, place: str, at_ns: int) -> int:
-        """Return the number of unsigned stops right before a signed one of the same operator, and forget them."""
-        stops = self._stops.pop(place, ())
-        proven = [one for one in stops if at_ns - PROOF_OF_STOP_NS <= one <= at_ns]
-        self._stops[place] = deque(one for one in stops if one not in proven)
-        return len(proven)
-
-    def _repeats(self, place: str, at_ns: int) -> bool:
-        """Return True if an unsigned stop came right after a signed one in the same name, and count it there."""
-        number = self._signed_stops.get(place)
-        if number is None or not 0 <= at_ns - self.verbs[number].time_ns <= PROOF_OF_STOP_NS:
-            return False
-        signed = self.verbs[number]
-        self.verbs[number] = msgspec.structs.replace(signed, unsigned_after=signed.unsigned_after + 1)
-        return True
 
     def _judge(
         self,
@@ -819,13 +739,7 @@ class SignedFile(msgspec.Struct, frozen=True):
 
 
 def prove_file(log: LogFile, faults: Faults, progress: Progress) -> tuple[SignedFile, ProofFinding | None]:
-    """Compare a file with the signature beside it, and return what is wrong. Whose the signature is, is not asked.
-
-    Args:
-        log: the file.
-        faults: takes what cannot be read.
-        progress: is called while it is read, with no bytes.
-    """
+    """Compare a file with the signature beside it, whosever that is, and return what is wrong."""
     name = log.path.name
     if log.is_being_written:
         return SignedFile(name), ProofFinding(ProofFault.UNPROVEN, OPEN)
