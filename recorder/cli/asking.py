@@ -19,7 +19,6 @@ from recorder.objects.address import StoreAddress, is_address
 from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
-from recorder.review.info import CATALOG_NAME, CatalogedLog
 from recorder.review.tasks import TaskRunner
 from schemas.command_line import CommandError, ExitCode, missing_extra, plain
 from schemas.keys import in_order
@@ -27,8 +26,8 @@ from schemas.settings import Settings
 
 JSON_HELP: Final = "print JSON"
 
-_EXTRA: Final = {"duckdb", "numpy", "ptars", "pyarrow", "ray"}
-"""Libraries that the extra 'review' brings."""
+_EXTRA: Final = {**dict.fromkeys(("duckdb", "numpy", "ptars", "pyarrow"), "review"), "obstore": "upload"}
+"""Libraries that extras bring."""
 
 NAMES_SHOWN: Final = 12
 """So many robots are named where there are more."""
@@ -56,7 +55,6 @@ class Asked(msgspec.Struct):
         start_ns, end_ns: the first and the last log time of all.
         from_ns: the first log time that is asked about...
         to_ns: ...and the first one that is not any more.
-        known: those of the logs that a catalog tells of.
     """
 
     logs: list[LogFile]
@@ -65,7 +63,6 @@ class Asked(msgspec.Struct):
     end_ns: int
     from_ns: int
     to_ns: int
-    known: dict[Path, CatalogedLog] = {}
 
     @property
     def selection(self) -> Selection:
@@ -158,28 +155,18 @@ def find(
     stopped: Callable[[], bool],
     *,
     with_covered: bool = False,
-    with_catalog: bool = True,
 ) -> Asked:
-    """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted.
-
-    Args:
-        arguments: the paths, and the time.
-        settings: options of object stores.
-        stopped: turns true at SIGINT.
-        with_covered: leave no incident out.
-        with_catalog: believe what the catalogs of directories say of logs; else each log is opened.
-    """
+    """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted."""
     faults = Faults()
     paths = [one for one in arguments.logs if isinstance(one, Path)]
     if getattr(arguments, "ray", None):
         # Other machines do not begin where this process does.
         paths = [path.absolute() for path in paths]
     addresses = [one for one in arguments.logs if isinstance(one, StoreAddress)]
-    known = cataloged(paths) if with_catalog else {}
     if addresses and getattr(arguments, "ray", None):
         raise CommandError("machines of --ray have no copies of a store's logs: copy them to where all see them")
     stored = stored_logs(addresses, settings, faults, stopped) if addresses else []
-    logs = find_logs(paths, faults, with_covered=with_covered, known=known, stored=stored)
+    logs = find_logs(paths, faults, with_covered=with_covered, stored=stored)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
     late = [log.name for log in logs if log.end_ns > LAST_NS]
@@ -195,29 +182,17 @@ def find(
     if end_ns and (from_ns > end_ns or to_ns <= start_ns):
         period = f"{in_words(start_ns)} to {in_words(end_ns)}"
         raise CommandError(f"the logs hold nothing of that time: they go from {period}", ExitCode.USAGE)
-    return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns, known)
+    return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns)
 
 
 def stored_logs(
     addresses: Sequence[StoreAddress], settings: Settings, faults: Faults, stopped: Callable[[], bool]
 ) -> list[LogFile]:
     """Copies of the logs at addresses in object stores."""
-    with needing_store():
+    with needing_extra():
         from recorder.cli.stored import find_stored  # noqa: PLC0415 - it needs an extra
     bar = partial(progress_bar, "fetching", stopped=stopped, is_bounded=False)
     return find_stored(addresses, settings.upload, faults, bar)
-
-
-def cataloged(paths: Sequence[Path]) -> dict[Path, CatalogedLog]:
-    """The logs that need not be opened, as the catalogs of these directories say."""
-    directories = [path for path in paths if (path / CATALOG_NAME).exists()]
-    if not directories:
-        return {}
-    try:
-        from recorder.review.catalog.directory import known_logs  # noqa: PLC0415 - it needs an extra
-    except ModuleNotFoundError:
-        return {}
-    return {path: log for directory in directories for path, log in known_logs(directory).items()}
 
 
 @contextmanager
@@ -231,13 +206,9 @@ def progress_bar(
 ) -> Generator[Progress, None, None]:
     """Show a bar on stderr, if that is a terminal. Yields the function that receives the number of bytes read.
 
-    Args:
-        about: the activity, in a word.
-        total_bytes: number of bytes to read.
-        stopped: turns true at SIGINT; the reading then ends as KeyboardInterrupt does.
-        prints: the answer is printed while it is read. On a terminal it would be printed over the bar.
-        is_bounded: give up when it takes far longer than so many bytes should: a log may be made to. Not where the
-            time is the question's own: a statement of SQL, or a drive that is run again.
+    ``prints``: the answer is printed while it is read, which on a terminal would be over the bar. ``is_bounded``:
+    give up when it takes far longer than so many bytes should, for a log may be made to; not where the time is the
+    question's own, as of a statement of SQL.
 
     Raises:
         KeyboardInterrupt: it was stopped.
@@ -287,25 +258,14 @@ def in_time(total_bytes: int, progress: Progress) -> Progress:
 
 @contextmanager
 def needing_extra() -> Generator[None, None, None]:
-    """Surround an import of what the extra 'review' brings."""
+    """Surround an import of what an extra brings."""
     try:
         yield
     except ModuleNotFoundError as error:
         name = (error.name or "").partition(".")[0]
         if name not in _EXTRA:
             raise
-        raise missing_extra(name, "review") from None
-
-
-@contextmanager
-def needing_store() -> Generator[None, None, None]:
-    """Surround an import of what the extra 'upload' brings."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "obstore":
-            raise
-        raise missing_extra("obstore", "upload") from None
+        raise missing_extra(name, _EXTRA[name]) from None
 
 
 def no_robot(faults: Faults) -> CommandError:

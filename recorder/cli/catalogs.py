@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from recorder.cli.asking import in_time, needing_store, progress_bar
+from recorder.cli.asking import in_time, needing_extra, progress_bar
 from recorder.objects.address import StoreAddress, shown_url
 from recorder.reading.logs import Faults
 from recorder.review.catalog.directory import Catalog, PlaceCatalog
@@ -25,19 +25,8 @@ def catalog_rows(
     faults: Faults,
     stopped: Callable[[], bool],
     kept: Path | None = None,
-    *,
-    is_anew: bool = False,
 ) -> pa.Table:
     """Return the rows of all logs of these places, each with its path or address as its file.
-
-    Args:
-        places: directories.
-        columns: those that are wanted; ``file`` and ``faults`` are among them.
-        settings: of the object stores.
-        faults: takes the logs that cannot be read, and how many are damaged.
-        stopped: turns true at SIGINT.
-        kept: the file of the catalog; beside the logs unless told otherwise.
-        is_anew: believe no catalog that is there.
 
     Raises:
         CommandError: a place cannot be read, or there is no log in any.
@@ -45,7 +34,7 @@ def catalog_rows(
     places = list(dict.fromkeys(places))
     if kept is not None and (len(places) > 1 or not isinstance(places[0], Path)):
         raise CommandError("--catalog keeps the logs of one directory here", ExitCode.USAGE)
-    catalogs = [_opened(place, columns, settings, kept, is_anew=is_anew) for place in places]
+    catalogs = [_opened(place, columns, settings, kept) for place in places]
     total = sum(one.stale_bytes for one in catalogs)
     # Each log has a time of its own: one that was made to take long keeps no other out.
     with progress_bar("cataloguing", total, stopped, is_bounded=False) as progress:
@@ -65,16 +54,12 @@ def catalog_rows(
     return rows
 
 
-def _opened(
-    place: Place, columns: Sequence[str], settings: Settings, kept: Path | None, *, is_anew: bool
-) -> Catalog | PlaceCatalog:
+def _opened(place: Place, columns: Sequence[str], settings: Settings, kept: Path | None) -> Catalog | PlaceCatalog:
     if isinstance(place, Path):
-        return Catalog(place, columns, kept, is_anew=is_anew)
-    with needing_store():
+        return Catalog(place, columns, kept)
+    with needing_extra():
         from recorder.cli.stored import open_cache, open_objects  # noqa: PLC0415 - it needs an extra
-    return PlaceCatalog(
-        open_objects(place, settings.upload), place, columns, open_cache(settings.upload), is_anew=is_anew
-    )
+    return PlaceCatalog(open_objects(place, settings.upload), place, columns, open_cache(settings.upload))
 
 
 def _shown(place: Place) -> str:

@@ -8,7 +8,6 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -46,7 +45,7 @@ _REASONS: Final = tuple(reason.value for reason in Reason)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
-    parser.add_argument("search", type=_search, metavar="SEARCH", help=f"one of {', '.join(SEARCHES)}")
+    parser.add_argument("search", choices=SEARCHES, metavar="SEARCH", help=f"one of {', '.join(SEARCHES)}")
     parser.add_argument(
         "logs",
         nargs="+",
@@ -55,7 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a directory of logs, here or in an object store (s3://BUCKET/PLACE, ...)",
     )
     add_robots(parser)
-    parser.add_argument("--reason", type=_reason, metavar="WORD", help="with a stop or refusal for this reason")
+    parser.add_argument(
+        "--reason", choices=_REASONS, metavar="WORD", help="with a stop or refusal for this reason"
+    )
     parser.add_argument("--operator", metavar="NAME", help="of this operator")
     moment = "a time before now (90min, 12h, 30d, 2w), or a date in UTC (2026-01-02, 2026-01-02T03:04:05Z)"
     parser.add_argument("--since", type=_moment, default=0, metavar="TIME", help=f"not over before: {moment}")
@@ -68,26 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="keep the catalog there, not beside the logs; of one directory",
     )
-    parser.add_argument("--rebuild", action="store_true", help="make the catalog again from the logs")
-
-
-def _search(text: str) -> str:
-    if text in SEARCHES:
-        return text
-    words = " ".join(text.split()[:1]).lower()
-    near = get_close_matches(f"{words}s", SEARCHES, 1, 0.8) or ["events"]
-    raise argparse.ArgumentTypeError(
-        f"{text!a} is no search: give {', '.join(SEARCHES)}, as in 'cruiser review find {near[0]} DIRECTORY "
-        "--robot NAME --since 30d', or 'cruiser review query' for all else"
-    )
-
-
-def _reason(text: str) -> str:
-    if text in _REASONS:
-        return text
-    near = get_close_matches(text, _REASONS, 1)
-    hint = f"did you mean {near[0]}?" if near else f"it is one of {', '.join(_REASONS)}"
-    raise argparse.ArgumentTypeError(f"there is no reason {text!a}: {hint}")
 
 
 def _moment(text: str) -> int:
@@ -124,7 +105,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         faults,
         stopped,
         arguments.catalog,
-        is_anew=arguments.rebuild,
     )
     named = {name for names in rows.column("names").to_pylist() for name in names}
     robots = chosen_robots(arguments.robot, named) if arguments.robot else None

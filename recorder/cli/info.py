@@ -28,10 +28,9 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap\n  cruiser review info logs"
 DESCRIPTION: Final = (
     "What logs hold: channels, rates, times, robots, versions, attachments, and what the recorder says that it "
-    "lost while it wrote them; of the logs of a directory a line each. Of a whole log only its end is read, and "
-    "not even that where the directory has a catalog; a log without one is gone through. Whether "
-    "all of it is true is asked with 'check'. Exit code 3 if a file is not whole, "
-    "unless a recorder is writing it, or if it takes too long to read."
+    "lost while it wrote them; of the logs of a directory a line each. Of a whole log only its end is read; a log "
+    "without one is gone through. Whether all of it is true is asked with 'check'. Exit code 3 if a file is not "
+    "whole, unless a recorder is writing it, or if it takes too long to read."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each file, and of several a last one for all together"
 
@@ -54,9 +53,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             if stopped():
                 break
             is_named = log.path in arguments.logs or StoreAddress(log.url) in arguments.logs
-            if not is_named and log.path in asked.known:
-                infos.append(asked.known[log.path].brief)
-                continue
             try:
                 info = msgspec.structs.replace(read_info(log.path, progress), path=log.name)
             except CommandError as error:

@@ -13,11 +13,10 @@ import os
 import stat
 from array import array
 from collections import Counter
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import MappingProxyType
-from typing import BinaryIO, Final, Protocol
+from typing import BinaryIO, Final
 
 import msgspec
 from mcap import records
@@ -225,24 +224,11 @@ def _index(piece: PackedChunk | MessageBlock, windows: Sequence[Window], declare
     return index
 
 
-class KnownLog(Protocol):
-    """A log that need not be opened."""
-
-    @property
-    def log(self) -> LogFile:
-        """The same as ``look_at`` gives."""
-
-    @property
-    def is_covered(self) -> bool | None:
-        """It is an incident, and its directory's other logs hold every message of it; None if not known."""
-
-
 def find_logs(
     paths: Sequence[Path],
     faults: Faults,
     *,
     with_covered: bool = False,
-    known: Mapping[Path, KnownLog] = MappingProxyType({}),
     stored: Sequence[LogFile] = (),
 ) -> list[LogFile]:
     """The logs at these paths, by their beginning.
@@ -252,7 +238,6 @@ def find_logs(
             incident is left out if its other logs hold every message of it, and can be read.
         faults: takes what is wrong with single files of several.
         with_covered: leave no incident out.
-        known: logs of these directories that need not be opened.
         stored: copies of logs of object stores that are asked about with them.
 
     Raises:
@@ -264,9 +249,6 @@ def find_logs(
         for name in [path] if not path.is_dir() else _logs_of(path):
             if name in found:
                 continue
-            if name in known:
-                found[name] = known[name].log
-                continue
             try:
                 found[name] = look_at(name)
             except CommandError as error:
@@ -274,19 +256,10 @@ def find_logs(
                 faults.add(str(error))
         if path.is_dir() and not with_covered:
             named = {log.path: log for log in found.values() if log.path in paths}
-            found = named | {log.path: log for log in _uncovered(list(found.values()), known)}
+            found = named | {log.path: log for log in without_covered(list(found.values()))}
     if not found and not stored:
         raise failure or CommandError(f"there is no log in {', '.join(plain(str(path)) for path in paths)}")
     return sorted(_with_namesakes([*found.values(), *stored]), key=lambda log: (log.start_ns, log.name))
-
-
-def _uncovered(logs: list[LogFile], known: Mapping[Path, KnownLog]) -> list[LogFile]:
-    """The logs without the incidents that others hold; what has to be compared is opened."""
-    covered = {log.path: known[log.path].is_covered if log.path in known else None for log in logs}
-    # What a directory's logs hold, more of them hold too.
-    left = [log for log in logs if not covered[log.path]]
-    is_settled = None not in covered.values() and len({log.path.parent for log in logs}) == 1
-    return left if is_settled else without_covered(left)
 
 
 def _with_namesakes(logs: list[LogFile]) -> list[LogFile]:

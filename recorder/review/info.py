@@ -1,7 +1,4 @@
-"""Logs as they describe themselves: contents, losses, robots; or as their catalog does.
-
-- The robots of a log, as its topics name them, for the layouts that it is opened with.
-- A log that need not be opened, as a catalog says; known without the libraries that read catalogs.
+"""Logs as they describe themselves: contents, losses, and robots, for the layouts that a log is opened with.
 
 The contents of a log, from its end and its recorder's records: no chunk of a whole log is unpacked.
 
@@ -147,10 +144,6 @@ class SetInfo(msgspec.Struct, frozen=True):
 def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
     """Read what a log holds.
 
-    Args:
-        path: the file.
-        progress: receives the number of bytes that were read.
-
     Raises:
         CommandError: there is no such file, or it is no MCAP file.
     """
@@ -282,12 +275,7 @@ def _completeness(entries: dict[str, str]) -> dict[str, KeyReport]:
 
 
 def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[RobotKeys]:
-    """The robots of logs, by their keys.
-
-    Args:
-        logs: as ``find_logs`` gives them. No chunk is read of those that are whole.
-        faults: takes what cannot be read.
-    """
+    """The robots of logs, by their keys."""
     return robots_in(survey(logs, faults).topics.values())
 
 
@@ -299,19 +287,3 @@ def robots_in(topics: Iterable[Topic]) -> list[RobotKeys]:
         if parts is not None and parts.robot and RECORDER_CHUNK not in topic.name.split("/"):
             buses.setdefault(f"{parts.root}/{parts.robot}", set()).add(parts.bus)
     return [RobotKeys(key, min(found - {""}, default="")) for key, found in sorted(buses.items())]
-
-
-CATALOG_NAME: Final = "catalog.parquet"
-"""The catalog in the directory of its logs."""
-
-
-class CatalogedLog(msgspec.Struct, frozen=True):
-    """A log that is as the catalog says.
-
-    Attributes:
-        is_covered: None where logs of the catalog have changed or gone since.
-    """
-
-    log: LogFile
-    is_covered: bool | None
-    brief: LogBrief

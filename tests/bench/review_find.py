@@ -17,10 +17,9 @@ from typing import Final
 
 import msgspec
 
-from recorder.review.catalog.directory import Catalog, to_table, write_table
+from recorder.review.catalog.directory import CATALOG_NAME, Catalog, to_table, write_table
 from recorder.review.catalog.find import SEARCHES, FindConditions, find
 from recorder.review.catalog.log_row import LoggedRobot
-from recorder.review.info import CATALOG_NAME
 from schemas.reasons import Reason
 from tests.bench.loads import Row
 from tests.support.catalog import DRIVE, STOP, row

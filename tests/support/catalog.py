@@ -11,7 +11,6 @@ ROW = CatalogRow(
     file="a.mcap",
     bytes=1000,
     modified_ns=WALL_NS,
-    summary_crc=7,
     messages=10,
     start_ns=WALL_NS,
     end_ns=WALL_NS + 60 * SECOND,

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import os
 import resource
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,10 +32,8 @@ from recorder.review.catalog.log_row import (
     CatalogUnreadableError,
     read_row,
     row_of,
-    summary_crc_of,
     unreadable,
 )
-from recorder.review.info import CATALOG_NAME, CatalogedLog, LogBrief
 from recorder.upload.finished import ROW_SUFFIX
 from schemas.command_line import CommandError, ExitCode, other_kind, plain
 
@@ -150,11 +148,7 @@ def bounded_memory() -> Generator[None, None, None]:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Replace a catalog in one step: whoever reads meanwhile sees the old one or the new one.
-
-    Raises:
-        OSError: the disk does not take it.
-    """
+    """Replace a catalog in one step: whoever reads meanwhile sees the old one or the new one."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     # A link of that name may lead to anywhere.
     beside.unlink(missing_ok=True)
@@ -174,20 +168,10 @@ def write_table(path: Path, table: pa.Table) -> None:
         beside.unlink(missing_ok=True)
 
 
-_CHECKED: Final = ["file", "bytes", "modified_ns", "summary_crc", "is_incident", "start_ns", "end_ns"]
-_BRIEF: Final = [
-    "file",
-    "bytes",
-    "modified_ns",
-    "messages",
-    "start_ns",
-    "end_ns",
-    "is_whole",
-    "is_covered",
-    "robots",
-    "names",
-    "lost",
-]
+CATALOG_NAME: Final = "catalog.parquet"
+"""The catalog in the directory of its logs."""
+
+_CHECKED: Final = ["file", "bytes", "modified_ns", "is_incident", "start_ns", "end_ns"]
 
 
 class _Status(msgspec.Struct, frozen=True):
@@ -201,8 +185,7 @@ class _Status(msgspec.Struct, frozen=True):
 class Catalog:
     """The catalog of a directory, as far as its rows hold; ``refresh`` adds the rest.
 
-    A row holds as long as its file has the same length, and either the time of its last change or the checksum of
-    its summary.
+    A row holds as long as its file has the same length and the same time of its last change.
 
     Attributes:
         stale: the logs that have to be opened, and ``stale_bytes`` their length.
@@ -213,9 +196,7 @@ class Catalog:
         CommandError: the directory cannot be read.
     """
 
-    def __init__(
-        self, directory: Path, columns: Sequence[str], path: Path | None = None, *, is_anew: bool = False
-    ) -> None:
+    def __init__(self, directory: Path, columns: Sequence[str], path: Path | None = None) -> None:
         self._path = path or directory / CATALOG_NAME
         self._columns = list(columns)
         self.notes: list[str] = []
@@ -225,20 +206,19 @@ class Catalog:
         for name, one in list(files.items()):
             if one.name.endswith(PART_SUFFIX) and _is_open(directory / one.name):
                 self.being_written.append(directory / files.pop(name).name)
-        self._is_changed = bool(files) and (is_anew or not self._path.exists())
-        self._table = SCHEMA.empty_table() if is_anew else self._read({*_CHECKED, *columns})
-        self._modified = self._compare(files)
-        if not self._table.num_rows:
-            self._table = SCHEMA.empty_table()
-        elif self._is_changed or not self._table.num_rows == len(self._modified) == len(files):
-            # It is written again, so every column is needed.
-            self._table = self._read()
-            if not self._table.num_rows:
-                self._modified = {}
-        self.stale = [one for name, one in sorted(files.items()) if name not in self._modified]
-        gone = self._table.filter(pc.invert(self._holds()))
-        self._is_changed |= bool(gone.num_rows)
-        self._spans = _spans(gone)
+        known = self._read(_CHECKED)
+        held = {
+            name
+            for name, *seen in zip(*(known.column(one).to_pylist() for one in _CHECKED[:3]), strict=True)
+            if name in files and seen == [files[name].bytes, files[name].modified_ns]
+        }
+        is_same = len(held) == known.num_rows == len(files)
+        # Where it is written again every column is needed.
+        self._table = self._read(columns if is_same else None) if held else SCHEMA.empty_table()
+        self._held = held if self._table.num_rows else set()
+        self.stale = [one for name, one in sorted(files.items()) if name not in self._held]
+        self._is_changed = not is_same or bool(self.stale or self.notes)
+        self._spans = _spans(known.filter(pc.invert(self._holds(known))))
 
     @property
     def stale_bytes(self) -> int:
@@ -278,43 +258,24 @@ class Catalog:
         finally:
             self._add(found)
 
-    def _read(self, columns: Collection[str] | None = None) -> pa.Table:
+    def _read(self, columns: Collection[str] | None) -> pa.Table:
         try:
             return read_table(self._path, columns)
         except FileNotFoundError:
             pass
         except CatalogUnreadableError as error:
             self.notes.append(f"{plain(str(self._path))} {error}: rebuilt from the logs")
-            self._is_changed = True
         return SCHEMA.empty_table()
 
-    def _holds(self) -> pa.ChunkedArray:
-        return pc.is_in(self._table.column("file"), pa.array(self._modified, pa.string()))
-
-    def _compare(self, files: Mapping[str, _Status]) -> dict[str, int]:
-        """The rows whose files are as they were, by name: the time of the last change of each."""
-        found = {}
-        rows = [self._table.column(name).to_pylist() for name in ("file", "bytes", "modified_ns", "summary_crc")]
-        for name, size, modified_ns, summary_crc in zip(*rows, strict=True):
-            one = files.get(name)
-            if one is None or one.bytes != size:
-                continue
-            if one.modified_ns != modified_ns:
-                if summary_crc is None or summary_crc_of(self._directory / one.name) != summary_crc:
-                    continue
-                # It was copied, or touched.
-                self._is_changed = True
-            found[name] = one.modified_ns
-        return found
+    def _holds(self, table: pa.Table) -> pa.ChunkedArray:
+        return pc.is_in(table.column("file"), pa.array(self._held, pa.string()))
 
     def _add(self, found: list[CatalogRow]) -> None:
         if not found and not self._is_changed:
             return
-        kept = self._table.filter(self._holds())
-        modified = [self._modified[name] for name in kept.column("file").to_pylist()]
         new = to_table(found)
         self._spans += _spans(new)
-        table = pa.concat_tables([_replaced(kept, "modified_ns", modified), new])
+        table = pa.concat_tables([self._table.filter(self._holds(self._table)), new])
         table = table.sort_by([("start_ns", "ascending"), ("file", "ascending")])
         self._table = self._with_coverage(table, {row.file for row in found}).combine_chunks()
         try:
@@ -327,7 +288,9 @@ class Catalog:
 
     def _with_coverage(self, table: pa.Table, new: set[str]) -> pa.Table:
         """Find out anew which incidents the other logs hold, where any of these has come, changed or gone."""
-        logs = {str(row["file"]): log for row, log in _log_files(self._directory, table)}
+        names = ["file", "bytes", "start_ns", "end_ns"]
+        rows = [table.column(name).to_pylist() for name in names]
+        logs = {name: LogFile(self._directory / name, *span) for name, *span in zip(*rows, strict=True)}
         spans = self._spans
         doubtful = {
             name
@@ -340,61 +303,13 @@ class Catalog:
             return table
         asked = [log for name, log in logs.items() if name in doubtful or not log.is_incident]
         left = {log.path for log in without_covered(asked)}
+        were = table.column("is_covered").to_pylist()
         covered = [
             logs[name].path not in left if name in doubtful else was
-            for name, was in zip(
-                table.column("file").to_pylist(), table.column("is_covered").to_pylist(), strict=True
-            )
+            for name, was in zip(rows[0], were, strict=True)
         ]
-        return _replaced(table, "is_covered", covered)
-
-
-def _replaced(table: pa.Table, name: str, values: Sequence[Any]) -> pa.Table:
-    place = table.schema.get_field_index(name)
-    return table.set_column(place, SCHEMA.field(place), pa.array(values, SCHEMA.field(place).type))
-
-
-def known_logs(directory: Path) -> dict[Path, CatalogedLog]:
-    """The whole logs of a directory that are as its catalog says; nothing is opened but the catalog.
-
-    None where there is no catalog, or none that can be read.
-    """
-    try:
-        with bounded_memory():
-            rows = _log_files(directory, read_table(directory / CATALOG_NAME, _BRIEF))
-        files = _files(directory)
-    except (FileNotFoundError, CatalogUnreadableError, CommandError, MemoryError):
-        return {}
-    found = {}
-    has_all = True
-    for row, log in rows:
-        one = files.get(row["file"])
-        if one is None or (one.bytes, one.modified_ns) != (row["bytes"], row["modified_ns"]):
-            has_all = False
-        # A part may be written on, a time that no column can hold is not known, an unreadable one says so itself.
-        elif log.end_ns < NEVER_NS and not one.name.endswith(PART_SUFFIX) and (row["messages"] or row["is_whole"]):
-            path = directory / one.name
-            found[path] = _cataloged(row, msgspec.structs.replace(log, path=path))
-    if has_all:
-        return found
-    return {path: msgspec.structs.replace(one, is_covered=None) for path, one in found.items()}
-
-
-def _cataloged(row: dict[str, Any], log: LogFile) -> CatalogedLog:
-    has_messages = bool(row["messages"])
-    brief = LogBrief(
-        path=str(log.path),
-        bytes=log.bytes,
-        whole=row["is_whole"],
-        is_being_written=False,
-        messages=row["messages"],
-        start_ns=log.start_ns if has_messages else None,
-        end_ns=log.end_ns if has_messages else None,
-        duration_s=(log.end_ns - log.start_ns) / 1e9,
-        robots=row["names"],
-        lost=row["lost"],
-    )
-    return CatalogedLog(log, row["is_covered"], brief)
+        place = table.schema.get_field_index("is_covered")
+        return table.set_column(place, SCHEMA.field(place), pa.array(covered, pa.bool_()))
 
 
 def _files(directory: Path) -> dict[str, _Status]:
@@ -444,35 +359,11 @@ def _spans(table: pa.Table) -> list[tuple[int, int]]:
     return list(zip(logs.column("start_ns").to_pylist(), logs.column("end_ns").to_pylist(), strict=True))
 
 
-def _log_files(directory: Path, table: pa.Table) -> list[tuple[dict[str, Any], LogFile]]:
-    """Each row, and the log that it is of."""
-    rows = table.select([name for name in _BRIEF if name in table.column_names]).to_pylist()
-    return [
-        (
-            row,
-            LogFile(
-                directory / row["file"],
-                row["bytes"],
-                row["start_ns"],
-                row["end_ns"],
-                frozenset((one["root"], one["name"]) for one in row["robots"]),
-            ),
-        )
-        for row in rows
-    ]
-
-
 AT_ONCE: Final = 16
 """Rows that are asked for at the same time."""
 
 ROW_MAX: Final = 16 * 1024 * 1024
 """A longer object is no row."""
-
-PIECE_BYTES: Final = 4 * 1024 * 1024
-
-
-class _GoneError(StoreError):
-    """An object of a list is not there."""
 
 
 class PlaceCatalog:
@@ -495,8 +386,6 @@ class PlaceCatalog:
         place: StoreAddress,
         columns: Sequence[str],
         cache: LogCache,
-        *,
-        is_anew: bool = False,
     ) -> None:
         self.notes: list[str] = []
         self.being_written: list[Path] = []
@@ -510,10 +399,8 @@ class PlaceCatalog:
                 raise CommandError(text, ExitCode.USAGE)
             listed = {one.name: one.bytes for one in objects.names()}
         self._logs = {name: size for name, size in listed.items() if name.endswith(SUFFIX)}
-        single = [] if is_anew else [name for name in sorted(self._logs) if name + ROW_SUFFIX in listed]
         with self._reachable(place.url):
-            found = self._singles([(name, listed[name + ROW_SUFFIX]) for name in single])
-        self._rows = [row for row in found if row is not None]
+            self._rows = list(self._uploaded([name for name in sorted(self._logs) if name + ROW_SUFFIX in listed]))
         known = {row.file for row in self._rows}
         self.stale = [name for name in sorted(self._logs) if name not in known]
 
@@ -551,45 +438,24 @@ class PlaceCatalog:
                 faults.add(f"{name}: {error}" if error.code is ExitCode.PARTIAL else str(error))
             self.stale.pop(0)
 
-    def _singles(self, logs: Sequence[tuple[str, int]]) -> list[CatalogRow | None]:
-        """The rows of logs, by name and the row's length; some at a time, for each is a request or two."""
+    def _uploaded(self, names: Sequence[str]) -> Iterator[CatalogRow]:
+        """The rows beside these logs that hold, each under its log's name; some are fetched at a time."""
         pool = ThreadPoolExecutor(AT_ONCE)
         try:
-            fetched = pool.map(lambda one: self._fetched(one[0] + ROW_SUFFIX, one[1]), logs)
-            # Read one after the other: the bound on what one unpacks to is the process's.
-            return [self._single(name, data) for (name, _), data in zip(logs, fetched, strict=True)]
+            # Unpacked one after the other: each may be large.
+            for name, data in zip(names, pool.map(self._fetched, names), strict=True):
+                with suppress(CatalogUnreadableError):
+                    yield msgspec.structs.replace(read_row(data, self._logs[name]), file=name)
         finally:
             # A store that is gone is not asked for each.
             pool.shutdown(cancel_futures=True)
 
-    def _fetched(self, row: str, size: int) -> bytes | None:
-        """The object of a row; None if it is gone, or longer than any row."""
-        if size > ROW_MAX:
-            return None
-        try:
-            return self._bytes(row)
-        except _GoneError:
-            return None
-
-    def _single(self, name: str, data: bytes | None) -> CatalogRow | None:
-        """The row beside a log, under the log's name; None if it does not hold."""
-        if data is None:
-            return None
-        try:
-            return msgspec.structs.replace(read_row(data, self._logs[name]), file=name)
-        except CatalogUnreadableError:
-            return None
-
-    def _bytes(self, name: str) -> bytes:
-        """All of a small object. A list may tell its length as it was."""
-        found = self._objects.look(name)
-        if found is None:
-            raise _GoneError("it is gone")
-        pieces = [
-            self._objects.read(name, start, min(start + PIECE_BYTES, found.bytes), found.e_tag)
-            for start in range(0, found.bytes, PIECE_BYTES)
-        ]
-        return b"".join(pieces)
+    def _fetched(self, name: str) -> bytes:
+        """The object of a row; empty if it is gone, or longer than any row."""
+        row = name + ROW_SUFFIX
+        found = self._objects.look(row)
+        is_there = found is not None and 0 < found.bytes <= ROW_MAX
+        return self._objects.read(row, 0, found.bytes, found.e_tag) if found and is_there else b""
 
     def _made(self, name: str, progress: Progress) -> CatalogRow:
         """Make the row of a log, of which a copy is read."""

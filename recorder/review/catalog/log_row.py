@@ -13,21 +13,17 @@ from typing import Final
 import msgspec
 import zstandard
 
-from recorder.mcap.summary_reader import read_summary
-from recorder.reading.logs import Faults, LogFile, look_at
+from recorder.reading.logs import Faults, look_at
 from recorder.reading.rows import Progress, Selection
 from recorder.review.entries import EntryKind
 from recorder.review.info import LogInfo, lost, read_info
 from recorder.review.report.findings import Report, RobotReport, moment_words
 from recorder.review.report.gather import read_report
-from recorder.review.verify import shown_statements
-from recorder.review.verifying import COMMANDING_ROLES
-from schemas.authority.proof import Grant, StatementFault, read_chain
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 
 FORMAT: Final = "cruiser-catalog"
-VERSION: Final = 4
+VERSION: Final = 5
 """Rises with each change of what a row says; a catalog of another version is made anew."""
 
 INCIDENT: Final = "incident"
@@ -104,26 +100,11 @@ class LoggedDriver(msgspec.Struct, frozen=True):
     distance_m: float
 
 
-class LoggedGrant(msgspec.Struct, frozen=True):
-    """A grant to command that a robot showed. Nothing of it is verified here.
-
-    Attributes:
-        id: hexadecimal.
-    """
-
-    robot: str
-    id: str
-    name: str
-    role: str
-    serial: int
-
-
 class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     """A log.
 
     Attributes:
         modified_ns: the time of its last change, as the file system has it.
-        summary_crc: the checksum of the summary at its end; None if it has none.
         start_ns, end_ns: the first and the last log time, both 0 if it holds no message; at most NEVER_NS.
         is_whole: it was closed properly.
         faults: parts that could not be read; ``damage`` has the first ones in words, or ``unreadable: ...``.
@@ -143,7 +124,6 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     file: str
     bytes: int
     modified_ns: int
-    summary_crc: int | None = None
     messages: int = 0
     start_ns: int = 0
     end_ns: int = 0
@@ -158,7 +138,6 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     moving_s: float = 0.0
     top_mps: float = 0.0
     operators: list[LoggedDriver] = []
-    grants: list[LoggedGrant] = []
     accepted: int = 0
     refused: int = 0
     events: dict[str, int] = {}
@@ -178,15 +157,13 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     moments: list[LoggedMoment] = []
 
 
-def summarize(
-    log: LogFile, file: str, modified_ns: int, summary_crc: int | None, progress: Progress = lambda _: None
-) -> CatalogRow:
+def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda _: None) -> CatalogRow:
     """Make the row of a log, which is read from its beginning to its end.
 
     Raises:
-        CommandError: it can no longer be opened.
+        CommandError: it cannot be opened.
     """
-    faults = Faults()
+    log, faults = look_at(path), Faults()
     info = read_info(log.path)
     report = read_report([log], Selection(), faults, progress)
     moments = sorted(_moments(info, report), key=lambda one: (one.time_ns, one.robot, one.kind, one.text))
@@ -197,7 +174,6 @@ def summarize(
         file=file,
         bytes=log.bytes,
         modified_ns=modified_ns,
-        summary_crc=summary_crc,
         messages=info.messages,
         start_ns=_bounded(log.start_ns),
         end_ns=_bounded(log.end_ns),
@@ -216,7 +192,6 @@ def summarize(
             for one in summaries
             for driver in one.drivers
         ],
-        grants=_grants(log),
         accepted=sum(one.accepted for one in summaries),
         refused=sum(one.refused for one in summaries),
         events=_added(one.events for one in summaries),
@@ -322,20 +297,6 @@ def _time(text: str) -> int | None:
     return _bounded(int(text)) if is_number else None
 
 
-def _grants(log: LogFile) -> list[LoggedGrant]:
-    """The grants of those who may command. What cannot be read has been reported by the reading before."""
-    found = set()
-    for shown in shown_statements([log], Faults()):
-        chain = read_chain(shown.text.encode())
-        if isinstance(chain, StatementFault):
-            continue
-        first = chain[0]
-        grant = first.statement
-        if isinstance(grant, Grant) and grant.role in COMMANDING_ROLES:
-            found.add((shown.robot, first.id.hex(), grant.name, grant.role.value, grant.serial))
-    return [LoggedGrant(*one) for one in sorted(found)]
-
-
 UNPACKED_MAX: Final = 64 * 1024 * 1024
 """A row that unpacks to more is none."""
 
@@ -376,22 +337,3 @@ def read_row(data: bytes, log_bytes: int) -> CatalogRow:
     if row.bytes != log_bytes:
         raise CatalogUnreadableError("is of another log")
     return row
-
-
-def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda _: None) -> CatalogRow:
-    """Make the row of a log, which is read from its beginning to its end.
-
-    Raises:
-        CommandError: it cannot be opened.
-    """
-    return summarize(look_at(path), file, modified_ns, summary_crc_of(path), progress)
-
-
-def summary_crc_of(path: Path) -> int | None:
-    """The checksum of a file's summary, by its footer; None if it has none, or it is wrong."""
-    try:
-        with path.open("rb") as stream:
-            summary = read_summary(stream)
-    except OSError:
-        return None
-    return None if summary is None or not summary.crc else summary.crc

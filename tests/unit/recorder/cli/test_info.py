@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.main import main
-from recorder.review.info import CATALOG_NAME
 from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
-from tests.support.logs import Log, foreign_log, gears, own_log, saved
+from tests.support.logs import Log, gears, own_log, saved
 from tests.support.messages import FakeSample
 
 
@@ -32,25 +31,6 @@ def test_a_directory_of_many_robots_is_told_of_some(
     with pytest.raises(CommandError, match="nothing of depot-3\\?, but of cruiser-1, depot-1, ") as refused:
         review("info", str(tmp_path), "--robot", "depot-3?")
     assert refused.value.code is ExitCode.USAGE
-
-
-def test_a_directory_is_told_alike_with_a_catalog_and_without_one(
-    whole: Path, cut: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """For people and for programs, and with the same exit code."""
-    saved(whole.with_name("foreign.mcap"), foreign_log())
-    saved(whole.with_name("empty.mcap"), own_log([]))
-    saved(whole.with_name("whole-1.incident.mcap"), whole.read_bytes())
-    words = [
-        ("info", str(whole.parent)),
-        ("info", "--json", str(whole.parent)),
-        ("info", str(cut), str(cut.parent)),
-    ]
-    before = [(review(*one), capsys.readouterr()) for one in words]
-    assert review("find", "logs", str(whole.parent)) == ExitCode.PARTIAL
-    capsys.readouterr()
-    assert (whole.parent / CATALOG_NAME).exists()
-    assert [(review(*one), capsys.readouterr()) for one in words] == before
 
 
 def test_a_terminal_may_lack_characters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

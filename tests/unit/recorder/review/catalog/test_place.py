@@ -50,10 +50,10 @@ def cache(tmp_path: Path) -> LogCache:
 CACHES: list[LogCache] = []
 
 
-def brought_up(store: FakeObjects, *, is_anew: bool = False) -> tuple[PlaceCatalog, Faults]:
+def brought_up(store: FakeObjects) -> tuple[PlaceCatalog, Faults]:
     """The catalog, complete, and what could not be read."""
     faults = Faults()
-    catalog = PlaceCatalog(store, PLACE, COLUMNS, CACHES[0], is_anew=is_anew)
+    catalog = PlaceCatalog(store, PLACE, COLUMNS, CACHES[0])
     catalog.refresh(faults)
     return catalog, faults
 
@@ -96,14 +96,6 @@ def test_a_row_that_does_not_hold_is_made_again_from_its_log(
     again, _ = brought_up(store)
     assert files(again) == files(catalog)
     assert logs_read(store) == set()
-
-
-def test_anew_believes_no_row(store: FakeObjects) -> None:
-    """Whatever they say."""
-    store.objects[NAME + ROW_SUFFIX] = store.objects[OTHER + ROW_SUFFIX]
-    catalog, _ = brought_up(store, is_anew=True)
-    assert logs_read(store) == {NAME, OTHER}
-    assert files(catalog) == {NAME: 124, OTHER: 64}
 
 
 def test_logs_of_other_makers_and_what_is_no_log_are_told_apart(store: FakeObjects) -> None:

@@ -4,30 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from recorder.reading.logs import look_at
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.catalog.directory import to_rows, to_table
-from recorder.review.catalog.log_row import INCIDENT, NEVER_NS, CatalogRow, LoggedGrant, LoggedMoment, summarize
-from tests.support.authority import Fleet
+from recorder.review.catalog.log_row import INCIDENT, NEVER_NS, CatalogRow, LoggedMoment, row_of
 from tests.support.logs import gears, own_log, saved
-from tests.support.messages import ROBOT
-from tests.support.signed_run import driven, log_of
 
 
-def row_of(path: Path, data: bytes) -> CatalogRow:
+def made(path: Path, data: bytes) -> CatalogRow:
     """The row of a log with this content, by way of its table."""
-    row = summarize(look_at(saved(path, data)), path.name, 5, 7)
+    row = row_of(saved(path, data), path.name, 5)
     assert to_rows(to_table([row])) == [row]
     return row
-
-
-def test_a_row_of_signed_mode_has_grants(tmp_path: Path) -> None:
-    """The grant of who may command, and not the robot's own."""
-    run, ann = driven(Fleet())
-    row = row_of(tmp_path / "a.mcap", log_of(run.samples))
-    (grant,) = row.grants
-    assert grant == LoggedGrant(ROBOT, ann.chain[0].id.hex(), "ann", "operator", grant.serial)
-    assert row.accepted > 0
 
 
 @pytest.mark.parametrize(
@@ -36,7 +23,7 @@ def test_a_row_of_signed_mode_has_grants(tmp_path: Path) -> None:
 def test_an_incident_is_a_moment(tmp_path: Path, at_ns: str, time_ns: int) -> None:
     """With the reason that its recorder gave; a time beyond all is as late as can be."""
     kept = {"at_ns": at_ns, "because": "it swerved", "file": "b.incident.mcap"}
-    row = row_of(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, kept)]))
+    row = made(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, kept)]))
     assert row.moments == [
         LoggedMoment(
             time_ns=time_ns,
@@ -57,7 +44,7 @@ def test_an_incident_is_a_moment(tmp_path: Path, at_ns: str, time_ns: int) -> No
 @pytest.mark.parametrize("at_ns", ["", "soon", "-5", "1.5", "٣", "9" * 40])
 def test_an_incident_without_a_time_is_none(tmp_path: Path, at_ns: str) -> None:
     """Metadata may be anybody's."""
-    row = row_of(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, {"at_ns": at_ns})]))
+    row = made(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, {"at_ns": at_ns})]))
     assert not row.moments
 
 
@@ -65,7 +52,6 @@ def test_counts_beyond_a_column_are_cut(tmp_path: Path) -> None:
     """An account in a log may say anything; times of MCAP reach further than those of a column."""
     account = {"fleet/x": f'{{"lost_link": {2**64 - 1}}}'}
     data = own_log([gears(0, 1, 2**64 - 5)], metadata=[("cruiser.completeness", account)])
-    row = summarize(look_at(saved(tmp_path / "a.mcap", data)), "a.mcap", 5, None)
+    row = row_of(saved(tmp_path / "a.mcap", data), "a.mcap", 5)
     (kept,) = to_rows(to_table([row]))
     assert (kept.start_ns, kept.end_ns, kept.lost) == (NEVER_NS, NEVER_NS, NEVER_NS)
-    assert kept.summary_crc is None
