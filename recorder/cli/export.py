@@ -23,7 +23,7 @@ from recorder.cli.asking import (
     task_runner,
 )
 from recorder.cli.show import show
-from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
+from recorder.reading.rows import Progress, Selection
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
@@ -118,7 +118,7 @@ def _csv(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Seq
 def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401 - of a module that is imported late
     from recorder.review.export import ExportRange  # noqa: PLC0415 - its libraries are an extra
 
-    return ExportRange(arguments.topic, asked.from_ns, -1 if asked.to_ns >= END_OF_TIME_NS else asked.to_ns)
+    return ExportRange(arguments.topic, asked.from_ns, asked.to_ns)
 
 
 def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:

@@ -17,11 +17,7 @@ from schemas.command_line import plain
 def show(answer: object, lines: Iterable[str], *, as_json: bool) -> None:
     """Print an answer.
 
-    Args:
-        answer: an object, as a line of JSON.
-        lines: the same for people. Names in a log come from anywhere, and may try to rule the terminal: what
-            cannot be printed is escaped.
-        as_json: choose the first.
+    Names in a log come from anywhere, and may try to rule the terminal: what cannot be printed is escaped.
     """
     shown = [json_line(answer)] if as_json else map(plain, lines)
     sys.stdout.writelines(f"{line}\n" for line in shown)

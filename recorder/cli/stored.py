@@ -28,11 +28,7 @@ def find_stored(
 ) -> list[LogFile]:
     """Return copies of the logs at these addresses: single ones, and all of a place.
 
-    Args:
-        addresses: in object stores.
-        upload: whose options are those of the store, if it is one of the same kind.
-        faults: takes logs of a place that cannot be read.
-        progress_of: shows how much of so many bytes is fetched.
+    The options are those of ``upload``, if its store is one of the same kind.
     """
     wanted = {
         place.join(name): (objects, place, name, size)

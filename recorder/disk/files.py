@@ -22,7 +22,9 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from io import BufferedWriter, FileIO
+from itertools import chain, count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
@@ -539,6 +541,26 @@ def give_name(part: Path, path: Path) -> None:
         part.rename(path)
     else:
         part.unlink()
+
+
+@contextmanager
+def staging(directory: Path) -> Generator[Path, None, None]:
+    """A hidden directory within it, for files until all are whole; what is left in it at the end goes."""
+    with TemporaryDirectory(prefix=".export-", dir=directory, ignore_cleanup_errors=True) as name:
+        yield Path(name).absolute()
+
+
+def new_path(directory: Path, name: str, suffix: str, taken: Collection[str] = ()) -> Path:
+    """The path of a new file; where the name is taken already it gets a number.
+
+    Raises:
+        CommandError: it is there.
+    """
+    endings = chain([suffix], (f"~{number}{suffix}" for number in count(2)))
+    path = next(one for one in (directory / f"{name}{end}" for end in endings) if str(one) not in taken)
+    if path.exists():
+        raise CommandError(f"{plain(str(path))} is there already; nothing is overwritten")
+    return path
 
 
 NAME: Final = ".uploaded.jsonl"

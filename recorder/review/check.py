@@ -40,17 +40,13 @@ from recorder.mcap.reader import (
 from recorder.mcap.summary_reader import LogSummary, read_summary
 from recorder.reading.logs import is_being_written, open_log
 from recorder.reading.rows import Progress
-from recorder.review.checking import Channel, ChannelCheck, ClockStep, FrameInfo, faults_of_schema
+from recorder.review.checking import Channel, ChannelCheck, FrameInfo, faults_of_schema
 from recorder.review.flaws import About, Finding, Findings
-from schemas import keys
 from schemas.subjects import RECORDER_CHUNK
 
 
 class Structure:
     """Follows a file through its data, and then compares its summary.
-
-    Args:
-        findings: takes what is wrong.
 
     Attributes:
         messages: of each channel.
@@ -111,10 +107,7 @@ class Structure:
     ) -> list[tuple[int, int] | None]:
         """Take the messages of blocks; returns the first and the last log time of each, None if it has none.
 
-        Args:
-            read: the messages.
-            bases: where each block begins in ``read.content``, and where all end.
-            offsets: of the blocks in the file.
+        ``bases`` is where each block begins in ``read.content``, and where all end; ``offsets`` are in the file.
         """
         for channel, places in read.places.items():
             self.messages[channel] += len(places.offsets)
@@ -143,11 +136,7 @@ class Structure:
     def take_chunk(self, piece: PackedChunk, size: int, span: tuple[int, int] | None, *, is_indexed: bool) -> None:
         """Take a chunk that could be read.
 
-        Args:
-            piece: the chunk.
-            size: of its records in bytes.
-            span: the first and the last log time in it; None if there is no message.
-            is_indexed: the message indexes behind it say what is there, or there are none.
+        ``size`` is that of its records; ``span`` its first and last log time, None if there is no message.
         """
         chunk = piece.described()
         if chunk.unpacked != size:
@@ -290,10 +279,6 @@ class LogCheck(msgspec.Struct, frozen=True):
 def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
     """Check a log.
 
-    Args:
-        path: the file.
-        progress: receives the number of bytes that were read.
-
     Raises:
         CommandError: there is no such file, or it is no MCAP file.
     """
@@ -304,11 +289,6 @@ def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
 def check_stream(stream: BinaryIO, size: int, path: str, progress: Progress = lambda _: None) -> LogCheck:
     """As ``check_log``, of an open file that begins as MCAP does; ``path`` is what it is called."""
     return _Check(stream, size, path).run(progress)
-
-
-def _robot_of(topic: str) -> str:
-    parts = keys.parse(topic)
-    return "" if parts is None else f"{parts.root}/{parts.robot}"
 
 
 class _Check:
@@ -346,10 +326,7 @@ class _Check:
     def _sum_up(self) -> LogCheck:
         findings = self._findings
         by_topic = sorted(self._channels.values(), key=lambda one: one.topic)
-        steps: dict[str, list[ClockStep]] = {}
-        for channel in by_topic:
-            steps.setdefault(_robot_of(channel.topic), []).extend(channel.clock_steps)
-        channels = [channel.sum_up(steps[_robot_of(channel.topic)]) for channel in by_topic]
+        channels = [channel.sum_up() for channel in by_topic]
         frames = [info for channel in by_topic if channel.frames for info in channel.frames.info(channel.topic)]
         return LogCheck(
             path=self._path,

@@ -4,45 +4,34 @@
 - Raw frames lost on the way from the chassis, by their alive counters; see ``schemas.can_word``.
 - The state of one channel while a log is checked.
 
-The proof that messages are what their schema says.
-
-Most of ours have but fields of fixed width, so all bytes but the values themselves are known beforehand: they are
-compared for many messages at once. Where that leaves a doubt, and for all other messages, each is decoded.
+Messages are what their schema says where they can be decoded: ours as columns, many at once, others one by one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cache, reduce
+from functools import cache, partial
 from itertools import pairwise
-from operator import attrgetter, xor
-from struct import calcsize
+from operator import attrgetter
 from typing import Any, Final
 
 import msgspec
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from mcap import records
-from msgspec import inspect
 from numpy.typing import NDArray
 
 from gateway.chassis.layout import MessageLayout
 from gateway.choice import CHASSIS
-from recorder.encoding.protobuf import (
-    LOGGED,
-    compile_encoder,
-    descriptor_set,
-    fields,
-    message_class,
-    packed_fields,
-    schema_name,
-)
+from recorder.encoding.protobuf import LOGGED, descriptor_set, schema_name
 from recorder.encoding.samples import RESTART_STEP, SCHEMA_DATA, SCHEMA_NAME, SEQUENCE_SPAN
 from recorder.mcap.arrays import Bytes, Numbers, Places
-from recorder.reading.topics import UNREADABLE, foreign_decoder, means_the_same, typed_decoder
+from recorder.reading.topics import UNREADABLE, foreign_decoder, means_the_same, topic_of, typed_decoder
+from recorder.review.columns import LOG_TIME, Decoder, columns_of
 from recorder.review.flaws import Findings
 from schemas import keys
 from schemas.can_word import COUNTER_SPAN, IDENTIFIER_MASK, UnseenRounds
-from schemas.decisions import Journal
 from schemas.messages import CanFrame, GatewayInfo, RawSample
 from schemas.recording import RecorderEvent, RecordGap
 from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
@@ -56,80 +45,7 @@ _OURS: Final = {
 }
 """Schemas that this version writes: class, if it is one of ours, and schema."""
 
-_FIXED_WIDTH: Final = inspect.IntType | inspect.FloatType | inspect.BoolType | inspect.EnumType
-_NUMBERS: Final = frozenset("IiQqd")
-_VARINT_BOUND: Final = 0x80
-
 ANY_JSON: Final = msgspec.json.Decoder(msgspec.Raw).decode
-
-
-class Layout(msgspec.Struct, frozen=True):
-    """Records of a class that differ in the values of fields of fixed width, and in a tail, alone.
-
-    Attributes:
-        length: of every record.
-        fixed_at, fixed: place and value of each byte that all have in common.
-        bounds_at, bounds: place of each flag and enumeration, and what it is below.
-        row: the fields of fixed width, by name, and ``tail``, if there is one.
-    """
-
-    length: int
-    fixed_at: list[int]
-    fixed: NDArray[np.uint8]
-    bounds_at: list[int]
-    bounds: NDArray[np.uint8]
-    row: np.dtype[Any]
-
-    def rows(self, content: Bytes, places: Places) -> tuple[NDArray[np.bool_], NDArray[Any]]:
-        """Which messages are surely such records, and the fields of these; others may be good too."""
-        fits = places.lengths == self.length
-        if not fits.any():
-            return fits, np.empty(0, self.row)
-        rows = np.lib.stride_tricks.sliding_window_view(content, self.length)[places.offsets[fits]]
-        good = (rows[:, self.fixed_at] == self.fixed).all(axis=1)
-        good &= (rows[:, self.bounds_at] < self.bounds).all(axis=1)
-        fits[fits] = good
-        return fits, (rows if good.all() else rows[good]).view(self.row)[:, 0]
-
-
-def layout_of(kind: type[msgspec.Struct], record: bytes = b"", tail: int = 0) -> Layout | None:
-    """The layout of a class's records; None if they may have any length, and no record is given.
-
-    Args:
-        kind: the class.
-        record: one of those that the layout is of...
-        tail: ...and how many bytes at its end may have any value.
-    """
-    packed = packed_fields(kind, {}, "")
-    if packed.parts and not record:
-        return None
-    at = 0
-    fixed: dict[int, int] = {}
-    bounds: dict[int, int] = {}
-    row: list[tuple[str, str, int]] = []
-    forms = zip(packed.layout[::2], packed.layout[1::2], packed.arguments, strict=True)
-    of_fixed_width = [(name, field) for name, _, field in fields(kind) if isinstance(field, _FIXED_WIDTH)]
-    for (name, field), (tag_form, form, argument) in zip(of_fixed_width, forms, strict=True):
-        tag, width = int(argument.partition(",")[0]), calcsize(f"<{tag_form}")
-        fixed.update((at + byte, tag >> 8 * byte & 0xFF) for byte in range(width))
-        at += width
-        if form not in _NUMBERS:
-            bounds[at] = len(field.cls) if isinstance(field, inspect.EnumType) else _VARINT_BOUND
-        row.append((name, f"<{form}", at))
-        at += calcsize(f"<{form}")
-    end = max(at, len(record))
-    fixed.update((place, record[place]) for place in range(at, end - tail))
-    if tail:
-        row.append(("tail", f"{tail}u1", end - tail))
-    names, formats, offsets = (list(column) for column in zip(*row, strict=True))
-    return Layout(
-        length=end,
-        fixed_at=list(fixed),
-        fixed=np.array(list(fixed.values()), np.uint8),
-        bounds_at=list(bounds),
-        bounds=np.array(list(bounds.values()), np.uint8),
-        row=np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end}),
-    )
 
 
 def faults_of_schema(schema: records.Schema) -> list[str]:
@@ -155,7 +71,7 @@ def proof_of(channel: records.Channel, schema: records.Schema | None) -> Proof |
         return None
     kind, data = _OURS.get(schema.name, (None, b""))
     if kind is not None and data == schema.data:
-        return _own_proof(kind)
+        return partial(_unreadable, kind)
     decode = foreign_decoder(schema.name, schema.data)
     return None if decode is None else lambda content, places: _undecodable(datas(content, places), decode)
 
@@ -177,20 +93,17 @@ def _undecodable(messages: Iterable[bytes], decode: Callable[[bytes], Any]) -> l
 
 
 @cache
-def _own_proof(kind: type[msgspec.Struct]) -> Proof:
-    decode: Any = message_class(kind).FromString
-    layout = layout_of(kind)
-    if layout is None:
-        return lambda content, places: _undecodable(datas(content, places), decode)
+def _decoder(kind: type[msgspec.Struct], *names: str) -> Decoder:
+    """A decoder of a class of ours, with these of its columns."""
+    channel = records.Channel(0, "", "protobuf", {}, 1)
+    schema = records.Schema(1, descriptor_set(kind), "protobuf", schema_name(kind))
+    return Decoder(columns_of(topic_of(channel, schema)), {LOG_TIME, *names})
 
-    def proof(content: Bytes, places: Places) -> Sequence[int]:
-        fits, _ = layout.rows(content, places)
-        doubtful = np.flatnonzero(~fits)
-        wrong = _undecodable(datas(content, places.only(doubtful)), decode)
-        found: list[int] = doubtful[wrong].tolist()
-        return found
 
-    return proof
+def _unreadable(kind: type[msgspec.Struct], content: Bytes, places: Places) -> list[int]:
+    decoder = _decoder(kind)
+    decoder.batch(content, places)
+    return decoder.left_out
 
 
 Times = NDArray[np.uint64]
@@ -358,11 +271,7 @@ class Between(msgspec.Struct, frozen=True):
 
 
 def between(logs: Iterable[tuple[str, dict[str, ChannelEnds]]]) -> list[Between]:
-    """Find what is in none of the logs. Where a gateway started again between two logs, nothing is counted.
-
-    Args:
-        logs: of each its path, and the ends of its channels by topic.
-    """
+    """Find what is in none of the logs. Where a gateway started again between two logs, nothing is counted."""
     by_topic: dict[str, list[tuple[ChannelEnds, str]]] = {}
     for path, ends in logs:
         for topic, one in ends.items():
@@ -408,19 +317,7 @@ COUNTER_AT: Final = 6
 FAR_NS: Final = 60_000_000_000
 """A gap of this length may be a step of the robot's clock."""
 
-FAR_MAX: Final = 1000
-"""Such gaps that are remembered; further ones count as gaps."""
-
-LAYOUTS_MAX: Final = 64
-"""Layouts of frames that are remembered, by their length."""
-
-_FRAME: Final = np.dtype(
-    [("number", "<i8"), ("time_ns", "<i8"), ("identifier", "<i8"), ("data", "u1", FRAME_BYTES)]
-)
-"""A frame, and the number of its message."""
-
-_DECODE: Final = typed_decoder(CanFrame)
-_ENCODE: Final = compile_encoder(CanFrame)
+_COLUMNS: Final = ("time_ns", "identifier", "is_extended", "is_remote", "is_error", "data")
 
 
 @cache
@@ -428,17 +325,6 @@ def feedback_frames() -> dict[int, MessageLayout]:
     """The chassis's periodic feedback frames by identifier; all are extended."""
     # Either variant would do: both have the same frames and cycle times.
     return {frame.can_id & IDENTIFIER_MASK: frame for frame in CHASSIS.common.feedback if frame.period_ns}
-
-
-class ClockStep(msgspec.Struct, frozen=True):
-    """The robot's wall clock was set between these two of its times."""
-
-    before_ns: int
-    after_ns: int
-
-    def is_between(self, before_ns: int, after_ns: int) -> bool:
-        """Report whether it may be what lies between two times of the same clock."""
-        return max(before_ns, self.before_ns) < min(after_ns, self.after_ns)
 
 
 class FrameInfo(msgspec.Struct, frozen=True):
@@ -465,7 +351,7 @@ class AliveCount:
         corrupt: frames with a wrong checksum; their counter is not read, and they are not lost.
         outages: gaps in time in which the counter may have gone round, and steps back of the clock.
         unseen: frames lost in outages beyond those that the counter passed over: 16 for each time that it went
-            round. Not those of outages that are left out.
+            round. Over a gap of FAR_NS the clock may have been set: that is not judged.
         first_ns: when each of these was seen for the first time, by the name of the count.
     """
 
@@ -475,9 +361,6 @@ class AliveCount:
         self.first_ns: dict[str, int] = {}
         self._period_ns = frame.period_ns
         self._rounds = UnseenRounds(frame.period_ns)
-        self._unseen_before = 0
-        # Of each far gap the times of the frames around it, and the judgement of it alone.
-        self._far: list[tuple[int, int, UnseenRounds]] = []
         self._counter = 0
         self._time_ns = 0
         self._is_first = True
@@ -485,18 +368,11 @@ class AliveCount:
     @property
     def unseen(self) -> int:
         """As above; what is not judged yet counts by what has come so far."""
-        return self._unseen_before + self._rounds.lost_so_far
-
-    def leave_out(self, steps: Sequence[ClockStep]) -> int:
-        """Take what seemed lost over steps of the robot's clock out of ``unseen``. Returns how many gaps."""
-        gaps = [one for one in self._far if any(step.is_between(one[0], one[1]) for step in steps)]
-        self._far = [one for one in self._far if one not in gaps]
-        self._unseen_before -= sum(rounds.lost_so_far for _, _, rounds in gaps)
-        return len(gaps)
+        return self._rounds.lost_so_far
 
     def forget_losses(self) -> None:
         """Frames of two sources stand among each other: how many are missing is not known."""
-        self.lost = self.repeated = self.outages = self._unseen_before = 0
+        self.lost = self.repeated = self.outages = 0
         self._rounds = UnseenRounds(self._period_ns)
 
     def restart(self) -> None:
@@ -504,11 +380,7 @@ class AliveCount:
         self._rounds.judge()
         self._is_first = True
 
-    def receive(self, time_ns: int, data: bytes) -> None:
-        """The next frame: when it was received, and its eight bytes."""
-        self._count(time_ns, data[COUNTER_AT] >> 4, is_corrupt=reduce(xor, data) != 0)
-
-    def receive_many(self, times_ns: Numbers, frames: NDArray[np.uint8]) -> None:
+    def receive(self, times_ns: Numbers, frames: NDArray[np.uint8]) -> None:
         """The next frames: when they were received, and the eight bytes of each."""
         is_corrupt = np.bitwise_xor.reduce(frames, axis=1) != 0
         counters = frames[:, COUNTER_AT] >> 4
@@ -547,14 +419,9 @@ class AliveCount:
         elif steps > 1 and elapsed_ns >= 0:
             self.lost += steps - 1
             self.first_ns.setdefault("lost", time_ns)
-        is_far = is_outage and elapsed_ns > FAR_NS and len(self._far) < FAR_MAX
-        if is_far or (is_outage and self._far and self._rounds is self._far[-1][2]):
-            # The frames from here on are judged by themselves.
-            self._unseen_before += self._rounds.lost_so_far
-            self._rounds = UnseenRounds(self._period_ns)
-        if is_far:
-            self._far.append((self._time_ns, time_ns, self._rounds))
-        if is_outage or self._rounds.is_waiting:
+        if elapsed_ns > FAR_NS:
+            self._rounds.judge()
+        elif is_outage or self._rounds.is_waiting:
             self._rounds.follow(time_ns, elapsed_ns, steps)
 
 
@@ -567,30 +434,33 @@ class FrameCount:
 
     def __init__(self) -> None:
         self.counts: dict[int, AliveCount] = {}
-        self._layouts: dict[int, Layout | None] = {}
 
     def take(self, content: Bytes, places: Places, restarts: Sequence[int] = ()) -> list[int]:
-        """Take messages of the channel that follow each other. Returns the numbers of those that are no frames.
-
-        Args:
-            content: the records.
-            places: of the messages.
-            restarts: numbers of messages before which another gateway began.
-        """
-        frames, wrong = self._read(content, places)
-        bounds = [0, *np.searchsorted(frames["number"], restarts).tolist(), len(frames)]
+        """Take messages of the channel that follow each other. Returns the numbers of those that are no frames."""
+        decoder = _decoder(CanFrame, *_COLUMNS)
+        batch = decoder.batch(content, places)
+        numbers = np.delete(np.arange(len(places.offsets)), decoder.left_out)
+        times_ns, identifiers, *kinds = (
+            batch.column(name).to_numpy(zero_copy_only=False) for name in _COLUMNS[:-1]
+        )
+        data, is_remote, is_error = batch.column("data"), *kinds[1:]
+        counts = kinds[0] & ~is_remote & ~is_error & (pc.binary_length(data).to_numpy() == FRAME_BYTES)
+        joined = b"".join(data.filter(pa.array(counts)).to_pylist())
+        frames = np.frombuffer(joined, np.uint8).reshape(-1, FRAME_BYTES)
+        numbers, times_ns, identifiers = numbers[counts], times_ns[counts], identifiers[counts]
+        bounds = [0, *np.searchsorted(numbers, restarts).tolist(), len(numbers)]
         for run, (first, behind) in enumerate(pairwise(bounds)):
             for count in self.counts.values() if run else ():
                 count.restart()
-            part = frames[first:behind]
-            for identifier in np.unique(part["identifier"]).tolist():
+            part = slice(first, behind)
+            for identifier in np.unique(identifiers[part]).tolist():
                 if identifier not in feedback_frames():
                     continue
                 if identifier not in self.counts:
                     self.counts[identifier] = AliveCount(feedback_frames()[identifier])
-                same = part[part["identifier"] == identifier]
-                self.counts[identifier].receive_many(same["time_ns"], same["data"])
-        return wrong
+                same = identifiers[part] == identifier
+                self.counts[identifier].receive(times_ns[part][same], frames[part][same])
+        return decoder.left_out
 
     def info(self, topic: str) -> list[FrameInfo]:
         """All counts; the channel's topic is theirs."""
@@ -600,61 +470,9 @@ class FrameCount:
             for identifier, count in sorted(self.counts.items())
         ]
 
-    def _read(self, content: Bytes, places: Places) -> tuple[NDArray[Any], list[int]]:
-        """Return what may be feedback frames, and the numbers of messages that are no frames."""
-        parts, wrong, others = [np.empty(0, _FRAME)], [], []
-        for length in np.unique(places.lengths).tolist():
-            numbers = np.flatnonzero(places.lengths == length)
-            layout = self._layout_of(content, places.only(numbers[:1]))
-            if layout is None:
-                others += numbers.tolist()
-                continue
-            fits, rows = layout.rows(content, places.only(numbers))
-            others += numbers[~fits].tolist()
-            if "tail" in (layout.row.names or ()) and rows["tail"].shape[1:] == (FRAME_BYTES,):
-                counts = (rows["is_extended"] == 1) & (rows["is_remote"] == 0) & (rows["is_error"] == 0)
-                parts.append(np.empty(np.count_nonzero(counts), _FRAME))
-                columns = (numbers[fits], rows["time_ns"], rows["identifier"], rows["tail"])
-                for name, column in zip(_FRAME.names or (), columns, strict=True):
-                    parts[-1][name] = column[counts]
-        for number, data in zip(others, datas(content, places.only(np.array(others, np.int64))), strict=True):
-            try:
-                frame: CanFrame = _DECODE(data)
-            except UNREADABLE:
-                wrong.append(number)
-                continue
-            if frame.is_extended and not frame.is_remote and not frame.is_error and len(frame.data) == FRAME_BYTES:
-                row = number, frame.time_ns, frame.identifier, np.frombuffer(frame.data, np.uint8)
-                parts.append(np.array([row], _FRAME))
-        return np.sort(np.concatenate(parts), order="number"), sorted(wrong)
-
-    def _layout_of(self, content: Bytes, first: Places) -> Layout | None:
-        """The layout of records of this length, by the first of these if they are not as those before."""
-        length = int(first.lengths[0])
-        layout = self._layouts.get(length)
-        if layout is None or not layout.rows(content, first)[0].all():
-            [record] = datas(content, first)
-            try:
-                frame: CanFrame = _DECODE(record)
-            except UNREADABLE:
-                return None
-            if _ENCODE(frame) != record:
-                return None
-            if len(self._layouts) >= LAYOUTS_MAX:
-                self._layouts.clear()
-            layout = self._layouts[length] = layout_of(CanFrame, record, len(frame.data))
-        return layout
-
 
 _CAN_FRAME: Final = schema_name(CanFrame)
-_JOURNAL: Final = schema_name(Journal)
 _RECORD_GAP: Final = schema_name(RecordGap)
-
-_AGREE_NS: Final = 1_000_000_000
-"""Times that differ by no more agree: a journal is published some milliseconds after what stands in it."""
-
-STEPS_MAX: Final = 1000
-"""Steps of the clock that are remembered."""
 
 _TWO_SOURCES: Final = "two gateways speak under one name: what either lost is not known"
 
@@ -690,19 +508,12 @@ class ChannelCheck(msgspec.Struct, frozen=True):
 class Channel:
     """Follows one channel through a log.
 
-    Args:
-        record: the channel.
-        schema: its schema, if the log holds it.
-        findings: takes what is wrong.
-
     Attributes:
         frames: the counts of raw frames, if it has any.
-        clock_steps: of the robot's clock, as the journal tells them.
     """
 
     def __init__(self, record: records.Channel, schema: records.Schema | None, findings: Findings) -> None:
         self.topic = record.topic
-        self.clock_steps: list[ClockStep] = []
         self._encoding = record.message_encoding
         self._schema = "" if schema is None else schema.name
         self._findings = findings
@@ -713,7 +524,6 @@ class Channel:
         self._samples: FollowingCount | InTimeCount | None = None
         if has_sequence(self._kind):
             self._samples = InTimeCount() if self._kind in KEPT else FollowingCount()
-        self._last_journal: tuple[int, bytes] | None = None
         self._messages = self._unreadable = 0
         self._ends: ChannelEnds | None = None
         self._newest = 0
@@ -724,9 +534,7 @@ class Channel:
         """Take messages of the channel; returns the numbers of those that are not what their schema says."""
         self._messages += len(places.offsets)
         restarts = self._take_sequences(content, places) if self._samples is not None else []
-        if self._kind == _JOURNAL:
-            self._look_for_clock_steps(content, places)
-        elif self._kind == _RECORD_GAP:
+        if self._kind == _RECORD_GAP:
             self._tell_gaps(content, places)
         wrong: Sequence[int] = []
         if self.frames is not None:
@@ -757,17 +565,6 @@ class Channel:
         self._restarts += len(restarts)
         return restarts
 
-    def _look_for_clock_steps(self, content: Bytes, places: Places) -> None:
-        """Hold the journal's wall times against its monotonic ones, where there is a far gap between two."""
-        publish_ns = places.publish_ns(content).tolist()
-        for time_ns, data in zip(publish_ns, datas(content, places), strict=True):
-            last, self._last_journal = self._last_journal, (time_ns, data)
-            if last is None or time_ns - last[0] <= FAR_NS or len(self.clock_steps) >= STEPS_MAX:
-                continue
-            passed_ns = _passed_ns(last[1], data)
-            if passed_ns is not None and time_ns - last[0] - passed_ns > _AGREE_NS:
-                self.clock_steps.append(ClockStep(last[0], time_ns))
-
     def _tell_gaps(self, content: Bytes, places: Places) -> None:
         """Add what the recorder says that it could not write."""
         for data in datas(content, places):
@@ -778,8 +575,8 @@ class Channel:
             what = f"not in the log, as its recorder says ({gap.reason.value})"
             self._findings.data(what, gap.key, gap.count, gap.first_ns)
 
-    def sum_up(self, clock_steps: Sequence[ClockStep] = ()) -> ChannelCheck:
-        """All of it, and what is missing; ``clock_steps`` are those of the robot's clock."""
+    def sum_up(self) -> ChannelCheck:
+        """All of it, and what is missing."""
         has_two_sources = self._samples is not None and self._samples.has_two_sources
         missed = None if self._samples is None else 0 if has_two_sources else self._samples.missed
         if has_two_sources:
@@ -787,7 +584,7 @@ class Channel:
         elif missed and self._samples is not None:
             self._findings.data("samples missed, by the sequence", self.topic, missed, self._samples.first_ns)
         if self.frames is not None:
-            self._sum_up_frames(self.frames, clock_steps, has_two_sources=has_two_sources)
+            self._sum_up_frames(self.frames, has_two_sources=has_two_sources)
         return ChannelCheck(
             topic=self.topic,
             schema=self._schema,
@@ -799,30 +596,15 @@ class Channel:
             ends=self._ends,
         )
 
-    def _sum_up_frames(
-        self, frames: FrameCount, clock_steps: Sequence[ClockStep], *, has_two_sources: bool
-    ) -> None:
+    def _sum_up_frames(self, frames: FrameCount, *, has_two_sources: bool) -> None:
         if self._restarts and frames.counts and not has_two_sources:
             what = "times without a gateway, whose frames nobody received: another one began then"
             self._findings.data(what, self.topic, self._restarts, self._restarted_ns)
         for _, alive in sorted(frames.counts.items()):
             if has_two_sources:
                 alive.forget_losses()
-            if left_out := alive.leave_out(clock_steps):
-                what = "steps of the robot's clock, over which whole rounds of the alive counter are not judged"
-                self._findings.data(f"{alive.name}: {what}", self.topic, left_out, clock_steps[0].before_ns)
             for name, what in _FRAME_FAULTS.items():
                 count = getattr(alive, name)
                 if count:
                     first_ns = alive.first_ns.get("outages" if name == "unseen" else name)
                     self._findings.data(f"{alive.name}: {what}", self.topic, count, first_ns)
-
-
-def _passed_ns(before: bytes, after: bytes) -> int | None:
-    """Return the monotonic time between two messages of one run's journal; None if they do not give it."""
-    try:
-        first, second = (typed_decoder(Journal)(data) for data in (before, after))
-        last_input, next_input = (msgspec.msgpack.decode(one.inputs)[-1] for one in (first, second))
-        return next_input[1] - last_input[1] if first.run == second.run else None
-    except (*UNREADABLE, msgspec.DecodeError):
-        return None

@@ -308,11 +308,13 @@ class Decoder:
     """Turns the messages of a topic into record batches.
 
     Attributes:
-        broken: messages so far that could not be read.
+        left_out: numbers of those messages of the last batch that could not be read.
+        broken: number of such messages so far.
     """
 
     def __init__(self, columns: Columns, wanted: Collection[str] | None = None) -> None:
         self.columns = columns
+        self.left_out: list[int] = []
         self.broken = 0
         names = columns.schema.names
         places = [place for place, name in enumerate(names) if wanted is None or name in wanted]
@@ -324,12 +326,13 @@ class Decoder:
     def batch(self, content: Bytes, places: Places) -> pa.RecordBatch:
         """The messages at these places. Those that cannot be read are left out and counted."""
         messages = _messages(content, places)
-        found = self._read(messages)
+        found, self.left_out = self._read(messages), []
         if found is None:
-            rows = [row for row, one in enumerate(messages) if self._reads(one)]
-            self.broken += len(messages) - len(rows)
-            places = places.only(np.array(rows, np.int64))
-            found = self._read(messages.take(pa.array(rows, pa.int64()))) or []
+            self.left_out = [row for row, one in enumerate(messages) if not self._reads(one)]
+            self.broken += len(self.left_out)
+            rows = np.delete(np.arange(len(messages)), self.left_out)
+            places = places.only(rows)
+            found = self._read(messages.take(pa.array(rows))) or []
         head = [
             _times(places.log_ns(content)),
             _times(places.publish_ns(content)),
@@ -453,12 +456,11 @@ def read_batches(
     selection: Selection,
     faults: Faults,
     progress: Progress = lambda _: None,
-    wanted: Collection[str] | None = None,
 ) -> Iterator[Batch]:
     """The batches of a log, each of one topic in the order of the file."""
     try:
         with log.path.open("rb") as stream:
-            yield from ColumnReader(stream, log, selection, faults, wanted).batches(progress)
+            yield from ColumnReader(stream, log, selection, faults).batches(progress)
     except OSError as error:
         faults.add(f"{log.path}: {error.strerror or error}")
 
@@ -466,16 +468,8 @@ def read_batches(
 class ColumnReader(BlockReader):
     """Reads the batches of one log."""
 
-    def __init__(
-        self,
-        stream: BinaryIO,
-        log: LogFile,
-        selection: Selection,
-        faults: Faults,
-        columns: Collection[str] | None = None,
-    ) -> None:
+    def __init__(self, stream: BinaryIO, log: LogFile, selection: Selection, faults: Faults) -> None:
         super().__init__(stream, log, selection, faults)
-        self._columns = columns
         self._decoders: dict[int, Decoder] = {}
 
     def batches(self, progress: Progress) -> Iterator[Batch]:
@@ -507,7 +501,7 @@ class ColumnReader(BlockReader):
 
     def _decoder(self, channel: int) -> Decoder:
         if channel not in self._decoders:
-            self._decoders[channel] = Decoder(columns_of(self.wanted[channel]), self._columns)
+            self._decoders[channel] = Decoder(columns_of(self.wanted[channel]))
         return self._decoders[channel]
 
     def _batch(self, decoder: Decoder, content: Bytes, places: Places) -> Iterator[Batch]:

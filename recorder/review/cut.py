@@ -51,14 +51,6 @@ def cut(
 ) -> CutLog:
     """Write the messages of a time and of some topics into a new file, with all metadata and attachments.
 
-    Args:
-        log: the log, whose order the new file keeps.
-        path: the new file.
-        selection: its log times are wanted; what topics are, the patterns say.
-        topics: patterns, as a shell has them; ``*`` matches any part of a topic. None for all topics.
-        faults: takes what cannot be read; all the rest is in the file.
-        progress: receives the number of bytes that were read.
-
     Raises:
         CommandError: the file is there already, or cannot be written, or no topic is of the patterns.
     """

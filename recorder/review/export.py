@@ -9,17 +9,13 @@ base64.
 from __future__ import annotations
 
 import hashlib
-import os
-import shutil
-import tempfile
 from base64 import b64encode
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 from urllib.parse import quote
 
 import msgspec
@@ -28,7 +24,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pyarrow import csv
 
-from recorder.disk.files import give_name, lock_own
+from recorder.disk.files import give_name, new_path, staging
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, file_name, wants_of
 from recorder.review.columns import LOG_TIME, UNIT_KEY, Columns, read_batches
@@ -79,23 +75,16 @@ class Part(msgspec.Struct, frozen=True):
         path: within the dataset.
         table: its table's name in SQL.
         robot: empty if it is no robot's.
-        date: of the log times, UTC.
-        start_ns, end_ns: the earliest and the latest log time.
         columns: key into the manifest's ``schemas``.
-        sha256: of the log that its rows are from.
     """
 
     path: str
     table: str
     topic: str
     robot: str
-    date: str
     rows: int
     bytes: int
-    start_ns: int
-    end_ns: int
     columns: str
-    sha256: str
 
 
 class Manifest(msgspec.Struct, frozen=True):
@@ -136,21 +125,6 @@ def read_manifest(directory: Path) -> Manifest | None:
     return manifest
 
 
-def write_manifest(directory: Path, manifest: Manifest) -> None:
-    """Write it in one step: whoever reads meanwhile sees the old one or the new one.
-
-    Raises:
-        OSError: the disk does not take it.
-    """
-    path = directory / MANIFEST_NAME
-    beside = directory / f".{MANIFEST_NAME}.new"
-    with beside.open("wb") as stream:
-        stream.write(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
-        stream.flush()
-        os.fsync(stream.fileno())
-    beside.replace(path)
-
-
 def described(schema: pa.Schema) -> tuple[str, list[Column]]:
     """The columns of a table, and their key."""
     columns = [
@@ -160,11 +134,7 @@ def described(schema: pa.Schema) -> tuple[str, list[Column]]:
 
 
 def sha256_of(path: Path, size: int) -> str:
-    """The hash of a file's first bytes: it may be growing.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """The hash of a file's first bytes: it may be growing."""
     digest = hashlib.sha256()
     with path.open("rb") as stream:
         while block := stream.read(min(_BLOCK_BYTES, size)):
@@ -208,11 +178,7 @@ class Parts:
         self.schemas: dict[str, list[Column]] = {}
 
     def add(self, columns: Columns, rows: pa.RecordBatch) -> None:
-        """Rows of a topic.
-
-        Raises:
-            OSError: the disk does not take them.
-        """
+        """Rows of a topic."""
         self._held.setdefault(columns, []).append(rows)
         self._bytes[columns] = self._bytes.get(columns, 0) + rows.nbytes
         if self._bytes[columns] >= FILE_BYTES:
@@ -221,11 +187,7 @@ class Parts:
             self._flush(max(self._bytes, key=lambda one: self._bytes[one]))
 
     def close(self) -> None:
-        """Write what is held.
-
-        Raises:
-            OSError: the disk does not take it.
-        """
+        """Write what is held."""
         for columns in list(self._held):
             self._flush(columns)
         self._wait(0)
@@ -265,20 +227,15 @@ class Parts:
                     name: "DELTA_BINARY_PACKED" for name, kind in kinds.items() if _is_whole_number(kind)
                 },
             )
-            span = pc.min_max(rows[LOG_TIME].cast(pa.int64()))
             self.closed.append(
                 Part(
                     path=f"{directory}/{path.name}",
                     table=columns.table,
                     topic=columns.topic.name,
                     robot=columns.robot,
-                    date=date,
                     rows=rows.num_rows,
                     bytes=path.stat().st_size,
-                    start_ns=span["min"].as_py(),
-                    end_ns=span["max"].as_py(),
                     columns=key,
-                    sha256=self._sha256,
                 )
             )
 
@@ -310,22 +267,22 @@ def _is_whole_number(kind: pa.DataType) -> bool:
 
 
 class ExportRange(msgspec.Struct, frozen=True):
-    """The part of the logs to export.
+    """The part of the logs to export, which another process can be told.
 
     Attributes:
-        topics: patterns of topics; none is all. See ``topic_names.wants_of``.
+        topics: patterns of topics; none is all. See ``rows.wants_of``.
         from_ns: the first log time...
-        to_ns: ...and the first one that is too late, or -1.
+        to_ns: ...and the first one that is too late.
     """
 
     topics: list[str] = []
     from_ns: int = 0
-    to_ns: int = -1
+    to_ns: int = END_OF_TIME_NS
 
     @property
     def selection(self) -> Selection:
         """The same for a reader."""
-        return Selection(wants_of(self.topics), self.from_ns, END_OF_TIME_NS if self.to_ns < 0 else self.to_ns)
+        return Selection(wants_of(self.topics), self.from_ns, self.to_ns)
 
 
 class ExportTask(msgspec.Struct, frozen=True):
@@ -351,11 +308,7 @@ class ExportOutcome(msgspec.Struct, frozen=True):
 
 
 def export_log(task: ExportTask, progress: Progress) -> ExportOutcome:
-    """Write the parts of a log.
-
-    Raises:
-        OSError: the disk does not take them.
-    """
+    """Write the parts of a log."""
     faults = Faults()
     parts = Parts(task.directory, task.sha256)
     try:
@@ -468,8 +421,6 @@ def csv_text(rows: pa.RecordBatch, *, with_header: bool) -> str:
     return bytes(sink.getvalue()).decode()
 
 
-_STAGING_PREFIX: Final = ".export-"
-
 Runner = Callable[[Act[ExportTask, ExportOutcome], Sequence[ExportTask], Progress], Iterable[ExportOutcome]]
 """As ``tasks.TaskRunner``."""
 
@@ -504,12 +455,11 @@ def export_dataset(
     shown = plain(str(directory))
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        with _locked(directory):
-            if (directory / MANIFEST_NAME).exists():
-                raise CommandError(f"{shown} is a dataset already: nothing is overwritten, so export to another")
-            if any(not path.name.startswith(".") for path in directory.iterdir()):
-                raise CommandError(f"{shown} is not empty, and no dataset: it has no {MANIFEST_NAME}")
-            inputs, files = _export(logs, directory, wanted, run, progress)
+        if (directory / MANIFEST_NAME).exists():
+            raise CommandError(f"{shown} is a dataset already: nothing is overwritten, so export to another")
+        if any(not path.name.startswith(".") for path in directory.iterdir()):
+            raise CommandError(f"{shown} is not empty, and no dataset: it has no {MANIFEST_NAME}")
+        inputs, files = _export(logs, directory, wanted, run, progress)
     except OSError as error:
         raise CommandError(f"cannot write {shown}: {error.strerror or error}") from error
     for one in inputs:
@@ -522,41 +472,26 @@ def export_dataset(
 def _export(
     logs: Sequence[LogFile], directory: Path, wanted: ExportRange, run: Runner, progress: Progress
 ) -> tuple[list[Input], list[Part]]:
-    staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=directory)).absolute()
-    try:
+    with staging(directory) as hidden:
         # A log that is named twice is one.
         by_hash = {sha256_of(log.path, log.bytes): log for log in reversed(logs)}
-        tasks = [ExportTask(log, sha256, staging, wanted) for sha256, log in reversed(by_hash.items())]
+        tasks = [ExportTask(log, sha256, hidden, wanted) for sha256, log in reversed(by_hash.items())]
         outcomes = list(run(export_log, tasks, progress))
         inputs = [outcome.input for outcome in outcomes]
         files = [part for outcome in outcomes for part in outcome.parts]
         schemas = {key: columns for outcome in outcomes for key, columns in outcome.schemas.items()}
-        for path in staging.iterdir():
+        for path in hidden.iterdir():
             path.rename(directory / path.name)
         product = f"cruiser-gateway {version('cruiser-gateway')}"
-        write_manifest(directory, Manifest(FORMAT, VERSION, product, inputs, files, schemas))
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        manifest = Manifest(FORMAT, VERSION, product, inputs, files, schemas)
+        # Last, and in one step.
+        beside = hidden / MANIFEST_NAME
+        beside.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
+        beside.replace(directory / MANIFEST_NAME)
     return inputs, files
 
 
-@contextmanager
-def _locked(directory: Path) -> Generator[None, None, None]:
-    """One export at a time, where the file system locks directories; NFS does not."""
-    place = os.open(directory, os.O_RDONLY)
-    try:
-        if not lock_own(place):
-            raise CommandError(f"another export writes into {plain(str(directory))}")
-        yield
-    finally:
-        os.close(place)
-
-
-SUFFIX: Final = ".csv"
-OPEN_MAX: Final = 64
-
-
-class CsvFile(msgspec.Struct, frozen=True):
+class CsvFile(msgspec.Struct):
     """A file that was written."""
 
     path: str
@@ -571,100 +506,29 @@ def export_csv(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> list[CsvFile]:
-    """Write logs as CSV.
+    """Write logs as CSV, one file for each topic and its columns.
 
     Raises:
         CommandError: one of the files is there already, or the disk does not take it.
     """
-    files = _Files(directory)
+    files: dict[tuple[str, str], CsvFile] = {}
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        for log in logs:
-            for batch in read_batches(log, wanted.selection, faults, progress):
-                files.add(batch.columns, batch.rows)
-        files.close()
+        with staging(directory) as hidden:
+            for log in logs:
+                for batch in read_batches(log, wanted.selection, faults, progress):
+                    topic = batch.columns.topic.name
+                    key = topic, described(batch.columns.schema)[0]
+                    if key not in files:
+                        taken = {one.path for one in files.values()}
+                        files[key] = CsvFile(str(new_path(directory, file_name(topic), ".csv", taken)), topic, 0)
+                    file = files[key]
+                    with (hidden / Path(file.path).name).open("ab") as stream:
+                        head = csv.WriteOptions(include_header=not file.rows)
+                        csv.write_csv(cells(batch.rows), stream, head)
+                    file.rows += batch.rows.num_rows
+            for file in files.values():
+                give_name(hidden / Path(file.path).name, Path(file.path))
     except OSError as error:
-        files.discard()
         raise CommandError(f"cannot write {plain(str(directory))}: {error.strerror or error}") from error
-    except BaseException:
-        files.discard()
-        raise
-    return files.written
-
-
-class _File:
-    """Until it is whole it is called ``.part`` behind its name."""
-
-    def __init__(self, path: Path, topic: str) -> None:
-        self.path = path
-        self.part = path.with_name(f"{path.name}.part")
-        self.topic = topic
-        self.rows = 0
-        self.stream: BinaryIO | None = None
-
-
-class _Files:
-    """By topic and columns; the last ones are open."""
-
-    def __init__(self, directory: Path) -> None:
-        self._directory = directory
-        self._files: dict[tuple[str, str], _File] = {}
-
-    @property
-    def written(self) -> list[CsvFile]:
-        """The files written so far."""
-        return [CsvFile(str(one.path), one.topic, one.rows) for one in self._files.values()]
-
-    def add(self, columns: Columns, rows: pa.RecordBatch) -> None:
-        """Rows of a topic."""
-        key = columns.topic.name, described(columns.schema)[0]
-        file = self._files.get(key)
-        if file is None:
-            file = _File(self._new_path(columns.topic.name), columns.topic.name)
-            # What is somebody else's is not ours to discard.
-            file.part.touch(exist_ok=False)
-            self._files[key] = file
-        if file.stream is None:
-            self._make_room()
-            file.stream = file.part.open("ab")
-        options = csv.WriteOptions(include_header=file.rows == 0)
-        csv.write_csv(cells(rows), file.stream, options)
-        file.rows += rows.num_rows
-
-    def close(self) -> None:
-        """End all files: they are whole.
-
-        Raises:
-            OSError: the disk does not take one.
-        """
-        for file in self._files.values():
-            if file.stream is not None:
-                file.stream.close()
-            give_name(file.part, file.path)
-
-    def discard(self) -> None:
-        """Leave nothing of what is not whole."""
-        for file in self._files.values():
-            with suppress(OSError):
-                if file.stream is not None:
-                    file.stream.close()
-            with suppress(OSError):
-                file.part.unlink(missing_ok=True)
-
-    def _new_path(self, topic: str) -> Path:
-        """A name that none of ours has; one that was there before is not overwritten."""
-        taken = {file.path for file in self._files.values()}
-        path, number = self._directory / (file_name(topic) + SUFFIX), 1
-        while path in taken:
-            number += 1
-            path = self._directory / f"{file_name(topic)}~{number}{SUFFIX}"
-        for there in (path, path.with_name(f"{path.name}.part")):
-            if there.exists():
-                raise CommandError(f"{plain(str(there))} is there already; nothing is overwritten")
-        return path
-
-    def _make_room(self) -> None:
-        opened = [file for file in self._files.values() if file.stream is not None]
-        if len(opened) >= OPEN_MAX and opened[0].stream is not None:
-            opened[0].stream.close()
-            opened[0].stream = None
+    return list(files.values())

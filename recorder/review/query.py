@@ -1,11 +1,12 @@
 """SQL over logs, over a dataset made of them, or over catalogs, with DuckDB: a table for each subject.
 
-Tables of logs are read when a statement asks for them, the columns that it asks for alone. DuckDB holds
-MEMORY_LIMIT, and uses a directory beyond that. Nothing is loaded from a network.
+The tables of logs that a statement names are first written as a dataset, in a directory that goes with the answer.
+DuckDB holds MEMORY_LIMIT, and uses that directory beyond. Nothing is loaded from a network.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -18,16 +19,26 @@ from typing import Any, Final, TypeVar
 import duckdb
 import msgspec
 import pyarrow as pa
-import pyarrow.dataset as ds
 from mcap import records
 
 from recorder.encoding.protobuf import descriptor_set, schema_name
 from recorder.encoding.routes import Route
 from recorder.reading.logs import Faults, LogFile
-from recorder.reading.rows import BlockReader, Progress, Selection, no_topic
-from recorder.reading.topics import Topic, topic_of
-from recorder.review.columns import HEAD, LOG_TIME, ROBOT, TOPIC, Columns, columns_of, read_batches
-from recorder.review.export import Column, Manifest, Part, described
+from recorder.reading.rows import Progress, Selection
+from recorder.reading.survey import survey
+from recorder.reading.topics import topic_of
+from recorder.review.columns import HEAD, ROBOT, TOPIC, Columns, columns_of
+from recorder.review.export import (
+    FORMAT,
+    VERSION,
+    Column,
+    ExportRange,
+    ExportTask,
+    Manifest,
+    Part,
+    described,
+    export_log,
+)
 from schemas import keys
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import RawSample
@@ -92,7 +103,7 @@ class CatalogSource:
     def __init__(self, rows: pa.Table) -> None:
         self._rows = rows
 
-    def declare(self, connection: duckdb.DuckDBPyConnection, _names: Collection[str]) -> None:
+    def declare(self, connection: duckdb.DuckDBPyConnection, _names: Collection[str], _scratch: Path) -> None:
         """Make the table known."""
         connection.register(CATALOG, self._rows)
 
@@ -138,7 +149,7 @@ class DatasetSource:
             for name, parts in sorted(self._parts.items())
         ]
 
-    def declare(self, connection: duckdb.DuckDBPyConnection, names: Collection[str]) -> None:
+    def declare(self, connection: duckdb.DuckDBPyConnection, names: Collection[str], _scratch: Path) -> None:
         """Make the named tables known, or all if none is named; and those of our own subjects that are empty."""
         for name, columns in own_columns().items():
             if name not in self._parts:
@@ -164,59 +175,10 @@ def _unglobbed(path: str) -> str:
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in path)
 
 
-class Table(msgspec.Struct, eq=False):
-    """A table of logs: topics whose columns are the same.
-
-    Attributes:
-        schema: with robot and topic as its first columns.
-        topics: by the log's place the names of the topics that it holds.
-    """
-
-    name: str
-    schema: pa.Schema
-    topics: dict[int, set[str]]
-
-
-def tables_of(logs: Sequence[LogFile], selection: Selection, faults: Faults) -> list[Table]:
-    """The tables of logs, by name; those of our own subjects are there in any case, if only without a row.
-
-    Topics of one name whose columns differ get a number: ``odometry_2``.
-    """
-    found: dict[tuple[str, str], Table] = {}
-    for columns in own_columns().values():
-        _table_of(found, columns)
-    for place, log in enumerate(logs):
-        for topic in topics_of(log, faults):
-            if selection.wants(topic):
-                columns = columns_of(topic)
-                _table_of(found, columns).topics.setdefault(place, set()).add(topic.name)
-    return sorted(found.values(), key=lambda table: table.name)
-
-
-def _table_of(found: dict[tuple[str, str], Table], columns: Columns) -> Table:
-    key = columns.table, described(columns.schema)[0]
-    table = found.get(key)
-    if table is None:
-        name = free_name(columns.table, {one.name for one in found.values()})
-        table = found[key] = Table(name, pa.schema([*WHOSE, *columns.schema]), {})
-    return table
-
-
-def topics_of(log: LogFile, faults: Faults) -> list[Topic]:
-    """The topics of a log, by its summary, or else by all that is in it."""
-    try:
-        with log.path.open("rb") as stream:
-            reader = BlockReader(stream, log, Selection(no_topic), faults)
-            if not reader.topics:
-                reader.declare_all()
-            return list(reader.topics.values())
-    except OSError as error:
-        faults.add(f"{log.path}: {error.strerror or error}")
-        return []
-
-
 class LogSource:
-    """Tables that are read from logs while a statement runs."""
+    """Tables of logs: those that a statement names become a dataset for as long as it is answered."""
+
+    directories: Final[list[str]] = []
 
     def __init__(
         self, logs: Sequence[LogFile], selection: Selection, faults: Faults, progress: Progress = lambda _: None
@@ -224,107 +186,32 @@ class LogSource:
         self._logs = logs
         self._selection = selection
         self._faults = faults
-        self._told: set[str] = set()
         self._progress = progress
-        self._tables = tables_of(logs, selection, faults)
-
-    @property
-    def directories(self) -> list[str]:
-        """Return the directories that DuckDB itself reads: none."""
-        return []
 
     @property
     def tables(self) -> list[TableInfo]:
-        """Return the tables that have rows."""
-        return [
-            TableInfo(
-                table.name,
-                sorted(set().union(*table.topics.values())),
-                shown(described(table.schema)[1]),
-            )
-            for table in self._tables
-            if table.topics
+        """Return the tables whose topics the logs declare."""
+        found = [columns_of(one) for log in self._logs for one in survey([log], self._faults).topics.values()]
+        parts = [Part("", one.table, one.topic.name, one.robot, 0, 0, described(one.schema)[0]) for one in found]
+        return DatasetSource(Path(), _manifest(parts, dict(described(one.schema) for one in found))).tables
+
+    def declare(self, connection: duckdb.DuckDBPyConnection, names: Collection[str], scratch: Path) -> None:
+        """Write the named tables as files, and make them known; the second table of a name has a number."""
+        named = sorted({re.sub(r"_\d+\Z", "", name) for name in names} | set(names))
+        wanted = ExportRange(named, self._selection.from_ns, self._selection.to_ns)
+        outcomes = [
+            export_log(ExportTask(log, str(number), scratch, wanted), self._progress)
+            for number, log in enumerate(self._logs if named else ())
         ]
-
-    def declare(self, connection: duckdb.DuckDBPyConnection, _names: Collection[str]) -> None:
-        """Make the tables known."""
-        for table in self._tables:
-            connection.register(table.name, _LogTable(self, table))
-
-    def batches(self, table: Table, wanted: Collection[str]) -> Iterator[pa.RecordBatch]:
-        """The rows of a table, with the wanted columns only."""
-        schema = pa.schema([field for field in table.schema if field.name in wanted])
-        own = pa.schema(list(table.schema)[len(WHOSE) :])
-        for place, names in table.topics.items():
-            log = self._logs[place]
-            selection = msgspec.structs.replace(
-                self._selection, wants=lambda topic, names=names: topic.name in names
-            )
-            faults = Faults()
-            # Without any column of the log nothing would say how many rows there are.
-            for batch in read_batches(log, selection, faults, self._progress, {*wanted, LOG_TIME}):
-                if batch.columns.schema == own:
-                    whose = {ROBOT: batch.columns.robot or None, TOPIC: batch.columns.place}
-                    columns = [
-                        pa.repeat(pa.scalar(whose[name], pa.string()), batch.rows.num_rows)
-                        if name in whose
-                        else batch.rows.column(name)
-                        for name in schema.names
-                    ]
-                    yield pa.RecordBatch.from_arrays(columns, schema=schema)
-            self._tell(faults)
-
-    def _tell(self, faults: Faults) -> None:
-        for fault in faults.told:
-            if fault not in self._told:
-                self._told.add(fault)
-                self._faults.add(fault)
+        for fault in dict.fromkeys(fault for one in outcomes for fault in one.input.faults):
+            self._faults.add(fault)
+        parts = [part for one in outcomes for part in one.parts]
+        schemas = {key: columns for one in outcomes for key, columns in one.schemas.items()}
+        DatasetSource(scratch, _manifest(parts, schemas)).declare(connection, names, scratch)
 
 
-class _LogTable(ds.InMemoryDataset):  # type: ignore[misc]  # pyarrow has no annotations
-    """A dataset in DuckDB's eyes: it asks for a scanner of the wanted columns at each scan."""
-
-    def __init__(self, source: LogSource, table: Table) -> None:
-        super().__init__([], schema=table.schema)
-        self._source = source
-        self._table = table
-
-    def scanner(self, columns: Sequence[str] | None = None, filter: Any = None, **_rest: Any) -> _Scan:  # noqa: A002, ANN401 - pyarrow's names
-        names = self._table.schema.names
-        about = "" if filter is None else str(filter)
-        wanted = [name for name in names if columns is None or name in columns or name in about]
-        schema = pa.schema([self._table.schema.field(name) for name in wanted])
-        return _Scan(self._source.batches(self._table, frozenset(wanted)), schema, columns or wanted, filter)
-
-
-class _Scan:
-    """A scanner in DuckDB's eyes: it reads on demand, in the thread of its caller.
-
-    Arrow's own reads ahead in threads that outlive a statement that ends early, and the interpreter with it.
-
-    The columns are those that DuckDB wants to see; the filter is an expression of pyarrow's, None for all.
-    """
-
-    def __init__(
-        self,
-        rows: Iterator[pa.RecordBatch],
-        schema: pa.Schema,
-        columns: Sequence[str],
-        wanted: Any,  # noqa: ANN401 - pyarrow has no annotations
-    ) -> None:
-        self._rows = rows
-        self._schema = pa.schema([schema.field(name) for name in columns])
-        self._columns = list(columns)
-        self._wanted = wanted
-
-    def to_reader(self) -> pa.RecordBatchReader:
-        """The rows that are wanted, as they come."""
-        return pa.RecordBatchReader.from_batches(self._schema, self._batches())
-
-    def _batches(self) -> Iterator[pa.RecordBatch]:
-        for batch in self._rows:
-            found = batch if self._wanted is None else batch.filter(self._wanted)
-            yield found.select(self._columns)
+def _manifest(parts: list[Part], schemas: dict[str, list[Column]]) -> Manifest:
+    return Manifest(FORMAT, VERSION, "", [], parts, schemas)
 
 
 T = TypeVar("T")
@@ -379,9 +266,9 @@ def answer(
         try:
             with told():
                 connection.execute("SET TimeZone = 'UTC'")
-                source.declare(connection, _names_in(connection, sql))
+                _check(connection, sql, may_use_files=may_use_files)
+                source.declare(connection, _names_in(connection, sql), Path(scratch))
                 if not may_use_files:
-                    _only_reads(connection, sql)
                     _shut_in(connection, [scratch, *source.directories])
                 connection.execute("SET lock_configuration = true")
                 relation = run(partial(connection.sql, params=parameters), sql)
@@ -436,9 +323,10 @@ def _configuration(scratch: str) -> dict[str, str | bool | int | float | list[st
     }
 
 
-def _only_reads(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
-    """Refuse what is no question: DuckDB lets a statement write wherever it lets it read."""
-    if any(one.type is not duckdb.StatementType.SELECT for one in connection.extract_statements(sql)):
+def _check(connection: duckdb.DuckDBPyConnection, sql: str, *, may_use_files: bool) -> None:
+    """Refuse what is no SQL, or no question: DuckDB lets a statement write wherever it lets it read."""
+    is_select = [one.type is duckdb.StatementType.SELECT for one in connection.extract_statements(sql)]
+    if not may_use_files and not all(is_select):
         raise CommandError("the statement is not a SELECT (--allow-files allows others)", ExitCode.USAGE)
 
 
@@ -455,11 +343,11 @@ def asks_catalog(sql: str) -> bool:
 
 
 def _names_in(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
-    """The tables that a statement names; none where DuckDB does not know before it has them."""
+    """The tables that a statement names; any, as a pattern, where DuckDB does not know before it has them."""
     try:
         return {name.lower() for name in connection.get_table_names(sql)}
     except duckdb.Error:
-        return set()
+        return {"*"}
 
 
 def _one_line(text: str) -> str:

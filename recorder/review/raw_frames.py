@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from enum import Enum
 from heapq import heappop, heappush
@@ -19,11 +19,10 @@ from typing import Any, Final
 import can
 import msgspec
 
-from recorder.disk.files import give_name
+from recorder.disk.files import give_name, new_path, staging
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Progress, Row, Selection, file_name, read_rows
 from recorder.reading.topics import UNREADABLE, Topic, typed_decoder
-from schemas.command_line import CommandError, plain
 from schemas.messages import CanFrame
 
 HORIZON_NS: Final = 3_000_000_000
@@ -55,14 +54,7 @@ def is_frames(topic: Topic) -> bool:
 def read_frames(
     logs: Sequence[LogFile], selection: Selection, faults: Faults, progress: Progress = lambda _: None
 ) -> Iterator[LoggedFrame]:
-    """The frames of logs by their own times, each once.
-
-    Args:
-        logs: in the order of their beginnings.
-        selection: the wanted messages; of its topics only those of raw frames count.
-        faults: takes what cannot be read.
-        progress: receives the number of bytes that were read.
-    """
+    """The frames of logs by their own times, each once."""
     wants = selection.wants
     only_frames = msgspec.structs.replace(selection, wants=lambda topic: is_frames(topic) and wants(topic))
     broken: dict[str, int] = {}
@@ -154,71 +146,48 @@ class FramesOf(msgspec.Struct, frozen=True):
 
 
 def write_frames(frames: Iterable[LoggedFrame], directory: Path, form: FrameFormat) -> list[FramesOf]:
-    """Write frames, each robot's to a file of its own.
-
-    Args:
-        frames: in the order of time.
-        directory: the place of the files.
-        form: their format.
+    """Write frames in the order of time, each robot's to a file of its own.
 
     Raises:
-        CommandError: one of the files is there already, or cannot be begun.
+        CommandError: one of the files is there already.
         OSError: the disk does not take one; nothing is left of any.
     """
     files: dict[str, FrameFile] = {}
-    try:
-        for logged in frames:
-            if logged.robot not in files:
-                path = directory / f"{file_name(logged.robot)}.{form.value}"
-                files[logged.robot] = FrameFile(path, form)
-            files[logged.robot].write(logged)
-        for file in files.values():
-            file.close()
-    except BaseException:
-        for file in files.values():
-            file.discard()
-        raise
-    return [FramesOf(robot, str(file.path), file.frames, file.late) for robot, file in files.items()]
+    paths: dict[str, Path] = {}
+    with staging(directory) as hidden:
+        with ExitStack() as writers:
+            for logged in frames:
+                robot = logged.robot
+                if robot not in files:
+                    paths[robot] = new_path(directory, file_name(robot), f".{form.value}")
+                    files[robot] = FrameFile(hidden / paths[robot].name, form)
+                    writers.enter_context(files[robot].writer)
+                files[robot].write(logged)
+        for path in paths.values():
+            give_name(hidden / path.name, path)
+    return [FramesOf(robot, str(paths[robot]), file.frames, file.late) for robot, file in files.items()]
 
 
 class FrameFile:
     """One file of the frames of one robot.
 
-    Args:
-        path: of the file, which must not be there yet; until it is whole it is called ``.part`` behind that.
-        form: its format.
-
-    Raises:
-        CommandError: it is there, or cannot be written.
-
     Attributes:
+        writer: python-can's, which ends the file.
         channels: the number of each bus, from 0; the file's own begin at 1. ``can0`` is 0 if nobody else is.
         frames: that were written...
         late: ...and those of them that came after later ones.
     """
 
     def __init__(self, path: Path, form: FrameFormat) -> None:
-        self.path = path
+        self._path = path
         self._form = form
         self.channels: dict[str, int] = {}
         self.frames = self.late = 0
         self._last_ns = 0
-        self._part = path.with_name(f"{path.name}.part")
-        if path.exists() or self._part.exists():
-            there = path if path.exists() else self._part
-            raise CommandError(f"{plain(str(there))} is there already; nothing is overwritten")
-        try:
-            self._part.touch(exist_ok=False)
-            self._writer = _WRITERS[form](self._part)
-        except OSError as error:
-            raise CommandError(f"cannot write {plain(str(path))}: {error.strerror or error}") from error
+        self.writer = _WRITERS[form](path)
 
     def write(self, logged: LoggedFrame) -> None:
-        """The next frame.
-
-        Raises:
-            OSError: the disk does not take it.
-        """
+        """The next frame."""
         frame = logged.frame
         if not self.frames:
             self._begin(frame.time_ns)
@@ -226,37 +195,20 @@ class FrameFile:
         self.late += frame.time_ns < self._last_ns
         self._last_ns = max(self._last_ns, frame.time_ns)
         channel = self._channel(frame.bus)
-        self._writer(_message(frame, channel, is_sent=logged.is_sent))
-
-    def close(self) -> None:
-        """End the file.
-
-        Raises:
-            OSError: the disk does not take it.
-        """
-        self._writer.stop()
-        give_name(self._part, self.path)
-
-    def discard(self) -> None:
-        """Leave nothing of what is not whole."""
-        # A writer that was stopped already says that its file is closed.
-        with suppress(OSError, ValueError):
-            self._writer.stop()
-        with suppress(OSError):
-            self._part.unlink(missing_ok=True)
+        self.writer(_message(frame, channel, is_sent=logged.is_sent))
 
     def _begin(self, time_ns: int) -> None:
         if self._form is FrameFormat.ASC:
             self._date(time_ns)
             # All times count from the file's beginning, which python-can tells to the millisecond, and 5 of them
             # as .5: let it be a whole second.
-            self._writer.log_event(STARTED, time_ns // 1_000_000_000)
+            self.writer.log_event(STARTED, time_ns // 1_000_000_000)
 
     def _date(self, time_ns: int) -> None:
         """The day of the frames, in UTC as in a BLF file; python-can's writer has put today's, in local time."""
-        file = self._writer.file
+        file = self.writer.file
         file.flush()
-        lines = self._part.read_text(encoding="utf-8").splitlines(keepends=True)
+        lines = self._path.read_text(encoding="utf-8").splitlines(keepends=True)
         began = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC)
         lines[0] = f"date {began:%a %b %d %H:%M:%S}.0 {began:%Y}\n"
         file.seek(0)

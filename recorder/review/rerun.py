@@ -69,11 +69,6 @@ class Tape:
 
     Attributes:
         end: the end of the part that was played last.
-
-    Args:
-        rows: of one robot, by log time.
-        take: takes each row that is no journal, in its place between the journals.
-        faults: takes what cannot be read.
     """
 
     def __init__(self, rows: Iterator[Row], take: Callable[[Row], None], faults: Faults) -> None:
@@ -210,9 +205,6 @@ class Difference(msgspec.Struct, frozen=True):
 
 class Comparison:
     """Compares the two sides.
-
-    Args:
-        decode: the bytes of a subject's record to its message, to say what differs.
 
     Attributes:
         same: number of equal messages, by subject.
@@ -416,13 +408,6 @@ def _rerun(player: RerunPlayer, again: Rerun) -> RerunResult:
 
 class RerunPlayer:
     """The runs of one robot, one after the other.
-
-    Args:
-        robot: its name.
-        logs: in the order of their beginnings.
-        configurations: those of its runs.
-        faults: takes what cannot be read.
-        progress: receives the number of bytes that were read.
 
     Attributes:
         comparison: of the run that has come.

@@ -185,13 +185,7 @@ class WhatIfResult(msgspec.Struct, frozen=True):
 def what_if_parts(
     player: RerunPlayer, settings_of: Callable[[str], Settings], run_both: WhatIf = what_if
 ) -> Iterator[WhatIfResult]:
-    """Every run that a player plays, as it was and as it would have been.
-
-    Args:
-        player: of one robot.
-        settings_of: turns the TOML text of a run's configuration into the settings to try.
-        run_both: runs both.
-    """
+    """Every run that a player plays, as it was and as it would have been."""
     while player.next_part():
         yield _what_if(player, run_both, settings_of)
 
@@ -312,12 +306,7 @@ class _RunsCompared:
                 pass
 
     def result(self, run: RerunResult, settings: dict[str, tuple[object, object]]) -> WhatIfResult:
-        """Sum up both.
-
-        Args:
-            run: the recorded one.
-            settings: those that differ.
-        """
+        """Sum up both."""
         recorded, tried = self._sides[False].journey, self._sides[True].journey
         stops = compared(recorded.stops, tried.stops)
         return WhatIfResult(
@@ -403,13 +392,7 @@ class RerunOutcome(msgspec.Struct, frozen=True):
 
 
 def rerun_tasks(logs: Sequence[LogFile], tried: TriedSettings, faults: Faults) -> list[RerunTask]:
-    """The logs of all robots, by robot and time.
-
-    Args:
-        logs: the files, in the order of their beginnings.
-        tried: the settings to run them with.
-        faults: takes what cannot be read.
-    """
+    """The logs of all robots, by robot and time."""
     found = survey(logs, faults)
     tasks = []
     for robot in found.robots:

@@ -1,5 +1,6 @@
 """Checksum, alive counter, period and silence; and error frames as linux/can/error.h lays them out."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -120,7 +121,8 @@ def test_what_the_log_can_show_is_what_is_counted(
         now = at
         if number not in lost:
             supervisor.receive(number % 16, at * 10 * MS)
-            log.receive(at * 10 * MS, feedback(number))
+            frame = np.frombuffer(feedback(number), np.uint8).reshape(1, -1)
+            log.receive(np.array([at * 10 * MS], np.int64), frame)
         assert supervisor.lost >= counted
         counted = supervisor.lost
     assert supervisor.lost == log.lost + log.unseen

@@ -57,6 +57,7 @@ FILES: dict[str, Callable[[], bytes]] = {
     "r-2.mcap": lambda: own_log([gears(7, 3, 1_000_000_010)]),
     "r-2.incident.mcap": lambda: own_log([gears(0, 3, 10)]),
     "gears.mcap": lambda: own_log([gears(0, 3, 10)]),
+    "minute.mcap": lambda: own_log([gears(0, 60, 100_000_000_000, 1_000_000_000)]),
     "few.mcap": lambda: own_log([gears(0, 3, 10)])[:-20],
     os.fsdecode(b"\xff.mcap"): lambda: own_log([gears(0, 2, 5)]),
     "escape.mcap": lambda: log_of(FakeSample("k/\x1b[2J\x07", "x", b"")),
@@ -92,6 +93,8 @@ DRIVES: dict[str, tuple[list[Message], list[str]]] = {
 """What these robots say in it."""
 
 ROWS = r"""
+== where there is no journal there was nothing to run [whole.mcap]
+3$ rerun whole.mcap => no journal
 == a sound log is no finding, and its frames are counted [whole.mcap]
 $ check whole.mcap => file: no fault found | data: no loss detected | Auto_GearFeedBack
 == findings are told by what they are about [short.mcap]
@@ -133,6 +136,10 @@ $ recover logs => holds no log that is not finished | #0
 2$ cut gears.mcap --topics nothing -o out.mcap => no topic is of these patterns | never cut off
 2$ cut few.mcap --topics nothing -o out.mcap => no topic is of these patterns | cut off
 1$ info out.mcap => No such file
+== a part is of a time and of topics, as people write them [minute.mcap]
+$ cut minute.mcap --from 10 --to -9.5 --topics '*/gear' -o out.mcap --json => {"messages": 40, "channels": 1}
+$ info out.mcap --json => {"messages": 40, "start_ns": 110000000000, "end_ns": 149000000000}
+2$ cut minute.mcap --from soon -o other.mcap => is no time | only minute.mcap out.mcap
 == a part is of one log, or of a directory of one [one/gears.mcap logs/gears.mcap logs/r-2.mcap]
 $ cut one -o one.mcap
 2$ cut logs -o out.mcap => it takes one file, and logs has 2
@@ -340,6 +347,7 @@ $ find stops logs --catalog elsewhere.parquet --json
 3$ find logs logs --json
     {"file": "logs/drive-cut.mcap", "faults": 1} | {"file": "logs/a.mcap", "faults": 0} | cut off
 == a directory without logs is an error
+1$ why file:///no/such/place => no such directory
 1$ find stops . => there is no log in
 == the catalog is a table for any other question, and no more [logs/a.mcap logs/cruiser-2-b.mcap]
 $ query 'SELECT names[1] AS robot, len(drives) AS drives FROM catalog ORDER BY robot' logs --json
@@ -390,12 +398,8 @@ $ report a.mcap --json --from 1 --to 2 => {"robots": [{"known_s": 0.95}]}
 $ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
 2$ report two.mcap --json --robot r-3 => there is nothing of r-3 in these logs
 == what means nothing is a matter of usage [logs/a.mcap logs/cruiser-2-b.mcap]
-2$ find 'stop reason=front_bumper robot=cruiser-*' logs
-    give stops, incidents, events, drives, logs, as in 'cruiser
-2$ find 'stop last 7d' logs => 'cruiser review find stops DIRECTORY --robot NAME --since 30d'
-2$ find 'fault severity=error' logs => or 'cruiser review query' for all else
-2$ find stops --reason front_bumpr logs => there is no reason 'front_bumpr': did you mean front_bumper?
-2$ find stops --reason bad logs => it is one of
+2$ find 'stop last 7d' logs => invalid choice: 'stop last 7d' (choose from
+2$ find stops --reason front_bumpr logs => invalid choice: 'front_bumpr' (choose from
 2$ find stops --since yesterday logs => 'yesterday' is no time: give one as 30d
 2$ find stops --since 30 logs => '30' is no time
 2$ find stops --newest 0 logs => '0' is no number of answers

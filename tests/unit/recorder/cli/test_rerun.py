@@ -2,7 +2,6 @@
 
 import json
 import re
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from schemas.decisions import Journal
 from schemas.journal import rules_notice
 from schemas.messages import Variant
 from tests.support.commands import review
-from tests.support.logs import small_log
 from tests.support.rigs.day import RUN, Day, restful_day, under_rules_1
 from tests.support.rigs.gateway import Operator
 
@@ -114,31 +112,6 @@ def test_a_wrong_setting_is_one_clear_error(
     assert re.search(
         message, str(raised.value) if isinstance(raised.value, CommandError) else capsys.readouterr().err
     )
-
-
-def test_a_log_without_a_journal_is_partial(tmp_path: Path) -> None:
-    """There was nothing to run."""
-    path = tmp_path / "log.mcap"
-    path.write_bytes(small_log())
-    with pytest.raises(CommandError, match="no journal") as raised:
-        run(path)
-    assert raised.value.code is ExitCode.PARTIAL
-
-
-def test_damage_is_told_and_partial(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As far as the journal goes the run is run again; damage is never taken for another decision."""
-    path = tmp_path / "damaged.mcap"
-    codes = []
-    for place in range(1, 10):
-        data = bytearray(log.read_bytes())
-        start = len(data) * place // 10
-        data[start : start + 64] = bytes(64)
-        path.write_bytes(bytes(data))
-        with suppress(CommandError):
-            codes.append(run(path))
-    assert set(codes) <= {ExitCode.OK, ExitCode.PARTIAL}
-    assert ExitCode.PARTIAL in codes
-    assert "damaged.mcap: byte" in capsys.readouterr().err
 
 
 def test_a_run_under_other_rules_says_so_first_and_is_exit_code_1(

@@ -1,7 +1,7 @@
 """``cruiser review`` on addresses in object stores, as on files."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -75,36 +75,35 @@ def test_logs_here_and_there_are_asked_together(
     assert not bucket.fetched
 
 
+def empty(objects: FakeObjects) -> None:
+    """Nothing is there."""
+    objects.objects.clear()
+
+
+def gone(objects: FakeObjects) -> None:
+    """Nobody answers."""
+    objects.is_gone = True
+
+
 @pytest.mark.parametrize(
-    ("words", "line", "code"),
+    ("state", "place", "line", "code"),
     [
-        (["events", "https://logs.example.com/plant-1"], "lists none: name one", ExitCode.USAGE),
-        (["why", "file:///no/such/place"], "no such directory", ExitCode.FAILURE),
+        (None, "https://logs.example.com/plant-1", "lists none: name one", ExitCode.USAGE),
+        (None, "s3://logs/none.mcap", r"s3://logs/none\.mcap: there is no such object", ExitCode.FAILURE),
+        (empty, "s3://logs", "there is no log in s3://logs", ExitCode.FAILURE),
+        (gone, "s3://logs/plant-1", "nobody answers", ExitCode.UNREACHABLE),
+        (gone, f"s3://logs/{NAME}", "nobody answers", ExitCode.UNREACHABLE),
     ],
 )
-def test_what_is_not_there_is_said_in_a_line(words: Sequence[str], line: str, code: ExitCode) -> None:
-    """With what to do."""
+def test_what_is_not_there_is_said_in_a_line(
+    bucket: FakeObjects, state: Callable[[FakeObjects], None] | None, place: str, line: str, code: ExitCode
+) -> None:
+    """With what to do, or the store's own words."""
+    if state:
+        state(bucket)
     with pytest.raises(CommandError, match=line) as raised:
-        review(*words)
+        review("events", place)
     assert raised.value.code is code
-
-
-def test_a_log_that_is_not_there_is_said_in_a_line(bucket: FakeObjects) -> None:
-    """And so is a place without logs."""
-    with pytest.raises(CommandError, match=r"s3://logs/none\.mcap: there is no such object"):
-        review("why", "s3://logs/none.mcap")
-    bucket.objects.clear()
-    with pytest.raises(CommandError, match="there is no log in s3://logs"):
-        review("why", "s3://logs")
-
-
-def test_a_store_that_does_not_answer_is_not_reached(bucket: FakeObjects) -> None:
-    """4, with the store's own words."""
-    bucket.is_gone = True
-    for place in ("s3://logs/plant-1", f"s3://logs/{NAME}"):
-        with pytest.raises(CommandError, match="nobody answers") as raised:
-            review("events", place)
-        assert raised.value.code is ExitCode.UNREACHABLE
 
 
 def test_one_log_that_cannot_be_read_is_named_and_the_others_are_read(

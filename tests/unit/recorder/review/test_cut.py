@@ -15,6 +15,7 @@ from recorder.review.cut import CutLog, cut
 from recorder.review.info import CUT_NAME, read_info
 from schemas.command_line import CommandError
 from schemas.messages import Drive, Gear
+from tests.support.commands import review
 from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved, small_log
 from tests.support.reading import Read
 
@@ -90,14 +91,6 @@ def test_topics_are_chosen_by_patterns(tmp_path: Path, topics: list[str], expect
     assert len(read.schemas) == len(expected)
 
 
-@pytest.mark.parametrize("pattern", ["gear", "*/GEAR"])
-def test_a_part_of_no_topic_is_none(tmp_path: Path, pattern: str) -> None:
-    """Nothing is written: it would look like an empty drive."""
-    with pytest.raises(CommandError, match="no topic is of these patterns"):
-        part(tmp_path, LOG, ALWAYS, pattern)
-    assert not (tmp_path / "out.mcap").exists()
-
-
 def test_it_is_complete_in_itself_and_says_what_it_is(tmp_path: Path) -> None:
     """Metadata and attachments are there, and where it was cut."""
     _, read = part(tmp_path, LOG, (120, 320), "*/gear")
@@ -107,18 +100,6 @@ def test_it_is_complete_in_itself_and_says_what_it_is(tmp_path: Path) -> None:
     assert metadata[CUT_NAME] == {"files": "log.mcap", "from_ns": "120", "to_ns": "320", "topics": "*/gear"}
     info = read_info(tmp_path / "out.mcap")
     assert (info.is_cut, info.whole, info.messages) == (True, True, 10)
-
-
-def test_a_cut_log_has_no_losses_of_its_own(tmp_path: Path) -> None:
-    """What was there without a gap is so in the part."""
-    part(tmp_path, small_log())
-    assert check_log(tmp_path / "out.mcap").is_sound
-
-
-def test_what_is_twice_in_one_log_stays_twice(tmp_path: Path) -> None:
-    """A part shows the log as it is."""
-    made, _ = part(tmp_path, own_log([2 * gears(0, 1, 10)]))
-    assert made.messages == 2
 
 
 @pytest.mark.parametrize("compression", CompressionType)
@@ -150,14 +131,6 @@ def test_files_of_others_are_copied_as_they_are(
     [attachment] = read.attachments
     assert (attachment.name, attachment.log_time, attachment.create_time) == ("note", 4, 3)
     assert ("origin", {"by": "somebody"}) in [(one.name, one.metadata) for one in read.metadata]
-
-
-def test_chunks_outside_of_the_time_are_not_read(tmp_path: Path) -> None:
-    """Damage there is no matter."""
-    data = bytearray(LOG)
-    data[data.index(b"zstd") + 20] ^= 0xFF
-    made, _ = part(tmp_path, bytes(data), (200, END_OF_TIME_NS), "*/gear")
-    assert made.messages == 15
 
 
 def test_damage_costs_what_is_damaged(tmp_path: Path) -> None:
@@ -198,11 +171,9 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
 
 
-def test_a_log_that_goes_away_is_told(tmp_path: Path) -> None:
-    """As a fault of the log, and not of the new file."""
-    path = saved(tmp_path / "a.mcap", small_log())
-    [log] = find_logs([path], Faults())
-    path.unlink()
-    faults = Faults()
-    assert cut(log, tmp_path / "out.mcap", Selection(), [], faults).messages == 0
-    assert faults.told == [f"{path}: No such file or directory"]
+def test_whoever_is_told_to_stop_leaves_nothing(tmp_path: Path) -> None:
+    """At the first Ctrl-C."""
+    log = saved(tmp_path / "in" / "a.mcap", own_log([gears(0, 3, 10)]))
+    with pytest.raises(KeyboardInterrupt):
+        review("cut", str(log), "-o", str(tmp_path / "out.mcap"), is_stopped=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]

@@ -1,21 +1,23 @@
 """SQL over logs and datasets."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from recorder.cli import query as command
 from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
-from recorder.review.columns import ColumnReader
 from recorder.review.export import ExportRange, export_dataset, objects, read_manifest
 from recorder.review.query import DatasetSource, LogSource, Source, answer, told
 from schemas.command_line import CommandError, ExitCode
+from tests.support.commands import review
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import numbered_log, saved
-from tests.support.messages import WALL_NS
-from tests.unit.recorder.review.test_tables import ALL, ALL_SCHEMA, channel
+from tests.unit.recorder.review.test_columns import ALL, ALL_SCHEMA, channel
 
 
 def logs_in(tmp_path: Path) -> list[Path]:
@@ -85,6 +87,9 @@ def ask(source: Source, sql: str) -> list[dict[str, Any]]:
         ("SELECT kind FROM safety_event WHERE kind = 'latch' LIMIT 1", [{"kind": "latch"}]),
         ("SELECT count(*) AS n FROM safety_event_log WHERE robot = 'cruiser-1'", [{"n": 2}]),
         ("SELECT max(sequence) - min(sequence) - 40 AS n FROM chassis_gear", [{"n": -11}]),
+        # A robot that was never driven has decided nothing.
+        ("SELECT reason, count(*) FROM safety_decision GROUP BY reason", []),
+        ("SELECT count(*) AS n FROM recorder_gap JOIN state USING (robot)", [{"n": 0}]),
     ],
 )
 def test_subjects_are_tables(source: Source, sql: str, expected: list[dict[str, Any]]) -> None:
@@ -100,24 +105,6 @@ def test_a_whole_row_is_the_same_from_both(tmp_path: Path) -> None:
         assert rows
         assert rows == sorted(map(repr, ask(of_dataset, f"FROM {table.name}")))
     assert of_logs.tables == of_dataset.tables
-
-
-def test_tables_tell_their_columns(source: Source) -> None:
-    """With units; and whose messages they hold."""
-    table = next(table for table in source.tables if table.name == "chassis_gear")
-    assert table.topics == ["fleet/cruiser-1/chassis/gear", "fleet/cruiser-2/chassis/gear"]
-    assert [column.name for column in table.columns] == [
-        "robot",
-        "topic",
-        "log_time",
-        "publish_time",
-        "sequence",
-        "time_ns",
-        "alive_counter",
-        "active",
-        "gear_position",
-    ]
-    assert table.columns[5].unit == "ns"
 
 
 @pytest.mark.parametrize(
@@ -143,22 +130,6 @@ def test_wrong_sql_is_one_line(source: Source, sql: str, code: ExitCode, words: 
     assert caught.value.code in {code, ExitCode.USAGE}
 
 
-def test_only_the_columns_that_are_asked_for_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And only the chunks that hold them are unpacked."""
-    asked: list[set[str]] = []
-    unpatched = ColumnReader.__init__
-
-    def spy(*arguments: Any, **named: Any) -> None:  # noqa: ANN401
-        asked.append(set(arguments[5] or ()))
-        unpatched(*arguments, **named)
-
-    monkeypatch.setattr(ColumnReader, "__init__", spy)
-    source = over([saved(tmp_path / "1.mcap", drive_log())])
-    ask(source, "SELECT gear_position FROM chassis_gear WHERE active")
-    assert asked
-    assert all(columns <= {"gear_position", "active", "log_time"} for columns in asked)
-
-
 def test_damage_is_told_once(tmp_path: Path) -> None:
     """However often a statement reads the table; what can be read is in the answer."""
     data = drive_log(count=200)
@@ -168,13 +139,6 @@ def test_damage_is_told_once(tmp_path: Path) -> None:
     rows = ask(source, "SELECT count(*) AS n FROM chassis_gear a, (SELECT 1 FROM chassis_gear LIMIT 1) b")
     assert rows[0]["n"] > 100
     assert len(faults.told) == len(set(faults.told)) >= 1
-
-
-def test_only_the_wanted_time_is_asked(tmp_path: Path) -> None:
-    """By log time."""
-    logs = find_logs([saved(tmp_path / "1.mcap", drive_log())], Faults())
-    source = LogSource(logs, Selection(from_ns=WALL_NS + 50_000_000, to_ns=WALL_NS + 60_000_000), Faults())
-    assert ask(source, "SELECT sequence FROM chassis_gear") == [{"sequence": 5}]
 
 
 def test_others_topics_are_tables_too(tmp_path: Path) -> None:
@@ -189,50 +153,33 @@ def test_others_topics_are_tables_too(tmp_path: Path) -> None:
     assert ask(source, "SELECT data FROM t_2") == [{"data": "eA=="}]
 
 
-def test_own_subjects_have_their_tables_in_any_case(source: Source) -> None:
-    """A robot that was never driven has decided nothing: no rows, and no wrong statement."""
-    assert ask(source, "SELECT reason, count(*) FROM safety_decision GROUP BY reason") == []
-    assert ask(source, "SELECT count(*) AS n FROM recorder_gap JOIN state USING (robot)") == [{"n": 0}]
-    assert "safety_decision" not in {table.name for table in source.tables}
-
-
-def test_own_subjects_have_their_names_before_others(tmp_path: Path) -> None:
-    """Whatever somebody else writes under a key of ours."""
-    other = LogChannel(1, "fleet/a/chassis/gear", "s", b"", "jsonschema", "json")
-    logs = [
-        saved(tmp_path / "1.mcap", numbered_log([other], [[(1, b'{"x": 1}')]])),
-        saved(tmp_path / "2.mcap", drive_log(count=3)),
+@pytest.mark.parametrize("make", BOTH)
+def test_own_subjects_have_their_names_before_others(tmp_path: Path, make: Callable[[list[Path]], Source]) -> None:
+    """Whatever somebody else writes under a key of ours, and where there is none of ours."""
+    for number, topic in enumerate(("fleet/a/chassis/gear", "/state"), 1):
+        other = LogChannel(1, topic, "s", b"", "jsonschema", "json")
+        saved(tmp_path / f"{number}.mcap", numbered_log([other], [[(1, b'{"x": 1}')]]))
+    logs = [tmp_path / "1.mcap", tmp_path / "2.mcap", saved(tmp_path / "3.mcap", drive_log(count=3))]
+    source = make(logs)
+    assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY ALL") == [
+        {"robot": "cruiser-1", "n": 3}
     ]
-    for make in BOTH:
-        source = make(logs)
-        assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY ALL") == [
-            {"robot": "cruiser-1", "n": 3}
-        ]
-        assert ask(source, "SELECT robot, topic, json FROM chassis_gear_2") == [
-            {"robot": "a", "topic": "chassis/gear", "json": '{"x": 1}'}
-        ]
+    assert ask(source, "SELECT robot, topic, json FROM chassis_gear_2") == [
+        {"robot": "a", "topic": "chassis/gear", "json": '{"x": 1}'}
+    ]
+    assert ask(source, "SELECT speed_mps FROM state") == []
+    assert ask(source, "SELECT json FROM state_2") == [{"json": '{"x": 1}'}]
 
 
-def test_of_others_alone_our_names_stay_free(tmp_path: Path) -> None:
-    """Over the logs and in a dataset: a table of ours without a row is not theirs."""
-    other = LogChannel(1, "/state", "s", b"", "jsonschema", "json")
-    logs = [saved(tmp_path / "1.mcap", numbered_log([other], [[(1, b"{}")]]))]
-    for make in BOTH:
-        source = make(logs)
-        assert ask(source, "SELECT speed_mps FROM state") == []
-        assert ask(source, "SELECT json FROM state_2") == [{"json": "{}"}]
-
-
-def test_robots_of_one_name_are_told_apart(tmp_path: Path) -> None:
+@pytest.mark.parametrize("make", BOTH)
+def test_robots_of_one_name_are_told_apart(tmp_path: Path, make: Callable[[list[Path]], Source]) -> None:
     """By their roots, in a dataset as over the logs."""
     data = [drive_log(count=3), drive_log(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
     logs = [saved(tmp_path / f"{place}.mcap", one) for place, one in enumerate(data)]
-    for make in BOTH:
-        source = make(logs)
-        assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY robot ORDER BY robot") == [
-            {"robot": "depot/cruiser-1", "n": 4},
-            {"robot": "fleet/cruiser-1", "n": 3},
-        ]
+    assert ask(make(logs), "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY robot ORDER BY robot") == [
+        {"robot": "depot/cruiser-1", "n": 4},
+        {"robot": "fleet/cruiser-1", "n": 3},
+    ]
 
 
 def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:
@@ -276,3 +223,40 @@ def test_a_statement_sees_neither_files_nor_network(
         ask(source, sql.format(directory))
     # EXPORT leaves an empty directory.
     assert [path.name for path in directory.rglob("*") if path.is_file()] == ["secret.csv"]
+
+
+# The command.
+
+
+def test_a_statement_that_is_stopped_is_interrupted(tmp_path: Path) -> None:
+    """Ctrl-C, once, while it reads."""
+    with pytest.raises(KeyboardInterrupt):
+        review(
+            "query", "SELECT count(*) FROM chassis_gear", saved(tmp_path / "1.mcap", drive_log()), is_stopped=True
+        )
+
+
+def test_the_statement_of_the_page_takes_what_two_recorders_have_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each log is read as it is, so without it all is there twice."""
+    page = (Path(__file__).parents[4] / "docs" / "review.md").read_text("utf-8")
+    (once,) = re.findall(r"`(SELECT DISTINCT ON .*?)` takes", page)
+    logs = [saved(tmp_path / name, drive_log()) for name in ("1.mcap", "2.mcap")]
+    counts = []
+    for part in ("SELECT *", once):
+        assert review("query", "--csv", f"{part} FROM chassis_gear", *logs) == ExitCode.OK
+        counts.append(len(capsys.readouterr().out.splitlines()) - 1)
+    assert counts == [40, 20]
+
+
+def test_a_long_answer_is_cut_for_people_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says so."""
+    monkeypatch.setattr(command, "SHOWN_MAX", 3)
+    log = saved(tmp_path / "1.mcap", drive_log())
+    assert review("query", "SELECT sequence FROM chassis_gear", log) == ExitCode.OK
+    captured = capsys.readouterr()
+    assert len(captured.out.splitlines()) == 4
+    assert "only the first 3 rows" in captured.err

@@ -1,19 +1,23 @@
-"""Raw frames of logs in the order of time."""
+"""Raw frames of logs in the order of time, and their files as python-can's readers read them."""
 
+import time
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
+import can
+import msgspec
 import pytest
 
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
 from recorder.review import raw_frames
-from recorder.review.raw_frames import FrameFormat, LoggedFrame, read_frames, write_frames
+from recorder.review.raw_frames import FrameFile, FrameFormat, LoggedFrame, read_frames, write_frames
 from schemas import codec
-from schemas.messages import CanFrames
+from schemas.messages import CanFrame, CanFrames
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import Log, saved
-from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, batch, feedback
+from tests.support.messages import MS, WALL_NS, FakeSample, batch, feedback
 
 
 def read(paths: list[Path]) -> list[LoggedFrame]:
@@ -78,7 +82,8 @@ def test_each_robot_has_a_file(tmp_path: Path) -> None:
     }
 
 
-def test_frames_that_break_off_leave_no_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", FrameFormat)
+def test_frames_that_break_off_leave_no_file(tmp_path: Path, form: FrameFormat) -> None:
     """Neither of the robot that was being written, nor of one before."""
 
     def frames() -> Iterator[LoggedFrame]:
@@ -89,7 +94,7 @@ def test_frames_that_break_off_leave_no_file(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(OSError, match="No space left"):
-        write_frames(frames(), out, FrameFormat.CANDUMP)
+        write_frames(frames(), out, form)
     assert not list(out.iterdir())
 
 
@@ -100,9 +105,121 @@ def test_no_more_wait_than_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     assert len(read([saved(tmp_path / "1.mcap", both_ways())])) == 40
 
 
-def test_only_the_wanted_time_is_read(tmp_path: Path) -> None:
-    """By log time, as everywhere."""
-    faults = Faults()
-    logs = find_logs([saved(tmp_path / "1.mcap", both_ways())], faults)
-    selection = Selection(from_ns=WALL_NS + 100 * MS, to_ns=WALL_NS + SECOND)
-    assert len(list(read_frames(logs, selection, faults))) == 30
+# Files.
+
+START_NS = 1_800_000_000_123_456_000
+PLAIN = CanFrame(
+    time_ns=START_NS,
+    bus="can0",
+    identifier=0x18C4D1EF,
+    is_extended=True,
+    is_remote=False,
+    is_error=False,
+    is_fd=False,
+    bitrate_switch=False,
+    error_state_indicator=False,
+    dlc=8,
+    data=bytes(range(8)),
+)
+CHANGES: list[dict[str, object]] = [
+    {},
+    {"identifier": 0x123, "is_extended": False},
+    {"dlc": 0, "data": b""},
+    {"bus": "can1", "dlc": 3, "data": b"\x01\x02\x03"},
+    {"is_fd": True, "bitrate_switch": True, "error_state_indicator": True, "dlc": 64, "data": bytes(64)},
+    {"is_fd": True, "dlc": 12, "data": bytes(12)},
+    {"is_remote": True, "dlc": 4, "data": b""},
+    {"identifier": 0x4, "is_extended": False, "is_error": True},
+]
+SENT = [
+    LoggedFrame(
+        "cruiser-1",
+        number % 2 == 1,
+        msgspec.structs.replace(PLAIN, time_ns=START_NS + number * 1_234_567_000, **change),
+    )
+    for number, change in enumerate(CHANGES)
+]
+READERS = {
+    FrameFormat.CANDUMP: can.CanutilsLogReader,
+    FrameFormat.ASC: can.ASCReader,
+    FrameFormat.BLF: can.BLFReader,
+}
+
+
+def written(path: Path, form: FrameFormat, frames: list[LoggedFrame]) -> list[can.Message]:
+    """What python-can's reader makes of the file."""
+    file = FrameFile(path, form)
+    with file.writer:
+        for frame in frames:
+            file.write(frame)
+    how = {"relative_timestamp": False} if form is FrameFormat.ASC else {}
+    with READERS[form](path, **how) as reader:
+        return list(reader)
+
+
+@pytest.mark.parametrize("form", FrameFormat)
+def test_frames_come_back_as_they_were(tmp_path: Path, form: FrameFormat) -> None:
+    """Identifier, data, kind, direction, bus and time, as far as the format says them."""
+    found = written(tmp_path / f"x.{form.value}", form, SENT)
+    assert len(found) == len(SENT)
+    for logged, message in zip(SENT, found, strict=True):
+        frame = logged.frame
+        assert abs(message.timestamp - frame.time_ns / 1e9) < 2e-6
+        assert message.is_error_frame == frame.is_error
+        if frame.is_error:
+            continue
+        assert message.channel == (frame.bus if form is FrameFormat.CANDUMP else int(frame.bus[-1]))
+        assert message.is_rx != logged.is_sent
+        assert (message.arbitration_id, message.is_extended_id) == (frame.identifier, frame.is_extended)
+        assert (message.is_remote_frame, message.is_fd) == (frame.is_remote, frame.is_fd)
+        assert (message.bitrate_switch, message.error_state_indicator) == (
+            frame.bitrate_switch,
+            frame.error_state_indicator,
+        )
+        if frame.is_remote:
+            assert message.dlc == (0 if form is FrameFormat.CANDUMP else frame.dlc)
+        else:
+            assert bytes(message.data) == frame.data
+
+
+def test_every_bus_has_a_number_of_its_own(tmp_path: Path) -> None:
+    """That of its name if it is free; more buses than a format can tell share the last one."""
+    file = FrameFile(tmp_path / "x.blf", FrameFormat.BLF)
+    buses = ["can1", "front", "vcan1", "rear", "can300", *(f"bus-{number}x" for number in range(300))]
+    with file.writer:
+        for bus in buses:
+            file.write(LoggedFrame("r", False, msgspec.structs.replace(PLAIN, bus=bus)))  # noqa: FBT003
+    assert list(file.channels.items())[:5] == [("can1", 1), ("front", 0), ("vcan1", 2), ("rear", 3), ("can300", 4)]
+    assert file.frames == len(buses)
+
+
+def test_a_name_of_a_bus_breaks_no_line(tmp_path: Path) -> None:
+    """It may hold anything: a candump log has a frame a line, and words apart."""
+    frames = [LoggedFrame("r", False, msgspec.structs.replace(PLAIN, bus=bus)) for bus in ("a b\n", "")]  # noqa: FBT003
+    found = written(tmp_path / "x.log", FrameFormat.CANDUMP, frames)
+    assert [message.channel for message in found] == ["a_b_", "can"]
+
+
+@pytest.mark.parametrize("zone", ["UTC", "JST-9"])
+def test_asc_and_blf_are_dated_by_their_frames(tmp_path: Path, zone: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by the day of the export; in UTC wherever that is."""
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        written(tmp_path / "x.asc", FrameFormat.ASC, SENT)
+        [first, *_] = written(tmp_path / "x.blf", FrameFormat.BLF, SENT)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    date = (tmp_path / "x.asc").read_text(encoding="utf-8").splitlines()[0]
+    began = datetime.strptime(f"{date} +0000", "date %a %b %d %H:%M:%S.%f %Y %z")
+    assert began.timestamp() == START_NS // 1_000_000_000 == int(first.timestamp)
+
+
+@pytest.mark.parametrize("offset_ms", [0, 5, 50, 123, 999])
+def test_times_of_an_asc_file_are_right_whenever_it_begins(tmp_path: Path, offset_ms: int) -> None:
+    """python-can writes 5 ms as .5, which its reader takes for half a second."""
+    time_ns = START_NS // 1_000_000_000 * 1_000_000_000 + offset_ms * 1_000_000
+    frame = LoggedFrame("r", False, msgspec.structs.replace(PLAIN, time_ns=time_ns))  # noqa: FBT003
+    [message] = written(tmp_path / "x.asc", FrameFormat.ASC, [frame])
+    assert abs(message.timestamp - time_ns / 1e9) < 2e-6

@@ -35,15 +35,13 @@ from recorder.review.rerun import (
     rerun_parts,
 )
 from recorder.review.what_if import TriedSettings, rerun_tasks
-from schemas import codec
-from schemas.codec import Sample, encode
+from schemas.codec import Sample
 from schemas.configuration import to_toml
-from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, Severity, Verdict
+from schemas.decisions import EventKind, Journal, SafetyEvent, Severity
 from schemas.journal import Kind
 from schemas.messages import Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings, Settings
-from schemas.subjects import BY_NAME
 from tests.support.logs import Log, small_log
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, info, sample_of
 from tests.support.rigs.day import Day
@@ -285,30 +283,6 @@ def run_again(path: Path, again: Rerun = rerun) -> tuple[list[RerunResult], Faul
         player = RerunPlayer(task.robot, task.logs, task.configurations, faults, lambda _: None)
         found += rerun_parts(player, again)
     return found, faults
-
-
-def altered(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
-    """An arbiter that refuses what the recorded one accepted, once."""
-    done = False
-    for sample in rerun(settings, journals):
-        if sample.subject == "safety/decision" and not done:
-            decision = codec.decode(BY_NAME[sample.subject], sample.payload)
-            assert isinstance(decision, Decision)
-            if decision.verdict is Verdict.ACCEPTED:
-                done = True
-                yield Sample(sample.subject, encode(msgspec.structs.replace(decision, verdict=Verdict.REFUSED)))
-                continue
-        yield sample
-
-
-def test_another_decision_is_found_and_told(log: Path) -> None:
-    """One among thousands of messages: which, when, what it was and what it is."""
-    [result], _ = run_again(log, altered)
-    assert result.difference_count == 1
-    [difference] = result.differences
-    assert difference.subject == "safety/decision"
-    assert difference.fields == {"verdict": (Verdict.ACCEPTED, Verdict.REFUSED)}
-    assert result.start_ns <= difference.time_ns <= result.end_ns
 
 
 LoggedMessage = tuple[Schema | None, Channel, Message]

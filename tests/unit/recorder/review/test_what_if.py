@@ -30,12 +30,11 @@ from recorder.review.what_if import (
     what_if_parts,
 )
 from schemas.codec import Sample, encode
-from schemas.decisions import EventKind, Journal, SafetyEvent, Severity, Verdict
+from schemas.decisions import Journal, Verdict
 from schemas.messages import Message, Variant
-from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.subjects import BY_TYPE
-from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, refusal, state
+from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, refusal
 from tests.support.rigs.day import Day
 from tests.support.rigs.gateway import Operator
 from tests.support.rigs.recorded import RecordedRig
@@ -177,25 +176,6 @@ def test_decisions_are_paired_by_their_place_and_counted_by_kind(log: Path) -> N
     assert (result.decisions, change.count) == (10, 5)
     assert (change.first_ns, change.last_ns) == (WALL_NS + PERIOD_NS, WALL_NS + 9 * PERIOD_NS)
     assert (change.recorded.verdict, change.other.verdict) == ("accepted", "refused")
-
-
-def test_nothing_is_made_up(log: Path) -> None:
-    """Over a gap nothing is known of the way, and not every event is a stop."""
-
-    def messages(is_other: bool) -> list[Message]:  # noqa: FBT001 - the two runs
-        kinds = [EventKind.STOP, EventKind.LEASE, EventKind.STOPPED][is_other:]
-        return [
-            *(state(0), state(1), state(1201 if is_other else 2, speed_mps=None), state(1800)),
-            *(
-                SafetyEvent(n, n, 1, Severity.WARNING, kind, Reason.DEADMAN, operator="", text="")
-                for n, kind in enumerate(kinds)
-            ),
-        ]
-
-    result = result_of(log, messages)
-    assert result.recorded.distance_m == result.other.distance_m == pytest.approx(0.05)
-    assert result.recorded.moving_s == pytest.approx(0.05)
-    assert (len(result.stops_avoided), result.stops_added) == (1, [])
 
 
 # The tasks.

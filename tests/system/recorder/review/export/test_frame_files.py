@@ -21,9 +21,9 @@ def test_can_utils_read_the_candump_log(tmp_path: Path) -> None:
     """log2asc turns it into ASC, frame by frame."""
     path = tmp_path / "x.log"
     file = FrameFile(path, FrameFormat.CANDUMP)
-    for number, frame in enumerate(FRAMES):
-        file.write(LoggedFrame("cruiser-1", number % 2 == 1, frame))
-    file.close()
+    with file.writer:
+        for number, frame in enumerate(FRAMES):
+            file.write(LoggedFrame("cruiser-1", number % 2 == 1, frame))
     out = subprocess.run(
         ["log2asc", "-I", str(path), "can0"],  # noqa: S607 - wherever the system has it
         capture_output=True,

@@ -1,27 +1,146 @@
-"""Topics of others: protobuf by its descriptors, JSON as text, and what nobody here can read as bytes."""
+"""The record batches of a log: the same as one message after the other by the protobuf package.
 
-from typing import Any
+Topics of others: protobuf by its descriptors, JSON as text, and what nobody here can read as bytes.
+"""
 
+import struct
+from typing import Any, cast
+
+import msgspec
 import pytest
 from google.protobuf import timestamp_pb2
-from google.protobuf.descriptor_pb2 import (
-    DescriptorProto,
-    FieldDescriptorProto,
-    FileDescriptorProto,
-    FileDescriptorSet,
-)
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from mcap import records
 
+from recorder.encoding.protobuf import LOGGED, message_class, schema_name
+from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
 from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults
-from recorder.reading.topics import Topic, topic_of
+from recorder.reading.rows import Selection
+from recorder.reading.topics import topic_of
 from recorder.review.columns import columns_of
-from tests.support.columns import batches_of, fields_of, rows_of
-from tests.support.logs import numbered_log
+from schemas.messages import Gear, Message, RawSample
+from tests.support.columns import batches_of, fields_of, rows_of, typed_row
+from tests.support.logs import channel_of, encoded, numbered_log, small_log
+from tests.support.messages import WALL_NS, gear
+from tests.support.strategies import message_of
+
+KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
+
+
+def as_protobuf_writes(kind: type[msgspec.Struct], data: bytes) -> bytes:
+    """The same message in the protobuf package's own form: in order, without defaults."""
+    parsed: Any = message_class(kind).FromString(data)
+    return bytes(parsed.SerializeToString(deterministic=True))
+
+
+@KINDS
+@settings(max_examples=settings().max_examples // 2)
+@given(data=st.data())
+def test_columns_are_what_the_protobuf_package_reads(kind: type[msgspec.Struct], data: st.DataObject) -> None:
+    """For every class in a log: what a recorder writes, and another writer, in one batch."""
+    drawn = data.draw(st.lists(message_of(cast("type[Message]", kind)), min_size=1, max_size=4))
+    messages = [encoded(message) for message in drawn]
+    messages += [as_protobuf_writes(kind, one) for one in messages]
+    rows = rows_of(batches_of(numbered_log([channel_of(kind)], [[(1, one) for one in messages]])))
+    assert [fields_of(row) for row in rows] == [typed_row(kind, one) for one in messages]
+    assert [row["sequence"] for row in rows] == list(range(len(messages)))
+
+
+def test_a_number_without_a_name_is_its_digits() -> None:
+    """A newer gateway may know more gears; before and behind the others nothing shifts."""
+    data = encoded(gear(0))
+    position = data.index(b"\x28\x04") + 1
+    newer = data[:position] + b"\x63" + data[position + 1 :]
+    messages = [data] * 20 + [newer] * 20 + [data]
+    rows = rows_of(batches_of(numbered_log([channel_of(Gear)], [[(1, one) for one in messages]])))
+    assert [row["gear_position"] for row in rows] == ["drive"] * 20 + ["99"] * 20 + ["drive"]
+
+
+def test_what_is_no_such_message_is_counted_and_left_out() -> None:
+    """Bytes that nobody can read, a text that is no UTF-8, a number beyond its bounds."""
+    good = encoded(gear(7))
+    beyond = good.replace(struct.pack("<Q", WALL_NS), b"\xff" * 8)
+    assert beyond != good
+    faults = Faults()
+    messages = [(1, one) for one in [b"\x0f\xff", good, good, beyond]]
+    rows = rows_of(batches_of(numbered_log([channel_of(Gear)], [messages]), faults))
+    assert [row["alive_counter"] for row in rows] == [7, 7]
+    assert faults.told == ["log: 2 messages of t cannot be read"]
+    raw = encoded(RawSample(0, "kkkk", "", b"", b"", ""))
+    faults = Faults()
+    messages = [(1, one) for one in [raw, raw.replace(b"kkkk", b"kk\xff\xff")]]
+    rows = rows_of(batches_of(numbered_log([channel_of(RawSample)], [messages]), faults))
+    assert [row["key"] for row in rows] == ["kkkk"]
+    assert faults.told == ["log: 1 messages of t cannot be read"]
+
+
+def wrong_indexes() -> dict[str, tuple[int, bytes]]:
+    """What may be wrong with an index: from where on in its second entry, and what stands there."""
+    return {
+        "time": (0, struct.pack("<Q", 1)),
+        "offset 0": (8, struct.pack("<Q", 0)),
+        "in between": (8, struct.pack("<Q", 40)),
+        "behind the end": (8, struct.pack("<Q", 1 << 33)),
+        "absurd": (8, b"\xff" * 8),
+        "nearly behind the end": (8, struct.pack("<Q", 10 * 62 - 5)),
+    }
+
+
+@pytest.mark.parametrize("wrong", wrong_indexes())
+def test_a_wrong_index_is_a_fault_and_costs_nothing(wrong: str) -> None:
+    """No message is lost, none is read wrongly."""
+    messages = [(1, encoded(gear(number))) for number in range(10)]
+    data = bytearray(numbered_log([channel_of(Gear)], [messages, messages]))
+    entry = struct.pack("<Q", WALL_NS + 1)
+    place = data.index(entry + struct.pack("<Q", len(messages[0][1]) + MESSAGE_HEADER.size))
+    shift, new = wrong_indexes()[wrong]
+    data[place + shift : place + shift + 8] = new
+    faults = Faults()
+    rows = rows_of(batches_of(bytes(data), faults))
+    assert [row["sequence"] for row in rows] == list(range(20))
+    assert len(faults.told) == 1
+    assert "the message indexes behind a chunk are wrong" in faults.told[0]
+
+
+def test_an_index_that_leaves_messages_out_is_wrong() -> None:
+    """A chunk whose index knows nothing of one channel: its messages are read all the same."""
+    messages = [(1 + number % 2, encoded(gear(number))) for number in range(40)]
+    data = numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
+    head = struct.pack("<BQHI", 7, 6 + 20 * 16, 2, 20 * 16)
+    place = data.index(head)
+    shorter = data[:place] + struct.pack("<BQ", 0x81, 6 + 20 * 16) + data[place + 9 :]
+    faults = Faults()
+    rows = rows_of(batches_of(shorter, faults))
+    assert len(rows) == 40
+    assert any("indexes behind a chunk are wrong" in fault for fault in faults.told)
+
+
+def test_only_what_is_wanted_is_read() -> None:
+    """Topics and times."""
+    messages = [(1 + number % 2, encoded(gear(number))) for number in range(40)]
+    data = numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
+    selection = Selection(lambda topic: topic.name == "b", WALL_NS + 10, WALL_NS + 20)
+    assert [row["sequence"] for row in rows_of(batches_of(data, None, selection))] == [11, 13, 15, 17, 19]
+    assert not batches_of(data, None, Selection(from_ns=5, to_ns=5))
+    assert not batches_of(data, None, Selection(from_ns=-5, to_ns=-1))
+
+
+@given(st.binary(max_size=200), st.integers(0, 10_000))
+def test_noise_never_raises(noise: bytes, place: int) -> None:
+    """In place of a file's bytes, or of the file."""
+    data = small_log()
+    place = len(MAGIC) + place % (len(data) - len(MAGIC))
+    batches_of(data[:place] + noise + data[place + len(noise) :], Faults())
+    batches_of(MAGIC + noise, Faults())
+
+
+# Topics of others.
 
 F = FieldDescriptorProto
 NUMBERS = {
@@ -64,13 +183,9 @@ def foreign_file() -> FileDescriptorProto:
                 field.proto3_optional = True
                 field.oneof_index = len(message.oneof_decl)
                 message.oneof_decl.add(name=f"_{field.name}")
-    _add_stamp(message, 1000)
-    return file
-
-
-def _add_stamp(message: DescriptorProto, number: int) -> None:
-    stamp = message.field.add(name="stamp", number=number, type=F.TYPE_MESSAGE, label=F.LABEL_OPTIONAL)
+    stamp = message.field.add(name="stamp", number=1000, type=F.TYPE_MESSAGE, label=F.LABEL_OPTIONAL)
     stamp.type_name = ".google.protobuf.Timestamp"
+    return file
 
 
 def made(file: FileDescriptorProto, name: str) -> tuple[Any, bytes]:
@@ -227,35 +342,18 @@ def test_what_nobody_can_read_is_bytes(one: LogChannel) -> None:
     assert [fields_of(row) for row in rows] == [{"data": "AGFiYw=="}]
 
 
-def topic(fields: list[str]) -> Topic:
-    """A topic of a class with these fields."""
-    file = FileDescriptorProto(name="names.proto", package="other", syntax="proto3")
-    message = file.message_type.add(name="Names")
-    for number, name in enumerate(fields, start=1):
-        message.field.add(name=name, number=number, type=F.TYPE_INT32, label=F.LABEL_OPTIONAL)
-    one = channel(made(file, "other.Names")[1], "other.Names")
-    return topic_of(*_records(one))
-
-
-def _records(one: LogChannel) -> Any:  # noqa: ANN401
-    from mcap import records  # noqa: PLC0415
-
-    schema = records.Schema(1, one.schema_data, one.schema_encoding, one.schema_name)
-    return records.Channel(1, one.topic, one.message_encoding, {}, 1), schema
-
-
 def test_no_two_columns_have_one_name() -> None:
     """Every table has its times and its sequence, a dataset its directories; SQL knows no upper case."""
-    names = columns_of(topic(["sequence", "Log_Time", "robot", "speed", "Speed", "message_robot"])).schema.names
-    assert names == [
-        "log_time",
-        "publish_time",
-        "sequence",
-        "message_sequence",
-        "message_Log_Time",
-        "message_robot",
-        "speed",
-        "message_Speed",
+    file = FileDescriptorProto(name="names.proto", package="other", syntax="proto3")
+    message = file.message_type.add(name="Names")
+    names = ["sequence", "Log_Time", "robot", "speed", "Speed", "message_robot"]
+    for number, name in enumerate(names, start=1):
+        message.field.add(name=name, number=number, type=F.TYPE_INT32, label=F.LABEL_OPTIONAL)
+    schema = records.Schema(1, made(file, "other.Names")[1], "protobuf", "other.Names")
+    columns = columns_of(topic_of(records.Channel(1, "t", "protobuf", {}, 1), schema))
+    assert columns.schema.names[:3] == ["log_time", "publish_time", "sequence"]
+    assert columns.schema.names[3:] == [
+        *("message_sequence", "message_Log_Time", "message_robot", "speed", "message_Speed"),
         "message_message_robot",
     ]
 
