@@ -31,6 +31,23 @@ def add_link_arguments(parser: argparse._ActionsContainer) -> None:
     )
 
 
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name a robot, and the bus of its chassis."""
+    parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot: its chunk of every key")
+    parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
+    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
+    parser.add_argument(
+        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="that the interface has, or sets"
+    )
+
+
+def add_variant_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the chassis's firmware."""
+    parser.add_argument(
+        "--variant", dest="chassis.variant", metavar="V", help="auto (from evidence), coarse or fine"
+    )
+
+
 def seconds(text: str) -> float:
     """A duration on the command line."""
     try:

@@ -42,16 +42,11 @@ class ExitCode(IntEnum):
 
 
 class CommandError(Exception):
-    """A command cannot go on: one clear line for the person, and an exit code.
-
-    Attributes:
-        line: for whoever gave the command. The exception's own text is for whoever calls the library.
-    """
+    """A command cannot go on: one clear line for the person, and an exit code."""
 
     def __init__(self, message: str, code: ExitCode = ExitCode.FAILURE) -> None:
         super().__init__(message)
         self.code = code
-        self.line = message
 
 
 LINE_LENGTH: Final = 300

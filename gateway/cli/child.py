@@ -50,7 +50,7 @@ class Child:
                 [*CRUISER, name, *words],
                 start_new_session=True,
                 env={CONFIG_VARIABLE: "", **environment, parent.VARIABLE: str(watched)},
-                stdin=subprocess.PIPE,
+                stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
@@ -77,7 +77,7 @@ class Child:
         self._process.wait()
         self._thread.join()
         os.close(self._held)
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+        for stream in (self._process.stdout, self._process.stderr):
             if stream is not None:
                 stream.close()
 
@@ -106,15 +106,6 @@ class Child:
         last = self._said[-1] if self._said else f"{self._name} ended with {code}"
         known = {exit_code.value for exit_code in ExitCode} - {ExitCode.OK.value}
         raise CommandError(last, ExitCode(code) if code in known else ExitCode.FAILURE)
-
-    def type(self, line: str) -> None:
-        """Type a line into it."""
-        if self._process.stdin is not None:
-            try:
-                self._process.stdin.write(f"{line}\n")
-                self._process.stdin.flush()
-            except BrokenPipeError as error:
-                raise CommandError(f"{self._name} has ended") from error
 
     def end(self) -> str:
         """Ask it to stop. Returns its stdout."""
@@ -166,8 +157,3 @@ def fresh(directory: Path) -> Path:
         return next(path for path in candidates() if not path.exists() or not any(path.iterdir()))
     except OSError as error:
         raise CommandError(f"cannot write in {error.filename or directory}: {error.strerror}") from error
-
-
-def load() -> str:
-    """The load of the machine, in words."""
-    return f"its load is {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"

@@ -100,9 +100,8 @@ def _read(file: str) -> TomlSource:
         content = Path(file).read_bytes()
     except (OSError, ValueError) as error:  # ValueError: no name of a file can hold a NUL
         detail = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        cure = _cure(file)
         raise CommandError(
-            f"cannot read the configuration file {shown!r}: {detail.lower()}{cure}", ExitCode.USAGE
+            f"cannot read the configuration file {shown!r}: {detail.lower()}", ExitCode.USAGE
         ) from error
     try:
         # Editors on Windows begin a file with a byte order mark.
@@ -112,16 +111,3 @@ def _read(file: str) -> TomlSource:
         raise CommandError(
             f"{shown}:{line}: not UTF-8 text (byte {content[error.start]:#04x})", ExitCode.USAGE
         ) from error
-
-
-def _cure(file: str) -> str:
-    """The cure for the settings file of somebody who has keys, and whom nobody has let in yet; or nothing."""
-    try:
-        place = Path(file)
-        if place.exists() or not place.with_name(f"{place.stem}-tls.key").exists():
-            return ""
-    except ValueError:
-        return ""
-    from schemas.authority.identity import INSTALLED  # noqa: PLC0415 - only for a failure
-
-    return f"; {INSTALLED}"

@@ -1,16 +1,12 @@
-"""``cruiser decode``: candump lines to JSON lines.
+"""``cruiser decode``: candump lines in, a JSON object a line out.
 
-Lines of ``candump``, of its log format (``-L``) and of its classic one, to frames. Pure.
-
-As can-utils writes them::
+Lines of ``candump``, of its log format (``-L``) and of its classic one::
 
     (1436509052.249713) vcan0 18C4D1EF#0104000000000005       data
     (1436509052.249713) vcan0 123#R8                          remote
     (1436509052.249713) vcan0 123##1112233                    CAN FD, one digit of flags
     (1436509052.249713) vcan0 20000004#0004000000000000       error
       vcan0  18C4D1EF   [8]  01 04 00 00 00 00 00 05          classic
-
-``cruiser decode``: candump lines in, a JSON object a line out.
 
 A valid frame gives ``time``, ``time_ns``, ``bus``, ``id``, ``name`` and ``signals``: the physical values under
 the field names of the messages, ``speed_mps``, ``gear_position``, and for command frames by the same rule. A frame
@@ -63,12 +59,7 @@ _CLASSIC: Final = re.compile(
 
 
 class CandumpLine(msgspec.Struct, frozen=True):
-    """A line.
-
-    Attributes:
-        identifier: as it stands in the line, in upper case.
-        time_ns: its time; null if the line has none.
-    """
+    """A line; its identifier in upper case, its time or None."""
 
     frame: Frame
     bus: str

@@ -1,7 +1,6 @@
-"""``cruiser demo``: chassis, gateway, recorder and two operators; with ``--desk`` a fleet and the desk.
+"""``cruiser demo``: chassis, gateway, recorder and two operators together, then their log.
 
-- ``cruiser demo --desk``: virtual robots, a recorder and the desk in one command, and the browser on it.
-- ``cruiser demo``: chassis, gateway, recorder and two operators together, then what happened and was logged.
+With ``--desk``: virtual robots, a recorder and the desk in one command, and the browser on it.
 """
 
 from __future__ import annotations
@@ -12,11 +11,10 @@ import logging
 import os
 import re
 import socket
-import subprocess
 import sys
 import time
 import webbrowser
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
@@ -26,7 +24,8 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.cli.child import CRUISER, Child, address_of, free_port, fresh, load
+from gateway.cli.child import Child, address_of, free_port, fresh
+from gateway.cli.sim_fault import cause
 from gateway.client.refusal import RobotError, Stopped, Unreachable, is_idle
 from gateway.client.robot import Lease, Robot
 from gateway.host.notes import StopNote
@@ -207,6 +206,12 @@ the terminal  cruiser list{connect}; cruiser why cruiser-1{connect}
 Ctrl-C ends all of it
 """
 
+_LOGGED: Final = """\
+log: {path}
+open it in Foxglove, Lichtblick, PlotJuggler or rerun, or ask it:
+  cruiser review events {directory}
+  cruiser review report {directory}
+"""
 
 EXAMPLE: Final = """\
   cruiser demo --seconds 40 --out demo-log
@@ -276,31 +281,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         f"the log goes to {directory}\n"
     )
     path = _record(arguments.config, settings, stopped, directory, length_s)
-    info = _review("info", path)
-    sys.stdout.write(describe(path, f"{settings.robot.root}/{settings.robot.name}", info))
-    return int(ExitCode.OK if info["whole"] and frames(info) else ExitCode.FAILURE)
-
-
-def frames(info: Mapping[str, Any]) -> int:
-    """CAN frames in the log, received and sent."""
-    return sum(one["messages"] for one in info["channels"] if one["schema"] == "cruiser.CanFrame")
-
-
-def describe(path: Path, robot: str, info: Mapping[str, Any]) -> str:
-    """The log in a few lines, and programs that open it."""
-    incidents = [f"incident: {path.with_name(one['file'])}" for one in info["incidents"]]
-    lines = [
-        f"{frames(info)} CAN frames in {info['duration_s']:.1f} s",
-        f"{info['messages']} messages on {len(info['channels'])} channels",
-        f"log: {path}",
-        *incidents,
-        "open it with",
-        f'  Foxglove or Lichtblick   "Open local file"; plot e.g. "{robot}/state".speed_mps',
-        "  PlotJuggler              drag the file into the window",
-        f"  rerun                    rerun {path}",
-        f"  mcap command             mcap info {path}",
-    ]
-    return "\n".join(lines) + "\n"
+    sys.stdout.write(_LOGGED.format(path=path, directory=directory))
+    return int(ExitCode.OK)
 
 
 def _record(
@@ -315,7 +297,8 @@ def _record(
     configuration = [] if config is None else ["--config", config]
     with ExitStack() as stack:
         chassis = stack.enter_context(Child("sim", [*configuration, "--listen", "127.0.0.1:0"]))
-        bus = ["--interface", "socketcand", "--channel", address_of(chassis)]
+        address = address_of(chassis)
+        bus = ["--interface", "socketcand", "--channel", address]
         # A stop by the guard in another run must not latch the demo's robot. The next port may be taken.
         own = {"CRUISER_GATEWAY_STATE_DIR": "", "CRUISER_ZENOH_COMMAND_LISTEN": ANY_LOCAL_PORT}
         words = [*configuration, *bus, "--listen", endpoint]
@@ -326,9 +309,8 @@ def _record(
         recorder.wait_ready()
         problem: CommandError | None = None
         try:
-            Play(settings, [*configuration, "--connect", endpoint], [chassis, gateway, recorder], stopped).run(
-                length_s - FIXED_S
-            )
+            words = [*configuration, "--connect", endpoint]
+            Play(settings, words, address, [chassis, gateway, recorder], stopped).run(length_s - FIXED_S)
         except CommandError as error:
             problem = error
         # The recorder ends first: the end of the others is not meant for the log.
@@ -346,15 +328,22 @@ class Play:
 
     Args:
         words: of a command that reaches the robot; the last is its endpoint.
+        bus: the address of its chassis.
     """
 
     def __init__(
-        self, settings: Settings, words: Sequence[str], children: Sequence[Child], stopped: Callable[[], bool]
+        self,
+        settings: Settings,
+        words: Sequence[str],
+        bus: str,
+        children: Sequence[Child],
+        stopped: Callable[[], bool],
     ) -> None:
         # A client, so that everything goes through this endpoint and nothing around it.
         own = {"mode": "client", "connect": [words[-1]], "given": ("mode", "connect")}
         self._settings = msgspec.structs.replace(settings, zenoh=msgspec.structs.replace(settings.zenoh, **own))
         self._words = words
+        self._bus = bus
         self._children = children
         self._stopped = stopped
         self._begin_ns = time.time_ns()
@@ -384,7 +373,7 @@ class Play:
     def _bump(self, lease: Lease) -> None:
         self._drive(lease, SPEED_MPS, 0.0, 2.0)
         self._tell("chassis", "the front bumper is hit, and stays pressed")
-        self._children[0].type("bumper front on")
+        cause(self._bus, "bumper front on")
         try:
             self._drive(lease, SPEED_MPS, 0.0, REST_TIMEOUT_S)
         except Stopped as error:
@@ -397,7 +386,7 @@ class Play:
     def _drive_away(self, lease: Lease) -> None:
         self._tell(FIRST, "drives away from the hit side")
         self._drive(lease, -0.5, 0.0, 1.5)
-        self._children[0].type("bumper front off")
+        cause(self._bus, "bumper front off")
 
     def _vanish(self) -> None:
         """A drive whose computer dies."""
@@ -439,7 +428,7 @@ class Play:
             except (RobotError, Unreachable) as error:
                 if self._stopped() or time.monotonic() > end_s:
                     raise
-                self._tell(operator, f"is told: {error}; tries again. That happens on a busy machine: {load()}")
+                self._tell(operator, f"is told: {error}; tries again, as on a busy machine")
             else:
                 return
 
@@ -483,13 +472,3 @@ def _waits(state: SafetyState) -> bool:
 
 def _is_left(state: SafetyState) -> bool:
     return state.state is ArbiterState.STANDBY and not state.lease_holder
-
-
-def _review(question: str, path: Path) -> dict[str, Any]:
-    """Return the answer to a question about the log; that something is wrong or missing is an answer too."""
-    command = [*CRUISER, "review", question, "--json", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own command
-    if not done.stdout:
-        raise CommandError(f"the log cannot be read: {done.stderr.strip()}")
-    answer: dict[str, Any] = json.loads(done.stdout)
-    return answer

@@ -1,7 +1,6 @@
-"""The desk's logs: of a directory, and questions to them as bounded processes.
+"""The logs of a directory at the desk: found and explained by ``cruiser review``, and opened in a viewer.
 
-- The one starter of questions to logs, each a process of its own: a log may be made to take all that there is.
-- The logs of a directory at the desk: found by ``cruiser review``, explained, and opened in a viewer.
+Each question to logs is a bounded process of its own: a log may be made to take all that there is.
 """
 
 from __future__ import annotations
@@ -72,11 +71,7 @@ class Jobs:
         self._waiting = 0
 
     async def __aenter__(self) -> None:
-        """Wait for a turn.
-
-        Raises:
-            JobsBusyError: too many wait.
-        """
+        """Wait for a turn."""
         if self._waiting >= WAITING_MAX:
             raise JobsBusyError
         self._waiting += 1
@@ -295,11 +290,9 @@ class DeskLogs:
 
     async def report(self, request: Request) -> Response:
         """Answer with the report of a log, which is made when it is asked for."""
-        path = self.path(request.path_params["name"])
-        if path is None or is_foreign(request):
-            return missing()
-        if not is_readable(path):
-            return forbidden(path)
+        path = self._asked(request)
+        if isinstance(path, Response):
+            return path
         try:
             async with self.jobs:
                 key = version(path)
@@ -314,6 +307,13 @@ class DeskLogs:
         except JobsBusyError:
             return busy()
         return FileResponse(report, media_type="text/html", headers=SANDBOX)
+
+    def _asked(self, request: Request) -> Path | Response:
+        """The log that a question is about, or the answer that there is none for this reader."""
+        path = self.path(request.path_params["name"])
+        if path is None or is_foreign(request):
+            return missing()
+        return path if is_readable(path) else forbidden(path)
 
     def _keep(self, key: tuple[str, int, int], report: Path) -> None:
         self._made[key] = report
@@ -357,11 +357,9 @@ class DeskLogs:
 
     async def _why(self, request: Request) -> Response:
         """Answer with what ``cruiser review why`` says, as JSON."""
-        path = self.path(request.path_params["name"])
-        if path is None or is_foreign(request):
-            return missing()
-        if not is_readable(path):
-            return forbidden(path)
+        path = self._asked(request)
+        if isinstance(path, Response):
+            return path
         asked = {name: request.query_params.get(name, "")[:TEXT_MAX] for name in ("at", "robot")}
         whose = [f"--robot={asked['robot']}"] if asked["robot"] else []
         try:

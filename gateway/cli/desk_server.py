@@ -1,19 +1,14 @@
-"""The desk's server: the door, the fleet to browsers, their orders to robots.
-
-The door of a server of pages: connections, and what they say, are bounded before anything reads it.
-
-The protocols of uvicorn, h11 and websockets read what they are given, as fast as it comes. A few megabytes of
-the smallest frames keep a loop busy for seconds: a robot that is driven through it stops by its deadman. So they
-are given portions. A WebSocket has a rate of its own: a page that drives waits for no other. All else, from the
-first byte to the end of a request, waits in one line, where peers take turns.
-
-Between Zenoh and the browsers: one listener for all of them, and one session for what they ask.
-
-All of it runs on one thread. What robots publish waits in Zenoh's rings until the hub looks for it.
-
-The desk's HTTP server: the page, a WebSocket for each browser, and logs; and headers that keep other pages out.
+"""The desk's HTTP server: the door, the page, the fleet to browsers, their orders to robots.
 
 Needs the extra 'desk'.
+
+The protocols of uvicorn, h11 and websockets read what they are given, as fast as it comes. A few megabytes of
+the smallest frames keep a loop busy for seconds: a robot that is driven through it stops by its deadman. So the
+door gives them portions. A WebSocket has a rate of its own: a page that drives waits for no other. All else, from
+the first byte to the end of a request, waits in one line, where peers take turns.
+
+Between Zenoh and the browsers are one listener for all of them, and one session for what they ask. All of it runs
+on one thread. What robots publish waits in Zenoh's rings until the hub looks for it.
 """
 
 from __future__ import annotations
@@ -128,11 +123,7 @@ class Door:
     def open(
         self, make_protocol: Callable[[dict[str, Any]], asyncio.Protocol], context: ssl.SSLContext | None
     ) -> None:
-        """Take connections in from now on.
-
-        Args:
-            make_protocol: makes a protocol of the server, with what it puts into the state of its scopes.
-        """
+        """Take connections in from now on; a protocol is given what it puts into the state of its scopes."""
         self._make_protocol = make_protocol
         self._context = context
         self._listening.setblocking(False)  # noqa: FBT003 - the library's own
@@ -759,12 +750,7 @@ HEAD_BYTES: Final = 8192
 
 
 def make_app(hub: Hub, hosts: Sequence[str], logs: DeskLogs | None = None) -> Starlette:
-    """Make the application.
-
-    Args:
-        hub: where browsers are let in.
-        logs: those that browsers may read, if any.
-    """
+    """Make the application of a desk with robots."""
 
     async def link(web: WebSocket) -> None:
         if not _is_own({"ws": "http", "wss": "https"}[web.url.scheme], web.headers):
@@ -887,12 +873,9 @@ async def serve(
     certificate: tuple[Path, Path] | None = None,
     socket_bytes: int = 0,
 ) -> None:
-    """Serve on a socket until the end.
+    """Serve on a bound socket until the end, which is looked at a few times a second.
 
     Args:
-        app: the application.
-        listening: the socket, bound.
-        ends: looked at a few times a second.
         certificate: files of the chain and its private key, PEM; without it HTTP is not encrypted.
         socket_bytes: the longest message over a WebSocket; 0 is for a page that opens none.
     """

@@ -38,7 +38,7 @@ from gateway.host.self_test import find_hole
 from gateway.provisioning.key_files import role_of
 from gateway.telemetry.samples import Received, TokenChange
 from gateway.zenoh.client import FleetListener, PendingQuery
-from schemas.arguments import add_zenoh_arguments, seconds
+from schemas.arguments import add_bus_arguments, add_zenoh_arguments, seconds
 from schemas.authority.identity import KEY_FILE
 from schemas.authority.key_files import directory_of
 from schemas.command_line import CommandError, ExitCode, plain
@@ -83,12 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with its cure; exit code 1 if something must be done. Then the metres that the settings add up to. It "
         "sends no command."
     )
-    parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot")
-    parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
-    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
-    parser.add_argument(
-        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="that the interface should have"
-    )
+    add_bus_arguments(parser)
     parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="where the logs go")
     parser.add_argument(
         "--timeout", type=seconds, default=3.0, metavar="S", help="how long to wait for the gateway (3)"

@@ -1,14 +1,8 @@
-"""``cruiser drive``: from the keys of a terminal, or from a script.
+"""``cruiser drive``: drive a robot with the keys of a terminal, or for a while from a script.
 
-- A terminal whose keys are read one by one, as they come.
-- The view of a person who drives. Pure.
-- ``cruiser drive``: drive a robot with the keys of a terminal, or for a while from a script.
-
-Hold to move: the motion that the held key of a terminal asks for. Pure, time as an argument.
-
-A terminal reports no release of a key. A key counts as held while it repeats: motion begins with its first
-repetition, and ends soon after the last. A link that stalls delivers old strokes in a burst: after a pause or a
-burst a key must be let go and pressed again.
+Hold to move: a terminal reports no release of a key, so a key counts as held while it repeats. Motion begins with
+its first repetition, and ends soon after the last. A link that stalls delivers old strokes in a burst: after a
+pause or a burst a key must be let go and pressed again.
 """
 
 from __future__ import annotations
@@ -22,7 +16,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
@@ -48,7 +42,7 @@ from gateway.client.refusal import Refused, Stopped, link_line, reason_line, sta
 from gateway.client.robot import Lease, Robot
 from schemas.arguments import seconds
 from schemas.command_line import CommandError, ExitCode, plain
-from schemas.decisions import ArbiterState, SafetyState
+from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S, Settings
 
@@ -275,12 +269,10 @@ def _speeds(cockpit: Cockpit) -> str:
 
 
 def _keys(cockpit: Cockpit) -> list[str]:
-    limit_mps = cockpit.sighting.state.speed_limit_mps
-    bound = f", of which the limit leaves {limit_mps:.2f}" if cockpit.speed_mps > limit_mps else ""
     return [
         "hold to move, which begins when the key repeats: w s or arrows, a d steer; any other key: stand",
         "u o forward and m . backward in a curve, to the left and to the right",
-        f"+ - speed ({cockpit.speed_mps:.2f} m/s{bound})",
+        f"+ - speed ({cockpit.speed_mps:.2f} m/s)",
         "g engage, r reset; x, q or Ctrl-C: stop and leave",
     ]
 
@@ -300,11 +292,6 @@ KEY_HOLD_S: Final = 0.3
 """A terminal that takes no output, and holds us up, does not keep the robot moving for longer."""
 
 DRAW_S: Final = 0.1
-
-FIRST_KEY: Final = (
-    "no terminal reports that a key is let go: motion begins when the key repeats, and ends "
-    f"{REPEAT_NS / 1e9:g} s after the last repeat. To hold and steer freely: cruiser desk"
-)
 
 SCRIPT_S: Final = 0.05
 """The period in which a script's set point is renewed."""
@@ -365,7 +352,6 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
     link = ""
     with engaged(lease, robot, arguments.deadman):
         lease.unpark()
-        sys.stderr.writelines(f"{robot.name}: {text}\n" for text in _bounds(arguments, robot.state().state))
         begun_s = time.monotonic()
         while not (is_early := stopped()) and time.monotonic() < begun_s + arguments.seconds:
             lease.drive(arguments.speed, angle_deg=arguments.angle or 0.0)
@@ -388,17 +374,6 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
     return ExitCode.OK
 
 
-def _bounds(arguments: argparse.Namespace, state: SafetyState) -> Iterator[str]:
-    """Yield a line for each of a script's speed and angle that the limits in force reduce."""
-    wanted = (
-        (arguments.speed, state.speed_limit_mps, "m/s"),
-        (arguments.angle or 0.0, state.steering_limit_deg, "deg"),
-    )
-    for value, limit, unit in wanted:
-        if abs(value) > limit:
-            yield f"of {value:g} {unit} the limit in force leaves {math.copysign(limit, value):g} {unit}"
-
-
 class _Keys:
     """A drive by keys."""
 
@@ -411,7 +386,6 @@ class _Keys:
         self._decoder = KeyDecoder()
         self._keys = HeldKeys()
         self._message = ""
-        self._was_told = False
         self._is_leaving = False
 
     def drive(self, stopped: Callable[[], bool]) -> None:
@@ -436,10 +410,7 @@ class _Keys:
         if data is None:
             self._is_leaving = True
             return
-        keys = self._decoder.feed(data)
-        if not self._was_told and not BINDINGS.keys().isdisjoint(keys):
-            self._was_told, self._message = True, FIRST_KEY
-        for key in self._keys.receive(keys, time.monotonic_ns()):
+        for key in self._keys.receive(self._decoder.feed(data), time.monotonic_ns()):
             self._press(key)
 
     def _press(self, key: str) -> None:
@@ -459,7 +430,7 @@ class _Keys:
             self._lease.unpark()
             self._message = ""
         except (Refused, Stopped) as error:
-            self._message = error.line
+            self._message = str(error)
         self._keys.release_all()
 
     def _reset(self) -> None:
@@ -468,22 +439,19 @@ class _Keys:
             of = next((name for name in self._robot.state().state.stopped_by if name != self._robot.operator), "")
             self._message = f"reset: {self._lease.reset(of, wait=False) or 'nothing was latched'}; g engages"
         except Refused as error:
-            self._message = error.line
+            self._message = str(error)
         self._keys.release_all()
 
     def _move(self) -> None:
-        wish = self._wish()
+        wish = self._keys.wish(time.monotonic_ns())
         try:
             self._lease.check()
             if self._lease.is_engaged:
                 speed_mps, angle_deg = self._speed_mps * wish.forward, self._angle_deg * wish.left
                 self._lease.drive(speed_mps, angle_deg=angle_deg, hold_s=KEY_HOLD_S)
         except Stopped as error:
-            self._message = error.line
+            self._message = str(error)
             self._keys.release_all()
-
-    def _wish(self) -> Wish:
-        return self._keys.wish(time.monotonic_ns())
 
     def _cockpit(self) -> Cockpit:
         return Cockpit(
@@ -492,7 +460,7 @@ class _Keys:
             sighting=self._robot.state(),
             speed_mps=self._speed_mps,
             angle_deg=self._angle_deg,
-            wish=self._wish(),
+            wish=self._keys.wish(time.monotonic_ns()),
             message=self._message,
         )
 

@@ -30,7 +30,7 @@ from gateway.loop import LoopPorts, Manager, NoManager, warn_of_bars
 from gateway.loop import run as run_loop
 from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_inbox
 from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
-from schemas.arguments import add_zenoh_arguments, ending_after, seconds
+from schemas.arguments import add_bus_arguments, add_variant_argument, add_zenoh_arguments, ending_after, seconds
 from schemas.codec import encode
 from schemas.command_line import CommandError, ExitCode, installed_version, plain
 from schemas.configuration import to_toml
@@ -61,15 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags of ``cruiser gateway``."""
     # It runs for hours, and who looks into its log wants to see links come and go.
     parser.set_defaults(log_level="info")
-    parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot's chunk of every key")
-    parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
-    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
-    parser.add_argument(
-        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="if the interface sets it"
-    )
-    parser.add_argument(
-        "--variant", dest="chassis.variant", metavar="V", help="auto (from evidence), coarse or fine"
-    )
+    add_bus_arguments(parser)
+    add_variant_argument(parser)
     parser.add_argument(
         "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint"
     )

@@ -20,7 +20,7 @@ from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
 from gateway.host.notes import NoteWriter, StopNote
 from gateway.host.process import request_realtime
-from schemas.arguments import seconds
+from schemas.arguments import add_bus_arguments, add_variant_argument, seconds
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Mode
 from schemas.settings import (
@@ -48,17 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "that has the robot: the chassis would obey its last command again afterwards. A gateway that starts "
         "afterwards wants a reset first. Not an emergency stop: that is the button on the robot."
     )
-    parser.add_argument(
-        "--robot", dest="robot.name", metavar="NAME", help="the gateway's: its note keeps the stop latched"
-    )
-    parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
-    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
-    parser.add_argument(
-        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="if the interface sets it"
-    )
-    parser.add_argument(
-        "--variant", dest="chassis.variant", metavar="V", help="auto (from evidence), coarse or fine"
-    )
+    add_bus_arguments(parser)
+    add_variant_argument(parser)
     parser.add_argument(
         "--force", action="store_true", help="send although the robot stands, or although another computer sends"
     )
@@ -111,11 +102,7 @@ class HaltSequence:
         self._evidence: bytes | None = None
 
     def run(self, *, force: bool) -> ExitCode:
-        """Halt the robot.
-
-        Raises:
-            BusLost: the bus has gone.
-        """
+        """Halt the robot."""
         self._listen(HALT_LISTEN_NS)
         if self._is_commanded() and not force:
             _say("another sender commands the chassis, perhaps the guard: waiting until it has done")

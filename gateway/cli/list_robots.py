@@ -169,16 +169,36 @@ class Expected:
             log.info("the robots that were seen are not remembered: %s", error)
 
 
+class Sightings:
+    """The robots that a listener hears, and those that are expected."""
+
+    def __init__(self, listener: RobotListener, root: str, expected: Iterable[str]) -> None:
+        self.listener = listener
+        self.fleet = Fleet(root)
+        self._expected = expected
+
+    def poll(self) -> None:
+        """Take what has arrived."""
+        now_ns = time.monotonic_ns()
+        self.fleet.linked = self.listener.connected()
+        for arrival in self.listener.drain():
+            self.fleet.receive(arrival, now_ns)
+
+    def reports(self) -> list[RobotStatus]:
+        """Every robot's report."""
+        now_ns = time.monotonic_ns()
+        names = {*self.fleet.robots.names(now_ns), *self._expected}
+        return [self.fleet.report(robot, now_ns) for robot in sorted(names, key=keys.in_order)]
+
+
 class _Search:
     """Looks for robots until all have sent their state and health and no other appears."""
 
     def __init__(self, listener: RobotListener, root: str, expected: Iterable[str]) -> None:
         self.linked = False
-        self._expected = expected
         self._whole_s: float | None = None
-        self._listener = listener
         self._root = root
-        self._fleet = Fleet(root)
+        self._sightings = Sightings(listener, root, expected)
         self._roll = RollCall(listener, root)
 
     @property
@@ -190,21 +210,16 @@ class _Search:
         """Return every robot's report."""
         while not stopped() and (now_s := time.monotonic()) < deadline_s and not self._step(now_s):
             time.sleep(POLL_S)
-        return self._reports(time.monotonic_ns())
-
-    def _reports(self, now_ns: int) -> list[RobotStatus]:
-        names = {*self._fleet.robots.names(now_ns), *self._expected}
-        return [self._fleet.report(robot, now_ns) for robot in sorted(names, key=keys.in_order)]
+        return self._sightings.reports()
 
     def _step(self, now_s: float) -> bool:
         """Take what has arrived. Return whether nothing more is to be waited for."""
-        now_ns = time.monotonic_ns()
-        for arrival in self._listener.drain():
-            self._fleet.receive(arrival, now_ns)
+        self._sightings.poll()
         for robot in self._roll.step(now_s):
-            self._fleet.receive(TokenChange(keys.liveliness(self._root, robot), present=True), now_ns)
-        self.linked = self.linked or bool(self._listener.links())
-        reports = self._reports(now_ns)
+            change = TokenChange(keys.liveliness(self._root, robot), present=True)
+            self._sightings.fleet.receive(change, time.monotonic_ns())
+        self.linked = self.linked or bool(self._sightings.listener.links())
+        reports = self._sightings.reports()
         if not (self._roll.is_complete(now_s) and all(report.health and report.state for report in reports)):
             self._whole_s = None
             return False

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "demo": (
         "gateway.cli.demo",
-        "chassis, gateway and recorder together, then a summary; with --desk robots in the browser",
+        "chassis, gateway, recorder and two operators together; with --desk robots in the browser",
     ),
     "sim": ("gateway.cli.sim", "a virtual chassis on a CAN bus"),
     "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
@@ -215,7 +215,7 @@ def _fail(name: str, error: CommandError) -> int:
     from schemas.command_line import ExitCode  # noqa: PLC0415 - only for a failure
     from schemas.zenoh_session import SessionError  # noqa: PLC0415 - only for a failure
 
-    text, code = error.line, error.code
+    text, code = str(error), error.code
     if isinstance(error, SessionError):
         from gateway.cli.shut_out import why_away, why_shut_out  # noqa: PLC0415 - only for a failure
 

@@ -73,11 +73,7 @@ def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable
 
 
 def lease_number(text: str) -> int:
-    """A lease's number on the command line.
-
-    Raises:
-        argparse.ArgumentTypeError: it is none.
-    """
+    """A lease's number on the command line."""
     if not text.isascii() or not text.isdigit() or int(text) > LEASE_MAX:
         raise argparse.ArgumentTypeError(f"{text!a} is not the number of a lease")
     return int(text)
@@ -88,12 +84,7 @@ POLL_S: Final = 0.05
 
 @contextmanager
 def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Iterator[None]:
-    """The robot is engaged within the block, and stands by after it. A stop under way is waited for.
-
-    Raises:
-        CommandError: it is refused, is stopped, or was not seen to come to rest.
-        Unreachable: it is not heard any more, so that nobody knows whether it stands.
-    """
+    """The robot is engaged within the block, and stands by after it. A stop under way is waited for."""
     lease.engage(deadman_s=deadman_s)
     try:
         yield

@@ -96,11 +96,7 @@ class CanBusLink:
         self._frames: list[Frame] = []
 
     def wait(self, timeout_s: float) -> None:
-        """Waits for a frame, and takes those that are there already.
-
-        Raises:
-            BusLost: the bus has gone.
-        """
+        """Waits for a frame, and takes those that are there already."""
         frame = self._bus.receive(timeout_s)
         while frame is not None and len(self._frames) < _MAX_FRAMES_PER_WAIT:
             self._frames.append(frame)
@@ -115,11 +111,7 @@ class CanBusLink:
         return frames
 
     def send(self, frames: Iterable[Frame], now_ns: int) -> None:
-        """Puts frames on the bus, but for error frames: a node cannot send those at will.
-
-        Raises:
-            BusLost: the bus has gone.
-        """
+        """Puts frames on the bus, but for error frames: a node cannot send those at will."""
         del now_ns
         for frame in frames:
             if not frame.can_id & ERROR:

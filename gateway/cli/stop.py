@@ -6,14 +6,13 @@ import argparse
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
 from gateway.cli.operator_arguments import add_operator_arguments
 from gateway.client import remote_stop
-from gateway.client.refusal import LOOK
-from gateway.client.remote_stop import NotSentError, StopReport, Unverified, who_is_there
+from gateway.client.remote_stop import NotSentError, StopReport, who_is_there
 from schemas import keys
 from schemas.arguments import robot_names
 from schemas.command_line import CommandError, ExitCode, plain
@@ -30,6 +29,9 @@ EXAMPLE = """\
 BUTTON: Final = "Use the button on the robot"
 BUTTONS: Final = "Use the buttons on the robots"
 NOTHING_SENT: Final = "NOT STOPPED: NOTHING WAS SENT"
+
+NAMED: Final = ("stopped", "refused", "unconfirmed", "silent", "unverified", "unfinished")
+"""The fields of a report that name robots."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,14 +80,14 @@ def _tell(report: StopReport, *, as_json: bool) -> None:
         sys.stderr.write(f"{name}: NOT STOPPED: {plain(why)}. {BUTTON}\n")
     for name, why in report.unconfirmed.items():
         sys.stderr.write(f"{name}: NOT SEEN TO STOP: {plain(why)}. {BUTTON}\n")
-    for name, word in report.unverified.items():
-        sys.stderr.write(f"{name}: {_unverified(name, word)}\n")
+    for name, unmet in report.unverified.items():
+        cure = f". Cure: {cure_of(unmet.cure, name)}" if unmet.cure else ""
+        sys.stderr.write(f"{name}: ITS ANSWER CANNOT BE VERIFIED: {plain(f'{unmet.text}{cure}')}. {BUTTON}\n")
     for name in report.silent:
         sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
         if not report.reached_all:
             sent = f"a viewer's certificate stops one robot at a time: 'cruiser stop {name}'"
-        seen = f"; {plain(report.seen[name])}" if name in report.seen else ""
-        sys.stderr.write(f"{name}: NO ANSWER; {sent}{seen}. {BUTTON}\n")
+        sys.stderr.write(f"{name}: NO ANSWER; {sent}. {BUTTON}\n")
     if report.linked and not report.counted:
         sys.stderr.write("there may be more robots: who is connected was not said in time\n")
 
@@ -93,20 +95,18 @@ def _tell(report: StopReport, *, as_json: bool) -> None:
 def _together(reports: list[StopReport]) -> StopReport:
     """The reports as one. Robots that two of them name are told of once."""
 
-    def names(of: Callable[[StopReport], list[str]]) -> list[str]:
-        return sorted({name for report in reports for name in of(report)}, key=keys.in_order)
+    def joined(field: str) -> Any:  # noqa: ANN401 - lists, and maps
+        found = [getattr(one, field) for one in reports]
+        if isinstance(found[0], dict):
+            return {name: why for one in found for name, why in one.items()}
+        return sorted({name for one in found for name in one}, key=keys.in_order)
 
+    named = {field: joined(field) for field in NAMED}
     return StopReport(
-        names(lambda one: one.stopped),
-        {name: why for one in reports for name, why in one.refused.items()},
-        {name: why for one in reports for name, why in one.unconfirmed.items()},
-        names(lambda one: one.silent),
+        **named,
         linked=any(one.linked for one in reports),
         counted=all(one.counted for one in reports),
-        unverified={name: word for one in reports for name, word in one.unverified.items()},
-        seen={name: words for one in reports for name, words in one.seen.items()},
         reached_all=all(one.reached_all for one in reports),
-        unfinished=names(lambda one: one.unfinished),
     )
 
 
@@ -121,7 +121,7 @@ def _stop(
     def tell(report: StopReport) -> None:
         if robot == keys.ALL and not report.linked:
             sys.stderr.write(f"{who}: {NOTHING_SENT}: there is no link. {button}\n")
-        if many and robot != keys.ALL and not _named(report):
+        if many and robot != keys.ALL and not any(getattr(report, field) for field in NAMED):
             # A pattern that nobody answers to is as silent as a name.
             report = msgspec.structs.replace(report, silent=[robot])
         heard.append(report)
@@ -147,18 +147,6 @@ def _stop(
     for name in report.unfinished:
         sys.stderr.write(f"{name}: it stands; its stop sequence is not seen to end: 'cruiser why {name}'\n")
     return msgspec.structs.replace(heard[0], unfinished=report.unfinished)
-
-
-def _named(report: StopReport) -> bool:
-    return bool(report.stopped or report.refused or report.unconfirmed or report.unverified or report.silent)
-
-
-def _unverified(name: str, word: Unverified) -> str:
-    """The line on a robot whose answer cannot be verified: what it says, why, and the cure."""
-    verdict = "SAYS THAT IT STOPS, NOT VERIFIED" if word.stops else "NOT KNOWN TO STOP, NOT VERIFIED"
-    look = LOOK if word.stops else BUTTON
-    cure = f". Cure: {cure_of(word.cure, name)}" if word.cure else ""
-    return plain(f"{verdict}: {word.says}. This cannot be verified: {word.why}{cure}. {look}")
 
 
 def _code(report: StopReport, robots: list[str], settings: Settings, waited: str) -> ExitCode:

@@ -1,10 +1,4 @@
-"""Robots as they say themselves: their newest samples, in words, and as a view.
-
-- The bytes of requests, replies and samples, and what is wrong with those that cannot be read. Pure.
-- One word for all that a robot does or suffers, the same in the overview of a browser and of a terminal. Pure.
-- A robot's report as people see it: a line, a panel, a table of robots. Pure.
-
-The newest of each robot, and its age. Pure: samples go in, reports come out.
+"""Robots as they say themselves: their newest samples, a word for each, and a view for people. Pure.
 
 A report never gives an old value as a present one: a state or a health that is too old is not in it.
 """
@@ -484,21 +478,6 @@ def health_facts(health: GatewayHealth) -> list[Fact]:
     ]
 
 
-def line(report: RobotStatus) -> str:
-    """A robot in one line."""
-    words = [report.robot]
-    if report.state is None:
-        words.append(_offline(report))
-    else:
-        words.append(label_of(word_of(report)[0]))
-        words += [_word(fact) for fact in (*state_facts(report.state), *safety_facts(report))]
-        words.append(f"age {report.state_age_s or 0:.2f} s")
-    words.append(_faults_word(report))
-    if report.newer:
-        words.append(plain(report.newer))
-    return "  ".join(words)
-
-
 def safety_facts(report: RobotStatus) -> list[Fact]:
     """Return the arbiter's facts: operator, latches, blockers, last stop, limit, the commands' age."""
     safety = report.safety
@@ -598,12 +577,6 @@ def _health_text(report: RobotStatus) -> Text:
     for fact in health_facts(report.health):
         text.append(f"{fact.label} ", style="dim").append(f"{fact.text}  ", style=fact.style)
     return text
-
-
-def _faults_word(report: RobotStatus) -> str:
-    if report.health is None:
-        return "faults not known: no health"
-    return _word(next(fact for fact in health_facts(report.health) if fact.label == "faults"))
 
 
 def _number(value: float | None, form: str, unit: str) -> str:

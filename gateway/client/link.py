@@ -1,10 +1,7 @@
 """The operator's link to a robot, and the stream of drive commands over it.
 
-The library's own thread: hears a robot, keeps the stream of drive commands going, renews the lease.
-
-The stream of drive commands of one lease: set points that age, the sequence, the echoed challenge. Pure.
-
-``see`` accepts the robot's states; ``command`` returns the drive command to send now, or None.
+The library's own thread receives what the robot publishes, keeps the stream of drive commands going, and renews
+the lease. The stream is pure: set points that age, the sequence, the echoed challenge.
 """
 
 from __future__ import annotations
@@ -25,7 +22,6 @@ from gateway.choice import CHASSIS
 from gateway.client.fleet import (
     BY_REQUEST,
     CONTRADICTION,
-    NewerWords,
     contradict,
     encode_request,
     read_reply,
@@ -39,7 +35,7 @@ from gateway.telemetry.samples import Missed, Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas.codec import PayloadFault
-from schemas.command_line import CommandError, plain
+from schemas.command_line import CommandError
 from schemas.decisions import COMMANDING, ArbiterState, LeaseReply, Reply, SafetyEvent, SafetyState, is_same_run
 from schemas.messages import GatewayHealth, RobotState
 from schemas.reasons import TEXTS, Reason
@@ -178,12 +174,7 @@ class DriveStream:
         self._set_point = None
 
     def aim(self, set_point: SetPoint, hold_s: float, now_ns: int) -> None:
-        """Set the motion to ask for from now on.
-
-        Raises:
-            TypeError: a value is no number.
-            ValueError: the set point cannot be, or it would hold for too long.
-        """
+        """Set the motion to ask for from now on."""
         # The robot would refuse each command, and a stop by the deadman would look like a fault of the network.
         given = msgspec.structs.asdict(set_point).items()
         set_point = SetPoint(
@@ -346,7 +337,6 @@ class RobotLink:
         self._proof = proof
         self.heard = threading.Condition(threading.RLock())
         self.unreadable = ""
-        self._newer = NewerWords()
         self._listener = listener
         self._state: SafetyState | None = None
         self._state_ns = 0
@@ -384,11 +374,7 @@ class RobotLink:
             return self._stream is not None
 
     def sighting(self) -> Sighting:
-        """The newest that was heard.
-
-        Raises:
-            Unreachable: nothing was, for a second.
-        """
+        """The newest that was heard."""
         with self.heard:
             now_ns = time.monotonic_ns()
             if self._state is None or now_ns - self._state_ns > SILENT_NS:
@@ -416,12 +402,7 @@ class RobotLink:
             return self.heard.wait_for(lambda: self._state is not None and condition(self._state), timeout_s)
 
     def ask(self, request: Request, timeout_s: float) -> Reply:
-        """Ask, and wait for the reply. For a lease a robot that is asked too much is asked again.
-
-        Raises:
-            Refused: it is a refusal.
-            Unreachable: there is none, it cannot be read, or there are several that contradict each other.
-        """
+        """Ask, and wait for the reply. For a lease a robot that is asked too much is asked again."""
         deadline_s = time.monotonic() + timeout_s
         if self._proof is not None and isinstance(request, Acquire | Take):
             while (left_s := deadline_s - time.monotonic()) > AGAIN_S and self.is_heard:
@@ -525,8 +506,6 @@ class RobotLink:
         sample = read_sample(received)
         if sample is None:
             return
-        if sample.unknown and self._newer.note(sample.unknown):
-            log.warning("%s: %s", self.robot, plain(self._newer.text))
         match message := sample.message:
             case SafetyState():
                 self._state, self._state_ns = message, now_ns

@@ -1,12 +1,9 @@
-"""The operator's proofs over a link, and the evidence of its commands' age.
+"""The belief in robots: samples that agree for a while, and in signed mode what they signed.
 
-The proof of what goes to one robot, and comes from it, in signed mode.
-
-Decides when samples of a robot are believed: anyone on its network can forge one. Pure.
-
-A robot that is not so says otherwise many times a second. Whoever reads must see all of that: a sample that is
-lost may be the one that contradicts. Samples may be read late and many at once. Each has the time when it is read:
-what was delivered until then is read in the same batch, before anything is believed.
+Anyone on its network can forge a robot's samples. A robot that is not so says otherwise many times a second.
+Whoever reads must see all of that: a sample that is lost may be the one that contradicts. Samples may be read late
+and many at once. Each has the time when it is read: what was delivered until then is read in the same batch,
+before anything is believed.
 """
 
 from __future__ import annotations

@@ -1,22 +1,17 @@
-"""Refusals, and the reasons for them and for stops in words.
+"""Refusals and stops as exceptions, which carry the reason and its cure; and both in words. Pure.
 
-The reasons for which a robot does not move, in words. Pure.
-
-Exceptions in place of success, which carry the reason and what would cure it.
-
-Each is a ``CommandError`` too: a command that meets one ends with its line and its exit code.
+Each exception is a ``CommandError`` too: a command that meets one ends with its line and its exit code.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable
 from datetime import UTC, datetime
 from typing import Final
 
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.decisions import COMMANDING, Reply, SafetyEvent, SafetyState, StopPhase
-from schemas.reasons import ACQUIRE, TEXTS, Reason, Text, cure_of, of_a_robot
+from schemas.reasons import TEXTS, Reason, Text, cure_of, of_a_robot
 
 NEWER_S: Final = 1.0
 """An event may be so much newer than the state that was seen last."""
@@ -105,44 +100,11 @@ def event_line(event: SafetyEvent, now_ns: int) -> str:
     return f"{when}: {event.severity.value}: {plain(event.text)}{by}"
 
 
-_METHODS: Final = {
-    f"{ACQUIRE}, and use the number that it shows": "acquire it with robot.lease()",
-    f"{ACQUIRE}, which renew it; a client of its own has to": "acquire it with robot.lease(), which renews it",
-    ACQUIRE: "acquire it with robot.lease()",
-    "'cruiser drive ROBOT' (driving: key g)": "lease.engage()",
-    "'cruiser reset ROBOT' (driving: key r)": "lease.reset()",
-    "'cruiser drive ROBOT'": "lease.drive()",
-    "leave 'cruiser drive' first (lease.disengage())": "lease.disengage() first",
-    "'cruiser lease ROBOT --take --role supervisor'": "robot.take(Role.SUPERVISOR)",
-    "'cruiser lease ROBOT --take --override'": "robot.take(override=True)",
-    "'cruiser lease ROBOT --take'": "robot.take()",
-    "'cruiser lease ROBOT'": "robot.state().state.lease_holder",
-    "'cruiser watch ROBOT' shows engaged": "lease.is_engaged is true",
-    "'cruiser watch ROBOT'": "robot.state().health",
-    "'cruiser list' for why (gateway/health)": "robot.state().health for why",
-    "'cruiser list --json' for which frames (gateway/health)": "robot.state().health for which frames",
-    "'cruiser stop ROBOT'": "robot.stop()",
-    "'cruiser why ROBOT'": "robot.state().health.notes",
-    "let go of the keys, or ": "",
-}
-"""In place of a command that a cure names a program calls this. The whole of a phrase comes before its parts."""
-
-_EITHER: Final = re.compile(r"'cruiser [^']*', or (?=(?:lease|robot)\.)")
-
-
-def for_programs(cure: str) -> str:
-    """A cure by the library's methods, where it has one for the command."""
-    cure = _EITHER.sub("", cure)
-    for command, method in _METHODS.items():
-        cure = cure.replace(command, method)
-    return cure
-
-
 class RobotError(CommandError):
     """The robot does not do what was requested.
 
     Attributes:
-        cure: the way to make it succeed, by the library's methods.
+        cure: the way to make it succeed.
     """
 
     code = ExitCode.FAILURE
@@ -150,11 +112,9 @@ class RobotError(CommandError):
     def __init__(self, what: str, reason: Reason, detail: str = "", cure: str = "", *, robot: str) -> None:
         self.reason = reason
         self.detail = detail or TEXTS[reason].means
-        cure = cure or TEXTS[reason].cure
-        self.cure = cure_of(for_programs(cure), robot)
-        text, tail = f"{what}: {self.detail} ({reason.value})", ". Cure: " if cure else ""
-        super().__init__(plain(f"{text}{tail}{self.cure}"), type(self).code)
-        self.line = plain(f"{text}{tail}{cure_of(cure, robot)}")
+        self.cure = cure_of(cure or TEXTS[reason].cure, robot)
+        tail = f". Cure: {self.cure}" if self.cure else ""
+        super().__init__(plain(f"{what}: {self.detail} ({reason.value}){tail}"), type(self).code)
 
 
 class Refused(RobotError):  # noqa: N818 - an outcome's name, as programs read it

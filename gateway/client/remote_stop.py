@@ -1,13 +1,9 @@
-"""The remote stop, and the roll of robots that it can reach.
+"""The remote stop from the operator's side, and the roll of the robots that it can reach.
 
-Finds out which robots are connected.
-
-The remote stop from the operator's side: it is said again and again until it is known to have been heard.
-
-It needs no lease, no answer and no state of the robot; it goes out as a put and as a query. Anyone can answer the
-query in the robot's place: so a stop is believed when all replies agree, and the robot is seen to stand, latched.
-In signed mode only what the robots signed counts as known, and a signed stop follows the one without a proof. What
-was answered and seen, and cannot be verified, is reported as such.
+The stop is said again and again until it is known to have been heard. It needs no lease, no answer and no state of
+the robot; it goes out as a put and as a query. Anyone can answer the query in the robot's place: so a stop is
+believed when all replies agree, and the robot is seen to stand, latched. In signed mode only what the robots
+signed counts, and a signed stop follows the one without a proof.
 """
 
 from __future__ import annotations
@@ -91,11 +87,7 @@ class RollCall:
 
 
 def who_is_there(settings: Settings, robot: str) -> str:
-    """Return the end of a message that this robot was not found: those that are, or '' if it is one of them.
-
-    Raises:
-        CommandError: an endpoint is not of its form.
-    """
+    """Return the end of a message that this robot was not found: those that are, or '' if it is one of them."""
     deadline_s = time.monotonic() + SETTLE_S
     with CommandPort.open(settings, keys.ALL, login_operator()) as port:
         roll = RollCall(port, settings.robot.root)
@@ -134,21 +126,6 @@ class NotSentError(CommandError):
         self.cause = cause
 
 
-class Unverified(msgspec.Struct, frozen=True):
-    """The word of a robot, or of somebody in its place: in signed mode, and not verified.
-
-    Attributes:
-        stops: all answers are that it stops, and all that was received of it shows that it stands, latched.
-        why: the reason for which they cannot be verified.
-        cure: the way to make it succeed; empty if ``why`` has it.
-    """
-
-    stops: bool
-    says: str
-    why: str
-    cure: str
-
-
 class StopReport(msgspec.Struct, frozen=True):
     """The outcome of a remote stop.
 
@@ -159,8 +136,7 @@ class StopReport(msgspec.Struct, frozen=True):
         silent: robots that are connected and did not answer.
         linked: this end was connected to a Zenoh node.
         counted: it is known which robots are connected. Where it is not, there may be more than those named here.
-        unverified: robots of which there is no verified answer, and another that cannot be verified.
-        seen: the states of those that are silent, in words.
+        unverified: why the answers of further robots cannot be verified.
         reached_all: false where a stop of all at once was sent with a certificate that stops one robot alone.
         unfinished: robots that stopped, and whose stop sequence was waited for and not seen to end.
     """
@@ -171,8 +147,7 @@ class StopReport(msgspec.Struct, frozen=True):
     silent: list[str]
     linked: bool
     counted: bool = True
-    unverified: dict[str, Unverified] = {}
-    seen: dict[str, str] = {}
+    unverified: dict[str, Unmet] = {}
     reached_all: bool = True
     unfinished: list[str] = []
 
@@ -181,14 +156,8 @@ Seen = tuple[int, str, SafetyState | RobotState | PayloadFault]
 """When a sample was read, monotonic, in ns; the robot's name; its message, or why that cannot be read."""
 
 
-class Unproven(msgspec.Struct, frozen=True):
-    """A sample that cannot be verified."""
-
-    seen: Seen
-
-
-Look = Callable[[], Iterable[Seen | Missed | Unproven]]
-"""All that robots have published since the last call, and where some of it may be missing."""
+Look = Callable[[], Iterable[Seen | Missed]]
+"""All that is believed of what robots have published since the last call, and where some of it may be missing."""
 
 Doubt = Callable[[str], Unmet]
 """The reason for which an answer of a robot cannot be verified."""
@@ -213,10 +182,6 @@ def stop_from_here(
         operator: who stops; if empty, the name of the grant, or else the login name.
         stopped: gives up when it turns true.
         told: with it the end of the stop sequences is waited for too.
-
-    Raises:
-        NotSentError: no session opens, or a name or an endpoint is not of its form.
-        CommandError: the session ended after the stop was sent.
     """
     root = settings.robot.root
     with ExitStack() as stack:
@@ -229,7 +194,7 @@ def stop_from_here(
         port.prover = proof
         listeners: list[RobotListener] = []
 
-        def look() -> Iterator[Seen | Missed | Unproven]:
+        def look() -> Iterator[Seen | Missed]:
             if not listeners:  # Only now: the stop has been sent.
                 name = "" if robot == keys.ALL else robot
                 listeners.append(stack.enter_context(RobotListener.open(settings, name)))
@@ -257,18 +222,17 @@ def _unsigned(_robot: str) -> Unmet:
     return UNSIGNED
 
 
-def _read(heard: Iterable[Arrival], proof: StopProof | None) -> Iterator[Seen | Missed | Unproven]:
+def _read(heard: Iterable[Arrival], proof: StopProof | None) -> Iterator[Seen | Missed]:
     for one in heard:
         now_ns = time.monotonic_ns()
         if isinstance(one, Missed):
             yield one
-        sample = read_sample(one) if isinstance(one, Received) else None
-        if sample is None or sample.parts.subject.type not in {SafetyState, RobotState}:
-            continue
-        if isinstance(sample.message, SafetyState | RobotState | PayloadFault):
-            seen = now_ns, sample.parts.robot, sample.message
-            is_believed = proof is None or (isinstance(one, Received) and proof.believes(one))
-            yield seen if is_believed else Unproven(seen)
+        elif isinstance(one, Received) and (proof is None or proof.believes(one)):
+            sample = read_sample(one)
+            if sample is None or sample.parts.subject.type not in {SafetyState, RobotState}:
+                continue
+            if isinstance(sample.message, SafetyState | RobotState | PayloadFault):
+                yield now_ns, sample.parts.robot, sample.message
 
 
 def stop(
@@ -285,9 +249,6 @@ def stop(
     Args:
         stopped: gives up when it turns true.
         doubt: why an answer that the port does not accept cannot be verified.
-
-    Raises:
-        CommandError: the session is closed.
     """
     return _settle(_Stopping(port, root, robot, look, doubt), timeout_s, stopped)
 
@@ -357,80 +318,19 @@ class _Sight:
             return f"it is seen to move at {self._speed_mps:.2f} m/s"
         return "it is seen to stand too briefly" if self._is_confirmed else _UNCONFIRMED
 
-    @property
-    def words(self) -> str:
-        """The newest of what was received, for a robot that answers nothing."""
-        latched = "a remote stop is latched" if self._says else "no remote stop is latched"
-        if self._speed_mps is None:
-            return f"its states say: {latched}, and no speed"
-        stands = "it stands" if self._is_confirmed else _UNCONFIRMED
-        motion = stands if self._speed_mps < STANDSTILL_MPS else f"it moves at {self._speed_mps:.2f} m/s"
-        return f"its states say: {latched}, and {motion}"
-
-
-class _Testimony:
-    """All that was answered and seen, either verified or not."""
-
-    def __init__(self) -> None:
-        self.answers: dict[str, Reply | str] = {}
-        self._sights: defaultdict[str, _Sight] = defaultdict(_Sight)
-        self._replies: defaultdict[tuple[str, int], list[Reply | PayloadFault]] = defaultdict(list)
-        self._contradicted: set[str] = set()
-
-    def hear(self, robot: str, received: Received, question: int) -> None:
-        """A robot, or somebody in its place, replied to the question of this number."""
-        reply = read_reply(STOP, received)
-        replies = self._replies[robot, question]
-        replies.append(reply)
-        if contradict(replies):
-            self._contradicted.add(robot)
-        if isinstance(reply, Reply) or robot not in self.answers:
-            self.answers[robot] = reply if isinstance(reply, Reply) else reply.detail
-
-    def see(self, seen: Seen) -> None:
-        """A robot published this."""
-        now_ns, name, message = seen
-        self._sights[name].see(message, now_ns)
-
-    def miss(self) -> None:
-        """Samples may be missing."""
-        self._sights.clear()
-
-    def is_settled(self, name: str) -> bool:
-        """Nothing more is to be learned: it stands, cannot be stopped, or is answered for by two."""
-        return name in self._contradicted or not _agrees(self.answers[name]) or not self._sights[name].doubt
-
-    def refusal(self, name: str) -> str:
-        """The reply of a robot that cannot stop, in words; empty if it can."""
-        answer = self.answers[name]
-        if name in self._contradicted or _agrees(answer):
-            return ""
-        return answer if isinstance(answer, str) else f"{answer.reason.value}: {answer.detail}"
-
-    def doubt(self, name: str) -> str:
-        """The reason for which a robot that agreed is not known to have stopped; empty if it is."""
-        if name in self._contradicted:
-            return CONTRADICTION
-        doubt = self._sights[name].doubt
-        return f"it replied that it stops, but {doubt}" if doubt else ""
-
-    def rests(self, name: str) -> bool:
-        """No stop sequence of the robot is under way."""
-        return self._sights[name].rests
-
-    def shows(self, name: str) -> str:
-        """The states of a robot, in words; empty if none was received."""
-        return self._sights[name].words if name in self._sights else ""
-
 
 class _Stopping:
-    """A remote stop that is under way."""
+    """A remote stop that is under way: all that was answered, seen, and verified in signed mode."""
 
     def __init__(self, port: CommandPort, root: str, robot: str, look: Look, doubt: Doubt = _unsigned) -> None:
         self._port = port
         self._look = look
         self._doubt = doubt
-        self._proven, self._unproven = _Testimony(), _Testimony()
+        self._answers: dict[str, Reply | str] = {}
+        self._unverified: set[str] = set()
+        self._sights: defaultdict[str, _Sight] = defaultdict(_Sight)
+        self._replies: defaultdict[tuple[str, int], list[Reply | PayloadFault]] = defaultdict(list)
+        self._contradicted: set[str] = set()
         self._robot = robot
         self._robot_of = re.compile(rf"{re.escape(root)}/({keys.ROBOT_PATTERN})/.*")
         is_one = "*" not in robot
@@ -445,13 +345,15 @@ class _Stopping:
     @property
     def all_answered(self) -> bool:
         """It is known who is there, all of them have answered, and somebody has."""
-        answers = self._proven.answers
-        return bool(answers) and self._is_counted and self._expected <= answers.keys()
+        return bool(self._answers) and self._is_counted and self._expected <= self._answers.keys()
 
     @property
     def all_settled(self) -> bool:
-        """Nothing more is to be learned of anybody."""
-        return self.all_answered and all(map(self._proven.is_settled, self._proven.answers))
+        """Nothing more is to be learned: each stands, cannot be stopped, or is answered for by two."""
+        return self.all_answered and all(
+            name in self._contradicted or not _agrees(answer) or not self._sights[name].doubt
+            for name, answer in self._answers.items()
+        )
 
     def step(self, now_s: float) -> None:
         """Say it, and hear."""
@@ -462,7 +364,8 @@ class _Stopping:
         if now_s - self._ask_s >= ASK_S and not self.all_answered:
             self._ask_s = now_s
             self._asked += 1
-            self._questions = [*(one for one in self._questions if not one[1].is_over), (self._asked, self._ask())]
+            question = self._port.begin(STOP.verb, b"", 1.0)
+            self._questions = [*(one for one in self._questions if not one[1].is_over), (self._asked, question)]
         if self._roll is not None:
             self._expected |= self._roll.step(now_s)
             self._is_counted = self._roll.is_complete(now_s)
@@ -472,62 +375,50 @@ class _Stopping:
         """Hear who answers, and who stands."""
         for number, question in self._questions:
             for received in question.poll():
-                self._proven.hear(self._robot_in(received), received, number)
+                self._hear(self._robot_in(received), received, number)
             while question.rejected:
-                received = question.rejected.popleft()
-                self._unproven.hear(self._robot_in(received), received, number)
+                self._unverified.add(self._robot_in(question.rejected.popleft()))
         for seen in self._look():
-            match seen:
-                case Missed():
-                    self._proven.miss()
-                    self._unproven.miss()
-                case Unproven(one):
-                    self._unproven.see(one)
-                case _:
-                    self._proven.see(seen)
+            if isinstance(seen, Missed):
+                self._sights.clear()
+            else:
+                now_ns, name, message = seen
+                self._sights[name].see(message, now_ns)
 
     def unfinished(self, robots: Iterable[str]) -> list[str]:
         """Return those of these robots whose stop sequence is under way."""
-        return [name for name in robots if not self._proven.rests(name)]
+        return [name for name in robots if not self._sights[name].rests]
 
     def report(self) -> StopReport:
         """Return who answered, and who did not."""
         stopped: list[str] = []
         refused: dict[str, str] = {}
         unconfirmed: dict[str, str] = {}
-        for name in sorted(self._proven.answers):
-            if refusal := self._proven.refusal(name):
-                refused[name] = refusal
-            elif doubt := self._proven.doubt(name):
-                unconfirmed[name] = doubt
+        for name, answer in sorted(self._answers.items()):
+            doubt = self._sights[name].doubt
+            if name in self._contradicted:
+                unconfirmed[name] = CONTRADICTION
+            elif not _agrees(answer):
+                refused[name] = answer if isinstance(answer, str) else f"{answer.reason.value}: {answer.detail}"
+            elif doubt:
+                unconfirmed[name] = f"it replied that it stops, but {doubt}"
             else:
                 stopped.append(name)
-        unverified = {
-            name: self._word_of(name)
-            for name in sorted(self._unproven.answers.keys() - self._proven.answers.keys())
-        }
-        silent = sorted(self._expected - self._proven.answers.keys() - unverified.keys())
-        seen = {name: words for name in silent if (words := self._seen(name))}
+        unverified = {name: self._doubt(name) for name in sorted(self._unverified - self._answers.keys())}
+        silent = sorted(self._expected - self._answers.keys() - unverified.keys())
         return StopReport(
-            stopped, refused, unconfirmed, silent, self._linked, self._is_counted, unverified=unverified, seen=seen
+            stopped, refused, unconfirmed, silent, self._linked, self._is_counted, unverified=unverified
         )
 
-    def _word_of(self, name: str) -> Unverified:
-        unproven, unmet = self._unproven, self._doubt(name)
-        refusal, doubt = unproven.refusal(name), unproven.doubt(name)
-        says = f"it replied that it is not stopped: {refusal}" if refusal else doubt
-        stands = "it replied that it stops, and its states show that it stands, latched"
-        return Unverified(not says, says or stands, unmet.text, unmet.cure)
-
-    def _seen(self, name: str) -> str:
-        words = self._proven.shows(name)
-        if words:
-            return words
-        words = self._unproven.shows(name)
-        return f"{words}, which cannot be verified: {self._doubt(name).text}" if words else ""
-
-    def _ask(self) -> PendingQuery:
-        return self._port.begin(STOP.verb, b"", 1.0)
+    def _hear(self, robot: str, received: Received, question: int) -> None:
+        """A robot, or somebody in its place, replied to the question of this number."""
+        reply = read_reply(STOP, received)
+        replies = self._replies[robot, question]
+        replies.append(reply)
+        if contradict(replies):
+            self._contradicted.add(robot)
+        if isinstance(reply, Reply) or robot not in self._answers:
+            self._answers[robot] = reply if isinstance(reply, Reply) else reply.detail
 
     def _robot_in(self, received: Received) -> str:
         match = self._robot_of.fullmatch(received.key)

@@ -148,24 +148,6 @@ class Robot:
         """
         return self._link.sighting()
 
-    @property
-    def link_age_s(self) -> float | None:
-        """The age of drive commands by which the robot bounds its speed; None while it executes none.
-
-        Raises:
-            Unreachable: no state arrived for a second.
-        """
-        return self._link.sighting().state.link_age_s
-
-    @property
-    def travel_speed_limit_mps(self) -> float | None:
-        """The speed limit that this age gives; None while the robot executes no drive commands.
-
-        Raises:
-            Unreachable: no state arrived for a second.
-        """
-        return self._link.sighting().state.travel_speed_limit_mps
-
     def events(self) -> list[SafetyEvent]:
         """Return the events received since the last call; at first some earlier ones too."""
         return self._link.take_events()
@@ -190,10 +172,9 @@ class Robot:
         report = remote_stop.stop(
             self._link.commands, self._root, self.name, timeout_s, self._link.look, doubt=self._link.doubt
         )
-        for word in report.unverified.values():
-            why = f"{word.says}, which cannot be verified: {word.why}"
-            what = f"{self.name} is not known to stop"
-            raise Refused(what, Reason.NOT_CONFIRMED, why, word.cure, robot=self.name)
+        for unmet in report.unverified.values():
+            what = f"{self.name} is not known to stop, for its answer cannot be verified"
+            raise Refused(what, Reason.NOT_CONFIRMED, unmet.text, unmet.cure, robot=self.name)
         if report.unconfirmed:
             why = "; ".join(report.unconfirmed.values())
             raise Refused(f"{self.name} is not seen to stop", Reason.NOT_CONFIRMED, why, robot=self.name)

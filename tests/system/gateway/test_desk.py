@@ -17,7 +17,6 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page
 
 from gateway.authority.enrolment import read_request, request_fingerprint
-from schemas.command_line import ExitCode
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import open_session
 from tests.support.messages import STATE
@@ -36,7 +35,6 @@ from tests.support.processes.desk import (
     texts,
     wait_ready,
 )
-from tests.support.processes.gateway import run
 from tests.support.processes.letting_go import let_go_of_the_pointer, lose_the_focus, shut_the_lid
 from tests.support.provisioning import ProvisionedFleet
 from tests.support.provisioning import run as provision
@@ -579,24 +577,6 @@ def test_no_other_page_gets_in(scene: DeskScene) -> None:
     assert ask(scene.address, "/link", **upgrade("http://evil.example", "evil.example")).status in {400, 403}
     for path in ("/../pyproject.toml", "/..%2f..%2fcli/desk.py", "/%2e%2e/words.py", "/words.py"):
         assert ask(scene.address, path).status == 404
-
-
-@pytest.mark.parametrize(
-    ("text", "key"),
-    [
-        ('listen = "nowhere"', "desk.listen"),
-        ('listen = "0.0.0.0:0"', "desk.certificate"),
-        ('certificate = "/nowhere/desk.pem"', "desk.key"),
-        ('certificate = "/nowhere/desk.pem"\nkey = "/nowhere/desk.key"', "/nowhere/desk.pem"),
-    ],
-)
-def test_a_wrong_settings_file_is_one_clear_line(tmp_path: Path, text: str, key: str) -> None:
-    """Which names the setting, or the file that it names."""
-    file = tmp_path / "desk.toml"
-    file.write_text(f"[desk]\n{text}\n")
-    refused = run(["desk", "--config", str(file), "--seconds", "1"])
-    assert (refused.returncode, refused.stderr.count("\n")) == (ExitCode.USAGE, 1)
-    assert key in refused.stderr
 
 
 def test_the_page_weighs_less_than_300_kilobytes() -> None:

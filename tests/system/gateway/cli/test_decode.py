@@ -51,21 +51,6 @@ def test_a_file_is_read_in_the_variant_that_is_asked_for(tmp_path: Path) -> None
     assert speeds == [pytest.approx(1.0), pytest.approx(0.025)]
 
 
-def test_a_reader_that_goes_away_ends_it_quietly(tmp_path: Path) -> None:
-    """As with '| head': no traceback, although most of the output has nowhere to go."""
-    log = tmp_path / "long.log"
-    log.write_text(f"{GEAR}\n" * 20_000)
-    with subprocess.Popen(
-        [*COMMAND, "--variant", "coarse", str(log)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        assert json.loads(process.stdout.readline())["name"] == "Auto_GearFeedBack"
-        process.stdout.close()
-        assert process.stderr.read() == b""
-        assert process.wait(60) == 0
-
-
 def test_each_line_comes_out_as_soon_as_it_went_in_and_a_signal_ends_the_wait() -> None:
     """In a live pipe a record does not wait for the next line, nor does the end wait for one."""
     with subprocess.Popen(

@@ -1,6 +1,5 @@
 """``cruiser gateway`` as a process, with a virtual chassis as a process."""
 
-import itertools
 import os
 import signal
 from argparse import Namespace
@@ -15,7 +14,6 @@ import msgpack
 import pytest
 import zenoh
 
-from gateway.chassis.cruiser.frames import load
 from gateway.chassis.port import Actuation
 from gateway.cli.gateway import run as run_gateway
 from gateway.client.refusal import Refused
@@ -78,9 +76,6 @@ class Listener:
             answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
             return answer
         raise AssertionError("nobody replied")
-
-    def accepts(self, verb: str, **fields: object) -> bool:
-        return bool(self.ask(verb, **fields)["ok"])
 
     def stop(self, robot: str) -> None:
         """The remote stop; hears what has come since the last one."""
@@ -194,28 +189,6 @@ def test_a_second_gateway_of_one_chassis_is_warned() -> None:
         assert not [line for line in one.said if "another" in line]
 
 
-def test_faults_are_counted_by_kind_and_never_published_as_data() -> None:
-    """Checksum faults and strangers on the bus appear in health, the silent frame in the state."""
-    endpoint = free_endpoint()
-    faults = [
-        "checksum Auto_GearFeedBack",
-        "foreign 123",
-        "silence Auto_SpeakerFeedback",
-        "skip Auto_DriveFeedBack",
-    ]
-    words = [word for fault in faults for word in ("--fault", f"1ms {fault}")]
-    with chassis(*words) as (_, address), gateway(address, endpoint), closing(Listener(endpoint)) as listener:
-        health = listener.wait_for(
-            "fleet/cruiser-1/gateway/health",
-            lambda health: {"checksum", "unknown_identifier", "alive_lost"} <= health["faults"].keys(),
-        )
-        assert health["unknown_identifiers"].keys() == {"123"}
-        state = listener.wait_for("fleet/cruiser-1/state", lambda state: len(state["silent"]) == 2)
-        assert set(state["silent"]) == {"Auto_GearFeedBack", "Auto_SpeakerFeedback"}
-        assert state["gear_position"] == "undefined"
-        assert "fleet/cruiser-1/chassis/gear" not in listener.latest
-
-
 DECISION = "fleet/cruiser-1/safety/decision"
 STATE = "fleet/cruiser-1/safety/state"
 SENT = "fleet/cruiser-1/can/can0/tx"
@@ -282,83 +255,6 @@ def test_no_bytes_on_any_command_key_change_anything(monkeypatch: pytest.MonkeyP
             )
         assert running.stop() == 0
         assert not [line for line in running.said if "Traceback" in line or "ERROR" in line]
-
-
-class RawDrive:
-    """A stream of drive commands that the test itself packs."""
-
-    def __init__(self, listener: Listener) -> None:
-        self._listener = listener
-        self._lease = 0
-        self._numbers = itertools.count()
-
-    def begin(self) -> None:
-        """Engage the robot, and allow its parking brake to be released."""
-        listener = self._listener
-        listener.wait_for(STATE, lambda said: said["blocked_by"] == ["no_lease", "not_engaged"])
-        self._lease = listener.ask("acquire")["lease"]
-        self._numbers = itertools.count()
-        assert listener.ask("engage", lease=self._lease, challenge=listener.latest[STATE]["challenge"])["ok"]
-        self._put(0.0)
-        assert listener.ask("unpark", lease=self._lease)["ok"]
-        listener.wait_for(STATE, lambda said: said["state"] != "standby")
-
-    def keep(self, speed_mps: float) -> None:
-        """One command. A robot that a busy machine has stopped is engaged again."""
-        if self._listener.latest[STATE]["state"] == "standby":
-            self.begin()
-        self._put(speed_mps)
-
-    @property
-    def speed_mps(self) -> float:
-        """The measured speed of the robot; zero while a stop is under way."""
-        newest = self._listener.latest
-        if newest[STATE]["state"] != "engaged":
-            return 0.0
-        return newest["fleet/cruiser-1/state"]["speed_mps"] or 0.0
-
-    def _put(self, speed_mps: float) -> None:
-        challenge = self._listener.latest[STATE]["challenge"]
-        command = {"lease": self._lease, "seq": next(self._numbers), "challenge": challenge}
-        payload = msgpack.packb(command | {"speed_mps": speed_mps, "angle_deg": 5.0})
-        self._listener.session.put("fleet/cruiser-1/@cmd/first/drive", payload)
-        self._listener.hear()
-
-
-def test_an_end_while_driving_brings_the_robot_to_rest_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """SIGTERM: the speed ramps down, then neutral, the parking brake, no enables; then it ends with 0."""
-    monkeypatch.setenv("CRUISER_GATEWAY_ACCEPT_UNGUARDED", "true")
-    endpoint = free_endpoint()
-    with chassis() as (_, address), gateway(address, endpoint) as running, closing(Listener(endpoint)) as listener:
-        drive = RawDrive(listener)
-        drive.begin()
-        wait_until(lambda: drive.speed_mps > 0.6, lambda: drive.keep(0.8))
-        listener.heard.clear()
-        assert running.stop() == 0
-        listener.hear()
-    layout = load(Variant.COARSE).messages
-    data: dict[int, list[bytes]] = {}
-    for key, batch in listener.heard:
-        if key == SENT:
-            for can_id, frame in zip(batch["can_id"], batch["data"], strict=True):
-                data.setdefault(can_id, []).append(frame)
-    speeds_raw = [frame[1] for frame in data[layout["Auto_DriveCmd"].can_id]]
-    gears = [frame[1] for frame in data[layout["Auto_GearCmd"].can_id]]
-    parking = [frame[1] for frame in data[layout["Auto_ParkingCmd"].can_id]]
-    enables = [frame[0] & 1 for frame in data[layout["Auto_ParkingCmd"].can_id]]
-    assert speeds_raw[0] > 10
-    falling = speeds_raw[speeds_raw.index(max(speeds_raw)) :]
-    assert falling[-1] == 0
-    order = [speeds_raw.index(0), parking.index(1), enables.index(0)]
-    assert order == sorted(set(order))
-    assert gears.index(3) == enables.index(0)
-    events = [(said["kind"], said["reason"]) for key, said in listener.heard if key.endswith("safety/event")]
-    # Nobody renews the lease meanwhile.
-    assert [event for event in events if event[0] != "lease"] == [
-        ("gateway", "shutdown"),
-        ("stop", "shutdown"),
-        ("stopped", "shutdown"),
-    ]
 
 
 @contextmanager
@@ -443,6 +339,19 @@ def drive_on(lease: Lease) -> None:
         return
     wait_until(lambda: lease.is_engaged or is_done(lease.engage))
     is_done(lease.unpark)
+
+
+def test_an_end_while_driving_brings_the_robot_to_rest_first() -> None:
+    """SIGTERM: the chassis stands, and is out of auto, when it ends with 0."""
+    with (
+        chassis() as (_, address),
+        listening(address) as listener,
+        operated(address) as (running, robot),
+        robot.lease() as lease,
+    ):
+        wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.6, partial(drive_on, lease))
+        assert running.stop() == 0
+        wait_until(lambda: listener.stands() and listener.mode() is Mode.STOP)
 
 
 def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:

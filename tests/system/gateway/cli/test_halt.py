@@ -7,11 +7,9 @@ import time
 
 import pytest
 
-from gateway.cli import halt as command
 from gateway.host.notes import StopNote
 from schemas.messages import Mode
-from schemas.settings import CanSettings, Settings
-from tests.support.commands import run_command
+from schemas.settings import Settings
 from tests.support.nights import by_night
 from tests.support.processes.gateway import Running, chassis, run
 from tests.support.processes.guard import COMMANDS, listening, watched
@@ -138,12 +136,3 @@ def test_blindly_is_better_than_not_at_all() -> None:
         assert "not seen to stand" in done.stderr
         assert run(["fault", "--sim", address, "clear"]).returncode == 0
         wait_until(listener.stands)
-
-
-def test_it_asks_for_the_priority_of_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is too busy for a gateway, which therefore ended, is too busy for it as well."""
-    asked: list[int] = []
-    monkeypatch.setattr(command, "request_realtime", asked.append)
-    settings = Settings(can=CanSettings(interface="virtual", channel="halt"))
-    run_command(command, settings=settings, stopped=lambda: True)
-    assert asked == [Settings().gateway.realtime_priority]

@@ -146,14 +146,6 @@ def certificate_end(file: Path) -> int:
     return expires_s(read_certificates(file.read_text())[0])
 
 
-def test_as_a_process_it_ends_when_it_is_told_to() -> None:
-    """With exit code 0; until then it shows that nobody is connected."""
-    with Running("metrics", "--connect", free_endpoint(), "--listen", "127.0.0.1:0") as running:
-        address = running.wait_says(r"metrics: (http://127\.0\.0\.1:\d+/metrics), robots at tcp/")[1]
-        assert scrape(address)["cruiser_exporter_connected", "", ""] == 0
-        assert running.stop() == 0
-
-
 def test_that_others_can_ask_is_said(caplog: pytest.LogCaptureFixture) -> None:
     """Not where this machine alone can. The second address is nobody's."""
     with MetricsServer(fleet(), "127.0.0.1", 0):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from gateway.authority.enrolment import TransportRole
 from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import run
 from tests.support.secured import Network
 from tests.support.waiting import nothing
 
@@ -21,10 +20,9 @@ def router(tmp_path: Path) -> Path:
     return Network(tmp_path, free_endpoint().replace("tcp", "tls")).node(TransportRole.ROUTER, "127.0.0.1")
 
 
-def run(*words: str | Path, command: str = "router") -> tuple[int, str]:
+def said(*words: str | Path, command: str = "router") -> tuple[int, str]:
     """Exit code, and what is said."""
-    program = [sys.executable, "-m", "gateway", command, *map(str, words)]
-    done = subprocess.run(program, capture_output=True, text=True, check=False, timeout=60)
+    done = run([command, *map(str, words)])
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout + done.stderr
 
@@ -32,10 +30,10 @@ def run(*words: str | Path, command: str = "router") -> tuple[int, str]:
 def test_it_listens_where_its_file_says(router: Path) -> None:
     """Or where it is told to."""
     endpoint = json.loads((router / "router.json5").read_text())["listen"]["endpoints"][0]
-    assert run("--directory", router, "--seconds", "0.1") == (0, f"router: listens on {endpoint}\n")
+    assert said("--directory", router, "--seconds", "0.1") == (0, f"router: listens on {endpoint}\n")
     other = free_endpoint().replace("tcp", "tls")
     words = ("--zenoh-config", router / "router.json5", "--listen", other, "--seconds", "0.1")
-    assert run(*words) == (0, f"router: listens on {other}\n")
+    assert said(*words) == (0, f"router: listens on {other}\n")
 
 
 def test_what_is_wrong_is_one_line(router: Path, tmp_path: Path) -> None:
@@ -49,7 +47,7 @@ def test_what_is_wrong_is_one_line(router: Path, tmp_path: Path) -> None:
         (("--directory", router, "--listen", "nowhere"), 2, "Zenoh does not take listen/endpoints"),
         (("--directory", router, "--listen", "tls/192.0.2.1:7447"), 4, "192.0.2.1"),
     ):
-        found, text = run(*words)
+        found, text = said(*words)
         assert (found, text.count("\n")) == (code, 1), text
         assert says in text
 
@@ -63,12 +61,12 @@ def test_who_is_not_let_in_learns_which_file_is_wrong(tmp_path: Path, command: s
     place = network.node(role, "ann")
     further: tuple[str | Path, ...] = {"record": ("--out", tmp_path / "logs")}.get(command, ())
     words = ("--zenoh-config", place / f"{role.value}.json5", *further)
-    code, text = run(*words, command=command)
+    code, text = said(*words, command=command)
     assert code == 4
     assert f"nobody at {network.endpoint} lets this machine in: " in text
     key = place / f"{role.value}-tls.key"
     key.unlink()
-    code, text = run(*words, command=command)
+    code, text = said(*words, command=command)
     assert (code, text.count("\n")) == (2, 1), text
     assert f"{key} is not there; 'cruiser provision {role.value} NAME --replace' makes another" in text
 
@@ -97,7 +95,7 @@ def test_a_stop_that_cannot_be_sent_says_so_first(tmp_path: Path, robot: str, sa
         ((place / "operator-tls.key").unlink, 2, "operator-tls.key is not there"),
     ):
         change()
-        found, text = run(robot, "--zenoh-config", place / "operator.json5", command="stop")
+        found, text = said(robot, "--zenoh-config", place / "operator.json5", command="stop")
         first, second = text.splitlines()
         assert (found, first) == (code, says)
         assert cause in second
@@ -105,7 +103,7 @@ def test_a_stop_that_cannot_be_sent_says_so_first(tmp_path: Path, robot: str, sa
 
 def test_a_stop_of_all_in_open_mode_that_has_no_link_says_the_same() -> None:
     """A peer's session opens although nobody is there."""
-    code, text = run("--all", "--connect", "tcp/127.0.0.1:1", "--timeout", "0.5", command="stop")
+    code, text = said("--all", "--connect", "tcp/127.0.0.1:1", "--timeout", "0.5", command="stop")
     lines = text.splitlines()
     assert (code, len(lines)) == (4, 2), text
     assert lines[0].startswith("all robots: NOT STOPPED: NOTHING WAS SENT: there is no link. Use the buttons on")

@@ -3,11 +3,8 @@
 import contextlib
 import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import can
 import pytest
@@ -18,35 +15,17 @@ from gateway.chassis.layout import Encoder
 from schemas.command_line import ExitCode
 from schemas.messages import Variant
 from tests.support.commands import in_process
+from tests.support.processes.gateway import Running, chassis
 from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
 from tests.support.rigs.chassis import ENABLES
 
-CRUISER = Path(sys.executable).with_name("cruiser")
-BODY = 0x18C4D9EF
+BODY, WHEELS, GEAR = 0x18C4D9EF, 0x18C4D7EF, 0x18C4D1EF
 ENCODER = Encoder(load(Variant.COARSE))
 
 
-@contextlib.contextmanager
-def sim(*flags: str, listen: str = "127.0.0.1:0") -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """``cruiser sim`` as a process that is ready, and the place that it names."""
-    with subprocess.Popen(
-        [CRUISER, "sim", *(["--listen", listen] if listen else []), *flags],
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stderr is not None
-        try:
-            ready = process.stderr.readline()
-            assert ready.startswith("sim: "), ready + process.stderr.read()
-            yield process, ready.removeprefix("sim: ").strip()
-        finally:
-            if process.poll() is None:
-                process.kill()
-
-
-def bus_at(place: str) -> can.BusABC:
+def bus_at(address: str) -> can.BusABC:
     """A client of python-can's own."""
-    host, _, port = place.rpartition(" ")[2].rpartition(":")
+    host, _, port = address.rpartition(":")
     return can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
 
 
@@ -57,27 +36,21 @@ def running() -> Iterator[Served]:
 
 
 def test_it_says_where_it_is_and_ends_on_sigterm() -> None:
-    """With port 0 it names the port that it got; a signal is a clean end."""
-    with sim("--variant", "fine") as (process, place):
-        assert place.startswith("fine chassis on 127.0.0.1:")
-        with bus_at(place) as bus:
-            wheels = receive(bus, lambda message: message.arbitration_id == 0x18C4D7EF)
-            assert wheels.data[1:5] == bytes.fromhex("00800080")
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(DEADLINE_S) == ExitCode.OK
-
-
-def test_faults_come_by_flag() -> None:
-    """At once, and at their times."""
-    with sim("--fault", "0.3s bumper rear on", "--fault", "foreign 123") as (_, place), bus_at(place) as bus:
+    """With port 0 it names the port that it got; the variant and faults are those of its flags."""
+    faults = ("--fault", "0.3s bumper rear on", "--fault", "foreign 123")
+    with chassis("--variant", "fine", *faults) as (sim, address), bus_at(address) as bus:
+        assert sim.said == [f"sim: fine chassis on {address}"]
+        wheels = receive(bus, lambda message: message.arbitration_id == WHEELS)
+        assert wheels.data[1:5] == bytes.fromhex("00800080")
         assert receive(bus, lambda message: message.arbitration_id == 0x123)
         assert receive(bus, lambda message: message.arbitration_id == BODY and message.data[4] == 0x10)
+        assert sim.stop(signal.SIGTERM) == ExitCode.OK
 
 
 def test_conditions_come_by_flag() -> None:
     """On a hill it rolls when its parking brake is released, and in a mode stop that coasts it rolls on."""
     faults = (word for fault in ("slope -20", "payload 50", "pedal 0.5") for word in ("--fault", fault))
-    with sim(*faults, "--stop-mode", "coasts") as (_, place), bus_at(place) as bus:
+    with chassis(*faults, "--stop-mode", "coasts") as (_, address), bus_at(address) as bus:
         for enable, least_mps in ((True, 0.1), (False, 4.0)):
             for name in ENABLES:
                 frame = ENCODER.encode(name, {"Enable": enable}, 0)
@@ -90,7 +63,7 @@ def wheels_faster_than(least_mps: float) -> Callable[[can.Message], bool]:
 
     def is_faster(message: can.Message) -> bool:
         speed_mps = (int.from_bytes(message.data[1:3], "little") & 0x1FF) * 0.04 - 8
-        return message.arbitration_id == 0x18C4D7EF and speed_mps > least_mps
+        return message.arbitration_id == WHEELS and speed_mps > least_mps
 
     return is_faster
 
@@ -98,17 +71,14 @@ def wheels_faster_than(least_mps: float) -> Callable[[can.Message], bool]:
 def test_it_attaches_to_a_bus_of_python_can(running: Served) -> None:
     """The second chassis is a client of the first one's server, and ends when that bus is lost."""
     channel = f"{running.host}:{running.port}"
-    with sim("--interface", "socketcand", "--channel", channel, "--fault", "foreign 321", listen="") as (
-        process,
-        place,
-    ):
-        assert place == f"coarse chassis on socketcand {channel}"
+    words = ("--interface", "socketcand", "--channel", channel, "--fault", "foreign 321")
+    with Running("sim", *words) as sim:
+        sim.wait_says(f"^sim: coarse chassis on socketcand {channel}$")
         with running.bus() as bus:
             assert receive(bus, lambda message: message.arbitration_id == 0x321)
         running.end()
-        assert process.wait(DEADLINE_S) == ExitCode.UNREACHABLE
-        assert process.stderr is not None
-        assert "no bus" in process.stderr.read()
+        assert sim.process.wait(30) == ExitCode.UNREACHABLE
+        sim.wait_says("no bus")
 
 
 def test_seconds_end_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,21 +94,11 @@ def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.Captur
     assert in_process("fault", "--sim", place, "sticks", "-0.5", "-10") == ExitCode.OK
     assert capsys.readouterr().out == "ok: transmitter remote\nok: sticks -0.5 -10\n"
     with running.bus() as bus:
-        receive(bus, lambda message: message.arbitration_id == 0x18C4D1EF and message.data[1] == 2)
+        receive(bus, lambda message: message.arbitration_id == GEAR and message.data[1] == 2)
 
 
-@pytest.mark.parametrize(
-    ("speech", "code"),
-    [
-        (b"", ExitCode.UNREACHABLE),
-        (b"HTTP/1.1 400 Bad Request\r\n\r\n<html>", ExitCode.UNREACHABLE),
-        (b"<" * 5000, ExitCode.UNREACHABLE),
-        (b"< hi >", ExitCode.UNREACHABLE),
-    ],
-)
-def test_another_server_is_not_taken_for_a_chassis(
-    speech: bytes, code: ExitCode, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("speech", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n<html>", b"<" * 5000, b"< hi >"])
+def test_another_server_is_not_taken_for_a_chassis(speech: bytes, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever answers there, the command ends with one line."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
@@ -153,6 +113,6 @@ def test_another_server_is_not_taken_for_a_chassis(
         speaker = threading.Thread(target=speak)
         speaker.start()
         port = listener.getsockname()[1]
-        assert in_process("fault", "--sim", f"127.0.0.1:{port}", "clear") == code
+        assert in_process("fault", "--sim", f"127.0.0.1:{port}", "clear") == ExitCode.UNREACHABLE
         speaker.join(DEADLINE_S)
     assert capsys.readouterr().err.count("\n") == 1

@@ -1,3 +1,5 @@
+"""``cruiser watch`` against gateways on loopback. What a view shows: tests/unit/gateway/client/test_fleet.py."""
+
 import json
 from collections.abc import Callable
 
@@ -6,7 +8,7 @@ import pytest
 from gateway.cli import watch as watch_command
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import RobotState
-from schemas.settings import RobotSettings, Settings, ZenohSettings
+from schemas.settings import Settings, ZenohSettings
 from tests.support.commands import run_command
 from tests.support.fakes.gateway import FakeGateway, speech
 from tests.support.fakes.peer import free_endpoint
@@ -16,34 +18,38 @@ from tests.support.waiting import StopWhen
 Capture = pytest.CaptureFixture[str]
 
 
-def watch(endpoint: str, *words: str, stopped: Callable[[], bool], root: str = "fleet") -> int:
+def watch(endpoint: str, *words: str, stopped: Callable[[], bool]) -> int:
     """Run the command in this process."""
-    settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
-    return run_command(watch_command, *words, settings=settings, stopped=stopped)
+    return run_command(
+        watch_command, *words, settings=Settings(zenoh=ZenohSettings(connect=[endpoint])), stopped=stopped
+    )
 
 
 class Output:
-    """What was written so far."""
+    """Everything that was written until now."""
 
     def __init__(self, capture: Capture) -> None:
         self._capture = capture
         self.text = ""
 
     def __call__(self) -> str:
-        """Everything that was written until now."""
         self.text += self._capture.readouterr().out
         return self.text
 
 
-def test_one_robot_is_shown_as_lines_without_a_terminal(capsys: Capture) -> None:
-    """Each second a line says what the robot does."""
+def test_some_robots_are_shown_as_lines_without_a_terminal(capsys: Capture) -> None:
+    """Each second, in the order of their numbers, after a line on all of them; others are not heard."""
     output = Output(capsys)
-    with FakeGateway("cruiser-1") as gateway:
-        stopped = StopWhen(lambda: output().count("\n") >= 2, speech(gateway, says=[HEALTH, STATE]))
-        assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
-    for line in output.text.splitlines():
-        assert line.startswith("cruiser-1  telemetry only  mode auto  gear drive  +1.25 m/s  -3.5 deg")
-        assert line.endswith("faults none")
+    with (
+        FakeGateway("cruiser-10") as first,
+        FakeGateway("cruiser-2", connect=first.listen) as second,
+        FakeGateway("other-1", connect=first.listen) as other,
+    ):
+        speak = speech(first, second, other, says=[STATE])
+        stopped = StopWhen(lambda: "\n2 telemetry only\ncruiser-2 " in f"\n{output()}", speak)
+        assert watch(first.listen, "cruiser-*", stopped=stopped) == 0
+    assert [line.split()[0] for line in output.text.splitlines()[-3:]] == ["2", "cruiser-2", "cruiser-10"]
+    assert "other-1" not in output.text
 
 
 def test_all_robots_are_shown_as_json(capsys: Capture) -> None:
@@ -60,47 +66,38 @@ def test_all_robots_are_shown_as_json(capsys: Capture) -> None:
     records = {record["robot"]: record for record in map(json.loads, output.text.splitlines())}
     assert set(records["cruiser-1"]["state"]) == set(RobotState.__struct_fields__)
     assert records["cruiser-1"]["state"]["speed_mps"] == 1.25
-    assert records["cruiser-2"]["state"] is None
-    assert records["cruiser-2"]["connected"] is True
+    assert (records["cruiser-2"]["state"], records["cruiser-2"]["connected"]) == (None, True)
 
 
-def test_a_robot_that_falls_silent_is_shown_as_stale(capsys: Capture) -> None:
-    """When states cease, lines say so and show no old value; when they come again, so do the values."""
+def test_a_robot_that_falls_silent_is_stale_and_one_that_leaves_is_gone(capsys: Capture) -> None:
+    """No old value is shown; when states come again, so do the values; the view stays."""
     output = Output(capsys)
     with FakeGateway("cruiser-1") as gateway:
+        is_gone = False
 
         def speak() -> None:
-            text = output()
-            if "mode auto" not in text or "OFFLINE" in text:
-                gateway.say(STATE)
-
-        stopped = StopWhen(lambda: "mode auto" in output().partition("OFFLINE")[2], speak)
-        assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
-    stale = next(line for line in output.text.splitlines() if "OFFLINE" in line)
-    assert "its gateway is connected" in stale
-    assert "1.25" not in stale
-
-
-def test_a_gateway_that_leaves_is_shown_as_gone(capsys: Capture) -> None:
-    """When the gateway goes, the view stays and says that nothing is connected."""
-    output = Output(capsys)
-    with FakeGateway("cruiser-1") as gateway:
-
-        def speak() -> None:
-            if "mode auto" in output():
+            nonlocal is_gone
+            before, _, after = output().partition("no contact")
+            if is_gone:
+                return
+            if "+1.25 m/s" in after:
+                is_gone = True
                 gateway.__exit__(None, None, None)
-            else:
+            elif "+1.25 m/s" not in before or "no contact" in output.text:
                 gateway.say(STATE)
 
         stopped = StopWhen(lambda: "this end is not connected to Zenoh" in output(), speak)
         assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
+    stale = next(line for line in output.text.splitlines() if "no contact" in line)
+    assert "its gateway is connected" in stale
+    assert "1.25" not in stale
 
 
 @pytest.mark.parametrize(("words", "shown"), [(["cruiser-1"], "mileage"), ([], "telemetry only")])
 def test_a_terminal_gets_a_live_view(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: list[str], shown: str
 ) -> None:
-    """On a terminal the view is drawn again and again, and wiped when it ends."""
+    """On the terminal's other screen, which is left at the end."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm")
     output = Output(capsys)
@@ -108,44 +105,16 @@ def test_a_terminal_gets_a_live_view(
         stopped = StopWhen(lambda: output().count("+1.25 m/s") >= 3, lambda: gateway.say(STATE))
         assert watch(gateway.listen, *words, stopped=stopped) == 0
     assert shown in output()
-    # It was drawn on the terminal's other screen, which is left at the end.
     assert output.text.index("\x1b[?1049h") < output.text.index("+1.25 m/s") < output.text.index("\x1b[?1049l")
 
 
-def test_it_ends_after_the_seconds_it_was_given(capsys: Capture) -> None:
-    """--seconds ends the view by itself with exit code 0."""
+def test_it_ends_after_its_seconds_and_where_the_robot_is_not_there(capsys: Capture) -> None:
+    """With exit code 0 and 4; a signal while it waits is no error."""
     with FakeGateway("cruiser-1") as gateway:
         stopped = StopWhen(lambda: False, lambda: gateway.say(STATE))
         assert watch(gateway.listen, "cruiser-1", "--seconds", "1.5", stopped=stopped) == 0
-    assert "mode auto" in capsys.readouterr().out
-
-
-def test_a_robot_that_does_not_appear_is_unreachable() -> None:
-    """A node answers, but the robot is not there: exit code 4, and the line names the robot."""
-    with (
-        FakeGateway("cruiser-1") as gateway,
-        pytest.raises(CommandError, match=r"'cruiser-2' did not appear") as caught,
-    ):
-        watch(gateway.listen, "cruiser-2", "--timeout", "0.5", stopped=StopWhen(lambda: False))
+        assert "+1.25 m/s" in capsys.readouterr().out
+        with pytest.raises(CommandError, match=r"'cruiser-2' did not appear") as caught:
+            watch(gateway.listen, "cruiser-2", "--timeout", "0.5", stopped=StopWhen(lambda: False))
     assert caught.value.code is ExitCode.UNREACHABLE
-
-
-def test_some_robots_are_shown_by_a_pattern(capsys: Capture) -> None:
-    """In the order of their numbers, after a line on all of them; others are not heard."""
-    output = Output(capsys)
-    with (
-        FakeGateway("cruiser-10") as first,
-        FakeGateway("cruiser-2", connect=first.listen) as second,
-        FakeGateway("other-1", connect=first.listen) as other,
-    ):
-        speak = speech(first, second, other, says=[STATE])
-        stopped = StopWhen(lambda: "\n2 telemetry only\ncruiser-2 " in f"\n{output()}", speak)
-        assert watch(first.listen, "cruiser-*", stopped=stopped) == 0
-    last = output.text.splitlines()[-3:]
-    assert [line.split()[0] for line in last] == ["2", "cruiser-2", "cruiser-10"]
-    assert "other-1" not in output.text
-
-
-def test_a_signal_while_waiting_ends_it_without_an_error() -> None:
-    """Whoever stops the command before the robot appears gets no complaint."""
     assert watch(free_endpoint(), "cruiser-1", stopped=lambda: True) == 0

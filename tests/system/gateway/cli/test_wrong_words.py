@@ -49,7 +49,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("gateway --channel nosuchcan", UNREACHABLE, "nosuchcan"),
     ("gateway --interface virtual --listen tcp/{taken}", UNREACHABLE, "Address already in use"),
     ("halt --interface socketcand --channel 127.0.0.1:1", UNREACHABLE, "127.0.0.1:1"),
-    *[(f"watch '{one}'", USAGE, "cannot be a robot") for one in ("cruiser-$*", "Cruiser-1")],
+    *[(f"watch '{one}'", USAGE, "cannot be a robot, or several") for one in ("cruiser-$*", "Cruiser-1")],
     *[
         (f"{one} --timeout 0.5 --connect tcp/{{free}}", UNREACHABLE, NOBODY)
         for one in ("watch", "watch cruiser-1", "list")
@@ -61,7 +61,9 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     (f"{DEMO} --endpoint tcp/0.0.0.0:0", USAGE, "can be reached from other machines"),
     (f"{DEMO} --endpoint here", USAGE, "here"),
     (f"{DEMO} --robots 1 --endpoint tcp/{{taken}}", UNREACHABLE, "{taken}"),
-    ("desk --listen 0.0.0.0:0", USAGE, "--certificate"),
+    ("desk --listen 0.0.0.0:0", USAGE, "desk.certificate"),
+    ("desk --listen nowhere", USAGE, "desk.listen"),
+    ("desk --certificate /nowhere/desk.pem", USAGE, "desk.key"),
     ("desk --listen {taken}", UNREACHABLE, "{taken}"),
     ("desk --listen 127.0.0.1:0 --certificate {here}/none.pem --key {here}/desk.key", USAGE, "none.pem"),
     ("desk --logs missing --logs-only", USAGE, "missing is no directory"),

@@ -5,7 +5,6 @@ import pytest
 
 from gateway.cli import stop
 from gateway.client import remote_stop
-from gateway.client.refusal import Refused
 from gateway.client.robot import stop_all
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
@@ -80,12 +79,6 @@ def test_who_may_be_missing_makes_a_stop_partial(
     assert captured.err == "there may be more robots: who is connected was not said in time\n"
 
 
-def test_nobody_is_nobody() -> None:
-    """Without a node nothing is said to have stopped, and the end comes with the timeout."""
-    report = stop_all("first", settings_for(free_endpoint()), 0.3)
-    assert (report.stopped, report.silent, report.linked) == ([], [], False)
-
-
 def test_it_reaches_a_robot_that_comes_later() -> None:
     """It is said again and again: a robot whose link returns within the time hears it."""
     endpoint = free_endpoint()
@@ -96,13 +89,3 @@ def test_it_reaches_a_robot_that_comes_later() -> None:
             seconds = iter(range(1, 10_000))
             wait_until(lambda: stopping.all_answered, lambda: stopping.step(float(next(seconds))))
             assert stopping.report().unconfirmed.keys() == {fake.name}
-
-
-def test_the_library_stops_a_robot_by_what_it_sees() -> None:
-    """With the sessions that it has; the call returns once the robot stands, and raises if it does not."""
-    with FakeRobot() as fake, fake.seen_by() as robot:
-        robot.stop(20)
-        assert Reason.REMOTE_STOP in fake.latched
-        fake.moves_mps = 0.3
-        with pytest.raises(Refused, match=r"not seen to stop.*0\.30 m/s"):
-            robot.stop(2)

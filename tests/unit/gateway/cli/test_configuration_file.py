@@ -29,24 +29,15 @@ def _complaint(file: str) -> str:
     return "right"
 
 
-def test_no_file_is_asked_for_none_is_read() -> None:
-    """Without a path and without the variable there is no file, and an empty variable names none."""
-    assert load_settings(None, {}, {}) == Settings()
-    assert load_settings(None, {"CRUISER_CONFIG": ""}, {}) == Settings()
-
-
-def test_an_empty_path_is_told_as_one() -> None:
-    """An empty flag comes from a shell variable that is not set: it names no file, and no directory either."""
-    with pytest.raises(CommandError, match=r"^--config names no file: its value is empty$") as caught:
-        load_settings("", {}, {})
-    assert caught.value.code is ExitCode.USAGE
-
-
 def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
-    """The variable names the file only where no path does."""
+    """The variable names the file only where no path does; an empty one names none, an empty path is an error."""
     file = _written(tmp_path, b"[can]\nchannel = 'vcan7'\n")
     assert load_settings(None, {"CRUISER_CONFIG": file}, {}).can.channel == "vcan7"
     assert load_settings(file, {"CRUISER_CONFIG": "/nowhere"}, {}).can.channel == "vcan7"
+    assert load_settings(None, {}, {}) == load_settings(None, {"CRUISER_CONFIG": ""}, {}) == Settings()
+    with pytest.raises(CommandError, match=r"^--config names no file: its value is empty$") as caught:
+        load_settings("", {}, {})
+    assert caught.value.code is ExitCode.USAGE
 
 
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
@@ -96,16 +87,6 @@ def test_zenohs_own_file_is_not_taken_for_the_settings() -> None:
         load_settings("ann/operator.json5", {}, {})
 
 
-def test_who_was_not_let_in_yet_learns_what_writes_the_file(tmp_path: Path) -> None:
-    """The keys are there, and the authority's answer is not; without keys it is a file like any other."""
-    file = tmp_path / "operator.toml"
-    with pytest.raises(CommandError, match=r"no such file or directory$"):
-        load_settings(str(file), {}, {})
-    (tmp_path / "operator-tls.key").write_text("")
-    with pytest.raises(CommandError, match="no such file or directory; 'cruiser provision install' writes it"):
-        load_settings(str(file), {}, {})
-
-
 # A settings file that somebody forgot to name.
 
 
@@ -150,14 +131,24 @@ def test_a_settings_file_that_was_not_named_is_found_in_the_working_directory(
     assert [one for one in others if _unread(one)] == []
 
 
-@pytest.mark.parametrize("variable", ["HOME", "XDG_CONFIG_HOME", "CRUISER_AUTHORITY_DIRECTORY"])
-def test_a_settings_file_that_was_not_named_is_found_beside_the_keys(place: Path, variable: str) -> None:
-    """Wherever the directory of the keys is."""
-    keys = place / {"HOME": "home/.config/cruiser", "XDG_CONFIG_HOME": "xdg/cruiser"}.get(variable, "keys")
-    keys.mkdir(parents=True)
-    (keys / "robot.toml").write_text("")
-    given = {"HOME": {}, "XDG_CONFIG_HOME": {variable: str(place / "xdg")}}.get(variable, {variable: str(keys)})
-    assert _unread("gateway", given) == str(keys / "robot.toml")
+@pytest.mark.parametrize(
+    ("place_of_keys", "environment"),
+    [
+        ("home/.config/cruiser", {}),
+        ("xdg/cruiser", {"XDG_CONFIG_HOME": "{place}/xdg"}),
+        ("keys", {"CRUISER_AUTHORITY_DIRECTORY": "{place}/keys"}),
+    ],
+)
+def test_a_settings_file_that_was_not_named_is_found_beside_the_keys(
+    place: Path, place_of_keys: str, environment: dict[str, str]
+) -> None:
+    """Wherever the directory of the keys is. A directory of that name is no settings file."""
+    (place / "robot.toml").mkdir()
+    file = place / place_of_keys / "robot.toml"
+    file.parent.mkdir(parents=True)
+    file.write_text("")
+    given = {name: value.format(place=place) for name, value in environment.items()}
+    assert _unread("gateway", given) == str(file)
 
 
 def test_what_is_started_by_hand_on_a_robot_reads_the_settings_of_its_services(place: Path) -> None:
@@ -188,9 +179,3 @@ def test_nothing_is_said_to_whoever_stated_what_they_want(place: Path) -> None:
     assert unread_file("gateway", None, {}, Settings(authority=AuthoritySettings(mode="signed"))) == ""
     assert _unread("list", connect="tcp/10.0.0.5:7447") == ""
     assert _unread("gateway", connect="tcp/10.0.0.5:7447") == "robot.toml"
-
-
-def test_a_directory_of_that_name_is_no_settings_file(place: Path) -> None:
-    """Nor is anything else that is no file."""
-    (place / "robot.toml").mkdir()
-    assert _unread("gateway") == ""

@@ -10,7 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.cli.desk_server import LOOK_NS, QUESTIONS_MAX, REPLIES_MAX, SAMPLE_MAX_BYTES, STOPS_MAX, Browser, Hub
+from gateway.cli.desk_server import (
+    FAILED,
+    LOOK_NS,
+    QUESTIONS_MAX,
+    REPLIES_MAX,
+    SAMPLE_MAX_BYTES,
+    STOPS_MAX,
+    Browser,
+    Hub,
+    _serve,
+)
 from gateway.client.remote_stop import StopReport
 from gateway.desk import words
 from gateway.desk.fleet_view import BOUNDS, EVENT_MAX_BYTES
@@ -350,6 +360,42 @@ def test_no_browser_asks_several_robots_at_once(robot: str) -> None:
     scene.say(browser, **{"is": "stop", "robot": robot, "operator": "ann"})
     assert scene.port.puts == []
     assert scene.port.questions == []
+
+
+class FakeSocket:
+    """A browser that is silent until it is cut off."""
+
+    def __init__(self) -> None:
+        self.closed: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+    async def receive(self) -> dict[str, Any]:
+        await self.closed
+        return {"type": "websocket.disconnect"}
+
+    async def send_bytes(self, _data: bytes) -> None:
+        await asyncio.sleep(0)
+
+    async def close(self, code: int) -> None:
+        if not self.closed.done():
+            self.closed.set_result(code)
+
+
+def test_a_browser_that_cannot_be_sent_a_message_is_cut_off() -> None:
+    """So that its page says so: it would show what was for what is, and for ever."""
+
+    async def scenario() -> None:
+        hub = Scene().hub
+        socket = FakeSocket()
+        serving = asyncio.create_task(_serve(socket, hub))  # type: ignore[arg-type]
+        while not hub._browsers:  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0)
+        (browser,) = hub._browsers
+        browser.tell(words.DeskReply(2**70, last=True))
+        assert await socket.closed == FAILED
+        await serving
+        assert not hub._browsers
+
+    asyncio.run(asyncio.wait_for(scenario(), 30))
 
 
 @given(st.binary(max_size=200))

@@ -1,6 +1,5 @@
 """Hold to move: the motion that a terminal asks for, and what a person sees."""
 
-import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -20,8 +19,7 @@ from gateway.cli.drive import (
     panel,
 )
 from gateway.client.link import Sighting
-from tests.unit.gateway.client.test_drive_stream import ENGAGED
-from tests.unit.gateway.client.test_view import drawn
+from tests.unit.gateway.client.test_fleet import ENGAGED, drawn
 
 START_NS = 10**12
 MS = 1_000_000
@@ -122,12 +120,6 @@ def test_every_key_drives_by_itself_and_ends_as_soon(key: str, wish: Wish) -> No
     assert keys.wish(last_ns + REPEAT_NS) == NOTHING
 
 
-def test_every_curve_can_be_driven_with_one_key() -> None:
-    """Forward and backward, to the left and to the right, and straight on."""
-    one_key = set(BINDINGS.values())
-    assert one_key >= {Wish(forward, left) for forward in (1, -1) for left in (1, 0, -1)}
-
-
 def test_another_key_stops_until_it_repeats_itself() -> None:
     """From straight on to a curve: what was held before says nothing of the new key, which may be a tap."""
     keys = repeating_w()
@@ -197,11 +189,3 @@ def test_the_keys_that_are_shown_exist_and_all_of_them_are_shown() -> None:
     assert letters == named - {"a"}
     assert "a d steer" in shown
     assert "arrows" in shown
-
-
-def test_what_the_limit_leaves_of_the_chosen_speed_is_shown() -> None:
-    """A speed above the limit is not shown as if it were driven."""
-    slow = msgspec.structs.replace(ENGAGED, speed_limit_mps=1.0)
-    fast = msgspec.structs.replace(COCKPIT, sighting=Sighting(slow, 0.0, None), speed_mps=1.5)
-    assert "speed (1.50 m/s, of which the limit leaves 1.00)" in drawn(panel(fast))
-    assert "speed (0.40 m/s)" in drawn(panel(COCKPIT))

@@ -1,4 +1,4 @@
-"""``cruiser halt``: its flags, and its wait for another sender."""
+"""``cruiser halt``: its wait for another sender."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,12 +8,9 @@ import pytest
 from gateway.chassis.cruiser.bursts import FrameMaker
 from gateway.chassis.frame import Frame
 from gateway.chassis.port import Actuation
-from gateway.cli import gateway, halt
-from gateway.cli.configuration_file import load_settings
-from gateway.host.notes import StopNote
+from gateway.cli import halt
 from schemas.messages import Variant
 from schemas.settings import Settings
-from tests.support.commands import parsed
 
 MS = 1_000_000
 TICK_NS = 10 * MS
@@ -64,14 +61,3 @@ def test_a_guard_that_begins_late_is_waited_for(
     monkeypatch.setattr(halt, "time", SimpleNamespace(monotonic_ns=bus.monotonic_ns))
     halt.HaltSequence(bus, Settings(), lambda: False).run(force=False)
     assert bus.sent_ns[0] >= end_ms * MS
-
-
-def test_a_halt_leaves_its_note_where_a_gateway_of_the_same_flags_reads_it(tmp_path: Path) -> None:
-    """A gateway that is called by ``--robot`` starts latched after a halt that is called so too."""
-    environment = {"CRUISER_GATEWAY_STATE_DIR": str(tmp_path)}
-    paths = []
-    for command in (gateway, halt):
-        flags = vars(parsed(command, "--robot", "cruiser-7"))
-        given = {key: value for key, value in flags.items() if "." in key and value is not None}
-        paths.append(StopNote.of(load_settings(None, environment, given), environment).path)
-    assert paths[0] == paths[1] == tmp_path / "fleet.cruiser-7.guard-stop"

@@ -1,4 +1,4 @@
-"""``cruiser metrics``: where it listens, and what it needs."""
+"""``cruiser metrics``: what it needs."""
 
 from __future__ import annotations
 
@@ -8,20 +8,7 @@ import pytest
 
 from gateway.cli import metrics
 from schemas.command_line import CommandError
-from tests.support.commands import parsed, run_command
-
-
-@pytest.mark.parametrize(
-    ("words", "address"),
-    [
-        ([], ("127.0.0.1", 9747)),
-        (["--listen", "192.0.2.1:1"], ("192.0.2.1", 1)),
-        (["--listen", "[::1]:0"], ("::1", 0)),
-    ],
-)
-def test_it_listens_on_this_machine_unless_asked(words: list[str], address: tuple[str, int]) -> None:
-    """By address and port."""
-    assert parsed(metrics, *words).listen == address
+from tests.support.commands import run_command
 
 
 def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,12 +10,14 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
+from gateway.authority.session import Unmet
 from gateway.cli import stop, why
 from gateway.client import remote_stop
 from gateway.client.link import Sighting
-from gateway.client.remote_stop import StopReport, Unverified
+from gateway.client.remote_stop import StopReport
 from schemas.command_line import CommandError, ExitCode
 from schemas.decisions import EventKind
+from schemas.reasons import Reason
 from schemas.settings import Settings
 from tests.support.commands import run_command
 from tests.support.messages import HEALTH, ROBOT, SECOND, STANDBY, WALL_NS, safety_event
@@ -33,46 +35,28 @@ def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int
     return run_command(stop, *words)
 
 
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [
-        (
-            Unverified(stops=True, says="it replied", why="its grant is over", cure="renew ROBOT"),
-            (
-                "cruiser-1: SAYS THAT IT STOPS, NOT VERIFIED: it replied. This cannot be verified: its grant "
-                "is over. Cure: renew cruiser-1. Look at the robot, and use its button if it moves\n"
-            ),
-        ),
-        (
-            Unverified(stops=False, says="it moves", why="its grant is over", cure=""),
-            (
-                "cruiser-1: NOT KNOWN TO STOP, NOT VERIFIED: it moves. This cannot be verified: its grant is over."
-                " Use the button on the robot\n"
-            ),
-        ),
-    ],
-)
 def test_an_answer_that_is_not_verified_is_neither_a_stop_nor_silence(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], word: Unverified, said: str
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 3, nothing on stdout, and a line with what it says, why it is not verified, and the cure."""
-    report = StopReport([], {}, {}, [], linked=True, unverified={"cruiser-1": word})
+    """Exit code 3, nothing on stdout, and a line with why it is not verified, and the cure."""
+    unmet = Unmet(Reason.GRANT_EXPIRED, "its grant is over", "renew ROBOT")
+    report = StopReport([], {}, {}, [], linked=True, unverified={"cruiser-1": unmet})
     assert run(monkeypatch, report, "cruiser-1") == ExitCode.PARTIAL
-    assert capsys.readouterr() == ("", said)
+    said = "cruiser-1: ITS ANSWER CANNOT BE VERIFIED: its grant is over. Cure: renew cruiser-1. Use the button"
+    assert capsys.readouterr() == ("", f"{said} on the robot\n")
 
 
 def test_a_viewer_who_stops_all_learns_that_it_may_not_have_reached_them(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the command that does, and what is seen of the robot."""
-    seen = {"cruiser-1": "its states say: no remote stop is latched, and it moves at 0.40 m/s"}
-    report = StopReport([], {}, {}, ["cruiser-1"], linked=True, seen=seen, reached_all=False)
+    """With the command that does."""
+    report = StopReport([], {}, {}, ["cruiser-1"], linked=True, reached_all=False)
     with pytest.raises(CommandError, match="nobody answered") as error:
         run(monkeypatch, report, "--all")
     assert error.value.code is ExitCode.UNREACHABLE
     assert capsys.readouterr().err == (
-        "cruiser-1: NO ANSWER; a viewer's certificate stops one robot at a time: 'cruiser stop cruiser-1'; "
-        "its states say: no remote stop is latched, and it moves at 0.40 m/s. Use the button on the robot\n"
+        "cruiser-1: NO ANSWER; a viewer's certificate stops one robot at a time: 'cruiser stop cruiser-1'. "
+        "Use the button on the robot\n"
     )
 
 

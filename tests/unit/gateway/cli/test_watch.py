@@ -2,8 +2,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from gateway.cli import list_robots
 from gateway.cli import watch as watch_command
-from gateway.client.fleet import Fleet, RobotStatus
+from gateway.cli.list_robots import Sightings
+from gateway.client.fleet import RobotStatus
 from gateway.telemetry.samples import Arrival
 from gateway.zenoh.client import RobotListener
 
@@ -43,11 +45,11 @@ def test_a_pause_is_one_line_not_many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watch_command, "time", clock)
     shown_s: list[float] = []
 
-    def show(_reports: list[RobotStatus]) -> None:
+    def draw(_reports: list[RobotStatus]) -> None:
         shown_s.append(round(clock.now_s, 1))
         if len(shown_s) == 2:
             clock.now_s += 60.3
 
-    watching = watch_command._Watching(SilentListener(), Fleet("fleet"), "", [])
-    watching.show(show, 1.0, 70.0, lambda: False)
+    monkeypatch.setattr(list_robots, "time", clock)
+    watch_command.show(Sightings(SilentListener(), "fleet", []), draw, 1.0, lambda: clock.now_s >= 70.0)
     assert shown_s == [0.2, 1.2, 61.5, 62.2, 63.2, 64.2, 65.2, 66.2, 67.2, 68.2, 69.2]

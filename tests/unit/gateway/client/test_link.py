@@ -1,27 +1,383 @@
+"""The stream of drive commands, and the link that it goes over."""
+
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from math import inf, nan
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gateway.client import link
-from gateway.client.link import RobotLink
+from gateway.client.link import BEGAN_ANEW, HOLD_MAX_S, STALE_NS, DriveEnd, DriveStream, RobotLink, SetPoint
 from gateway.client.refusal import Refused, Unreachable
 from gateway.telemetry.samples import Missed, Received
 from schemas.codec import PayloadFault
-from schemas.decisions import LeaseReply, SafetyState
+from schemas.decisions import RUN_TICKS, ArbiterState, LeaseReply, SafetyState, StopPhase
 from schemas.messages import RobotState
-from schemas.reasons import Reason
-from schemas.requests import Acquire, Park, Request
+from schemas.reasons import TEXTS, Reason
+from schemas.requests import Acquire, Drive, Park, Request
 from schemas.subjects import BY_VERB
 from tests.support.messages import STANDBY, STATE
 from tests.support.metrics import received
 from tests.support.waiting import wait_until
 
+START_NS = 10**12
+MS = 1_000_000
+
+ENGAGING = msgspec.structs.replace(STANDBY, tick=101, state=ArbiterState.ENGAGING)
+ENGAGED = msgspec.structs.replace(STANDBY, tick=102, state=ArbiterState.ENGAGED, engaged=True)
+STOPPED = msgspec.structs.replace(
+    STANDBY, tick=103, state=ArbiterState.STOPPING, stop_reason=Reason.FRONT_BUMPER, stop_phase=StopPhase.RAMP
+)
+
+
+def stream_that_saw(*states: SafetyState, expects: bool = True) -> DriveStream:
+    """A stream of first's that asked to engage and then saw these states, all at the start."""
+    stream = DriveStream(7, "first")
+    if expects:
+        stream.expect_engaged()
+    for state in states:
+        stream.see(state, START_NS)
+    return stream
+
+
+def goes_on_to_see(stream: DriveStream, state: SafetyState) -> None:
+    """The robot says so for 150 ms, at its slowest pace; the last time at the start."""
+    for before_ms in (150, 100, 50, 0):
+        stream.see(state, START_NS - before_ms * MS)
+
+
+def commanded(stream: DriveStream, now_ns: int = START_NS) -> Drive:
+    """What is sent; something is."""
+    command = stream.command(now_ns)
+    assert command is not None
+    return command
+
+
+def driven(speed_mps: float = 1.0, angle_deg: float = 0.0, hold_s: float = 0.5) -> DriveStream:
+    """A stream of an engaged robot that drives so."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(speed_mps, angle_deg=angle_deg), hold_s, START_NS)
+    return stream
+
+
+def test_nothing_is_sent_before_engage_was_asked_for() -> None:
+    """A lease alone sends no drive command, whatever the robot's state is."""
+    for state in (STANDBY, ENGAGING, ENGAGED):
+        assert stream_that_saw(state, expects=False).command(START_NS) is None
+
+
+def test_the_stream_begins_when_engage_is_asked_for() -> None:
+    """Over a slow link the deadman would be over before the robot was seen to be engaged; a refusal ends it."""
+    stream = stream_that_saw(STANDBY)
+    assert commanded(stream).speed_mps == 0.0
+    assert stream.is_wanted, "each drive command renews the lease"
+    stream.give_up()
+    assert stream.command(START_NS) is None
+    assert not stream.is_wanted
+
+
+def test_a_stop_after_refused_commands_says_so() -> None:
+    """Whoever drove over a link that is too slow does not only read that the robot is not engaged."""
+    stream = stream_that_saw(ENGAGED)
+    detail = "none for 310 ms; 12 commands refused as too old, 1470 ms"
+    goes_on_to_see(stream, msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=detail))
+    assert stream.ending == DriveEnd(Reason.DEADMAN, f"{TEXTS[Reason.DEADMAN].means}; {detail}")
+
+
+def test_while_nothing_is_driven_the_stream_asks_for_zero_speed_and_leaves_the_wheels() -> None:
+    """It begins while the robot is being engaged, at the angle that the chassis is told already."""
+    for state in (ENGAGING, ENGAGED):
+        command = commanded(stream_that_saw(state))
+        assert (command.lease, command.speed_mps, command.angle_deg) == (7, 0.0, 7.0)
+
+
+def test_the_sequence_rises_and_the_newest_challenge_is_echoed() -> None:
+    """Each command has a higher seq than the one before, and the challenge that was seen last."""
+    stream = stream_that_saw(ENGAGED)
+    commands = []
+    for tick in (102, 102, 105):
+        challenge = tick.to_bytes(8)
+        stream.see(msgspec.structs.replace(ENGAGED, tick=tick, challenge=challenge), START_NS)
+        commands.append(stream.command(START_NS))
+    assert [command.tick for command in commands if command] == [102, 102, 105]
+    assert [command.challenge[-1] for command in commands if command] == [102, 102, 105]
+    sequences = [command.seq for command in commands if command]
+    assert sequences == sorted(set(sequences))
+
+
+def test_an_old_challenge_is_not_echoed() -> None:
+    """A command that the robot would refuse for its age is not sent."""
+    stream = stream_that_saw(ENGAGED)
+    assert stream.command(START_NS + STALE_NS) is not None
+    assert stream.command(START_NS + STALE_NS + 1) is None
+
+
+@given(hold_ms=st.integers(1, 2000), late_ms=st.integers(-2000, 2000))
+def test_a_set_point_that_is_not_renewed_falls_back_to_zero_speed(hold_ms: int, late_ms: int) -> None:
+    """It holds for its time and not longer; the wheels stay, and the program is told once."""
+    stream = driven(1.0, 5.0, hold_ms / 1e3)
+    now_ns = START_NS + max(0, hold_ms + late_ms) * MS
+    stream.see(ENGAGED, now_ns)
+    command = commanded(stream, now_ns)
+    lapsed = now_ns >= START_NS + hold_ms * MS
+    assert (command.speed_mps, command.angle_deg) == (0.0 if lapsed else 1.0, 5.0)
+    assert bool(stream.take_note()) is lapsed
+    assert stream.take_note() == ""
+
+
+def test_a_turn_falls_back_to_its_angle() -> None:
+    """A yaw rate needs a speed, so what lapses is said as the steering angle that it stood for."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(1.0, yaw_rate_radps=0.5), 0.1, START_NS)
+    stream.see(ENGAGED, START_NS + 100 * MS)
+    command = commanded(stream, START_NS + 100 * MS)
+    assert command.yaw_rate_radps is None
+    assert command.angle_deg == pytest.approx(18.26, abs=0.01)
+
+
+def test_zero_speed_needs_no_renewal() -> None:
+    """A program that asked to stand is told nothing when it falls silent."""
+    stream = driven(0.0, 5.0, 0.1)
+    stream.see(ENGAGED, START_NS + 200 * MS)
+    assert stream.command(START_NS + 200 * MS) is not None
+    assert stream.take_note() == ""
+
+
+@pytest.mark.parametrize(
+    ("set_point", "hold_s"),
+    [
+        (SetPoint(1.0, angle_deg=1.0), 0.0),
+        (SetPoint(1.0, angle_deg=1.0), HOLD_MAX_S + 0.01),
+        (SetPoint(1.0, angle_deg=1.0), float("nan")),
+        (SetPoint(1.0), 0.5),
+        (SetPoint(1.0, angle_deg=1.0, curvature_1pm=0.1), 0.5),
+        (SetPoint(0.0, yaw_rate_radps=0.1), 0.5),
+        (SetPoint(nan, angle_deg=1.0), 0.5),
+        (SetPoint(-inf, angle_deg=1.0), 0.5),
+        (SetPoint(1.0, angle_deg=nan), 0.5),
+        (SetPoint(1.0, curvature_1pm=inf), 0.5),
+        (SetPoint(1.0, yaw_rate_radps=nan), 0.5),
+    ],
+)
+def test_a_set_point_that_cannot_be_changes_nothing(set_point: SetPoint, hold_s: float) -> None:
+    """It is an error of the program's, and what was asked for before goes on."""
+    stream = driven(0.5, 2.0, 0.5)
+    with pytest.raises(ValueError):  # noqa: PT011 - the texts are for people
+        stream.aim(set_point, hold_s, START_NS)
+    assert commanded(stream).speed_mps == 0.5
+
+
+@pytest.mark.parametrize("value", ["0.3", b"0.3", None, True, [0.3], np.True_])
+def test_what_is_no_number_is_named_and_changes_nothing(value: object) -> None:
+    """The robot would refuse each such command, and stop because none came in time."""
+    stream = stream_that_saw(ENGAGED)
+    wanted = SetPoint(0.5, angle_deg=2.0)
+    stream.aim(wanted, 0.5, START_NS)
+    for field in ("speed_mps",) if value is None else ("speed_mps", "angle_deg"):
+        with pytest.raises(TypeError, match=f"{field} must be a number, and is"):
+            stream.aim(msgspec.structs.replace(wanted, **{field: value}), 0.5, START_NS)
+    command = commanded(stream)
+    assert (command.speed_mps, command.angle_deg) == (0.5, 2.0)
+
+
+@pytest.mark.parametrize("one", [1, np.float64(1), np.float32(1), np.int16(1)])
+def test_a_number_of_any_library_is_sent_as_a_float(one: float) -> None:
+    """The wire knows no other kind."""
+    stream = stream_that_saw(ENGAGED)
+    stream.aim(SetPoint(one, curvature_1pm=one), 0.5, START_NS)
+    command = commanded(stream)
+    assert [type(command.speed_mps), type(command.curvature_1pm)] == [float, float]
+    assert (command.speed_mps, command.curvature_1pm) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("state", [STOPPED, STANDBY, ENGAGING])
+def test_a_robot_that_is_engaged_no_more_ends_the_stream(state: SafetyState) -> None:
+    """Nothing is sent from then on, also if it were engaged again by somebody; the reason is the robot's."""
+    stream = driven(1.0, 0.0, 0.5)
+    goes_on_to_see(stream, state)
+    stream.see(ENGAGED, START_NS)
+    assert stream.command(START_NS) is None
+    assert stream.ending is not None
+    assert not stream.ending.lease_lost
+    assert stream.ending.reason is (Reason.FRONT_BUMPER if state is STOPPED else Reason.NOT_ENGAGED)
+
+
+def test_states_of_before_do_not_end_what_has_not_begun() -> None:
+    """The reply to engage may overtake the states that were on their way."""
+    stream = stream_that_saw(STOPPED, STANDBY)
+    assert stream.ending is None
+    stream.see(ENGAGED, START_NS)
+    assert stream.engaged
+
+
+def test_engaging_again_begins_at_zero() -> None:
+    """What was driven before a stop is not driven after it."""
+    stream = driven(1.0, 0.0, 2.0)
+    goes_on_to_see(stream, STOPPED)
+    stream.expect_engaged()
+    stream.see(ENGAGED, START_NS)
+    assert commanded(stream).speed_mps == 0.0
+
+
+@pytest.mark.parametrize(("holder", "reason"), [("second", Reason.LEASE_TAKEN), ("", Reason.LEASE_EXPIRED)])
+def test_a_lease_that_is_lost_ends_the_stream_for_good(holder: str, reason: Reason) -> None:
+    """No engaging brings it back, and its reason stays whatever comes after."""
+    stream = stream_that_saw(ENGAGED)
+    goes_on_to_see(stream, msgspec.structs.replace(ENGAGED, lease_holder=holder))
+    goes_on_to_see(stream, msgspec.structs.replace(STANDBY, lease_holder="third"))
+    stream.lose(Reason.NO_LEASE)
+    stream.expect_engaged()
+    assert stream.ending is not None
+    assert stream.is_lost
+    assert stream.ending.reason is reason
+
+
+def test_a_lease_that_was_never_seen_to_be_ours_is_not_lost() -> None:
+    """The reply to acquire may overtake the states that name the holder of before."""
+    stream = stream_that_saw()
+    goes_on_to_see(stream, msgspec.structs.replace(STANDBY, lease_holder="second"))
+    assert not stream.is_lost
+
+
+def test_giving_up_is_no_failure() -> None:
+    """Who disengages is not told that the robot was stopped."""
+    stream = stream_that_saw(ENGAGED)
+    stream.give_up()
+    stream.see(STOPPED, START_NS)
+    assert stream.ending is None
+    assert stream.command(START_NS) is None
+
+
+FORGED = [
+    msgspec.structs.replace(ENGAGED, lease_holder=""),
+    msgspec.structs.replace(STANDBY, lease_holder="second", tick=10**6),
+    STOPPED,
+    msgspec.structs.replace(ENGAGED, accepted_seq=10**9),
+]
+
+
+def seen_between(stream: DriveStream, forged: SafetyState, each: int) -> None:
+    """Ten seconds of the robot's own states, each so often followed by a forged one."""
+    for number in range(500):
+        now_ns = START_NS + number * 20 * MS
+        stream.see(msgspec.structs.replace(ENGAGED, accepted_seq=None), now_ns)
+        assert stream.command(now_ns) is not None
+        if number % each == 0:
+            stream.see(forged, now_ns + 10 * MS)
+        assert stream.ending is None, number
+
+
+@pytest.mark.parametrize("forged", FORGED)
+def test_one_forged_state_ends_nothing(forged: SafetyState) -> None:
+    """Not one in a second, whatever it says: the robot's own go on saying otherwise."""
+    seen_between(stream_that_saw(ENGAGED), forged, 50)
+
+
+@pytest.mark.parametrize("forged", FORGED[:3])
+def test_forged_states_between_the_robots_own_end_nothing(forged: SafetyState) -> None:
+    """Even one after each of the robot's."""
+    seen_between(stream_that_saw(ENGAGED), forged, 1)
+
+
+@pytest.mark.parametrize("period_ms", [10, 20, 50])
+@pytest.mark.parametrize("true", FORGED)
+def test_what_the_robot_goes_on_saying_is_believed_within_a_quarter_of_a_second(
+    true: SafetyState, period_ms: int
+) -> None:
+    """Well under a second, and not before it was said three times in 150 ms."""
+    stream = stream_that_saw(ENGAGED)
+    ended_ms = 0
+    while True:
+        stream.see(true, START_NS + ended_ms * MS)
+        if stream.ending is not None:
+            break
+        ended_ms += period_ms
+    assert 150 <= ended_ms <= 250
+
+
+@pytest.mark.parametrize(
+    ("accepted_seq", "target"),
+    [(9, (0.5, 3.0)), (4, (1.0, 3.0)), (4, (0.5, -20.0))],
+    ids=["never sent", "faster", "turned"],
+)
+def test_commands_of_somebody_else_under_the_lease_end_it(accepted_seq: int, target: tuple[float, float]) -> None:
+    """The robot says whose command it obeys: one that we never sent, or one of ours that asked for something else.
+
+    Every second time it obeys ours; it ends all the same, and the lease is to be given back.
+    """
+    stream = driven(0.5, 3.0, 2.0)
+    for _ in range(5):
+        assert stream.command(START_NS) is not None
+    ours = msgspec.structs.replace(ENGAGED, accepted_seq=5, target_speed_mps=0.5, target_angle_deg=3.0)
+    theirs = msgspec.structs.replace(
+        ENGAGED, accepted_seq=accepted_seq, target_speed_mps=target[0], target_angle_deg=target[1]
+    )
+    for number in range(10):
+        assert not stream.is_lost
+        stream.see(ours, START_NS + number * 40 * MS)
+        stream.see(theirs, START_NS + (number * 40 + 20) * MS)
+        if stream.is_lost:
+            break
+    assert stream.ending is not None
+    assert stream.ending.reason is Reason.LEASE_TAKEN
+    assert stream.is_shared
+    assert stream.command(START_NS) is None
+
+
+def test_the_robot_obeys_a_command_of_before_for_a_while() -> None:
+    """Over a slow link the last accepted one is old: its own target is compared, not that of the newest."""
+    stream = stream_that_saw(ENGAGED)
+    for number in range(200):
+        now_ns = START_NS + number * 20 * MS
+        stream.aim(SetPoint(number / 200, angle_deg=0.0), 2.0, now_ns)
+        stream.command(now_ns)
+        then = max(number - 60, 0)
+        stream.see(
+            msgspec.structs.replace(
+                ENGAGED, accepted_seq=then + 1, target_speed_mps=then / 200, target_angle_deg=0.0
+            ),
+            now_ns,
+        )
+    assert stream.ending is None
+
+
+def test_the_target_of_a_new_engagement_is_no_command_of_the_last_one() -> None:
+    """It begins at zero speed, and the number of the last accepted command stays."""
+    stream = driven(0.5, 3.0, 2.0)
+    stream.command(START_NS)
+    accepted = msgspec.structs.replace(ENGAGED, accepted_seq=1, target_speed_mps=0.5, target_angle_deg=3.0)
+    goes_on_to_see(stream, accepted)
+    stream.give_up()
+    stream.expect_engaged()
+    goes_on_to_see(stream, msgspec.structs.replace(accepted, target_speed_mps=0.0, target_angle_deg=0.0))
+    assert stream.ending is None
+
+
+@pytest.mark.parametrize("is_renewal_refused", [False, True])
+def test_a_lease_that_a_gateway_took_to_its_grave_was_not_renewed_too_late(is_renewal_refused: bool) -> None:  # noqa: FBT001 - drawn
+    """Another run of the gateway knows nothing of it; a run that goes on has let it expire."""
+    held = msgspec.structs.replace(ENGAGED, lease_holder="first")
+    stream = stream_that_saw(held)
+    anew = msgspec.structs.replace(STANDBY, tick=102 + RUN_TICKS, lease_holder="")
+    if is_renewal_refused:
+        stream.see(anew, START_NS)
+        stream.lose(Reason.NO_LEASE)
+    else:
+        goes_on_to_see(stream, anew)
+    assert stream.ending == DriveEnd(Reason.NO_LEASE, BEGAN_ANEW, lease_lost=True)
+    expired = stream_that_saw(held)
+    goes_on_to_see(expired, msgspec.structs.replace(STANDBY, tick=300, lease_holder=""))
+    assert expired.ending == DriveEnd(Reason.LEASE_EXPIRED, lease_lost=True)
+
+
 MOVES = msgspec.structs.replace(STATE, speed_mps=0.5)
-FORGED = msgspec.structs.replace(STATE, speed_mps=0.0)
+FORGED_STATE = msgspec.structs.replace(STATE, speed_mps=0.0)
 
 
 class FakePort:
@@ -51,13 +407,14 @@ def looked_at(batch: Sequence[Received | Missed]) -> list[SafetyState | RobotSta
 
 def test_a_forged_state_hides_none_of_the_robots_own() -> None:
     """Though both came in one batch, and the forged one is newer: what the robot does is seen."""
-    assert looked_at([received(STANDBY), received(MOVES), received(FORGED)]) == [STANDBY, MOVES, FORGED]
+    states = [STANDBY, MOVES, FORGED_STATE]
+    assert looked_at([*map(received, states)]) == states
 
 
 def test_a_look_says_where_samples_are_missing() -> None:
     """Where the port lost some, and where more came than wait for a look."""
-    assert looked_at([received(MOVES), Missed(), received(FORGED)]) == [Missed(), FORGED]
-    flood = looked_at([received(MOVES), *[received(FORGED)] * link.SEEN_KEPT])
+    assert looked_at([received(MOVES), Missed(), received(FORGED_STATE)]) == [Missed(), FORGED_STATE]
+    flood = looked_at([received(MOVES), *[received(FORGED_STATE)] * link.SEEN_KEPT])
     assert flood[0] == Missed()
     assert len(flood) <= link.SEEN_KEPT
 

@@ -4,7 +4,7 @@ import pytest
 
 from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, event_line, refused
 from schemas.decisions import EventKind, Reply, SafetyEvent, Severity
-from schemas.reasons import TEXTS, Reason, cure_of
+from schemas.reasons import TEXTS, Reason
 
 
 @pytest.mark.parametrize("kind", [Refused, Stopped, LeaseLost])
@@ -21,14 +21,6 @@ def test_so_does_that_of_a_reply() -> None:
     cure = "ask at ROBOT"
     error = refused("cruiser-7", "unpark", Reply(ok=False, reason=Reason.NOT_ENGAGED, detail="", cure=cure), "ann")
     assert error.cure == "ask at cruiser-7"
-
-
-@pytest.mark.parametrize("reason", [reason for reason in Reason if "provision" not in TEXTS[reason].cure])
-def test_programs_are_cured_by_methods_and_people_by_commands(reason: Reason) -> None:
-    """Only what nobody does by the library stays a command. The line for people is the robot's own."""
-    error = Refused("it does not", reason, robot="cruiser-7")
-    assert "cruiser " not in error.cure
-    assert error.line.endswith(cure_of(TEXTS[reason].cure, "cruiser-7"))
 
 
 def test_another_session_of_the_same_person_is_called_so() -> None:
