@@ -29,8 +29,8 @@ from tests.support.processes.nobody import NOBODY, become_nobody
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
-PAGES: Final = ("README.md", "docs/tour.md", "docs/messages.md", "docs/integration.md")
-"""In the order in which somebody reads them."""
+PAGES: Final = ("README.md", "docs/tour.md", "docs/messages.md", "docs/install.md#Without the package")
+"""In the order in which somebody reads them; of the last one section."""
 
 TIMEOUT_S: Final = 400.0
 """The demo takes so long on a busy machine, where it begins again and again."""
@@ -126,9 +126,15 @@ A block of a program is named by its first line.
 """
 
 
+def _text(name: str) -> str:
+    path, _, section = name.partition("#")
+    page = (ROOT / path).read_text("utf-8")
+    return page.partition(f"\n## {section}\n")[2].partition("\n## ")[0] if section else page
+
+
 def commands(pages: tuple[str, ...] = PAGES) -> list[tuple[str, str]]:
     """The indented blocks outside of fences: each command, or a program's first line, with its text."""
-    page = "\n".join((ROOT / name).read_text("utf-8") for name in pages)
+    page = "\n".join(map(_text, pages))
     page = re.sub(r"^```.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
     found = []
     for block in re.findall(r"(?:^    .*\n)+", page, flags=re.MULTILINE):
