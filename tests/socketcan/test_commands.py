@@ -1,13 +1,23 @@
-"""What the gateway sends, as candump sees it on a real interface."""
+"""The gateway's commands as candump sees them: of one that drives, beside another, and off the bus."""
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
 
 import pytest
 
-from gateway.client.refusal import Refused
+from gateway.chassis.frame import ERROR
+from gateway.client.refusal import LeaseLost, Refused, Stopped, Unreachable
+from gateway.client.robot import Robot
+from schemas.decisions import EventKind, SafetyEvent, Severity
+from schemas.messages import ControllerState
 from schemas.reasons import Reason
 from tests.socketcan import commands
-from tests.socketcan.can_utils import Candump
+from tests.socketcan.can_utils import Candump, send
+from tests.socketcan.hearing import hearing
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable, wait_standing_by
+from tests.socketcan.turns import come_last
 from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
@@ -63,3 +73,110 @@ def test_a_gateway_that_stands_by_is_silent(vcan: Vcan, witness: Candump) -> Non
         wait_until(lambda: len(witness.frames) > heard + 40)
         assert running.stop() == 0
     assert commands.of(witness.frames) == []
+
+
+SPEED_MPS: Final = 0.5
+SPEED_RAW: Final = 500
+
+BUS_OFF: Final = ERROR | 0x40, bytes(8)
+RESTARTED: Final = ERROR | 0x100, bytes(8)
+RECEIVE_PASSIVE: Final = ERROR | 0x4, bytes.fromhex("0010000000000080")
+"""As linux/can/error.h has them."""
+
+
+def of_controller(events: list[SafetyEvent]) -> list[tuple[Severity, Reason, str]]:
+    """What was told of it."""
+    reasons = {Reason.BUS_OFF, Reason.BUS_ERRORS}
+    return [
+        (event.severity, event.reason, event.text)
+        for event in events
+        if event.reason in reasons and event.kind is EventKind.FAULT
+    ]
+
+
+def test_off_the_bus_a_driven_robot_stops_and_may_be_engaged_again_when_it_is_back(
+    vcan: Vcan, witness: Candump
+) -> None:
+    """The stop has that reason, and engaging is refused for it until the controller has started again."""
+    endpoint = free_endpoint()
+    with (
+        chassis(vcan.name, "--variant", "fine"),
+        gateway(vcan.name, endpoint),
+        hearing(endpoint, "gateway/health") as heard,
+        operator(endpoint) as robot,
+    ):
+        with driving(robot, SPEED_MPS) as drive:
+            assert heard.health.controller is ControllerState.UNKNOWN
+            send(vcan.name, *BUS_OFF)
+            with pytest.raises(Stopped) as stop:
+                wait_until(lambda: False, drive.keep)
+            assert stop.value.reason is Reason.BUS_OFF
+            wait_standing_by(robot)
+            assert robot.state().state.stop_reason is Reason.BUS_OFF
+            assert Reason.BUS_OFF in robot.state().state.blocked_by
+            with pytest.raises(Refused) as refusal:
+                drive.lease.engage()
+            assert refusal.value.reason is Reason.BUS_OFF
+        heard.wait_healthy(lambda health: health.controller is ControllerState.BUS_OFF)
+        send(vcan.name, *RESTARTED)
+        health = heard.wait_healthy(lambda health: health.controller is ControllerState.ACTIVE)
+        assert (health.bus_up, health.bus_losses) == (True, 0)
+        with driving(robot, SPEED_MPS):
+            assert robot.state().state.engaged
+        assert of_controller(robot.events()) == [
+            (Severity.ERROR, Reason.BUS_OFF, "the CAN controller: unknown before, bus_off now"),
+            (Severity.INFO, Reason.BUS_ERRORS, "the CAN controller: bus_off before, active now"),
+        ]
+    drives = [frame.data for frame in witness.frames if frame.can_id == commands.DRIVE]
+    assert max(int.from_bytes(data[1:3], "little") for data in drives) == SPEED_RAW
+
+
+def is_blocked(robot: Robot, reason: Reason) -> bool:
+    """It is heard to say so; one that comes last may be silent for a while."""
+    try:
+        return reason in robot.state().state.blocked_by
+    except Unreachable:
+        return False
+
+
+def refusal_to_engage(robot: Robot) -> str:
+    """The refusal in words. Empty where a request is not answered in time, as by a robot that comes last."""
+    try:
+        with robot.lease() as lease:
+            lease.engage()
+    except Refused as refusal:
+        return str(refusal)
+    except (Unreachable, LeaseLost):
+        return ""
+    raise AssertionError("it engaged beside another commander")
+
+
+def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness: Candump, tmp_path: Path) -> None:
+    """It hears the first one's frames, says so, refuses, and sends none; then the first one rests, and it may.
+
+    The second one stands for another computer: it does not take the processor from the first.
+    """
+    settings = tmp_path / "second.toml"
+    settings.write_text("[gateway]\nrealtime_priority = 0\n", encoding="ascii")
+    endpoints = free_endpoint(), free_endpoint()
+    with (
+        chassis(vcan.name, "--variant", "fine"),
+        gateway(vcan.name, endpoints[0], "--robot", "r-1"),
+        gateway(vcan.name, endpoints[1], "--robot", "r-2", "--config", str(settings)) as other,
+        operator(endpoints[0], "r-1") as first,
+        operator(endpoints[1], "r-2", "second") as second,
+    ):
+        wait_engageable(second)
+        come_last(other.process.pid)
+        with driving(first, SPEED_MPS) as drive, ThreadPoolExecutor() as aside:
+            wait_until(lambda: is_blocked(second, Reason.OTHER_COMMANDER), drive.keep)
+            refused = aside.submit(wait_until, lambda: Reason.OTHER_COMMANDER.value in refusal_to_engage(second))
+            wait_until(refused.done, drive.keep)
+            refused.result()
+            begun = len(commands.of(witness.frames))
+            wait_until(lambda: len(commands.of(witness.frames)) > begun + 250, drive.keep)
+            drive.lease.disengage()
+            wait_standing_by(first)
+        wait_engageable(second)
+    commands.check_counters(commands.of(witness.frames))
+    commands.bursts(commands.of(witness.frames))

@@ -6,7 +6,7 @@ from pathlib import Path
 from tests.socketcan.can_utils import Candump, send
 from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis
-from tests.socketcan.test_controller import RECEIVE_PASSIVE
+from tests.socketcan.test_commands import RECEIVE_PASSIVE
 from tests.support.processes.gateway import Running, run
 
 

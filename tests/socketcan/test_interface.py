@@ -14,10 +14,9 @@ from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import Reason
 from tests.socketcan import commands
-from tests.socketcan.cable import Cable
 from tests.socketcan.can_utils import Candump, Dumped
 from tests.socketcan.hearing import Hearing, hearing
-from tests.socketcan.interface import Vcan
+from tests.socketcan.interface import Cable, Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import run

@@ -2,7 +2,6 @@
 
 import re
 import socket
-import struct
 import subprocess
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -158,22 +157,3 @@ def test_an_interface_that_goes_down_is_told_once_by_reading(vcan: Vcan) -> None
         bus.send(Frame(0x123, b""))
         cansend(vcan, "123#01")
         assert waiting(bus) == [Frame(0x123, b"\x01")]
-
-
-def test_an_interface_that_is_removed_is_lost(vcan: Vcan) -> None:
-    """For reading and for sending; one of the same name is another one."""
-    with opened(vcan) as (bus, _):
-        vcan.remove()
-        with pytest.raises(BusLost, match="No such device"):
-            bus.receive(100)
-        vcan.create()
-        with pytest.raises(BusLost, match="No such device"):
-            bus.send(Frame(0x123, b""))
-
-
-def test_bytes_that_a_sender_left_unset_are_not_read(vcan: Vcan) -> None:
-    """A frame is as long as it says, whatever stands behind its data."""
-    with opened(vcan) as (bus, _), socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as peer:
-        peer.bind((vcan.name,))
-        peer.send(struct.pack("=IB3x8s", 0x123, 2, b"\x01\x02rest\xff\xff"))
-        assert waiting(bus) == [Frame(0x123, b"\x01\x02")]

@@ -32,7 +32,6 @@ class GuardRig:
 
     Attributes:
         takes: how many frames of a burst the bus takes.
-        hears_loop: the guard hears what the loop sends; on some interfaces it does not.
         told: what the loop tells the chassis; None for silence.
         left: what the loop says that it had told when it fell silent, if the chassis may obey that again.
         see: what the guard sees instead of a feedback frame.
@@ -49,7 +48,6 @@ class GuardRig:
         self.loop_lives = self.parent_lives = self.bus_up = True
         self.mute = False
         self.takes = BURST
-        self.hears_loop = True
         self.see: Callable[[Frame], Frame] = lambda frame: frame
         self.told: Actuation | None = None
         self.left: Actuation | None = None
@@ -142,8 +140,7 @@ class GuardRig:
             for frame in frames:
                 self.by_loop.append(frame)
                 self.chassis.receive(frame, self.now_ns)
-                if self.hears_loop:
-                    self.guardian.receive(frame, self.now_ns)
+                self.guardian.receive(frame, self.now_ns)
         if self.told is not None:
             self.left = None
         elif self._was_told and self._last.enabled:

@@ -188,16 +188,3 @@ def test_the_number_of_clients_is_bounded(server: SocketcandServer) -> None:
     assert server.clients == MAX_CLIENTS
     for client in clients:
         client.close()
-
-
-def test_a_port_has_one_server(server: SocketcandServer) -> None:
-    """A second one fails; after the first has closed, its port can be had at once."""
-    host, port = server.address
-    with pytest.raises(OSError, match="in use"):
-        SocketcandServer(host, port)
-    client = join(server)
-    server.close()
-    again = SocketcandServer(host, port)
-    assert again.address == (host, port)
-    again.close()
-    client.close()

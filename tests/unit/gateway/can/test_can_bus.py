@@ -36,24 +36,41 @@ def test_a_frame_survives_the_way_through_python_can(frame: Frame) -> None:
     assert abs(back.wall_ns - frame.wall_ns) < 2000
 
 
-class StampedBus(can.BusABC):
-    """A driver that stamps its frames as told."""
+class Driver(can.BusABC):
+    """Reads what it is told to, a message with its time or an error, which it repeats if that does not flush.
 
-    def __init__(self, timestamps: list[float]) -> None:
-        super().__init__(channel="stamped")
-        self.timestamps = timestamps
+    It sends nothing, with the last error.
+    """
+
+    def __init__(self, *outcomes: Exception | float) -> None:
+        super().__init__(channel="none")
+        self.outcomes = list(outcomes)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        raise can.CanOperationError(f"{msg} {timeout}")
+        error = self.outcomes[-1]
+        assert isinstance(error, Exception), (msg, timeout)
+        raise error
+
+    def flush(self) -> None:
+        del self.outcomes[0]
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        raise AttributeError("the port was closed before")
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        return can.Message(timestamp=self.timestamps.pop(0)), timeout is None
+        del timeout
+        if isinstance(outcome := self.outcomes[0], can.CanError):
+            raise outcome
+        if isinstance(outcome := self.outcomes.pop(0), Exception):
+            raise outcome
+        return can.Message(timestamp=outcome), True
 
 
 @pytest.mark.parametrize("start_s", [0.0, 12.5, 1e12, float("nan"), float("inf"), -1e300])
 def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -> None:
     """Interfaces that count from their own start would put frames into 1970 or the far future."""
-    bus = CanBus(PythonCan(StampedBus([start_s, start_s + 1, time.time()])))
+    bus = CanBus(PythonCan(Driver(start_s, start_s + 1, time.time())))
     for _ in range(3):
         frame = bus.receive(1)
         assert frame is not None
@@ -64,7 +81,7 @@ def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -
 def test_frames_that_waited_keep_their_times() -> None:
     """Once the interface's clock is known to keep epoch time, a frame that comes late is old, not new."""
     now_s = time.time()
-    bus = CanBus(PythonCan(StampedBus([now_s, now_s - 20, now_s - 19.99])))
+    bus = CanBus(PythonCan(Driver(now_s, now_s - 20, now_s - 19.99)))
     times_ns = [frame.wall_ns for _ in range(3) if (frame := bus.receive(1)) is not None]
     assert times_ns == pytest.approx([now_s * 1e9, (now_s - 20) * 1e9, (now_s - 19.99) * 1e9], abs=1000)
     bus.close()
@@ -73,27 +90,11 @@ def test_frames_that_waited_keep_their_times() -> None:
 FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
 
 
-class FailingDriver(can.BusABC):
-    """A driver that can neither send nor receive, and says so with this error."""
-
-    def __init__(self, error: Exception) -> None:
-        super().__init__(channel="none")
-        self.error = error
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        del msg, timeout
-        raise self.error
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        del timeout
-        raise self.error
-
-
 @pytest.mark.parametrize("separator", ["\n", "  "])
 def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss(separator: str) -> None:
     """A full transmit buffer and a lost cable look alike to who sends; ``receive`` tells them apart."""
     said = f"Transmit buffer full{separator}Traceback (most recent call last):\n  File ..."
-    with closing(CanBus(PythonCan(FailingDriver(can.CanOperationError(said))))) as bus:
+    with closing(CanBus(PythonCan(Driver(can.CanOperationError(said))))) as bus:
         with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
             bus.send(FRAME)
         with pytest.raises(BusLost, match=r"^Transmit buffer full$"):
@@ -105,7 +106,7 @@ def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_
 )
 def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
     """Nothing that a driver raises leaves the port, nor when it is closed."""
-    bus = CanBus(PythonCan(FailingDriver(error)))
+    bus = CanBus(PythonCan(Driver(error)))
     with pytest.raises(BusLost, match=str(error)):
         bus.send(FRAME)
     bus.close()
@@ -118,32 +119,6 @@ def undecodable() -> can.CanError:
     return error
 
 
-class GarblingDriver(can.BusABC):
-    """A driver that reads what it is told to: a message, or an error, which it repeats if it does not flush."""
-
-    def __init__(self, *outcomes: Exception | None) -> None:
-        super().__init__(channel="noisy")
-        self.outcomes = list(outcomes)
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        raise AssertionError(f"{msg} {timeout}")
-
-    def flush(self) -> None:
-        del self.outcomes[0]
-
-    def shutdown(self) -> None:
-        super().shutdown()
-        raise AttributeError("the port was closed before")
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        del timeout
-        if isinstance(self.outcomes[0], can.CanError):
-            raise self.outcomes[0]
-        if (outcome := self.outcomes.pop(0)) is not None:
-            raise outcome
-        return can.Message(), True
-
-
 GARBLED = [IndexError("string index out of range"), ValueError("non-hexadecimal number"), undecodable()]
 
 
@@ -151,7 +126,7 @@ GARBLED = [IndexError("string index out of range"), ValueError("non-hexadecimal 
 def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> None:
     """The next frame is read at once; a frame in between ends a row."""
     for row in (1, GARBLED_MAX - 1):
-        bus = CanBus(PythonCan(GarblingDriver(*([error] * row + [None]) * 3)))
+        bus = CanBus(PythonCan(Driver(*([error] * row + [0.0]) * 3)))
         assert all(bus.receive(1) is not None for _ in range(3))
         assert bus.drops == 3 * row
         bus.close()
@@ -160,7 +135,7 @@ def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> 
 @pytest.mark.parametrize("error", GARBLED)
 def test_many_lines_in_a_row_that_cannot_be_read_are_a_lost_bus(error: Exception) -> None:
     """Such as a wrong bit rate, or a driver whose port is gone."""
-    bus = CanBus(PythonCan(GarblingDriver(*[error] * 2 * GARBLED_MAX)))
+    bus = CanBus(PythonCan(Driver(*[error] * 2 * GARBLED_MAX)))
     with pytest.raises(BusLost, match=f"^{GARBLED_MAX} lines in a row cannot be read"):
         bus.receive(1)
     bus.close()

@@ -28,6 +28,7 @@ from schemas.settings import (
     Settings,
     ZenohSettings,
 )
+from tests.support import SUPPORT
 from tests.support.messages import HEALTH, STANDBY, STATE, recorder_health
 
 replace = msgspec.structs.replace
@@ -105,103 +106,65 @@ def failing(*failures: str) -> FrameHealth:
     return replace(SILENT[0] if "silence" in failures else FEEDBACK[0], failures=[*failures])
 
 
-CASES: dict[str, tuple[Facts, str]] = {
-    "other_bus": (
-        replace(WELL, bus_of_settings="socketcan can5, by robot.toml"),
-        "socketcan can0, and not socketcan can5, by robot.toml",
+CASES: dict[str, Facts] = {
+    "other_bus": replace(WELL, bus_of_settings="socketcan can5, by robot.toml"),
+    "interface_missing": replace(
+        interface(is_present=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))
     ),
-    "interface_missing": (
-        replace(interface(is_present=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))),
-        "the interface is not there: can0",
+    "interface_down": replace(
+        interface(is_up=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))
     ),
-    "interface_down": (
-        replace(interface(is_up=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))),
-        "the interface is down: can0 -> ip link set can0 up txqueuelen 10 type can bitrate 500000",
+    "bus_unreachable": zenoh(health=dead(bus_up=False, bus_detail="no server")),
+    "bit_rate": zenoh(health=dead(faults={"error_frame": 9})),
+    "bit_rate_differs": interface(bitrate=250_000),
+    "bus_silent": zenoh(health=DEAD),
+    "other_device": zenoh(health=dead(frames_per_s=90.0, unknown_identifiers={"200": 9, "18FF50E5": 1})),
+    "feedback_missing": health(feedback=FEEDBACK[1:]),
+    "feedback_faulty": health(feedback=[replace(FEEDBACK[0], failures=["checksum", "period"]), *FEEDBACK[1:]]),
+    "variant_unknown": health(variant=Variant.UNKNOWN),
+    "other_commander": safety(blocked_by=[Reason.OTHER_COMMANDER]),
+    "two_gateways": replace(WELL, claims=2),
+    "two_of_one_name": zenoh(gateways=2),
+    "queue_long": interface(queue_frames=1000),
+    "no_restart": interface(restart_ms=0),
+    "router_unreachable": zenoh(
+        why_not="refused", health=None, safety=None, state=None, recorders=[], is_named=False, gateways=0
     ),
-    "bus_unreachable": (zenoh(health=dead(bus_up=False, bus_detail="no server")), "cannot be opened: no server"),
-    "bit_rate": (
-        zenoh(health=dead(faults={"error_frame": 9})),
-        "9 error frames, and none of the chassis, at 500000",
+    "gateway_missing": zenoh(health=None, safety=None, state=None, recorders=[], is_named=False, gateways=0),
+    "gateway_hangs": zenoh(health=None, safety=None),
+    "not_asked": zenoh(is_blind=True, health=None, safety=None),
+    "not_shut_down": replace(WELL, was_shut_down=False, booted_s=NOW_S - 60),
+    "service_not_active": replace(WELL, units=[ServiceUnit("cruiser-recorder.service", "failed", "exit-code")]),
+    "service_restarted": replace(
+        WELL, units=[ServiceUnit("cruiser-gateway.service", "active", "watchdog", 2, NOW_S)]
     ),
-    "bit_rate_differs": (interface(bitrate=250_000), "it has 250000 bit/s, can.bitrate is 500000"),
-    "bus_silent": (zenoh(health=DEAD), "nothing is received on the bus: can0"),
-    "other_device": (
-        zenoh(health=dead(frames_per_s=90.0, unknown_identifiers={"200": 9, "18FF50E5": 1})),
-        "none is of this chassis: identifiers 18FF50E5, 200",
+    "realtime": health(realtime=False),
+    "unguarded": safety(guarded=False),
+    "latched": safety(
+        latched=[Reason.ROLLING], blocked_by=[Reason.ROLLING], stop_reason=Reason.ROLLING, stop_detail="0.2"
     ),
-    "feedback_missing": (health(feedback=FEEDBACK[1:]), "are missing: Auto_GearFeedBack"),
-    "feedback_faulty": (
-        health(feedback=[replace(FEEDBACK[0], failures=["checksum", "period"]), *FEEDBACK[1:]]),
-        "damaged: Auto_GearFeedBack (checksum) ->",
+    "blocked": safety(blocked_by=[Reason.SELF_TEST]),
+    "clock_behind": replace(WELL, now_s=0.0),
+    "clock_unsynchronised": replace(WELL, is_synchronised=False),
+    "clock_differs": zenoh(ahead_s=-3.25),
+    "credentials_missing": replace(WELL, credentials=[]),
+    "credentials": replace(WELL, credentials=[Credential("c", "robot-tls.pem ended 2.0 days ago; renew it")]),
+    "credentials_end": replace(
+        WELL, credentials=[Credential("c", "", "robot-tls.pem ends in 2.0 days; renew it")]
     ),
-    "variant_unknown": (health(variant=Variant.UNKNOWN), "firmware variant"),
-    "other_commander": (safety(blocked_by=[Reason.OTHER_COMMANDER]), "another computer commands the chassis"),
-    "two_gateways": (replace(WELL, claims=2), "more than one gateway commands the bus: 2 on can0"),
-    "two_of_one_name": (zenoh(gateways=2), "2 are called cruiser-1"),
-    "queue_long": (interface(queue_frames=1000), "1000 frames, not 10"),
-    "no_restart": (interface(restart_ms=0), "does not come back by itself"),
-    "router_unreachable": (
-        zenoh(why_not="refused", health=None, safety=None, state=None, recorders=[], is_named=False, gateways=0),
-        "the router cannot be reached: tls/router.example:7447: refused",
-    ),
-    "gateway_missing": (
-        zenoh(health=None, safety=None, state=None, recorders=[], is_named=False, gateways=0),
-        "the gateway does not run: nobody answers as cruiser-1",
-    ),
-    "gateway_hangs": (zenoh(health=None, safety=None), "sends no health: cruiser-1"),
-    "not_asked": (zenoh(is_blind=True, health=None, safety=None), "own certificate sees no telemetry"),
-    "not_shut_down": (
-        replace(WELL, was_shut_down=False, booted_s=NOW_S - 60),
-        "lost its power, or was reset, without being shut down: before 2027-01-15 07:59 UTC -> look at the batt",
-    ),
-    "service_not_active": (
-        replace(WELL, units=[ServiceUnit("cruiser-recorder.service", "failed", "exit-code")]),
-        "cruiser-recorder.service is failed, because of exit-code -> journalctl -u cruiser-recorder.service",
-    ),
-    "service_restarted": (
-        replace(WELL, units=[ServiceUnit("cruiser-gateway.service", "active", "watchdog", 2, NOW_S)]),
-        "cruiser-gateway.service, 2 times, last because of watchdog (it hung) at 2027-01-15 08:00 UTC -> journ",
-    ),
-    "realtime": (health(realtime=False), "no real-time priority"),
-    "unguarded": (safety(guarded=False), "no second process watches"),
-    "latched": (
-        safety(
-            latched=[Reason.ROLLING], blocked_by=[Reason.ROLLING], stop_reason=Reason.ROLLING, stop_detail="0.2"
-        ),
-        "latched: rolling: the robot moves although it is told to stand",
-    ),
-    "blocked": (safety(blocked_by=[Reason.SELF_TEST]), "blocked: self_test: the gateway's own keys"),
-    "clock_behind": (replace(WELL, now_s=0.0), "it says 1970-01-01 00:00 UTC, and it is 2027-01-14"),
-    "clock_unsynchronised": (replace(WELL, is_synchronised=False), "no time server keeps the clock"),
-    "clock_differs": (zenoh(ahead_s=-3.25), "the robot's is 3.2 s behind"),
-    "credentials_missing": (replace(WELL, credentials=[]), "there are no keys: cruiser-1"),
-    "credentials": (
-        replace(WELL, credentials=[Credential("c", "robot-tls.pem ended 2.0 days ago; renew it")]),
-        "credentials: robot-tls.pem ended 2.0 days ago -> renew it",
-    ),
-    "credentials_end": (
-        replace(WELL, credentials=[Credential("c", "", "robot-tls.pem ends in 2.0 days; renew it")]),
-        "note: credentials_end: robot-tls.pem ends in 2.0 days -> renew it",
-    ),
-    "hole": (
-        replace(WELL, hole="a put on X arrives; the router at R has to run from the router.json5"),
-        "hole: a put on X arrives -> the router at R has to run from the router.json5",
-    ),
-    "shut_out": (replace(WELL, hole=""), "note: shut_out: a certificate without any right can neither send, see"),
-    "disk_unusable": (disk(why_not="logs: no such file"), "logs cannot be written: logs: no such file"),
-    "disk_read_only": (disk(is_read_only=True, why_not="x"), "is mounted read-only: /var/lib/cruiser/logs"),
-    "disk_full": (
-        disk(free_bytes=1_000_000),
-        "the disk is full: /var/lib/cruiser/logs: 1 MB free, not 200 MB",
-    ),
-    "recorder_missing": (zenoh(recorders=[]), "nobody records"),
-    "recorder_stopped": (
-        zenoh(recorders=[replace(RECORDER, state=RecorderState.FULL)]),
-        "bench is full -> let the disk have room",
-    ),
-    "versions": (health(gateway_version="0.0.9"), "gateway 0.0.9; this is 0.1.0"),
-    "losses": (health(bus_drops=3), "3 frames that were not read in time, or garbled"),
+    "hole": replace(WELL, hole="a put on X arrives; the router at R has to run from the router.json5"),
+    "shut_out": replace(WELL, hole=""),
+    "disk_unusable": disk(why_not="logs: no such file"),
+    "disk_read_only": disk(is_read_only=True, why_not="x"),
+    "disk_full": disk(free_bytes=1_000_000),
+    "recorder_missing": zenoh(recorders=[]),
+    "recorder_stopped": zenoh(recorders=[replace(RECORDER, state=RecorderState.FULL)]),
+    "versions": health(gateway_version="0.0.9"),
+    "losses": health(bus_drops=3),
 }
+
+FINDINGS = SUPPORT.parent / "data" / "findings.txt"
+"""The line of each case; ``python -m tests.unit.gateway.doctor.test_checks`` writes it."""
 
 
 def test_a_robot_that_is_well_has_no_finding() -> None:
@@ -220,14 +183,12 @@ def test_a_robot_in_open_mode_is_open_to_this_machine_alone() -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_cause_has_its_finding_and_no_other(name: str) -> None:
-    """One line, with figures and cure."""
-    facts, said = CASES[name]
-    found = diagnose(facts)
-    assert [one.check for one in found] == [name]
-    assert said in found[0].line
-    assert "\n" not in found[0].line
-    assert found[0].cure
-    assert not any(word in found[0].cure for word in ("ROBOT", "CHANNEL", "BITRATE"))
+    """One line, with figures and cure, as it was read and found good."""
+    (found,) = diagnose(CASES[name])
+    assert found.check == name
+    assert found.line in FINDINGS.read_text("utf-8").splitlines()
+    assert found.cure
+    assert not any(word in found.cure for word in ("ROBOT", "CHANNEL", "BITRATE"))
 
 
 def test_a_stop_by_the_guard_says_from_its_note_why_it_was() -> None:
@@ -296,3 +257,7 @@ def test_the_settings_add_up_to_metres() -> None:
     slow = replace(WELL.settings, command=CommandSettings(speed_limit_without_realtime_mps=0.5))
     assert reach(replace(health(realtime=False), settings=slow)).speed_mps == 0.5
     assert reach(replace(health(realtime=True), settings=slow)).speed_mps == 1.0
+
+
+if __name__ == "__main__":
+    FINDINGS.write_text("".join(f"{one.line}\n" for facts in CASES.values() for one in diagnose(facts)), "utf-8")

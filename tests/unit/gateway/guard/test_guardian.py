@@ -47,24 +47,10 @@ def driven(variant: Variant = Variant.COARSE) -> GuardRig:
     return deepcopy(_driven(variant))
 
 
-def kill(rig: GuardRig) -> None:
-    rig.parent_lives = False
-
-
-def stall(rig: GuardRig) -> None:
-    """The process lives, and does nothing."""
-    rig.loop_lives = False
-
-
-def go_mute(rig: GuardRig) -> None:
-    """The loop beats, and cannot send."""
-    rig.mute = True
-
-
-ENDS: dict[str, tuple[Callable[[GuardRig], None], Cause]] = {
-    "killed": (kill, Cause.GONE),
-    "stalled": (stall, Cause.LATE),
-    "mute": (go_mute, Cause.MUTE),
+ENDS: dict[str, tuple[Step, Cause]] = {
+    "killed": ({"parent_lives": False}, Cause.GONE),
+    "stalled": ({"loop_lives": False}, Cause.LATE),
+    "mute": ({"mute": True}, Cause.MUTE),
     "closed while it drives": (GuardRig.close, Cause.GONE),
 }
 
@@ -76,9 +62,8 @@ def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Va
     rig = driven(variant)
     assert rig.chassis.state.speed_mps > 0.9
     assert rig.sent == []
-    fail, cause = ENDS[end]
-    fail(rig)
-    rig.run(A_STOP_S)
+    fails, cause = ENDS[end]
+    rig.play(fails, A_STOP_S)
     state = rig.chassis.state
     assert state.speed_mps == 0
     assert state.parking_status is ParkingStatus.APPLIED
@@ -120,21 +105,6 @@ def test_the_order_of_the_stop() -> None:
     assert seen["neutral"] == seen["disabled"] > seen["parking"] > seen["zero speed"]
     assert seen["disabled"] - seen["parking"] >= HOLD_NS
     assert rig.sent[-1][0] - seen["disabled"] == pytest.approx(DISABLE_NS, abs=2 * TICK_NS)
-
-
-@pytest.mark.parametrize("heard", ["heard", "not heard"])
-def test_the_counters_go_on(heard: str) -> None:
-    """For each command frame the guard's first counter follows the loop's last, and then +1 for each frame."""
-    rig = GuardRig()
-    rig.hears_loop = heard == "heard"
-    rig.drive(seconds=1.53)
-    rig.parent_lives = False
-    rig.run(1)
-    for can_id in MOTION:
-        frames = [frame for frame in rig.by_loop if frame.can_id == can_id][-1:]
-        frames += [frame for _, frame in rig.sent if frame.can_id == can_id]
-        counters = [frame.data[6] >> 4 for frame in frames]
-        assert counters == [(counters[0] + step) % 16 for step in range(len(counters))]
 
 
 def test_a_stop_that_nobody_heard_does_not_go_on() -> None:

@@ -22,14 +22,12 @@ from gateway.host.looks import (
     look_at_credentials,
     look_at_disk,
     look_at_interface,
-    look_at_stop_note,
     look_at_units,
     was_shut_down,
 )
-from gateway.host.notes import StopNote
 from gateway.host.signed_mode import AuthorityNote
 from schemas.messages import Variant
-from schemas.settings import AuthoritySettings, CanSettings, ChassisSettings, GatewaySettings, Settings
+from schemas.settings import AuthoritySettings, CanSettings, GatewaySettings, Settings
 from tests.support.frames import Feedback
 from tests.support.messages import SECOND
 from tests.support.provisioning import ProvisionedFleet
@@ -93,18 +91,6 @@ def test_a_run_that_did_not_end_in_order_lost_its_power(
 
     assert was_shut_down(journal) is was
     assert was_shut_down(lambda words: journal(words, "EXT4-fs (sda1): recovery complete")) is False
-
-
-def test_the_note_of_a_stop_is_read_where_it_is(tmp_path: Path) -> None:
-    """One on a full disk is empty, and says so."""
-    settings = Settings(gateway=GatewaySettings(state_dir=str(tmp_path)))
-    assert look_at_stop_note(settings) == ""
-    note = StopNote.of(settings)
-    note.add("the gateway is gone")
-    assert look_at_stop_note(settings).endswith("+00:00 the gateway is gone")
-    assert note.path is not None
-    note.path.write_bytes(b"")
-    assert look_at_stop_note(settings).endswith("is empty: the disk was full")
 
 
 def a_file_system(flag: int = 0, free: int = 100) -> SimpleNamespace:
@@ -232,19 +218,6 @@ def a_turn(variant: Variant) -> list[Frame]:
     """Sixteen turns of a standing chassis: its counters come round."""
     feedback = Feedback(variant)
     return [frame for _ in range(16) for frame in feedback.all()]
-
-
-@pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
-def test_a_chassis_is_recognised_with_its_variant(variant: Variant) -> None:
-    """All that a gateway needs is heard, it stands, and nobody commands it."""
-    report = heard(a_turn(variant))
-    assert report.health is not None
-    assert report.health.variant is variant
-    valid = {row.name for row in report.health.feedback if row.valid and not row.silent}
-    assert valid >= set(ChassisSettings().required_feedback)
-    assert report.state is not None
-    assert report.state.speed_mps == 0.0
-    assert not report.is_commanded
 
 
 def test_frames_that_are_late_in_the_first_second_are_not_missing() -> None:

@@ -69,46 +69,30 @@ def beside() -> Beside:
     return beside
 
 
-def test_it_goes_on_from_where_the_chassis_was(beside: Beside) -> None:
-    """Told the same as the recorded one, it does the same: no step in any signal."""
+def test_it_goes_on_from_where_the_chassis_was_and_does_what_the_other_run_tells_it(beside: Beside) -> None:
+    """Frames keep their times and counters, and what was broken stays so; the recorded chassis goes on."""
+    assert all(shown is frame for frame, shown in beside.pairs)
     beside.stand_in.begin(beside.rig.now_ns)
     beside.run(0.5)
     assert beside.speeds_mps()[1] == pytest.approx(beside.speeds_mps()[0], abs=0.05)
     assert beside.shown["Auto_SteeringFeedBack"]["Angle"] == pytest.approx(10, abs=0.1)
-    assert beside.shown["Auto_GearFeedBack"] == beside.recorded["Auto_GearFeedBack"]
-    assert beside.shown["Auto_ParkingFeedBack"] == beside.recorded["Auto_ParkingFeedBack"]
-
-
-def test_it_does_what_the_other_run_tells_it(beside: Beside) -> None:
-    """While the recorded chassis goes on as it did."""
-    beside.stand_in.begin(beside.rig.now_ns)
+    for name in ("Auto_GearFeedBack", "Auto_ParkingFeedBack"):
+        assert beside.shown[name] == beside.recorded[name]
+    beside.pairs.clear()
     beside.tell(0.4, -5.0)
+    beside.rig.fault("checksum Auto_DriveFeedBack for 3 frames")
     beside.run(2)
     assert beside.speeds_mps() == pytest.approx((1.0, 0.4), abs=0.05)
     assert beside.shown["Auto_SteeringFeedBack"]["Angle"] == pytest.approx(-5, abs=0.1)
-    assert not beside.stand_in.stands
-
-
-def test_frames_keep_their_counters_and_times(beside: Beside) -> None:
-    """So that what is watched about them is what was recorded."""
-    beside.stand_in.begin(beside.rig.now_ns)
-    beside.tell(0.4)
-    beside.run(1)
     for frame, shown in beside.pairs:
-        assert check(shown) is None
-        assert (shown.can_id, shown.wall_ns) == (frame.can_id, frame.wall_ns)
-        assert shown.data[6] >> 4 == frame.data[6] >> 4
-
-
-def test_a_broken_frame_stays_broken(beside: Beside) -> None:
-    """A checksum that was wrong is wrong in the other run too."""
-    beside.stand_in.begin(beside.rig.now_ns)
-    beside.rig.fault("checksum Auto_DriveFeedBack for 3 frames")
-    beside.pairs.clear()
-    beside.run(0.5)
+        assert (shown.can_id, shown.wall_ns, shown.data[6] >> 4) == (
+            frame.can_id,
+            frame.wall_ns,
+            frame.data[6] >> 4,
+        )
+        assert (check(shown) is None) is (check(frame) is None)
     broken = [(frame, shown) for frame, shown in beside.pairs if check(frame) is not None]
-    assert len(broken) == 3
-    assert all(frame is shown for frame, shown in broken)
+    assert len(broken) == sum(frame is shown for frame, shown in broken) == 3
 
 
 def test_who_holds_the_transmitter_drives_as_recorded(beside: Beside) -> None:

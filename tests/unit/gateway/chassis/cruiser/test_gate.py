@@ -15,6 +15,7 @@ from tests.support.strategies import with_checksum
 MS = 1_000_000
 REST = Actuation(enabled=True)
 DRIVING = Actuation(True, GearPosition.DRIVE, 1.0, 0.0, parking=False)  # noqa: FBT003
+SLOW = msgspec.structs.replace(DRIVING, speed_mps=0.04)
 EXTRAS = [
     AuxiliaryFrame("Auto_LightCmd", {"Headlamp": True, "LeftIndicator": True, "RightIndicator": True}),
     AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": True}),
@@ -45,21 +46,6 @@ class Bench:
         self.gate.sent(frames, self.now_ns)
         self.maker.sent(frames)
         return ""
-
-
-def test_out_of_silence_only_a_stop_begins_with_a_speed() -> None:
-    """Row 'engage: five enables with zero speed'; and in a stop no speed rises, not by a bit."""
-    bench = Bench()
-    assert bench.offer(bench.burst(DRIVING), stopping=False) == "released out of silence"
-    assert bench.offer(bench.burst(), stopping=False) == ""
-    bench = Bench()
-    assert bench.offer(bench.burst(DRIVING), stopping=True) == ""
-    faster = msgspec.structs.replace(DRIVING, speed_mps=DRIVING.speed_mps + 0.04)
-    assert bench.offer(bench.burst(faster), stopping=True) == "the speed rises too fast"
-    assert bench.offer(bench.burst(DRIVING), stopping=True) == ""
-    assert bench.offer(bench.burst(faster), stopping=False) == ""
-    bench.gate.pause()
-    assert bench.offer(bench.burst(faster), stopping=False) == "released out of silence"
 
 
 def test_the_table_is_that_of_the_dbc() -> None:
@@ -130,60 +116,55 @@ def test_what_contradicts_itself_is_refused(changes: dict[str, object], why: str
     assert bench.offer(bench.burst(msgspec.structs.replace(DRIVING, **changes))) == why
 
 
-def test_the_gear_changes_through_neutral_behind_the_parking_brake() -> None:
-    """Row 'reversal of direction': a robot on a slope never stands in neutral unbraked."""
+replace = msgspec.structs.replace
+BURSTS = {
+    "rest": REST,
+    "drive": DRIVING,
+    "faster": replace(DRIVING, speed_mps=DRIVING.speed_mps + 0.04),
+    "slow": SLOW,
+    "still": replace(SLOW, speed_mps=0.0),
+    "parked": replace(SLOW, speed_mps=0.0, parking=True),
+    "back parked": replace(SLOW, speed_mps=0.0, parking=True, gear=GearPosition.REVERSE),
+    "back": replace(SLOW, speed_mps=0.0, gear=GearPosition.REVERSE),
+}
+SILENT, FAST = "released out of silence", "the speed rises too fast"
+UNBRAKED, AT_ONCE = "the gear changes without the parking brake", "the direction changes without neutral"
+RELEASED, AT_SPEED = "a stop releases the parking brake", "the parking brake is released at speed"
+STEPS: dict[str, list[str]] = {
+    "row 'engage: five enables with zero speed': out of silence": [f"drive: {SILENT}", "rest:"],
+    "a stop may begin with a speed, which does not rise by a bit": [
+        *("stop drive:", f"stop faster: {FAST}", "stop drive:", "faster:", "pause:", f"faster: {SILENT}"),
+    ],
+    "row 'reversal of direction': a robot on a slope never stands in neutral unbraked": [
+        *("stop slow:", f"rest: {UNBRAKED}", "parked:", f"back parked: {AT_ONCE}", f"back: {UNBRAKED}", "rest:"),
+        *(f"back: {UNBRAKED}", "back parked:", "back:"),
+    ],
+    "rows 'standing' and 'stop': the brake is released first, in no stop, and the speed comes after": [
+        *("stop parked:", f"slow: {AT_SPEED}", f"stop still: {RELEASED}", "still:", "slow:"),
+    ],
+    "row 'a parking brake that reads applied and does not hold': once after an engagement": [
+        *("parked:", f"stop slow: {FAST}", "stop still:", "stop parked:", f"stop still: {RELEASED}"),
+        *("parked:", "stop still:"),
+    ],
+}
+
+
+@pytest.mark.parametrize("steps", STEPS.values(), ids=STEPS)
+def test_what_may_follow_what(steps: list[str]) -> None:
+    """Bursts in a row, of a stop or not, and why one is refused."""
     bench = Bench()
-    slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
-    still = msgspec.structs.replace(DRIVING, speed_mps=0.0)
-    parked = msgspec.structs.replace(still, parking=True)
-    back = msgspec.structs.replace(parked, gear=GearPosition.REVERSE)
-    away = msgspec.structs.replace(back, parking=False)
-    for actuation, why in (
-        (slow, ""),
-        (REST, "the gear changes without the parking brake"),
-        (parked, ""),
-        (back, "the direction changes without neutral"),
-        (away, "the gear changes without the parking brake"),
-        (REST, ""),
-        (away, "the gear changes without the parking brake"),
-        (back, ""),
-        (away, ""),
-    ):
-        assert bench.offer(bench.burst(actuation)) == why
-
-
-def test_the_parking_brake_is_released_in_gear_at_zero_speed_and_not_in_a_stop() -> None:
-    """Rows 'standing' and 'stop': the brake is released first, and the speed comes after."""
-    bench = Bench()
-    parked = msgspec.structs.replace(DRIVING, speed_mps=0.0, parking=True)
-    slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
-    released = msgspec.structs.replace(DRIVING, speed_mps=0.0)
-    assert bench.offer(bench.burst(parked)) == ""
-    assert bench.offer(bench.burst(slow)) == "the parking brake is released at speed"
-    assert bench.offer(bench.burst(released), stopping=True) == "a stop releases the parking brake"
-    assert bench.offer(bench.burst(released)) == ""
-    assert bench.offer(bench.burst(slow)) == ""
-
-
-def test_a_stop_after_an_engagement_releases_the_parking_brake_once() -> None:
-    """Row 'a parking brake that reads applied and does not hold': back to the motor, in gear at zero speed."""
-    bench = Bench()
-    parked = msgspec.structs.replace(DRIVING, speed_mps=0.0, parking=True)
-    released = msgspec.structs.replace(DRIVING, speed_mps=0.0)
-    slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
-    assert bench.offer(bench.burst(parked), stopping=False) == ""
-    assert bench.offer(bench.burst(slow), stopping=True) == "the speed rises too fast"
-    assert bench.offer(bench.burst(released), stopping=True) == ""
-    assert bench.offer(bench.burst(parked), stopping=True) == ""
-    assert bench.offer(bench.burst(released), stopping=True) == "a stop releases the parking brake"
-    assert bench.offer(bench.burst(parked), stopping=False) == ""
-    assert bench.offer(bench.burst(released), stopping=True) == ""
+    for step in steps:
+        words, _, why = step.partition(":")
+        if words == "pause":
+            bench.gate.pause()
+            continue
+        burst = bench.burst(BURSTS[words.removeprefix("stop ")])
+        assert bench.offer(burst, stopping=words.startswith("stop ")) == why.strip(), step
 
 
 def test_a_torn_burst_may_be_followed_by_the_brake_first() -> None:
     """Row 'a burst of which the bus took only a part': at zero speed alone, and only then."""
     bench = Bench()
-    slow = msgspec.structs.replace(DRIVING, speed_mps=0.04)
 
     def brake_first(actuation: Actuation) -> list[Frame]:
         by_id = {frame.can_id: frame for frame in bench.burst(actuation)}
@@ -196,9 +177,8 @@ def test_a_torn_burst_may_be_followed_by_the_brake_first() -> None:
         bench.gate.sent(torn, bench.now_ns)
         bench.maker.sent(torn)
         assert [frame.can_id for frame in bench.burst(REST)[:5]] == list(BRAKE_FIRST)
-        assert (
-            bench.offer(brake_first(slow), stopping=True) == "the parking frame comes second at zero speed alone"
-        )
+        at_speed = bench.offer(brake_first(SLOW), stopping=True)
+        assert at_speed == "the parking frame comes second at zero speed alone"
         assert bench.offer(brake_first(REST)) == ""
         assert [frame.can_id for frame in bench.burst(REST)[:5]] == list(MOTION)
         assert bench.offer(brake_first(REST)) == "a burst begins with the five motion frames"
