@@ -95,14 +95,10 @@ class SpeedMeter:
     """Measures speeds and the way, of samples that may come twice, out of order or not at all.
 
     Attributes:
-        way: where the robot is, and the length of its way.
-        moving_ns: time for which the robot was faster than STANDING_MPS.
-        known_ns: time for which that is known.
-        top_mps: the highest believable speed, negative in reverse...
-        top_ns: ...and when.
+        moving_ns: time for which the robot was faster than STANDING_MPS, of ``known_ns`` of which that is known.
+        top_mps: the highest believable speed, negative in reverse; ``top_ns``, when.
         gaps: number of times without data for longer than GAP_NS, but for long rests; ``gap_ns`` in all.
         begun_ns: the sample with which the newest time without a gap begins.
-        last_ns: the newest known sample; None before the first.
     """
 
     def __init__(self) -> None:
@@ -214,14 +210,6 @@ class Outage(msgspec.Struct, frozen=True):
     is_commanding: bool
 
 
-class Silence(msgspec.Struct, frozen=True):
-    """Something of one and the same gateway is not in the log: from when to when, and what, in words."""
-
-    from_ns: int
-    to_ns: int
-    text: str
-
-
 class Drives:
     """The drives of one robot, and what happened to it.
 
@@ -229,7 +217,6 @@ class Drives:
         more: drives for which there was no room.
         stops: number of stops, by cause; ``ends`` of what was asked for, by reason.
         entries: those that are kept; of a stop the reason is its cause.
-        more_outages: those for which there was no room.
         worst: the worst entry; None if nothing is worse than news.
     """
 
@@ -245,7 +232,8 @@ class Drives:
         self.worst: Entry | None = None
         self._drives: list[RecordedDrive] = []
         self._now: RecordedDrive | None = None
-        self._gaps: dict[int, Silence] = {}
+        self._gaps: dict[int, int] = {}
+        """The newest times without a word of the arbiter: by their ends their beginnings."""
         self._cause = ""
         self._stop_at: int | None = None
         """The place of the newest stop among the entries, if there was room for it."""
@@ -286,12 +274,11 @@ class Drives:
         if entry.kind is EntryKind.END:
             self.ends[entry.reason.value] += 1
         elif entry.kind is EntryKind.GAP and entry.source is EntrySource.LOG and entry.last_ns > entry.time_ns:
-            self._gaps[entry.last_ns] = Silence(entry.time_ns, entry.last_ns, entry.text)
+            self._gaps[entry.last_ns] = entry.time_ns
             if len(self._gaps) > GAPS_MAX:
                 del self._gaps[next(iter(self._gaps))]
         elif _is_restart(entry):
-            gap = self._gaps.pop(entry.time_ns, None)
-            heard_ns = entry.time_ns if gap is None else gap.from_ns
+            heard_ns = self._gaps.pop(entry.time_ns, entry.time_ns)
             self.fall_silent(Outage(heard_ns, entry.time_ns, entry.severity is Severity.ERROR))
         for one in reversed(self._drives):
             if one.is_near(entry.time_ns):
@@ -309,11 +296,6 @@ class Drives:
     def now(self) -> RecordedDrive | None:
         """The newest drive."""
         return self._now
-
-    @property
-    def silences(self) -> list[Silence]:
-        """The newest gaps of the log that no restart explains."""
-        return list(self._gaps.values())
 
     @property
     def more_entries(self) -> int:

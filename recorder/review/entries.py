@@ -244,7 +244,7 @@ FAILURES_IN_WORDS: Final = {
     "silence": "silent",
 }
 
-FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
+_FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
     ("checksum_faults", "checksum", "frames with a wrong checksum"),
     ("implausible", "implausible", "frames with a value that the chassis cannot have"),
     ("lost", "alive_lost", "missing frames"),
@@ -266,11 +266,6 @@ _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame
 
 _FAULTS: Final = {"period": "frames came irregularly", "silence": "frames stayed away"}
 """In words, where no frame is named."""
-
-
-def fault_words(kind: str) -> str:
-    """The words for faults of this kind, of all frames together."""
-    return f"faults of frames: {kind}"
 
 
 class Risen(msgspec.Struct, frozen=True):
@@ -330,7 +325,7 @@ def _by_failure(frames: Iterable[tuple[str, Iterable[str], Iterable[str]]]) -> d
 def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
     pairs = [(frame, was) for frame in now.feedback for was in before.feedback if was.name == frame.name]
     said = {failure for frame, was in pairs for failure in frame.failures if failure not in was.failures}
-    for field, kind, words in FRAME_COUNTS:
+    for field, kind, words in _FRAME_COUNTS:
         grown = {frame.name: getattr(frame, field) - getattr(was, field) for frame, was in pairs}
         rises = {name: rise for name, rise in grown.items() if rise > 0}
         if rises:
@@ -342,7 +337,9 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
         rise = count - before.faults.get(kind, 0)
         if rise > 0 and kind not in said:
             severity = Severity.INFO if kind in _HARMLESS else Severity.WARNING
-            yield Risen(f"fault {kind}", EntryKind.FAULT, severity, _FAULTS.get(kind, fault_words(kind)), rise)
+            yield Risen(
+                f"fault {kind}", EntryKind.FAULT, severity, _FAULTS.get(kind, f"faults of frames: {kind}"), rise
+            )
     for field, words in _COUNTS:
         rise = getattr(now, field) - getattr(before, field)
         if rise > 0:

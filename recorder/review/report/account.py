@@ -2,44 +2,34 @@
 
 from __future__ import annotations
 
-import tomllib
-from bisect import bisect_right
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from itertools import pairwise
 from math import isfinite
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
 from gateway.chassis.odometry import GAP_NS
 from recorder.record.accounting import KeyReport
 from recorder.review.drives import MARGIN_NS, REST_NS, Drives, Outage, RecordedDrive
-from recorder.review.entries import FRAME_COUNTS, Entry, Repeats, RobotClock, fault_words
+from recorder.review.entries import Entry, Repeats, RobotClock
 from recorder.review.events import LogEnding
 from recorder.review.report.findings import (
     Charts,
     Drawn,
     Driver,
     InForce,
-    Moment,
-    Place,
     Pose,
     Refusal,
     RobotReport,
     RobotSummary,
-    Unwritten,
 )
 from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, GatewayInfo, Message, Mode, Odometry, RobotState, Variant
 
 MOST: Final = 200
 """Gateways, and configurations, that are kept."""
-
-TEXT_MAX: Final = 100_000
-CHANGES_MAX: Final = 20
-VALUE_MAX: Final = 60
 
 UNKNOWN: Final = Variant.UNKNOWN.value
 _PACKAGE: Final = "versions."
@@ -54,32 +44,27 @@ class Versions:
 
     def __init__(self) -> None:
         self._told: dict[tuple[int, str], InForce] = {}
-        self._texts: dict[str, str] = {}
         self.left_out = 0
 
     def hear(self, info: GatewayInfo) -> None:
         """A gateway's own answer."""
-        if len(self._texts) < MOST and len(info.configuration) <= TEXT_MAX:
-            self._texts.setdefault(info.configuration_sha256, info.configuration)
-        self._add(info.started_ns, info.variant.value, info.configuration_sha256, info.versions)
+        self._add(InForce(info.started_ns, info.variant.value, info.configuration_sha256, dict(info.versions)))
 
     def read(self, facts: Mapping[str, str]) -> None:
         """Add what a recorder's metadata say of the robot."""
+        packages = {name.removeprefix(_PACKAGE): one for name, one in facts.items() if name.startswith(_PACKAGE)}
         with suppress(ValueError):
             started_ns = int(facts.get("started_ns", ""))
-            packages = {
-                name.removeprefix(_PACKAGE): one for name, one in facts.items() if name.startswith(_PACKAGE)
-            }
+            sha256 = facts.get("configuration_sha256", "")
             if 0 <= started_ns < 2**63:
-                sha256 = facts.get("configuration_sha256", "")
-                self._add(started_ns, facts.get("variant", UNKNOWN), sha256, packages)
+                self._add(InForce(started_ns, facts.get("variant", UNKNOWN), sha256, packages))
 
-    def _add(self, started_ns: int, variant: str, sha256: str, versions: Mapping[str, str]) -> None:
-        known = self._told.get((started_ns, sha256))
+    def _add(self, told: InForce) -> None:
+        known = self._told.get((told.since_ns, told.configuration_sha256))
         if known is None and len(self._told) >= MOST:
             self.left_out += 1
         elif known is None or known.variant == UNKNOWN:
-            self._told[started_ns, sha256] = InForce(started_ns, variant, sha256, dict(versions), [])
+            self._told[told.since_ns, told.configuration_sha256] = told
 
     def in_force(self, offset_ns: int = 0, from_ns: int = 0, to_ns: int = 2**64) -> list[InForce]:
         """Return the gateways, by the time since when they were in force.
@@ -90,38 +75,8 @@ class Versions:
         told = sorted(self._told.values(), key=lambda one: one.since_ns)
         dated = [msgspec.structs.replace(one, since_ns=max(0, one.since_ns + offset_ns)) for one in told]
         ends_ns = [one.since_ns for one in dated[1:]] + [2**64]
-        kept = [
-            one for one, end_ns in zip(dated, ends_ns, strict=False) if one.since_ns < to_ns and end_ns > from_ns
-        ]
-        texts = [self._texts.get(one.configuration_sha256, "") for one in kept]
-        changed = [[], *(changed_settings(before, now) for before, now in pairwise(texts))]
-        return [
-            msgspec.structs.replace(one, settings=settings) for one, settings in zip(kept, changed, strict=False)
-        ]
-
-
-def changed_settings(before: str, now: str) -> list[str]:
-    """The settings in which two configurations differ, in words; none if one of the two cannot be read."""
-    if not before or not now or before == now:
-        return []
-    try:
-        was, has = (dict(_flat(tomllib.loads(text), ())) for text in (before, now))
-    except (ValueError, RecursionError):
-        return []
-    said = [
-        f"{name} {has.get(name, 'not set')[:VALUE_MAX]}, {was.get(name, 'not set')[:VALUE_MAX]} before"
-        for name in sorted(was.keys() | has.keys())
-        if was.get(name) != has.get(name)
-    ]
-    return said[:CHANGES_MAX] + ([f"and {len(said) - CHANGES_MAX} more"] if len(said) > CHANGES_MAX else [])
-
-
-def _flat(table: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    for name, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, (*path, name))
-        else:
-            yield ".".join((*path, name)), str(value)
+        pairs = zip(dated, ends_ns, strict=False)
+        return [one for one, end_ns in pairs if one.since_ns < to_ns and end_ns > from_ns]
 
 
 REMOTE_CONTROL: Final = "the remote control (RC)"
@@ -129,7 +84,6 @@ OTHERS: Final = "(others)"
 
 REFUSALS_MAX: Final = 200
 DRIVERS_MAX: Final = 200
-FAULTS_MAX: Final = 200
 
 DRAWN_MAX: Final = 30
 """Drives that are drawn, the newest ones; the others have a command."""
@@ -148,10 +102,6 @@ CLOCKS_APART_NS: Final = 2_000_000_000
 
 _ANGLE_MAX_DEG: Final = 80.0
 """The chassis steers to 24 deg; what is beyond sense must not end the path."""
-
-_LOST, _CHECKSUM = "lost frames", "frames with a wrong checksum"
-_COUNTED_BY_FRAME: Final = frozenset(kind for _, kind, _ in FRAME_COUNTS)
-"""Kinds of faults that each frame of the health counts for itself."""
 
 TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
     {RobotState, Odometry, SafetyState, SafetyEvent, Decision, GatewayHealth}
@@ -187,9 +137,6 @@ class Account:
         self._ends_commanding = False
         self._verdicts: Counter[Verdict] = Counter()
         self._refusals: dict[tuple[str, str, str], list[int]] = {}
-        self._health: Counter[str] = Counter()
-        self._counts: dict[str, int] = {}
-        self._unwritten: Counter[tuple[str, str]] = Counter()
 
     def take(self, message: Message, publish_ns: int, log_ns: int) -> bool:
         """Take the next message, of a kind in TAKEN. Returns False if it is there for the second time."""
@@ -214,8 +161,6 @@ class Account:
                 self._draw((time_ns, message, None, False))
             case Decision():
                 self._take_decision(message, time_ns)
-            case GatewayHealth():
-                self._take_health(message)
             case _:
                 pass
         return True
@@ -234,11 +179,6 @@ class Account:
         """Take the next entry of the timeline that is about this robot."""
         if entry.last_ns >= self._begins_ns:
             self.drives.take(entry)
-
-    def lose(self, topic: str, reason: str, count: int) -> None:
-        """The recorder says that it could not keep so many messages."""
-        if len(self._unwritten) < REFUSALS_MAX or (topic, reason) in self._unwritten:
-            self._unwritten[topic, reason] += count
 
     def end(self, found: LogEnding) -> None:
         """The logs end in the middle of a drive, or after the gateway fell silent. The timeline says so, too."""
@@ -265,12 +205,8 @@ class Account:
         drivers = [Driver(name, seconds, metres) for name, (seconds, metres) in self._driven.items()]
         refusals = [Refusal(*about, *counted) for about, counted in self._refusals.items()]
         refused = self._verdicts[Verdict.REFUSED]
-        drawn = self._drawn()
         worst = found.worst
         accounts = completeness.values()
-        # A frame with a wrong checksum was passed over by the counter too.
-        health = Counter(self._health)
-        health[_LOST] = max(0, health[_LOST] - health[_CHECKSUM])
         summary = RobotSummary(
             name=self.name,
             key=self.key,
@@ -283,7 +219,7 @@ class Account:
             top_ns=motion.top_ns,
             stops={cause: count for cause, count in found.stops.most_common() if count},
             ends=dict(found.ends.most_common()),
-            worst=None if worst is None else self._moment(worst, drawn),
+            worst=None if worst is None else self._near(worst),
             outages=found.outages,
             more_outages=found.more_outages,
             ends_commanding=self._ends_commanding,
@@ -295,45 +231,21 @@ class Account:
             other_refusals=refused - sum(one.count for one in refusals),
             gaps=motion.gaps,
             gap_s=motion.gap_ns / 1e9,
-            silences=found.silences,
-            health={name: count for name, count in health.items() if count},
             lost_samples=sum(one.lost for one in accounts) if accounts else None,
             lost_frames=sum((one.lost_bus or 0) + one.lost_source for one in accounts) if accounts else None,
             completeness=completeness,
-            unwritten=[Unwritten(*about, count) for about, count in self._unwritten.most_common()],
             in_force=self.versions.in_force(self._clock.offset_ns, from_ns, to_ns),
             more_in_force=self.versions.left_out,
         )
-        moments = sorted((self._moment(one, drawn) for one in found.entries), key=lambda one: one.time_ns)
-        drawn = [
-            msgspec.structs.replace(
-                one, moments=[each for each in moments if one.start_ns <= each.time_ns <= one.end_ns]
-            )
-            for one in drawn
-        ]
-        return RobotReport(summary, moments, found.more_entries, found.drives(), found.more, drawn)
+        moments = sorted(map(self._near, found.entries), key=lambda one: one.time_ns)
+        return RobotReport(summary, moments, found.more_entries, found.drives(), found.more, self._drawn(moments))
 
-    def _moment(self, entry: Entry, drawn: Sequence[Drawn]) -> Moment:
-        """An entry with its place. A time far from all that the robot said is moved to the nearest one."""
-        is_near = self._start_ns - CLOCK_TRUST_NS < entry.time_ns < self._end_ns + CLOCK_TRUST_NS
-        time_ns = entry.time_ns if is_near else min(max(entry.time_ns, self._start_ns), self._end_ns)
-        place = next(
-            (_place_at(one.places, time_ns) for one in drawn if one.start_ns <= time_ns <= one.end_ns), None
-        )
-        return Moment(
-            time_ns=time_ns,
-            last_ns=max(time_ns, entry.last_ns + time_ns - entry.time_ns),
-            kind=entry.kind.value,
-            severity=entry.severity.value,
-            count=entry.count,
-            reason=entry.reason.value,
-            operator=entry.operator,
-            holder=entry.holder,
-            text=entry.text,
-            x_m=None if place is None else place.x_m,
-            y_m=None if place is None else place.y_m,
-            is_stop=entry.is_stop,
-        )
+    def _near(self, entry: Entry) -> Entry:
+        """The entry; a time far from all that the robot said is moved to the nearest one."""
+        if self._start_ns - CLOCK_TRUST_NS < entry.time_ns < self._end_ns + CLOCK_TRUST_NS:
+            return entry
+        time_ns = min(max(entry.time_ns, self._start_ns), self._end_ns)
+        return msgspec.structs.replace(entry, time_ns=time_ns, last_ns=entry.last_ns + time_ns - entry.time_ns)
 
     # What is drawn.
 
@@ -361,7 +273,7 @@ class Account:
         for _, each in self._charts:
             each.bound(min(1.0, WHOLE_SHARES / len(self._charts)))
 
-    def _drawn(self) -> list[Drawn]:
+    def _drawn(self, moments: Sequence[Entry]) -> list[Drawn]:
         """The charts, without what is beyond the margins of one drive among several, or between long rests."""
         outages = [(one.heard_ns, one.began_ns) for one in self.drives.outages if one.began_ns is not None]
         found = []
@@ -382,7 +294,7 @@ class Account:
                         for name, band in charts.bands.items()
                     },
                     places=[one for one in charts.path.places() if from_ns <= one.time_ns <= to_ns],
-                    moments=[],
+                    moments=[one for one in moments if from_ns <= one.time_ns <= to_ns],
                     outages=[one for one in outages if one[1] >= from_ns and one[0] <= to_ns],
                 )
             )
@@ -420,24 +332,6 @@ class Account:
         elif len(self._refusals) < REFUSALS_MAX:
             self._refusals[about] = [1, time_ns, time_ns]
 
-    def _take_health(self, health: GatewayHealth) -> None:
-        counts = {
-            _LOST: sum(frame.lost for frame in health.feedback),
-            _CHECKSUM: sum(frame.checksum_faults for frame in health.feedback),
-            "frames with an implausible value": sum(frame.implausible for frame in health.feedback),
-            "frames that were dropped unread": health.bus_drops,
-            "losses of the bus": health.bus_losses,
-            "samples that Zenoh did not take": health.publish_failures,
-            "requests dropped unread": health.inbox_drops,
-            **{fault_words(kind): n for kind, n in health.faults.items() if kind not in _COUNTED_BY_FRAME},
-        }
-        for name, count in counts.items():
-            # The first one tells of the time before the log; a count that fell was begun anew.
-            grown = count - self._counts.get(name, 0) if self._counts else 0
-            if name in self._health or len(self._health) < FAULTS_MAX:
-                self._health[name] += grown if grown >= 0 else count
-        self._counts = counts
-
 
 def _add(charts: Charts, sample: _Sample) -> None:
     time_ns, message, pose, begins = sample
@@ -445,8 +339,3 @@ def _add(charts: Charts, sample: _Sample) -> None:
         charts.add_state(time_ns, message, pose, begins=begins)
     else:
         charts.add_arbiter(time_ns, message)
-
-
-def _place_at(places: Sequence[Place], time_ns: int) -> Place | None:
-    at = bisect_right(places, time_ns, key=lambda place: place.time_ns)
-    return places[max(0, at - 1)] if places else None

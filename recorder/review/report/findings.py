@@ -16,8 +16,8 @@ import msgspec
 from gateway.chassis.odometry import GAP_NS
 from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport, total
-from recorder.review.drives import DIED, Outage, RecordedDrive, Silence, operators_stops
-from recorder.review.entries import EntryKind
+from recorder.review.drives import DIED, Outage, RecordedDrive, operators_stops
+from recorder.review.entries import Entry, EntryKind
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import Mode, RobotState
 from schemas.reasons import TEXTS
@@ -274,36 +274,11 @@ class DrivenPath:
             self._places = [self._places[number] for number in sorted(kept)]
 
 
-class Moment(msgspec.Struct, frozen=True):
-    """Something that a person should know.
-
-    Attributes:
-        last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
-        kind: stop, latch, takeover, ..., gateway, gap: those of ``cruiser review events``.
-        reason: of a stop its cause.
-        holder: the lease's holder then, as far as the log shows; empty if nobody.
-        x_m, y_m: where, as far as the path is known.
-    """
-
-    time_ns: int
-    last_ns: int
-    kind: str
-    severity: str
-    count: int
-    reason: str
-    operator: str
-    holder: str
-    text: str
-    x_m: float | None
-    y_m: float | None
-    is_stop: bool = False
-
-
 class Why(msgspec.Struct, frozen=True):
     """The reason of a stop, as ``cruiser review why --at`` words it.
 
     Attributes:
-        links: the chain that leads to it: time since the stop, time of day, step and sentence of each.
+        links: time since the stop, time of day, step and sentence of each.
     """
 
     headline: str
@@ -311,18 +286,12 @@ class Why(msgspec.Struct, frozen=True):
 
 
 class InForce(msgspec.Struct, frozen=True):
-    """A gateway, as it was in force until the next one was.
-
-    Attributes:
-        since_ns: since when: since it was started, as far as it is the first of this start.
-        settings: changed settings, as far as the log holds both configurations; in words.
-    """
+    """A gateway, as it was in force until the next one was."""
 
     since_ns: int
     variant: str
     configuration_sha256: str
     versions: dict[str, str]
-    settings: list[str]
 
 
 class Driver(msgspec.Struct, frozen=True):
@@ -344,36 +313,19 @@ class Refusal(msgspec.Struct, frozen=True):
     last_ns: int
 
 
-class Unwritten(msgspec.Struct, frozen=True):
-    """Messages of a topic that reached the recorder and are not in the log, for one reason."""
-
-    topic: str
-    reason: str
-    count: int
-
-
 class RobotSummary(msgspec.Struct, frozen=True):
     """A robot in figures.
 
     Attributes:
         key: the beginning of its keys.
-        distance_m: the length of its path, by speed and time; at least that where ``gap_s`` is not 0.
+        distance_m: the length of its path; at least that where ``gap_s`` is not 0.
         moving_s: the time that it moved, of ``known_s`` of which its speed is known.
-        top_mps: its highest speed, negative in reverse; at ``top_ns``.
+        top_mps: its highest speed, negative in reverse.
         ends: number of times that a drive was ended by request, by reason.
-        outages: when the gateway fell silent or was replaced; ``more_outages`` are left out.
         ends_commanding: the recording ends while the chassis was under command.
         events: their number, by kind.
-        accepted: requests that were; ``refused`` those that were not.
-        refusals: these, with ``other_refusals`` of further kinds.
         gaps: number of gaps in its known motion; ``gap_s`` in all.
-        silences: other gaps of the log.
-        health: the gateway's counts while this log was written: lost frames, faults, losses.
-        lost_samples: of the recorder's account; None if it gives none.
-        lost_frames: likewise, of the bus and of the gateway's raw frames.
-        unwritten: messages that reached the recorder and are not in the log.
-        in_force: all gateways that the logs mention, one after the other, with their configurations;
-            ``more_in_force`` are left out.
+        lost_samples, lost_frames: of the recorder's account; None if it gives none.
     """
 
     name: str
@@ -387,7 +339,7 @@ class RobotSummary(msgspec.Struct, frozen=True):
     top_ns: int
     stops: dict[str, int]
     ends: dict[str, int]
-    worst: Moment | None
+    worst: Entry | None
     outages: list[Outage]
     more_outages: int
     ends_commanding: bool
@@ -399,25 +351,15 @@ class RobotSummary(msgspec.Struct, frozen=True):
     other_refusals: int
     gaps: int
     gap_s: float
-    silences: list[Silence]
-    health: dict[str, int]
     lost_samples: int | None
     lost_frames: int | None
     completeness: dict[str, KeyReport]
-    unwritten: list[Unwritten]
     in_force: list[InForce]
     more_in_force: int
 
 
 class Drawn(msgspec.Struct, frozen=True):
-    """A drive over time, or a robot that has none.
-
-    Attributes:
-        start_ns, end_ns: the first and the last time that is drawn.
-        lines: by name: times and values, None where a line is broken.
-        bands: by name: what was so from when to when.
-        outages: beginning and end of each silence of the gateway, before another one began.
-    """
+    """A drive over time, or a robot that has none. Lines have None where they are broken; bands have spans."""
 
     start_ns: int
     end_ns: int
@@ -425,21 +367,15 @@ class Drawn(msgspec.Struct, frozen=True):
     lines: dict[str, list[Point | None]]
     bands: dict[str, list[Span]]
     places: list[Place]
-    moments: list[Moment]
+    moments: list[Entry]
     outages: list[tuple[int, int]]
 
 
 class RobotReport(msgspec.Struct, frozen=True):
-    """A robot.
-
-    Attributes:
-        moments: the events; ``more_moments`` are left out.
-        drives: its drives; ``more_drives`` are left out.
-        drawn: the newest of these, and a robot without a drive as it stood.
-    """
+    """A robot; ``drawn`` are the newest of its drives, or itself as it stood."""
 
     summary: RobotSummary
-    moments: list[Moment]
+    moments: list[Entry]
     more_moments: int
     drives: list[RecordedDrive]
     more_drives: int
@@ -447,12 +383,7 @@ class RobotReport(msgspec.Struct, frozen=True):
 
 
 class ReportedFile(msgspec.Struct, frozen=True):
-    """A file that the report is about.
-
-    Attributes:
-        is_accounted: it ends with the recorder's account of what it received and lost.
-        is_being_written: a recorder has it open: that account is still to come.
-    """
+    """A file that the report is about; ``is_accounted``: it ends with the recorder's account of what it lost."""
 
     name: str
     bytes: int
@@ -463,13 +394,7 @@ class ReportedFile(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """All that a report says.
-
-    Attributes:
-        from_ns, to_ns: the log times that were asked about; 0 and None if all were.
-        robots: one by one; ``more_robots`` are left out.
-        faults: parts that could not be read, the first of ``fault_count``.
-    """
+    """All that a report says, of the log times that were asked about; ``to_ns`` is None if all were."""
 
     files: list[ReportedFile]
     from_ns: int
@@ -573,7 +498,6 @@ def summary_lines(robot: RobotReport, report: Report) -> list[Line]:
         ),
         ("Refused", _refused(summary)),
         ("Lost", joined(_missing(summary, report)) or "nothing"),
-        ("Bus and gateway", _counts(summary.health) or "no losses, no faults"),
         ("Versions", _versions(summary)),
     ]
 
@@ -589,7 +513,7 @@ def _distance(robot: RobotSummary) -> str:
     return f"{distance(robot)}, moving {duration(robot.moving_s)} of {duration(robot.known_s)}; top speed {top}"
 
 
-def _worst(moment: Moment | None) -> str:
+def _worst(moment: Entry | None) -> str:
     return "none" if moment is None else f"{in_words(moment.time_ns)}: {moment_words(moment)}"
 
 
@@ -617,13 +541,8 @@ def _missing(robot: RobotSummary, report: Report) -> list[str]:
     said = []
     if robot.gaps:
         said.append(f"{duration(robot.gap_s)} of motion in {counted(robot.gaps, 'gap')}")
-    said += [f"{one.text}, from {in_words(one.from_ns)}" for one in robot.silences[:1]]
-    if len(robot.silences) > 1:
-        said.append(f"{len(robot.silences) - 1} more such gaps")
     sums = total(robot.completeness.values())
     said += [f"{getattr(sums, name)} {what}" for name, what in _LOSSES.items() if getattr(sums, name)]
-    if robot.unwritten:
-        said.append(f"{sum(one.count for one in robot.unwritten)} messages received and not stored")
     bare = [file.name for file in report.files if not file.is_accounted]
     if bare:
         said.append(f"the recorder's account of {joined(bare, ', ')}")
@@ -648,15 +567,15 @@ def _counts(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason_words(name)}" for name, count in counts.items())
 
 
-def moment_words(moment: Moment) -> str:
+def moment_words(moment: Entry) -> str:
     """The text of an event, and how often it occurred; a gap says itself how much is missing."""
-    if moment.count <= 1 or moment.kind == EntryKind.GAP.value:
+    if moment.count <= 1 or moment.kind is EntryKind.GAP:
         return moment.text
     lasted_s = (moment.last_ns - moment.time_ns) / 1e9
     return f"{moment.text} [{moment.count} times{f' within {duration(lasted_s)}' if lasted_s >= 0.05 else ''}]"
 
 
-def who(moment: Moment) -> str:
+def who(moment: Entry) -> str:
     """The operator who did it, or in parentheses the holder of the lease."""
     return moment.operator or (f"({moment.holder})" if moment.holder else "")
 

@@ -157,9 +157,7 @@ class _Fleet:
 
     def _take(self, row: Row, message: Any) -> None:  # noqa: ANN401 - any message that is wanted
         if row.topic.kind in _OF_RECORDERS:
-            if isinstance(message, RecordGap):
-                self._lose(message)
-            else:
+            if isinstance(message, RecorderEvent):
                 message = self._known(row.topic, message)
         else:
             account = self._account(row.topic)
@@ -203,12 +201,6 @@ class _Fleet:
         elif account is None and len(self.others) < OTHERS_MAX:
             self.others.add(key)
         return account
-
-    def _lose(self, gap: RecordGap) -> None:
-        for key, account in self._accounts.items():
-            if gap.key.startswith(f"{key}/"):
-                account.lose(gap.key, gap.reason.value, gap.count)
-                return
 
     def _known(self, topic: Topic, event: RecorderEvent) -> RecorderEvent:
         """The same, with the robot called as it is here: a recorder may know no other of this name."""

@@ -11,6 +11,7 @@ import hashlib
 import re
 import shlex
 from base64 import b64encode
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
@@ -27,12 +28,12 @@ import msgspec
 import schemas
 from recorder.reading.times import in_words
 from recorder.review.drives import MARGIN_NS, RecordedDrive, operators_stops
+from recorder.review.entries import Entry
 from recorder.review.report.findings import (
     ABSENT,
     BANDS,
     Drawn,
     Line,
-    Moment,
     Place,
     Point,
     Report,
@@ -54,6 +55,8 @@ from recorder.review.report.findings import (
     who,
 )
 from schemas.command_line import plain
+from schemas.decisions import Severity
+from schemas.reasons import Reason
 
 BLUE: Final = "#3987e5"
 ORANGE: Final = "#e08a1e"
@@ -184,7 +187,7 @@ def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
         "bands": [_band(drawn.bands.get(row, [])) for row in BANDS],
         "outages": [(_ms(begin), _ms(end)) for begin, end in _few(drawn.outages)],
         "stops": [_ms(time_ns) for time_ns in _few(stops)],
-        "moments": [_moment(one) for one in drawn.moments],
+        "moments": [_moment(one, drawn.places) for one in drawn.moments],
         "path": _path(drawn.places),
     }
 
@@ -203,11 +206,11 @@ def band_colours(values: Iterable[str]) -> dict[str, str]:
     return COLOURS | {value: PALETTE[number % len(PALETTE)] for number, value in enumerate(others)}
 
 
-def hover_text(moment: Moment) -> str:
+def hover_text(moment: Entry) -> str:
     """An event in words, in lines."""
-    parts = [f"{plain(moment.kind)} {clock(moment.time_ns)}", plain(moment_words(moment))]
-    if moment.reason != "none":
-        parts.append(f"reason: {plain(reason_words(moment.reason))}")
+    parts = [f"{moment.kind.value} {clock(moment.time_ns)}", plain(moment_words(moment))]
+    if moment.reason is not Reason.NONE:
+        parts.append(f"reason: {reason_words(moment.reason.value)}")
     if moment.operator:
         parts.append(f"operator: {plain(moment.operator)}")
     elif moment.holder:
@@ -244,13 +247,14 @@ def _band(spans: Sequence[Span]) -> list[tuple[int, int, str, str]]:
     return [(_ms(span.start_ns), _ms(span.end_ns), plain(span.value), colours[span.value]) for span in spans]
 
 
-def _moment(moment: Moment) -> dict[str, Any]:
-    is_known = moment.x_m is not None and moment.y_m is not None
+def _moment(moment: Entry, places: Sequence[Place]) -> dict[str, Any]:
+    at = bisect_right(places, moment.time_ns, key=lambda place: place.time_ns)
+    place = places[max(0, at - 1)] if places else None
     return {
         "ms": _ms(moment.time_ns),
-        "kind": moment.kind,
+        "kind": moment.kind.value,
         "text": hover_text(moment),
-        "at": (round(moment.x_m or 0.0, 3), round(moment.y_m or 0.0, 3)) if is_known else None,
+        "at": None if place is None else (round(place.x_m, 3), round(place.y_m, 3)),
     }
 
 
@@ -273,7 +277,7 @@ _OPENED: Final = 15
 """A longer table is folded."""
 
 _ZOOM: Final = "Drag to zoom, with shift to pan; click twice to go back."
-_RANKS: Final = {"error": -2, "warning": -1}
+_RANKS: Final = {Severity.ERROR: -2, Severity.WARNING: -1}
 _LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "queue", "size", "full", "disk")
 _MS: Final = 1_000_000
 
@@ -447,7 +451,7 @@ class _Page:
             yield from card("Events", self._events(robot, one.moments), 4)
         yield "</section>"
 
-    def _stops(self, robot: RobotSummary, stops: Sequence[Moment]) -> Iterator[str]:
+    def _stops(self, robot: RobotSummary, stops: Sequence[Entry]) -> Iterator[str]:
         """Each stop, with its reason to be opened; of those without one the command that gives it."""
         others = []
         for stop in stops:
@@ -455,7 +459,7 @@ class _Page:
             if why is None:
                 others.append(iso(stop.time_ns))
                 continue
-            reason = "" if stop.reason == "none" else reason_words(stop.reason)
+            reason = "" if stop.reason is Reason.NONE else reason_words(stop.reason.value)
             said = stop.text if reason in stop.text else f"{stop.text}: {reason}"
             yield f'<details class="why"><summary>{text(clock(stop.time_ns))} {text(said)}</summary>'
             yield f"<p>{text(why.headline)} {self._at(robot, stop.time_ns, 'Show it on path and charts.')}</p><ol>"
@@ -467,7 +471,7 @@ class _Page:
             command = f"cruiser review why {self._logs} --robot {shlex.quote(robot.name)} --at {others[0]}"
             yield f"<p>{counted(len(others), 'stop')} more; <code>{text(command)}</code> gives the reason.</p>"
 
-    def _events(self, robot: RobotReport, all_moments: Sequence[Moment]) -> Iterator[str]:
+    def _events(self, robot: RobotReport, all_moments: Sequence[Entry]) -> Iterator[str]:
         """Yield a table of events; of too many, those that matter most."""
         moments = all_moments
         if len(moments) > MOMENTS_SHOWN:
@@ -476,8 +480,8 @@ class _Page:
         rows: list[Row] = [
             (
                 Html(self._at(robot.summary, one.time_ns, clock(one.time_ns))),
-                one.kind,
-                "" if one.reason == "none" else one.reason,
+                one.kind.value,
+                "" if one.reason is Reason.NONE else one.reason.value,
                 who(one),
                 moment_words(one),
             )
@@ -488,7 +492,7 @@ class _Page:
         if left_out:
             caption += f"; {left_out} of less weight, or later, are left out"
         head = ("time, UTC", "what", "reason", "operator", "text")
-        looks = [(one.severity, f' data-ms="{one.time_ns // _MS}"') for one in moments]
+        looks = [(one.severity.value, f' data-ms="{one.time_ns // _MS}"') for one in moments]
         yield from folded(caption, table_of(caption, head, rows, looks), rows)
 
     def _at(self, robot: RobotSummary, time_ns: int, words: str) -> str:
@@ -556,8 +560,6 @@ def _completeness(summary: RobotSummary) -> Iterator[str]:
         yield f"<p>The recorder's account is {ABSENT}.</p>"
     elif not lossy:
         yield f"<p>{counted(len(summary.completeness), 'topic')}, nothing lost.</p>"
-    if summary.unwritten:
-        yield from records("Received by the recorder and not stored", summary.unwritten)
     if summary.completeness:
         rows: list[Row] = [
             (topic.removeprefix(f"{summary.key}/"), *msgspec.structs.astuple(one))

@@ -228,7 +228,6 @@ def test_the_silence_before_a_restart_is_its_own() -> None:
         Outage(WALL_NS + 5 * SECOND, WALL_NS + 9 * SECOND, is_commanding=True),
         Outage(WALL_NS + 20 * SECOND, WALL_NS + 20 * SECOND, is_commanding=False),
     ]
-    assert [(one.from_ns - WALL_NS) // SECOND for one in found.silences] == [1, 6]
     assert found.counts == {"gap": 4, "gateway": 3}
 
 
@@ -241,7 +240,6 @@ def test_a_thousand_leases_hide_no_error() -> None:
     assert (kinds.count("lease"), kinds.count("gateway")) == (ENTRIES_MAX, ERRORS_MAX)
     assert found.more_entries == 150
     assert (len(found.outages), found.more_outages) == (GAPS_MAX, ERRORS_MAX + 50 - GAPS_MAX)
-    assert len(happened(*(silence(number, number + 0.5) for number in range(GAPS_MAX + 3))).silences) == GAPS_MAX
 
 
 # The way, by the robot's own odometry.
