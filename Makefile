@@ -95,7 +95,7 @@ zenohd:  ## Zenoh's own router, of the version of constraints-run.txt, into buil
 test-zenohd: $(STAMP) zenohd  ## the tests of signed mode, once more with Zenoh's own router in the place of ours
 	ZENOHD=$(ZENOHD)/bin/zenohd $(BIN)/python -m pytest --hypothesis-profile nightly \
 		tests/zenohd tests/system/gateway/zenoh/test_access.py tests/system/test_self_test.py \
-		tests/system/test_transport_in_drive.py tests/system/test_rotation.py
+		tests/system/test_transport_in_drive.py
 
 # Pinned by the checksum that Go's own database has of it.
 S3_SERVER := $(CURDIR)/build/s3/gofakes3

@@ -30,7 +30,6 @@ from gateway.authority.session import (
 )
 from gateway.telemetry.samples import Received
 from schemas import keys
-from schemas.authority.identity import prove_request
 from schemas.authority.proof import (
     Grant,
     GrantRole,
@@ -39,6 +38,7 @@ from schemas.authority.proof import (
     Signed,
     StatementFault,
     chain_text,
+    prove_request,
     read_chain,
 )
 from schemas.authority.trust import Objection, Trust, fits

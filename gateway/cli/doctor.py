@@ -39,8 +39,7 @@ from gateway.provisioning.key_files import role_of
 from gateway.telemetry.samples import Received, TokenChange
 from gateway.zenoh.client import FleetListener, PendingQuery
 from schemas.arguments import add_bus_arguments, add_zenoh_arguments, seconds
-from schemas.authority.identity import KEY_FILE
-from schemas.authority.key_files import directory_of
+from schemas.authority.key_files import KEY_FILE, directory_of
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.configuration import SETTINGS, TomlSource, merge
 from schemas.decisions import SafetyState

@@ -52,8 +52,7 @@ from gateway.provisioning.key_files import (
 from gateway.telemetry.samples import Received
 from gateway.zenoh.operator import StatementPort
 from schemas.arguments import add_zenoh_arguments, robot_name, seconds
-from schemas.authority.identity import AUTHORITY_FILE
-from schemas.authority.key_files import directory_of
+from schemas.authority.key_files import AUTHORITY_FILE, directory_of
 from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation, Signed, chain_text
 from schemas.authority.trust import AuthorityKeys, in_utc, key_fingerprint, keys_fingerprint
 from schemas.codec import PAYLOAD_ERRORS
@@ -412,9 +411,13 @@ def _add_statements(add: Add) -> None:
     """Add the actions that send statements to robots."""
     revoke = add("revoke", "end grants at once: a list of all that is revoked, for the robots")
     revoke.add_argument("names", nargs="*", metavar="NAME", help=f"holders, as in {ISSUED_FILE}")
-    revoke.add_argument("--key", action="append", default=[], type=_hex(64), metavar="HEX", help="of a holder")
     revoke.add_argument(
-        "--grant", action="append", default=[], type=_hex(16), metavar="ID", help="one grant alone"
+        "--key",
+        action="append",
+        default=[],
+        type=matching("[0-9a-f]{64}", "not 64 hexadecimal digits"),
+        metavar="HEX",
+        help="of a holder",
     )
     revoke.add_argument("--epoch", action="store_true", help="end everybody's grants, also the robots' own")
     _add_output(revoke, "statement")
@@ -570,8 +573,8 @@ def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings
 
 
 def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
-    if not (arguments.names or arguments.key or arguments.grant or arguments.epoch):
-        raise CommandError("what is to be revoked? NAME, --key, --grant or --epoch says it", ExitCode.USAGE)
+    if not (arguments.names or arguments.key or arguments.epoch):
+        raise CommandError("what is to be revoked? NAME, --key or --epoch says it", ExitCode.USAGE)
     issuer = Issuer.open(store)
     issued, keys = issuer.issued(), list(arguments.key)
     revoked: list[str] = []
@@ -585,7 +588,7 @@ def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
         keys += sorted(found)
         revoked += [f"{found[key]} {name}, key {key_fingerprint(key)}" for key in sorted(found)]
     output = _Output(arguments, Path("revocations.statement"))
-    signed = issuer.revoke(keys, list(arguments.grant), _now_s(), raise_epoch=arguments.epoch)
+    signed = issuer.revoke(keys, _now_s(), raise_epoch=arguments.epoch)
     for line in revoked:
         _say(f"revoked: {line}")
     _write_statement(output, signed)
@@ -626,10 +629,6 @@ _AFTER: Final = {
     EnrolmentRole.ROUTER: "cruiser router --directory {}",
 }
 """The next step after ``install``, by role; a person's commands find their settings by the environment."""
-
-
-def _hex(length: int) -> Callable[[str], str]:
-    return matching(f"[0-9a-f]{{{length}}}", f"not {length} hexadecimal digits")
 
 
 def _now_s() -> int:

@@ -47,7 +47,6 @@ from schemas.configuration import write_key, write_value
 from schemas.settings import STANDSTILL_MPS, CanSettings, Settings
 
 CONFIGURATION: Final = "/etc/cruiser/cruiser.toml"
-METRICS: Final = "/etc/cruiser/metrics.toml"
 KEYS: Final = "/etc/cruiser"
 STATE: Final = "/var/lib/cruiser/gateway"
 LOGS: Final = "/var/lib/cruiser/logs"
@@ -66,8 +65,6 @@ SERVICES: Final = {
     "gateway": "robot",
     "recorder": "recorder",
     "router": "router",
-    "desk": "desk",
-    "metrics": "viewer",
 }
 """Our services, each with the role of its certificate; its keys are in a directory of its name."""
 
@@ -127,9 +124,7 @@ class Answers(msgspec.Struct, frozen=True):
     def services(self) -> list[str]:
         """Those that are to run here. In signed mode one without a certificate reaches nobody."""
         wanted = ["gateway", "recorder"] if not self.is_signed else ["gateway"]
-        return [
-            name for name in ("router", "gateway", "recorder", "desk", "metrics") if name in {*wanted, *self.keys}
-        ]
+        return [name for name in ("router", "gateway", "recorder") if name in {*wanted, *self.keys}]
 
 
 def configuration(answers: Answers, before: Mapping[str, Mapping[str, object]]) -> str:
@@ -168,18 +163,6 @@ def configuration(answers: Answers, before: Mapping[str, Mapping[str, object]]) 
 def system_files(answers: Answers) -> dict[str, str]:
     """Files besides the settings, by their paths: the bus, and which Zenoh file each service reads."""
     files = {f"{UNITS}/cruiser-gateway.service.d/bus.conf": _bus(answers)}
-    if "metrics" in answers.keys:
-        root = f"[robot]\nroot = {write_value(answers.root)}\n" if answers.root else ""
-        files[METRICS] = (
-            f"# Settings of cruiser-metrics.\n{root}[zenoh]\nconfig = {write_value(_zenoh_file('metrics'))}\n"
-        )
-    if "desk" in answers.keys:
-        # Beside its settings file: its address for browsers stays as it is.
-        variables = [f"CRUISER_ZENOH_CONFIG={_zenoh_file('desk')}"]
-        variables += [f"CRUISER_ROBOT_ROOT={answers.root}"] if answers.root else []
-        files[f"{UNITS}/cruiser-desk.service.d/zenoh.conf"] = (
-            f"# The fleet, by its certificate.\n[Service]\nEnvironment={' '.join(variables)}\n"
-        )
     if answers.is_signed and "recorder" in answers.keys:
         files[f"{UNITS}/cruiser-recorder.service.d/zenoh.conf"] = (
             "# The settings file names the gateway's.\n"
@@ -270,8 +253,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bundle",
         action="append",
         metavar="FILE",
-        help="what 'cruiser provision sign' made for the robot, its recorder, its router, a desk or a viewer; may "
-        "be repeated",
+        help="what 'cruiser provision sign' made for the robot, its recorder or its router; may be repeated",
     )
     parser.add_argument("--fingerprint", metavar="F", help="of the authority of the bundles; else it is asked for")
     parser.add_argument("--replace", action="store_true", help="write over certificates that are installed")

@@ -25,8 +25,7 @@ from gateway.telemetry.samples import Received
 from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
-from schemas.authority.identity import KEY_FILE
-from schemas.authority.key_files import directory_of, read_identity, read_trust
+from schemas.authority.key_files import KEY_FILE, directory_of, read_identity, read_trust
 from schemas.authority.trust import Objection
 from schemas.command_line import CommandError
 from schemas.decisions import LeaseReply

@@ -24,8 +24,7 @@ from gateway.authority.session import RobotSigner
 from gateway.core import Core
 from gateway.host.notes import state_directory, write_whole
 from gateway.provisioning.key_files import RENEW_S, certificate_ends_s
-from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, renewed
-from schemas.authority.key_files import directory_of, read_identity
+from schemas.authority.key_files import AUTHORITY_FILE, GRANT_FILE, directory_of, read_identity, renewed
 from schemas.authority.proof import GrantRole, Signed, read_chain
 from schemas.authority.trust import Objection, Trust
 from schemas.command_line import CommandError, ExitCode, check_regular

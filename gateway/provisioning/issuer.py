@@ -42,7 +42,7 @@ from gateway.provisioning.key_files import (
     read_request,
 )
 from gateway.provisioning.key_files import new_request as certificate_request
-from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, INSTALLED, KEY_FILE, remade
+from schemas.authority.key_files import AUTHORITY_FILE, GRANT_FILE, INSTALLED, KEY_FILE, remade
 from schemas.authority.proof import (
     Grant,
     GrantRole,
@@ -446,7 +446,7 @@ class Issuer:
             path = self.store.path(ISSUED_FILE)
             raise CommandError(f"{path} is damaged: {error}", ExitCode.USAGE) from error
 
-    def revoke(self, keys: list[str], grants: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
+    def revoke(self, keys: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
         """A new list of all that is revoked: what was, and this. With a raised epoch the list begins anew."""
         before, serials = self._revoked(), serials_of(self.store)
         path = self.store.path(REVOCATIONS_FILE)
@@ -463,7 +463,7 @@ class Issuer:
             Revocations(
                 serial=serial,
                 at=now_s,
-                grants=sorted({*(() if raise_epoch else before.grants), *grants}),
+                grants=[] if raise_epoch else before.grants,
                 keys=sorted({*(() if raise_epoch else before.keys), *keys}),
                 epoch=epoch,
             ),

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePath
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 from cryptography import x509
@@ -41,8 +41,15 @@ from cryptography.x509 import Certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from gateway.authority.enrolment import CA_FILE, LISTENING, SHUT_OUT_FILE, TLS_KEY_FILE, TransportRole
-from schemas.authority.identity import AUTHORITY_FILE, INSTALLED, check_owner, remade, renewed
-from schemas.authority.key_files import certificate_role, find
+from schemas.authority.key_files import (
+    AUTHORITY_FILE,
+    INSTALLED,
+    certificate_role,
+    check_owner,
+    find,
+    remade,
+    renewed,
+)
 from schemas.authority.proof import Signed, StatementFault, read_chain
 from schemas.authority.trust import fingerprint
 from schemas.command_line import CommandError, ExitCode, check_regular, plain
@@ -477,64 +484,68 @@ def write_file(path: Path, text: str, mode: int, *, replace: bool) -> None:
         raise CommandError(f"{shown} cannot be written: {error.strerror}") from error
 
 
-ENDS: Final = ("connect", "listen")
-
 _DAY_S: Final = 86_400
 
 
-def check_tls_files(file: Path, who: str, now_s: float) -> str:
-    """Hold the certificates and keys of a Zenoh file against each other and the time.
+class TlsFiles(NamedTuple):
+    """The files with which a session connects."""
 
-    Args:
-        file: a Zenoh file as it was provisioned. Nothing is said of one that somebody wrote in JSON5.
+    ca: Path
+    certificate: Path
+    key: Path
+
+
+def tls_files(file: Path) -> TlsFiles | None:
+    """Return the files that a Zenoh file as it was provisioned names; None of one that somebody wrote in JSON5."""
+    try:
+        tls = json.loads(read_input(file))["transport"]["link"]["tls"]
+        names = (tls[name] for name in ("root_ca_certificate", "connect_certificate", "connect_private_key"))
+        return TlsFiles(*map(Path, names))
+    except (ValueError, LookupError, TypeError):
+        return None
+
+
+def check_tls_files(file: Path, who: str, now_s: float) -> str:
+    """Hold the certificate and key of a Zenoh file against each other, the network's authority and the time.
 
     Returns:
-        A warning that a certificate ends soon; empty if none does.
+        A warning that the certificate ends soon; empty if it does not.
     """
-    cure = renewed(who)
-    tls = tls_entries(file)
-    names = {end: (tls.get(f"{end}_certificate"), tls.get(f"{end}_private_key")) for end in ENDS}
-    ca = tls.get("root_ca_certificate")
-    roots = _read(Path(ca), INSTALLED) if isinstance(ca, str) else []
-    if isinstance(ca, str) and max(map(expires_s, roots)) <= now_s:
-        raise _ended(Path(ca), max(map(expires_s, roots)) - now_s, "the fleet needs a new authority")
-    warning = ""
-    for certificate, key in dict.fromkeys(names.values()):
-        if not isinstance(certificate, str) or not isinstance(key, str):
-            continue
-        shown, chain = plain(certificate), _read(Path(certificate), cure)
-        private = KeyStore(Path(key).parent).p256(Path(key).name, remade(who))
-        if not fits(chain[0], private):
-            raise CommandError(f"{shown} is not the certificate of {plain(key)}; {cure}", ExitCode.USAGE)
-        if roots and not is_issued(chain, roots):
-            raise CommandError(
-                f"{shown} is of another network than {plain(str(ca))}: none of its authorities signed it; {cure}",
-                ExitCode.USAGE,
-            )
-        left_s = expires_s(chain[0]) - now_s
-        if left_s <= 0:
-            raise _ended(Path(certificate), left_s, cure)
-        if left_s < RENEW_S:
-            warning = f"{shown} ends in {left_s / _DAY_S:.1f} days; {cure}"
-    return warning
+    files, cure = tls_files(file), renewed(who)
+    if files is None:
+        return ""
+    roots, chain = _read(files.ca, INSTALLED), _read(files.certificate, cure)
+    shown = plain(str(files.certificate))
+    _check_end(files.ca, max(map(expires_s, roots)) - now_s, "the fleet needs a new authority")
+    if not fits(chain[0], KeyStore(files.key.parent).p256(files.key.name, remade(who))):
+        raise CommandError(f"{shown} is not the certificate of {plain(str(files.key))}; {cure}", ExitCode.USAGE)
+    if not is_issued(chain, roots):
+        raise CommandError(
+            f"{shown} is of another network than {plain(str(files.ca))}: "
+            f"none of its authorities signed it; {cure}",
+            ExitCode.USAGE,
+        )
+    left_s = expires_s(chain[0]) - now_s
+    _check_end(files.certificate, left_s, cure)
+    return f"{shown} ends in {left_s / _DAY_S:.1f} days; {cure}" if left_s < RENEW_S else ""
 
 
 def check_kinds(file: Path) -> None:
     """Check that a Zenoh file, and each that it names, is a regular file: Zenoh would wait for a FIFO for ever."""
-    for path in (file, *tls_files(file)):
+    named: Sequence[Path] = ()
+    with suppress(CommandError):
+        named = tls_files(file) or ()
+    for path in (file, *named):
         with suppress(OSError, ValueError):
             check_regular(path, path.stat().st_mode)
 
 
 def why_shut_out(file: Path, now_s: float) -> str:
-    """Return what is wrong with the certificates and keys of a Zenoh file with which no session opened.
-
-    Empty if nothing is found.
-    """
+    """Return what is wrong with the files with which no session opened; empty if nothing is found."""
     try:
         check_tls_files(file, file.stem, now_s)
-        for path in tls_files(file):
-            begins_in_s = 0.0 if path.suffix == ".key" else begins_s(_read(path, "")[0]) - now_s
+        for path in (tls_files(file) or ())[:2]:
+            begins_in_s = begins_s(_read(path, "")[0]) - now_s
             if begins_in_s > 0:
                 begins = f"{plain(str(path))} begins in {begins_in_s / _DAY_S:.1f} days"
                 return f"{begins} by this computer's clock, which is behind: set it"
@@ -546,21 +557,19 @@ def why_shut_out(file: Path, now_s: float) -> str:
 def certificate_ends_s(settings: ZenohSettings) -> int | None:
     """Return when the certificate ends that a session connects with, seconds since 1970; None if none is found."""
     try:
-        path = tls_entries(Path(settings.config)).get("connect_certificate") if settings.config else None
-        if not isinstance(path, str):
-            return None
-        return expires_s(read_certificates(read_input(Path(path)).decode(errors="replace"))[0])
-    except (CommandError, CertificateError):
+        files = tls_files(Path(settings.config)) if settings.config else None
+        return expires_s(_read(files.certificate, "")[0]) if files else None
+    except CommandError:
         return None
 
 
-def tls_entries(file: Path) -> dict[str, object]:
-    """The TLS part of a Zenoh file as it was provisioned; nothing of one that somebody wrote in JSON5."""
+def role_of(file: Path) -> str:
+    """Return the role of the certificate that a Zenoh file names; empty if it names none that can be read."""
     try:
-        tls = json.loads(read_input(file))["transport"]["link"]["tls"]
-    except (ValueError, LookupError, TypeError):
-        return {}
-    return tls if isinstance(tls, dict) else {}
+        files = tls_files(file)
+    except CommandError:
+        return ""
+    return certificate_role(files.certificate) if files else ""
 
 
 def _read(path: Path, cure: str) -> list[Certificate]:
@@ -570,30 +579,10 @@ def _read(path: Path, cure: str) -> list[Certificate]:
         raise CommandError(f"{plain(str(path))}: {error}; {cure}", ExitCode.USAGE) from error
 
 
-def _ended(path: Path, left_s: float, cure: str) -> CommandError:
-    ended = f"{plain(str(path))} ended {-left_s / _DAY_S:.1f} days ago"
-    return CommandError(f"{ended}; {cure}", ExitCode.USAGE)
-
-
-def tls_files(file: Path) -> list[Path]:
-    """The certificates and keys that a Zenoh file names, if it is as it was provisioned."""
-    try:
-        tls = tls_entries(file)
-    except CommandError:
-        return []
-    names = ("root_ca_certificate", *(f"{end}_{what}" for end in ENDS for what in ("certificate", "private_key")))
-    return [Path(found) for name in names if isinstance(found := tls.get(name), str)]
-
-
-def role_of(file: Path) -> str:
-    """Return the role of the certificate that a Zenoh file names; empty if it names none that can be read."""
-    try:
-        tls = tls_entries(file)
-        names = (tls.get(f"{end}_certificate") for end in ENDS)
-        certificate = next((name for name in names if isinstance(name, str)), "")
-        return certificate_role(Path(certificate)) if certificate else ""
-    except CommandError:
-        return ""
+def _check_end(path: Path, left_s: float, cure: str) -> None:
+    if left_s <= 0:
+        ended = f"{plain(str(path))} ended {-left_s / _DAY_S:.1f} days ago"
+        raise CommandError(f"{ended}; {cure}", ExitCode.USAGE)
 
 
 def check_shut_out(directory: Path, now_s: float) -> None:
@@ -601,8 +590,7 @@ def check_shut_out(directory: Path, now_s: float) -> None:
     cure = "'cruiser provision renew robot' asks for it"
     path = directory / SHUT_OUT_FILE
     certificate = _read(path, cure)[0]
-    if expires_s(certificate) <= now_s:
-        raise _ended(path, expires_s(certificate) - now_s, cure)
+    _check_end(path, expires_s(certificate) - now_s, cure)
     key = KeyStore(directory).p256(TLS_KEY_FILE.format(who="robot"), remade("robot"))
     if not fits(certificate, key):
         raise CommandError(f"{plain(str(path))} is not of the key beside it; {cure}", ExitCode.USAGE)

@@ -200,8 +200,7 @@ def signer_of(settings: AuthoritySettings) -> LogSigner | None:
         return None
     # What signs and verifies takes a quarter of the process's memory: open mode does without.
     from recorder.record.signed_mode import LogSigner  # noqa: PLC0415
-    from schemas.authority.identity import KEY_FILE, made  # noqa: PLC0415
-    from schemas.authority.key_files import directory_of, read_identity  # noqa: PLC0415
+    from schemas.authority.key_files import KEY_FILE, directory_of, made, read_identity  # noqa: PLC0415  # noqa: PLC0415
 
     directory = directory_of(settings)
     if not (directory / KEY_FILE.format(who="recorder")).exists():

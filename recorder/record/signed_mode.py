@@ -17,7 +17,7 @@ from typing import Final, Self
 
 import msgspec
 
-from schemas.authority.identity import Identity
+from schemas.authority.key_files import Identity
 from schemas.authority.proof import KEY_BYTES, Grant, Rotation, Signed, StatementFault, chain_text, read_chain
 from schemas.authority.trust import Trust, fits
 

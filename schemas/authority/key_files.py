@@ -1,26 +1,58 @@
-"""Read the keys, certificates and grants of this machine. What they must hold: ``schemas.authority.identity``."""
+"""The identity of this machine, or of the person at it: private key, grant and authority, out of their files.
+
+Each fault is one line that names the file and the cure.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import stat
 from pathlib import Path
 from typing import Final
 
+import msgspec
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import NameOID
 
 from schemas import configuration
-from schemas.authority import identity
-from schemas.authority.identity import AUTHORITY_FILE, GRANT_FILE, KEY_FILE, FoundFile, Identity
-from schemas.authority.proof import Grant, StatementFault, read_chain
-from schemas.authority.trust import Trust
+from schemas.authority.proof import Grant, Signed, StatementFault, read_chain
+from schemas.authority.trust import AuthorityKeys, Trust
 from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.keys import ROBOT_PATTERN
 from schemas.settings import AuthoritySettings
 
+KEY_FILE, GRANT_FILE, AUTHORITY_FILE = "{who}.key", "{who}.grant", "authority.json"
+
 FILE_MAX_BYTES: Final = 4_000_000
+
+OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
+"""Permissions that nobody but the owner may have on a private key."""
+
+
+class FoundFile(msgspec.Struct, frozen=True):
+    """A file as it was found.
+
+    Attributes:
+        mode: type and permissions, as of ``stat``.
+        is_own: it belongs to who reads it, or to root.
+    """
+
+    path: Path
+    content: bytes
+    mode: int
+    is_own: bool
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """The private key, grant and authority of this machine, or of the person at it."""
+
+    private: Ed25519PrivateKey
+    chain: list[Signed]
+    trust: Trust
 
 
 def directory_of(settings: AuthoritySettings) -> Path:
@@ -30,30 +62,80 @@ def directory_of(settings: AuthoritySettings) -> Path:
 
 def find(path: Path, cure: str = "") -> FoundFile:
     """A file, which is not large, with what it takes to judge whose it is."""
+    shown = plain(str(path))
     try:
         check_regular(path, path.stat().st_mode)
         with path.open("rb") as file:
             status = os.fstat(file.fileno())
             content = file.read(FILE_MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise CommandError(f"{shown} is not there{cure and f'; {cure}'}", ExitCode.USAGE) from error
     except OSError as error:
-        raise identity.not_found(path, error, cure) from error
+        raise CommandError(f"{shown} cannot be read: {error.strerror}", ExitCode.USAGE) from error
     if len(content) > FILE_MAX_BYTES:
-        raise CommandError(f"{plain(str(path))} is too large to be what it should be", ExitCode.USAGE)
+        raise CommandError(f"{shown} is too large to be what it should be", ExitCode.USAGE)
     return FoundFile(path, content, status.st_mode, status.st_uid in {0, os.geteuid()})
 
 
+def check_owner(file: FoundFile) -> None:
+    """Check that a private key is its owner's alone."""
+    shown = plain(str(file.path))
+    if file.mode & OTHERS:
+        raise CommandError(f"{shown} can be read by others; chmod 600 {shown}", ExitCode.USAGE)
+    if not file.is_own:
+        raise CommandError(f"{shown} belongs to another user; chown it to yours", ExitCode.USAGE)
+
+
 def read_identity(directory: Path, who: str) -> Identity:
-    """Read a key and its grant, and check that they belong together."""
-    key = find(directory / KEY_FILE.format(who=who), identity.made(who))
-    grant, authority = (
-        find(directory / name.format(who=who), identity.installed(who)) for name in (GRANT_FILE, AUTHORITY_FILE)
-    )
-    return identity.identity_of(key, grant, authority, who)
+    """Read a key and its grant, and check that they belong together.
+
+    Args:
+        who: ``robot``, ``operator``, ``recorder``: the files' name.
+    """
+    key = find(directory / KEY_FILE.format(who=who), made(who))
+    grant = find(directory / GRANT_FILE.format(who=who), installed(who))
+    private, shown = _private_key(key, remade(who)), plain(str(grant.path))
+    chain = read_chain(grant.content)
+    if isinstance(chain, StatementFault):
+        raise CommandError(f"{shown} is no grant: {chain.detail}; {renewed(who)}", ExitCode.USAGE)
+    if getattr(chain[0].statement, "key", "") != private.public_key().public_bytes_raw().hex():
+        raise CommandError(
+            f"{shown} is not the grant of {plain(str(key.path))}: one of them is somebody else's; {renewed(who)}",
+            ExitCode.USAGE,
+        )
+    trust = read_trust(directory, who)
+    if chain[-1].signer != trust.active:
+        authority = plain(str(directory / AUTHORITY_FILE))
+        raise CommandError(
+            f"{authority} is not of the authority that signed {shown}: one of them is of another fleet, or of "
+            f"before a rotation; {renewed(who)}",
+            ExitCode.USAGE,
+        )
+    return Identity(private, chain, trust)
 
 
 def read_trust(directory: Path, who: str = "viewer") -> Trust:
     """Read the keys of the fleet's authority, as this role has them."""
-    return identity.trust_of(find(directory / AUTHORITY_FILE, identity.installed(who)), who)
+    file = find(directory / AUTHORITY_FILE, installed(who))
+    try:
+        return msgspec.json.decode(file.content, type=AuthorityKeys).trust
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise CommandError(
+            f"{plain(str(file.path))} is damaged: {error}; {renewed(who)}", ExitCode.USAGE
+        ) from error
+
+
+def _private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
+    check_owner(file)
+    shown = plain(str(file.path))
+    try:
+        key = load_pem_private_key(file.content, None)
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+        # OpenSSL's own words are about its decoders, and end with a link to its questions and answers.
+        raise CommandError(f"{shown} is no private key, or damaged; {cure}", ExitCode.USAGE) from error
+    if not isinstance(key, Ed25519PrivateKey):
+        raise CommandError(f"{shown} is no Ed25519 key; {cure}", ExitCode.USAGE)
+    return key
 
 
 def granted_name(directory: Path, who: str) -> str:
@@ -74,3 +156,26 @@ def certificate_role(path: Path) -> str:
     except (CommandError, ValueError, UnsupportedAlgorithm):
         return ""
     return str(next((name.value for name in subject.get_attributes_for_oid(NameOID.COMMON_NAME)), ""))
+
+
+INSTALLED: Final = "'cruiser provision install' writes it, out of the bundle with which the authority answers"
+
+
+def made(who: str) -> str:
+    """The cure for a key that is missing."""
+    return f"'cruiser provision {who} NAME' makes it, and a request to the authority"
+
+
+def remade(who: str) -> str:
+    """The cure for a key that is damaged."""
+    return f"'cruiser provision {who} NAME --replace' makes another, and a request to the authority"
+
+
+def renewed(who: str) -> str:
+    """The cure for a certificate, a grant or an authority that is damaged, over, or somebody else's."""
+    return f"'cruiser provision renew {who}' asks for another"
+
+
+def installed(who: str) -> str:
+    """The cure for what is missing of what the authority answers."""
+    return f"{INSTALLED} ({who}-NAME.bundle; --replace writes over what is left); {renewed(who)}"

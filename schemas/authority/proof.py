@@ -26,13 +26,16 @@ from collections.abc import Iterable
 from enum import Enum
 from fnmatch import fnmatchcase
 from struct import Struct
-from typing import Annotated, Final, Self
+from typing import TYPE_CHECKING, Annotated, Final, Self
 
 import msgspec
 from msgspec import Meta
 
 from schemas import keys
 from schemas.subjects import TEXT_MAX_BYTES
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 VERSION: Final = 1
 
@@ -105,6 +108,14 @@ class RequestProof(msgspec.Struct, frozen=True):
         """The text under signature and tag: key expression, encoding, attachment up to the signature, payload."""
         fields = self.attachment()[: _REQUEST.size - SIGNATURE_BYTES]
         return signed_bytes(ProofKind.REQUEST, key.encode(), encoding.encode(), fields, payload)
+
+
+def prove_request(
+    private: Ed25519PrivateKey, proof: RequestProof, key: str, encoding: str, payload: bytes
+) -> bytes:
+    """The attachment of a request, signed."""
+    signature = private.sign(proof.signed(key, encoding, payload))
+    return msgspec.structs.replace(proof, signature=signature).attachment()
 
 
 _REQUEST: Final = Struct(f">B{ID_BYTES}s{ID_BYTES}s{ID_BYTES}s{SIGNATURE_BYTES}s")

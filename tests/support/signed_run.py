@@ -13,7 +13,7 @@ from gateway.command.rulings import Credentials
 from recorder.disk.log_names import SIGNATURE_SUFFIX
 from recorder.record.signed_mode import LogSigner
 from schemas import keys
-from schemas.authority.identity import Identity
+from schemas.authority.key_files import Identity
 from schemas.authority.proof import Grant, GrantRole, chain_text
 from schemas.decisions import (
     Decision,

@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 
 from recorder.record.signed_mode import LogSigner
-from schemas.authority.identity import Identity
+from schemas.authority.key_files import Identity
 from schemas.authority.proof import GrantRole
 from tests.support.authority import Fleet, Party
 

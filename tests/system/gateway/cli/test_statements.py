@@ -133,7 +133,7 @@ def tell(fleet: Fleet, *words: str, where: str = "ann") -> int:
 def test_each_robot_says_what_became_of_it(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
     """Taken over; known already; refused, with the cure; no answer: each with its exit code."""
     run("revoke", "ann", "--directory", fleet.place / "authority", "-o", "one.statement")
-    run("revoke", "--grant", "0" * 16, "--directory", fleet.place / "authority", "-o", "two.statement")
+    run("revoke", "--key", "0" * 64, "--directory", fleet.place / "authority", "-o", "two.statement")
     capsys.readouterr()
     assert tell(fleet, "show", "operator-ann.bundle", "--all") == ExitCode.OK
     assert capsys.readouterr().out == "cruiser-1: taken over\ncruiser-2: taken over\n"

@@ -282,11 +282,16 @@ KEY = "fleet/cruiser-1/@cmd/ann/acquire"
 
 
 def test_the_tick_says_that_the_holders_grant_has_ended() -> None:
-    """The loop stops the robot by it."""
-    holding = Holding()
-    assert holding.bench.tick().ended is None
-    holding.bench.takes(holding.bench.fleet.authority.revoke(1, keys=(holding.ann.key,)))
-    assert holding.bench.tick().ended == Objection(Reason.GRANT_REVOKED, "by list 1")
+    """The loop stops the robot by it: by a list, or by a rotation."""
+    for why in ("by list 1", "its authority was replaced"):
+        holding = Holding()
+        assert holding.bench.tick().ended is None
+        fleet, keys = holding.bench.fleet, (holding.ann.key,)
+        is_list = why == "by list 1"
+        holding.bench.takes(
+            fleet.authority.revoke(1, keys=keys) if is_list else fleet.standby.rotate(1, Party(), Party())
+        )
+        assert holding.bench.tick().ended == Objection(Reason.GRANT_REVOKED, why)
 
 
 def test_the_holders_grant_is_published_again_with_what_is_new() -> None:

@@ -100,28 +100,6 @@ def test_what_is_written_for_can0_is_what_the_package_brings() -> None:
         assert EnrolmentRole(role)
 
 
-def test_an_exporter_with_a_certificate_reads_its_zenoh_file() -> None:
-    """The endpoint of the package's own file would hold against it."""
-    answers = msgspec.structs.replace(SIGNED, keys=frozenset({"metrics"}))
-    found = settings(system_files(answers)["/etc/cruiser/metrics.toml"])
-    assert (found.zenoh.config, found.zenoh.connect) == ("/etc/cruiser/metrics/viewer.json5", [])
-    elsewhere = msgspec.structs.replace(answers, root="depot/north")
-    assert settings(system_files(elsewhere)["/etc/cruiser/metrics.toml"]).robot.root == "depot/north"
-
-
-def test_a_desk_with_a_certificate_keeps_its_address_for_browsers() -> None:
-    """Its settings file stays as it is; a drop-in of its unit names the fleet."""
-    answers = msgspec.structs.replace(SIGNED, keys=frozenset({"gateway", "desk"}), root="depot/north")
-    files = system_files(answers)
-    assert "/etc/cruiser/desk.toml" not in files
-    unit = parts(files["/etc/systemd/system/cruiser-desk.service.d/zenoh.conf"])["Service"]
-    variables = dict(one.split("=") for one in unit["environment"].split())
-    found = merge(None, variables, {})
-    assert (found.zenoh.config, found.robot.root) == ("/etc/cruiser/desk/desk.json5", "depot/north")
-    assert answers.services == ["gateway", "desk"]
-    assert ["systemctl", "restart", "cruiser-desk.service"] in start_services(answers)
-
-
 def test_the_gateway_comes_and_goes_with_its_interface() -> None:
     """And with the boot where the bus is none of the kernel's."""
     place = "/etc/systemd/system/cruiser-gateway.service.d/bus.conf"

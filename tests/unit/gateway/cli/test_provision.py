@@ -271,7 +271,7 @@ def test_a_key_is_the_same_however_it_is_written(fleet: ProvisionedFleet, change
     last = issuer.last_grant(other)
     assert last is not None
     assert last.robots == ["cruiser-1"]
-    issuer.revoke([request.key or ""], [], int(time.time()), raise_epoch=False)
+    issuer.revoke([request.key or ""], int(time.time()), raise_epoch=False)
     with pytest.raises(CommandError, match="the key of operator ann was revoked"):
         issuer.sign(other, Wanted([], ["*"], 60), int(time.time()))
 

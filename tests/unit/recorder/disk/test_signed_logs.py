@@ -18,7 +18,7 @@ from recorder.mcap.writer import LogChannel
 from recorder.record.actions import CloseLog, DeclareChannel, OpenLog, WriteChunk
 from recorder.record.retention import DiskLimits
 from recorder.record.signed_mode import LogSignature, LogSigner
-from schemas.authority.identity import Identity
+from schemas.authority.key_files import Identity
 from schemas.authority.proof import GrantRole
 from schemas.messages import Gear
 from tests.support.authority import Fleet, Party

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from recorder.record.signed_mode import LogSignature, LogSigner
-from schemas.authority.identity import Identity
+from schemas.authority.key_files import Identity
 from schemas.authority.proof import GrantRole
 from tests.support.authority import Fleet, Party
 

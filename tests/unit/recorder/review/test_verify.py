@@ -27,7 +27,7 @@ from recorder.record.signed_mode import LogSigner
 from recorder.review.verify import RobotProofReport, verify_logs
 from recorder.review.verifying import OPEN, UNSIGNED, ProofFault
 from schemas import keys
-from schemas.authority.identity import Identity
+from schemas.authority.key_files import Identity
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import BY_SITE, AuthorityKeys, Trust, fingerprint, keys_fingerprint
 from schemas.command_line import CommandError

@@ -31,7 +31,7 @@ from recorder.upload.uploader import (
     UploadPlan,
     UploadTotals,
 )
-from schemas.authority.identity import Identity
+from schemas.authority.key_files import Identity
 from schemas.authority.proof import GrantRole
 from schemas.command_line import CommandError, ExitCode
 from schemas.peers import RateLimit

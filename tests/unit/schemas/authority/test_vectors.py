@@ -22,8 +22,7 @@ from gateway.authority.enrolment import (
     request_fingerprint,
 )
 from gateway.authority.session import DriveTags, RobotSigner, lease_key, public_bytes
-from schemas.authority.identity import prove_request
-from schemas.authority.proof import RequestProof, StatementFault, body_of, chain_text, read_chain
+from schemas.authority.proof import RequestProof, StatementFault, body_of, chain_text, prove_request, read_chain
 from schemas.decisions import LeaseReply
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Drive, Park
