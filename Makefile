@@ -41,7 +41,7 @@ test-unit: $(STAMP)  ## what needs no process and no socket
 # Some have the machine to themselves: a browser that drives at 50 Hz stalls beside others, and the robot stops by its
 # deadman, as it should; floods, crowds and demos would make others late. The others wait more than they reckon, so that two
 # run for each processor (tests/support/spreading.py hands them out).
-ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_crowd.py gateway/test_desk_logs.py test_floods.py test_large_fleets.py \
+ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_crowd.py gateway/test_desk_logs.py test_floods.py \
 	test_readme.py test_fleet_example.py gateway/cli/test_demo.py)
 # Chromium without the parts that nobody sees takes two thirds of the processor time; `make nightly` has all of it.
 test-system: export TEST_BROWSER ?= $(shell command -v chromium-headless-shell)
@@ -167,10 +167,10 @@ bench: $(STAMP)  ## the figures of docs/performance.md, in ten minutes
 bench-short: $(STAMP)  ## a little of each bench, to see that it runs; its figures say nothing
 	$(BIN)/python -m tests.bench --short
 
-bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB and on 50,000 logs
-	$(BIN)/python -m tests.bench review rerun find export --review-mb 1000 --minutes 10 --export-rounds 5
+bench-review: $(STAMP)  ## of these the review alone, on a log of 1 GB
+	$(BIN)/python -m tests.bench review rerun --review-mb 1000 --minutes 10
 
-bench-recorder: $(STAMP)  ## of these the recorder alone, against other writers, with five minutes of load
+bench-recorder: $(STAMP)  ## of these the recorder alone, with five minutes of load
 	$(BIN)/python -m tests.bench recorder --recorder-rounds 3 --held-s 10 --sustain-s 300
 
 mutation: .venv-tools/installed  ## mutation testing of the command flow and of the proofs; half an hour

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gc
 import os
-import re
 import subprocess
 import threading
 import time
@@ -26,7 +25,7 @@ from schemas.messages import Variant
 from schemas.settings import CanSettings, ZenohSettings
 from schemas.zenoh_session import close_session, open_session
 from tests.bench.loads import Row, beside
-from tests.bench.processes import empty_loop, quantile, start
+from tests.bench.processes import empty_loop, quantile, served_chassis, start
 from tests.support.fakes.peer import free_endpoint
 
 ROBOT: Final = "fleet/cruiser-1/"
@@ -195,13 +194,10 @@ def on_the_road(*command: str, driver_at: Callable[[str], Driver] = Driver) -> I
     endpoint = free_endpoint()
     os.environ["CRUISER_GATEWAY_ACCEPT_UNGUARDED"] = "true"
     with ExitStack() as stack:
-        sim = ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", "--variant", "fine"]
-        ready = start(stack, sim, "sim: ")[1]
-        address = re.search(r"127\.0\.0\.1:\d+", ready)
-        assert address is not None, ready
-        bus = ["--interface", "socketcand", "--channel", address[0], "--listen", endpoint]
+        address = served_chassis(stack, "--variant", "fine")
+        bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint]
         gateway, _ = start(stack, [*(command or ("-m", "gateway", "gateway")), *bus], "gateway: ")
-        witness = Witness(address[0])
+        witness = Witness(address)
         stack.callback(witness.close)
         driver = driver_at(endpoint)
         stack.callback(driver.close)

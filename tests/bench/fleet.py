@@ -21,14 +21,12 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from statistics import linear_regression
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import msgspec
 
 from schemas.command_line import ExitCode
-from schemas.settings import FULL, OPERATOR, THIN
 from tests.bench.loads import Row
 from tests.bench.recorder_load import Fed
 from tests.bench.recorder_run import answer, await_ready, go_on, started
@@ -39,12 +37,8 @@ from tests.support.waiting import wait_until
 
 ZENOHD: Final = os.environ.get("ZENOHD", "")
 
-SHARDS: Final = 2
 SETTLE_S: Final = 1.5
 """What is on its way when the load ends has come then, and is on the disk."""
-
-GROWTH: Final = {FULL: (10, 20, 40, 66), OPERATOR: (50, 100, 150, 200), THIN: (100, 200, 300, 400)}
-"""Numbers of robots by their profile, as many as two cores hold together with the load, also with two routers."""
 
 
 class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
@@ -83,12 +77,6 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
     def name(self) -> str:
         routers, shards = len(self.cpu_s["routers"]), len(self.cpu_s["recorders"])
         return f"{self.robots} {self.profile} robots, {routers} router{'s' * (routers > 1)}, {shards} shards"
-
-    def percent(self, who: str) -> float:
-        return sum(self.cpu_s[who]) / self.seconds * 100
-
-    def megabytes(self, who: str) -> float:
-        return sum(self.rss_bytes[who]) / 1e6
 
     def shares(self, who: str) -> str:
         """The part of a core that each process of a kind took."""
@@ -195,42 +183,6 @@ def rows_of(run: FleetRun) -> list[Row]:
         ),
         ("  log of each robot", f"{run.log_bytes / run.seconds / run.robots / 1e3:.1f} kB/s", ""),
     ]
-
-
-def growth_rows(seconds: float) -> list[Row]:
-    """More and more robots of each profile, through one router and through two; straight lines through them."""
-    runs = [
-        measure(robots, routers, SHARDS, seconds, profile)
-        for profile, numbers in GROWTH.items()
-        for routers in (1, 2)
-        for robots in numbers
-    ]
-    return [row for run in runs for row in rows_of(run)] + formulas(runs)
-
-
-CORES: Final = {"one router": ("routers", 1), "two routers": ("routers", 2), "recorders": ("recorders", 1)}
-"""What takes processor time: of which processes, with how many routers."""
-
-
-def _of(runs: Iterable[FleetRun], routers: int, profile: str) -> list[FleetRun]:
-    return [run for run in runs if run.profile == profile and len(run.cpu_s["routers"]) == routers]
-
-
-def formulas(runs: list[FleetRun]) -> list[Row]:
-    """Straight lines through the figures, by least squares: what there is without robots, and for each robot."""
-    found: list[Row] = []
-    for profile in GROWTH:
-        for name, (who, routers) in CORES.items():
-            ones = _of(runs, routers, profile)
-            line = linear_regression([run.robots for run in ones], [run.percent(who) for run in ones])
-            text = f"{line.intercept:.1f} + {line.slope:.3f} N % of a core"
-            found.append((f"N {profile} robots: {name}", text, ""))
-        for who in ("routers", "recorders"):
-            ones = _of(runs, 1, profile)
-            line = linear_regression([run.robots for run in ones], [run.megabytes(who) for run in ones])
-            text = f"{line.intercept:.0f} + {line.slope:.2f} N MB"
-            found.append((f"N {profile} robots: memory of {who}", text, ""))
-    return found
 
 
 @contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -87,10 +86,7 @@ def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
             bus = ["--interface", "socketcan", "--channel", vcan]
             start(stack, [*sim, *bus], "sim: ")
         else:
-            ready = start(stack, [*sim, "--listen", "127.0.0.1:0"], "sim: ")[1]
-            address = re.search(r"127\.0\.0\.1:\d+", ready)
-            assert address is not None, ready
-            bus = ["--interface", "socketcand", "--channel", address[0]]
+            bus = ["--interface", "socketcand", "--channel", served_chassis(stack, *sim[3:])]
         bus += ["--listen", endpoint]
         probe = ["-m", "tests.bench.gateway_probe", str(folder / "probe.json"), *bus, "--variant", "coarse"]
         gateway, _ = start(stack, probe, "gateway: ")
@@ -160,6 +156,12 @@ def _watch(latency_us: list[float]) -> Any:  # noqa: ANN401 - Zenoh's own callba
             latency_us.append((now_ns - message.time_ns) / 1000)
 
     return watch
+
+
+def served_chassis(stack: ExitStack, *words: str) -> str:
+    """A virtual chassis; where its bus is."""
+    ready = start(stack, ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", *words], "sim: ")[1]
+    return "127.0.0.1:" + ready.partition("127.0.0.1:")[2].split()[0].rstrip(",;.")
 
 
 def start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.Popen[str], str]:

@@ -34,11 +34,13 @@ from schemas.messages import CanFrames, Variant
 from schemas.settings import FULL, PROFILES, TICK_NS, ChassisSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME, Pattern
 from schemas.zenoh_session import close_session, open_session
-from tests.bench.path_cost import SECONDS_OF_FRAMES
 from tests.support.frames import STANDING, WALL_NS, Feedback
 
 ROOT: Final = "fleet"
 BUS: Final = "can0"
+
+SECONDS_OF_FRAMES: Final = 8
+"""After so many seconds every alive counter is where it began, so the same frames can follow themselves."""
 
 TICKS_PER_S: Final = 1_000_000_000 // TICK_NS
 SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S

@@ -37,6 +37,7 @@ QUESTIONS: Final[dict[str, list[str]]] = {
     "info": ["info"],
     "check": ["check", "--json"],
     "events": ["events", "--json"],
+    "export": ["export", "--out", "dataset"],
 }
 
 
@@ -55,15 +56,15 @@ def rows(megabytes: int) -> list[Row]:
         size_mb = path.stat().st_size / 1e6
         found: list[Row] = [("log of the review", f"{size_mb:.0f} MB, {messages:,} messages", "")]
         for name, words in QUESTIONS.items():
-            asked = ask([*words, str(path)])
+            asked = ask([*words, str(path)], path.parent)
             figure = f"{asked.seconds:.1f} s, {messages / asked.seconds:,.0f} messages/s, {asked.peak_mb:.0f} MB"
             found.append((f"review {name}", figure, f"under {MEMORY_MB} MB"))
     return found
 
 
-def ask(words: list[str]) -> Asked:
+def ask(words: list[str], directory: Path) -> Asked:
     begun, before_s, peak_kb = time.perf_counter(), _children_cpu_s(), 0
-    with subprocess.Popen([CRUISER, "review", *words], stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen([CRUISER, "review", *words], cwd=directory, stdout=subprocess.DEVNULL) as process:
         # What the kernel tells at the end counts this process's own memory too, which the child was begun with.
         while process.poll() is None:
             peak_kb = max(peak_kb, _peak_kb(process.pid))

@@ -26,7 +26,7 @@ def rerun_rows(robot: str, minutes: float) -> list[Row]:
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "cruiser-1-20260102T030405Z.mcap"
         path.write_bytes(DRIVES[robot](minutes))
-        asked = ask(["rerun", str(path)])
+        asked = ask(["rerun", str(path)], path.parent)
     return [(f"review rerun, a robot {robot}, {minutes:g} minutes", _figures(asked, minutes), "60 x")]
 
 

@@ -10,7 +10,6 @@ The virtual chassis runs already, and the files are in the system's cache.
 from __future__ import annotations
 
 import json
-import os
 import re
 import statistics
 import tempfile
@@ -26,8 +25,9 @@ import zenoh
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import close_session, open_session, session_settings
 from tests.bench.loads import Row
-from tests.bench.processes import start
+from tests.bench.processes import served_chassis, start
 from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.usage import cpu_s
 
 TIMEOUT_S: Final = 30.0
 
@@ -86,7 +86,7 @@ def _start_once(bus: list[str]) -> Start:
         gateway, _ = start(stack, ["-m", "gateway", "gateway", *bus, "--connect", endpoint], "gateway: ")
         if not came.wait(TIMEOUT_S):
             raise TimeoutError("no sample came")
-        return Start(first_s[0] - began_s, _cpu_s(gateway.pid))
+        return Start(first_s[0] - began_s, cpu_s(gateway.pid))
 
 
 def measure_memory(seconds: float) -> dict[str, Memory]:
@@ -108,22 +108,13 @@ def measure_memory(seconds: float) -> dict[str, Memory]:
 
 def _chassis(stack: ExitStack) -> list[str]:
     """A virtual chassis; the flags of a gateway on its bus."""
-    ready = start(stack, ["-m", "gateway", "sim", "--listen", "127.0.0.1:0"], "sim: ")[1]
-    address = re.search(r"127\.0\.0\.1:\d+", ready)
-    if address is None:
-        raise ValueError(ready)
-    return ["--interface", "socketcand", "--channel", address[0], "--variant", "coarse"]
+    return ["--interface", "socketcand", "--channel", served_chassis(stack), "--variant", "coarse"]
 
 
 def _memory(pid: int) -> Memory:
     text = Path(f"/proc/{pid}/smaps_rollup").read_text("ascii")
     kib = {name: int(value) for name, value in re.findall(r"^(\w+): +(\d+) kB$", text, re.MULTILINE)}
     return Memory(kib["Rss"] / 1024, kib["Anonymous"] / 1024)
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def rows(starts: int, seconds: float) -> list[Row]:
@@ -141,7 +132,6 @@ def rows(starts: int, seconds: float) -> list[Row]:
     ]
     started = measure_starts(starts)
     first_s = sorted(one.first_s for one in started)
-    cpu_s = statistics.median(one.cpu_s for one in started)
     return [
         *memory,
         (
@@ -149,5 +139,5 @@ def rows(starts: int, seconds: float) -> list[Row]:
             f"{first_s[0]:.2f}, {statistics.median(first_s):.2f} s, of {starts}",
             "0.40 s",
         ),
-        ("  CPU of its threads until then", f"{cpu_s:.2f} s", ""),
+        ("  CPU of its threads until then", f"{statistics.median(one.cpu_s for one in started):.2f} s", ""),
     ]
