@@ -1,352 +1,374 @@
-"""What can stop a robot, acted out in the rig: one function a scenario, each returns the rig."""
+"""Scripts: what is done to a robot and to its gateways, a step after the other, ``; `` between them.
 
-from collections.abc import Callable
+The first is the name of a scenario, ``ready`` (it stands) or ``driving [M/S] [SETTING:VALUE ...]``. Then:
+
+- ``drive M/S SECONDS``, ``engage [DEADMAN_S]``, ``take``, ``reset``: by the operator; ``operator NAME``: another;
+  ``on M/S [DEG]``: it drives for as long as it may; ``ask VERB``; ``says VERB [REASON]`` where the reply is known;
+  ``begin VERB`` waits for any reply; ``stale COUNT`` and ``repeat COUNT``: commands with an old challenge, or with
+  one sequence; ``taken NAME``: a supervisor takes its lease.
+- ``run SECONDS``, ``rest``, ``until STATE``, ``fault WORDS``, ``stop`` (by the desk), ``deaf`` (the chassis
+  hears no frame), ``blind`` (no frame comes), ``shutdown``, ``clock SECONDS`` (for all, or the ``robot`` alone).
+- ``links FIELD:VALUE ...``: what the loop sees of bus and guard; ``takes [COUNT]``: frames that the bus takes of a
+  burst; ``tick_late MS``.
+- ``another SECONDS``: another gateway begins so long behind this one; ``followed SECONDS`` if it and its guard
+  were killed; ``hang SECONDS``; ``note`` and ``ended``: what it finds, and hears later, of a guard.
+- ``starve [TICKS]``: frames are not read for 120 ms, or so many ticks late before; ``behind``: too many come.
+- ``gone MS``: a recorder says so much later that the gateway died; ``late MS``: decisions are told so much later;
+  ``mute SECONDS``: of the gateway's first seconds the log has no state; ``unnamed``: nor who it is;
+  ``without SUBJECT, SUBJECT``; ``alone``: the log of the first gateway is the only one.
+
+Moments count from the end, from ``mark``, or from the first event for a reason: ``from REASON``.
+"""
+
 from functools import cache
+from typing import Any, Final
 
 import msgspec
 
-from gateway.telemetry.health import Links
+from gateway.chassis.frame import Frame
+from schemas.codec import Sample
+from schemas.decisions import ArbiterState, Severity
 from schemas.reasons import Reason
+from schemas.recording import RecorderEvent, RecorderEventKind
 from schemas.settings import CommandSettings
-from tests.support.messages import SECOND
-from tests.support.rigs.gateway import GUARDED, MS, Operator
+from tests.support.messages import MS, ROBOT, SECOND
+from tests.support.rigs.gateway import GUARDED, Operator, copied
 from tests.support.rigs.recorded import RecordedRig
 
-BACK = msgspec.structs.replace(GUARDED, bus_losses=1)
+ENDED: Final = "the robot stands; 180 frames sent"
+NOTE: Final = (
+    "2026-11-22T06:00:00.000+00:00 guard: the gateway is gone, last heartbeat 51 ms ago: stopping the robot"
+)
+GONE: Final = "the gateway died, or the link to it: its token is gone, and it was engaged, and told 0.60 m/s"
 
 
-def _faulted(words: str, seconds: float = 0.3) -> RecordedRig:
-    """A driven robot with a fault of its chassis."""
-    rig, operator = RecordedRig.driving()
-    rig.fault(words)
-    operator.drive(0.6, 0.0, seconds)
-    rig.rest()
-    return rig
+class Scenario(msgspec.Struct, frozen=True):
+    """What can stop a robot, as a script with a name."""
 
+    name: str
+    script: str
 
-def _linked(links: Links, seconds: float = 0.3) -> RecordedRig:
-    """A driven robot whose gateway sees this of its bus and guard for a while."""
-    rig, operator = RecordedRig.driving()
-    rig.links = links
-    operator.drive(0.6, 0.0, seconds)
-    rig.links = GUARDED
-    rig.rest()
-    return rig
+    def __str__(self) -> str:
+        return self.name
 
+    def __call__(self) -> RecordedRig:
+        """Act it out."""
+        return Script(self.script).rig
 
-def front_bumper() -> RecordedRig:
-    return _faulted("bumper front on for 700ms")
 
-
-def rear_bumper() -> RecordedRig:
-    return _faulted("bumper rear on for 700ms")
-
-
-def deadman() -> RecordedRig:
-    """The stream of drive commands ends."""
-    rig, _ = RecordedRig.driving()
-    rig.rest_after(1.0)
-    return rig
-
-
-def longer_deadman() -> RecordedRig:
-    """The same over a link that stalls, for which a longer deadman was asked for."""
-    rig, operator = RecordedRig.ready()
-    operator.engage(deadman_s=0.8)
-    operator.drive(0.6, 0.0, 1.5)
-    rig.rest_after(1.5)
-    return rig
-
-
-def stale_commands() -> RecordedRig:
-    """The stream goes on, but its commands grow old."""
-    rig, operator = RecordedRig.driving()
-    challenge = rig.says.challenge
-    for _ in range(80):
-        rig.put(operator.name, "drive", operator.drive_payload(0.6, challenge=challenge))
-        rig.tick(2)
-    rig.rest()
-    return rig
-
-
-def repeated_sequence() -> RecordedRig:
-    """The stream repeats a sequence number."""
-    rig, operator = RecordedRig.driving()
-    for _ in range(20):
-        operator.sequence = 5
-        rig.put(operator.name, "drive", operator.drive_payload(0.6))
-        rig.tick(2)
-    rig.rest()
-    return rig
-
-
-def lease_expired() -> RecordedRig:
-    """The lease runs out before the deadman does."""
-    rig, _ = RecordedRig.driving(command=CommandSettings(lease_s=0.5, deadman_s=0.5))
-    rig.rest_after(1.0)
-    return rig
-
-
-def lease_taken() -> RecordedRig:
-    """Somebody of a higher role takes the lease."""
-    rig, _ = RecordedRig.driving()
-    Operator(rig, "operator-2").take_lease("take", role="supervisor", override=True)
-    rig.rest()
-    return rig
-
-
-def lease_released() -> RecordedRig:
-    """The holder gives the lease back at speed."""
-    rig, operator = RecordedRig.driving()
-    operator.reason("release")
-    rig.rest()
-    return rig
-
-
-def disengaged() -> RecordedRig:
-    rig, operator = RecordedRig.driving()
-    operator.reason("disengage")
-    rig.rest()
-    return rig
-
-
-def remote_stop() -> RecordedRig:
-    """Somebody without a lease stops the robot."""
-    rig, _ = RecordedRig.driving()
-    rig.put("desk", "stop", b"")
-    rig.tick()
-    rig.rest()
-    return rig
-
-
-def stepped_clock(*, steps_recorder: bool) -> RecordedRig:
-    """In mid-drive the robot's wall clock is set an hour forward, and the recorder's, if it is the same."""
-    rig, operator = RecordedRig.driving()
-    operator.drive(0.6, 0.0, 2.0)
-    rig.wall_ns += 3600 * SECOND
-    rig.recorder_ns += 3600 * SECOND if steps_recorder else 0
-    operator.drive(0.6, 0.0, 2.0)
-    return rig
-
-
-def hand_transmitter() -> RecordedRig:
-    """The remote control takes over."""
-    rig, operator = RecordedRig.driving()
-    rig.fault("transmitter remote for 9s")
-    operator.drive(0.6, 0.0, 0.3)
-    rig.run(1.0)
-    return rig
-
-
-def one_silent_frame() -> RecordedRig:
-    return _faulted("silence Auto_GearFeedBack for 500ms", 0.4)
-
-
-def slow_silent_frame() -> RecordedRig:
-    """One that comes every 50 ms stays away."""
-    return _faulted("silence Auto_WheelSpdFeedback for 900ms", 0.8)
-
-
-def checksums() -> RecordedRig:
-    return _faulted("checksum Auto_DriveFeedBack for 5 frames")
-
-
-def stuck_counter() -> RecordedRig:
-    return _faulted("stuck Auto_SteeringFeedBack for 8 frames")
-
-
-def wrong_scale() -> RecordedRig:
-    """The drive feedback comes in the other scale."""
-    return _faulted("scale wrong for 800ms", 0.5)
-
-
-def other_commander() -> RecordedRig:
-    return _faulted("foreign 18C4D3D0 every 10ms for 200ms")
-
-
-def bus_lost() -> RecordedRig:
-    """The bus goes away, and stays away."""
-    rig, operator = RecordedRig.driving()
-    rig.links = Links(bus_up=False, bus_losses=1, guarded=True, realtime=True)
-    rig.corrupt = lambda _: None
-    operator.drive(0.6, 0.0, 1.2)
-    return rig
-
-
-def guard_lost() -> RecordedRig:
-    return _linked(Links(bus_up=True, guarded=False, realtime=True))
-
-
-def guard_acts() -> RecordedRig:
-    """The guard stops the robot."""
-    rig, operator = RecordedRig.driving()
-    rig.links = Links(bus_up=True, guarded=True, guard_sends=True, guard_stops=1, realtime=True)
-    operator.drive(0.6, 0.0, 0.3)
-    return rig
-
-
-def late_loop() -> RecordedRig:
-    """A tick begins 150 ms late."""
-    rig, operator = RecordedRig.driving()
-    rig.late_ns = 150 * MS
-    rig.tick()
-    rig.late_ns = 0
-    operator.drive(0.6, 0.0, 0.1)
-    rig.rest()
-    return rig
-
-
-def flooded() -> RecordedRig:
-    """Frames come faster than they can be read."""
-    return _linked(Links(bus_up=True, guarded=True, is_behind=True, realtime=True), 0.1)
-
-
-def full_bus() -> RecordedRig:
-    """The bus takes two frames of five."""
-    rig, operator = RecordedRig.driving()
-    rig.takes = 2
-    operator.drive(0.6, 0.0, 0.2)
-    rig.takes = None
-    rig.rest()
-    return rig
-
-
-def not_confirmed() -> RecordedRig:
-    """The chassis does not hear the enables."""
-    rig, operator = RecordedRig.ready()
-    rig.chassis_hears = False
-    operator.take_lease()
-    operator.ask("engage")
-    for _ in range(60):
-        operator.drive(0.0)
-    rig.rest()
-    return rig
-
-
-def found_moving() -> RecordedRig:
-    """The bus comes back to a robot that obeys its last command."""
-    rig, _ = RecordedRig.driving()
-    rig.links = Links(bus_up=False, bus_losses=1, guarded=True, realtime=True)
-    rig.run(0.1)
-    rig.links = BACK
-    rig.run(0.3)
-    rig.rest()
-    return rig
-
-
-def shut_down() -> RecordedRig:
-    """The gateway is told to end."""
-    rig, operator = RecordedRig.driving()
-    rig.core.shut_down(rig.now_ns)
-    operator.drive(0.6, 0.0, 0.1)
-    rig.rest()
-    return rig
-
-
-def rolling() -> RecordedRig:
-    """The motor dies uphill."""
-    return _on_the_way("motor 0", "slope 8", speed_mps=0.5)
-
-
-def not_moving() -> RecordedRig:
-    """The motor dies on the level."""
-    return _on_the_way("motor 0", speed_mps=0.5)
-
-
-def frozen_mileage() -> RecordedRig:
-    """The mileage stands still while the robot drives."""
-    return _on_the_way("freeze Auto_MileageAndBodyFeedback")
-
-
-def stuck_steering() -> RecordedRig:
-    """The steering angle stands still while another one is commanded."""
-    return _on_the_way("freeze Auto_SteeringFeedBack", angle_deg=15.0)
-
-
-def _on_the_way(fault: str, before: str = "", speed_mps: float = 0.6, angle_deg: float = 0.0) -> RecordedRig:
-    """A robot that is driven on, for as long as it lets itself be, with a fault of its chassis."""
-    rig, operator = RecordedRig.ready()
-    if before:
-        rig.fault(before)
-    operator.engage()
-    operator.drive(speed_mps, 0.0, 1.3)
-    rig.fault(fault)
-    for _ in range(70):
-        if rig.says.engaged:
-            operator.drive(speed_mps, angle_deg, 0.1)
-    rig.rest()
-    return rig
-
-
-Scenario = Callable[[], RecordedRig]
-
-SCENARIOS: dict[Scenario, tuple[Reason, tuple[str, ...]]] = {
-    front_bumper: (
+SCENARIOS: Final[dict[Scenario, tuple[Reason, tuple[str, ...]]]] = {
+    Scenario("front_bumper", "driving; fault bumper front on for 700ms; drive 0.6 0.3; rest"): (
         Reason.FRONT_BUMPER,
         ("0x18C4D9EF Auto_MileageAndBodyFeedback, 01 39 30 00 01", "FrontBumper = 1", "said 0"),
     ),
-    rear_bumper: (Reason.REAR_BUMPER, ("01 39 30 00 10", "RearBumper = 1")),
-    longer_deadman: (Reason.DEADMAN, ("810 ms before", "the limit is 800 ms (as engage asked for)")),
-    deadman: (
+    Scenario("rear_bumper", "driving; fault bumper rear on for 700ms; drive 0.6 0.3; rest"): (
+        Reason.REAR_BUMPER,
+        ("01 39 30 00 10", "RearBumper = 1"),
+    ),
+    Scenario("longer_deadman", "ready; engage 0.8; drive 0.6 1.5; run 1.5; rest"): (
+        Reason.DEADMAN,
+        ("810 ms before", "the limit is 800 ms (as engage asked for)"),
+    ),
+    Scenario("deadman", "driving; run 1; rest"): (
         Reason.DEADMAN,
         ("of operator-1", "310 ms before", "the limit is 300 ms", "No drive command at all"),
     ),
-    stale_commands: (Reason.DEADMAN, ("15 drive requests", "1290 ms, at most 1000 ms", "seq 134, 1290 ms old")),
-    repeated_sequence: (Reason.DEADMAN, ("15 drive requests", "does not rise, or by too much; 6 after 69")),
-    lease_expired: (Reason.LEASE_EXPIRED, ("drive of operator-1, 500 ms before the stop", "a lease lasts 500 ms")),
-    lease_taken: (Reason.LEASE_TAKEN, ("take, of operator-2",)),
-    lease_released: (Reason.LEASE_RELEASED, ("release, of operator-1",)),
-    disengaged: (Reason.DISENGAGED, ("disengage, of operator-1",)),
-    remote_stop: (Reason.REMOTE_STOP, ("stop, of desk",)),
-    hand_transmitter: (Reason.HAND_TRANSMITTER, ("Mode = remote", "the last one that did not, 20.0 ms")),
-    one_silent_frame: (
+    Scenario("stale_commands", "driving; stale 80; rest"): (
+        Reason.DEADMAN,
+        ("15 drive requests", "1290 ms, at most 1000 ms", "seq 134, 1290 ms old"),
+    ),
+    Scenario("repeated_sequence", "driving; repeat 20; rest"): (
+        Reason.DEADMAN,
+        ("15 drive requests", "does not rise, or by too much; 6 after 69"),
+    ),
+    Scenario("lease_expired", "driving lease_s:0.5 deadman_s:0.5; run 1; rest"): (
+        Reason.LEASE_EXPIRED,
+        ("drive of operator-1, 500 ms before the stop", "a lease lasts 500 ms"),
+    ),
+    Scenario("lease_taken", "driving; taken operator-2; rest"): (Reason.LEASE_TAKEN, ("take, of operator-2",)),
+    Scenario("lease_released", "driving; says release; rest"): (
+        Reason.LEASE_RELEASED,
+        ("release, of operator-1",),
+    ),
+    Scenario("disengaged", "driving; says disengage; rest"): (Reason.DISENGAGED, ("disengage, of operator-1",)),
+    Scenario("remote_stop", "driving; stop; rest"): (Reason.REMOTE_STOP, ("stop, of desk",)),
+    Scenario("hand_transmitter", "driving; fault transmitter remote for 9s; drive 0.6 0.3; run 1"): (
+        Reason.HAND_TRANSMITTER,
+        ("Mode = remote", "the last one that did not, 20.0 ms"),
+    ),
+    Scenario("one_silent_frame", "driving; fault silence Auto_GearFeedBack for 500ms; drive 0.6 0.4; rest"): (
         Reason.FEEDBACK_MISSING,
         ("last good Auto_GearFeedBack came 110 ms before the stop", "the limit is 100 ms (its period is 10 ms)"),
     ),
-    slow_silent_frame: (
+    Scenario("slow_silent_frame", "driving; fault silence Auto_WheelSpdFeedback for 900ms; drive 0.6 0.8; rest"): (
         Reason.FEEDBACK_MISSING,
         ("last good Auto_WheelSpdFeedback came 510 ms", "the limit is 500 ms"),
     ),
-    checksums: (
+    Scenario("checksums", "driving; fault checksum Auto_DriveFeedBack for 5 frames; drive 0.6 0.3; rest"): (
         Reason.FEEDBACK_FAULTY,
         ("last good Auto_DriveFeedBack", "5 of", "had a wrong checksum", "which should end with"),
     ),
-    stuck_counter: (
+    Scenario("stuck_counter", "driving; fault stuck Auto_SteeringFeedBack for 8 frames; drive 0.6 0.3; rest"): (
         Reason.FEEDBACK_FAULTY,
         ("last good Auto_SteeringFeedBack", "the last alive counters: "),
     ),
-    wrong_scale: (
+    Scenario("wrong_scale", "driving; fault scale wrong for 800ms; drive 0.6 0.5; rest"): (
         Reason.IMPLAUSIBLE_SPEED,
         ("Auto_DriveFeedBack said Speed = 21", "beyond 3"),
     ),
-    other_commander: (Reason.OTHER_COMMANDER, ("1 command frame that this gateway did not send", "0x18C4D3D0")),
-    bus_lost: (Reason.BUS_DOWN, ("last frame was received 10.0 ms before the stop", "bus can0, bus up no")),
-    guard_lost: (Reason.UNGUARDED, ("no guard watches, first at the stop",)),
-    guard_acts: (Reason.GUARD, ()),
-    late_loop: (
+    Scenario("other_commander", "driving; fault foreign 18C4D3D0 every 10ms for 200ms; drive 0.6 0.3; rest"): (
+        Reason.OTHER_COMMANDER,
+        ("1 command frame that this gateway did not send", "0x18C4D3D0"),
+    ),
+    Scenario("bus_lost", "driving; links bus_up:0 bus_losses:1; blind; drive 0.6 1.2"): (
+        Reason.BUS_DOWN,
+        ("last frame was received 10.0 ms before the stop", "bus can0, bus up no"),
+    ),
+    Scenario("guard_lost", "driving; links guarded:0; drive 0.6 0.3; links; rest"): (
+        Reason.UNGUARDED,
+        ("no guard watches, first at the stop",),
+    ),
+    Scenario("guard_acts", "driving; links guard_sends:1 guard_stops:1; drive 0.6 0.3"): (Reason.GUARD, ()),
+    Scenario("late_loop", "driving; tick_late 150; drive 0.6 0.1; rest"): (
         Reason.LOOP_LATE,
         ("tick lateness max ms 150", "the limit is 100 ms", "160 ms apart there, and 1 tick"),
     ),
-    flooded: (Reason.FEEDBACK_LATE, ("frames per s 630",)),
-    full_bus: (Reason.SEND_FAILED, ("5 ticks in a row", "2 to 2 of five frames went out")),
-    not_confirmed: (
+    Scenario("flooded", "driving; links is_behind:1; drive 0.6 0.1; links; rest"): (
+        Reason.FEEDBACK_LATE,
+        ("frames per s 630",),
+    ),
+    Scenario("full_bus", "driving; takes 2; drive 0.6 0.2; takes; rest"): (
+        Reason.SEND_FAILED,
+        ("5 ticks in a row", "2 to 2 of five frames went out"),
+    ),
+    Scenario("not_confirmed", "ready; deaf; take; ask engage; drive 0 1.2; rest"): (
         Reason.NOT_CONFIRMED,
         ("engage, of operator-1", "1.00 s before the stop", "Mode = stop"),
     ),
-    found_moving: (Reason.FOUND_MOVING, ("the CAN bus is not there", "said 0.60 m/s")),
-    shut_down: (Reason.SHUTDOWN, ()),
-    rolling: (
-        Reason.ROLLING,
-        (
-            "rear wheels turned at -0.",
-            "commanded was 0.50 m/s",
-        ),
+    Scenario("found_moving", "driving; links bus_up:0 bus_losses:1; run 0.1; links bus_losses:1; run 0.3; rest"): (
+        Reason.FOUND_MOVING,
+        ("the CAN bus is not there", "said 0.60 m/s"),
     ),
-    not_moving: (Reason.NOT_MOVING, ("drive feedback said 0.00 m/s, commanded was 0.50 m/s",)),
-    frozen_mileage: (Reason.FEEDBACK_FROZEN, ("mileage read 12.345 km, and did not change over 3 m",)),
-    stuck_steering: (Reason.STEERING, ("read 0.0 deg, commanded was 1", "to 15.0 deg; over 5 deg beside")),
+    Scenario("shut_down", "driving; shutdown; drive 0.6 0.1; rest"): (Reason.SHUTDOWN, ()),
+    Scenario("rolling", "ready; fault slope 8; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest"): (
+        Reason.ROLLING,
+        ("rear wheels turned at -0.", "commanded was 0.50 m/s"),
+    ),
+    Scenario("not_moving", "ready; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest"): (
+        Reason.NOT_MOVING,
+        ("drive feedback said 0.00 m/s, commanded was 0.50 m/s",),
+    ),
+    Scenario(
+        "frozen_mileage", "ready; engage; drive 0.6 1.3; fault freeze Auto_MileageAndBodyFeedback; on 0.6; rest"
+    ): (Reason.FEEDBACK_FROZEN, ("mileage read 12.345 km, and did not change over 3 m",)),
+    Scenario(
+        "stuck_steering", "ready; engage; drive 0.6 1.3; fault freeze Auto_SteeringFeedBack; on 0.6 15; rest"
+    ): (Reason.STEERING, ("read 0.0 deg, commanded was 1", "to 15.0 deg; over 5 deg beside")),
 }
 """The reason that is to be named, and what the evidence has to say."""
+
+BY_NAME: Final = {one.name: one for one in SCENARIOS}
+front_bumper, deadman, remote_stop = BY_NAME["front_bumper"], BY_NAME["deadman"], BY_NAME["remote_stop"]
+stale_commands, repeated_sequence = BY_NAME["stale_commands"], BY_NAME["repeated_sequence"]
+guard_acts, hand_transmitter = BY_NAME["guard_acts"], BY_NAME["hand_transmitter"]
+one_silent_frame, found_moving = BY_NAME["one_silent_frame"], BY_NAME["found_moving"]
+
+
+class Script:
+    """Acts out a script.
+
+    Attributes:
+        zero_ns: the time from which moments count.
+    """
+
+    def __init__(self, words: str) -> None:
+        self._logs: list[bytes] = []
+        first, *steps = words.split("; ")
+        scenario = BY_NAME.get(first)
+        if scenario is not None:
+            self._begin(*copied(acted(scenario), Operator(acted(scenario), "operator-1")))
+        elif first == "ready":
+            self._begin(*RecordedRig.ready())
+        else:
+            given = [word.split(":") for word in first.split()[1:]]
+            command = CommandSettings(**{one[0]: float(one[1]) for one in given if len(one) > 1})
+            speed_mps = next((float(one[0]) for one in given if len(one) == 1), 0.6)
+            named = any(len(one) > 1 for one in given)
+            self._begin(*RecordedRig.driving(speed_mps, command=command if named else None))
+        self.zero_ns = 0
+        for step in steps:
+            self._step(*step.split(maxsplit=1))
+        if scenario is not None:
+            self._step("from", SCENARIOS[scenario][0].value)
+        self.zero_ns = self.zero_ns or self._rig.at_ns
+
+    @property
+    def rig(self) -> RecordedRig:
+        """The rig of the last gateway."""
+        return self._rig
+
+    @property
+    def logs(self) -> list[bytes]:
+        """The logs, one for each gateway."""
+        return self._logs if self._is_alone else [*self._logs, self._log()]
+
+    def _begin(self, rig: RecordedRig, operator: Operator | None = None) -> None:
+        self._rig, self._operator = rig, operator or Operator(rig, "operator-1")
+        self._begun_ns, self._late_ns = rig.at_ns, 0
+        self._without, self._told = tuple[str, ...](), list[RecorderEvent]()
+        self._is_named, self._is_alone = True, False
+
+    def _log(self) -> bytes:
+        """The log of the gateway so far."""
+        rig, kept = self._rig, self._rig.recorded
+        rig.recorded = [(at_ns, self._later(sample)) for at_ns, sample in kept]
+        try:
+            return rig.log(with_info=self._is_named, without=self._without, recorder_says=self._told)
+        finally:
+            rig.recorded = kept
+
+    def _later(self, sample: Sample) -> Sample:
+        if not self._late_ns or sample.subject != "safety/decision":
+            return sample
+        fields = msgspec.msgpack.decode(sample.payload)
+        late = {**fields, "time_ns": fields["time_ns"] + self._late_ns}
+        return msgspec.structs.replace(sample, payload=msgspec.msgpack.encode(late))
+
+    def _step(self, verb: str, rest: str = "") -> None:  # noqa: C901, PLR0912, PLR0915 - a verb a line
+        rig, operator, words = self._rig, self._operator, rest.split()
+        match verb:
+            case "drive":
+                operator.drive(float(words[0]), 0.0, float(words[1]))
+            case "on":
+                angle_deg = float(words[1]) if words[1:] else 0.0
+                for _ in range(70):
+                    if rig.says.engaged:
+                        operator.drive(float(words[0]), angle_deg, 0.1)
+            case "stale" | "repeat":
+                challenge = rig.says.challenge
+                for _ in range(int(rest)):
+                    operator.sequence = 5 if verb == "repeat" else operator.sequence
+                    of: dict[str, Any] = {"challenge": challenge} if verb == "stale" else {}
+                    rig.put(operator.name, "drive", operator.drive_payload(0.6, **of))
+                    rig.tick(2)
+            case "taken":
+                Operator(rig, rest).take_lease("take", role="supervisor", override=True)
+            case "engage":
+                operator.engage(**({"deadman_s": float(rest)} if rest else {}))
+            case "take":
+                operator.take_lease()
+            case "reset":
+                assert operator.reset() is Reason.NONE
+            case "ask":
+                operator.ask(rest)
+            case "says":
+                assert operator.reason(words[0]) is Reason(*(words[1:] or ["none"]))
+            case "begin":
+                handle = operator.ask(rest)
+                rig.until(lambda: handle in rig.replies)
+            case "operator":
+                self._operator = Operator(rig, rest)
+            case "run":
+                rig.run(float(rest))
+            case "rest":
+                rig.rest()
+            case "until":
+                rig.until(lambda: rig.says.state is ArbiterState(rest), 5)
+            case "fault":
+                rig.fault(rest)
+            case "stop":
+                rig.put("desk", "stop", b"")
+                rig.tick()
+            case "deaf":
+                rig.chassis_hears = False
+            case "blind":
+                rig.corrupt = lambda _: None
+            case "links":
+                seen = {name: int(value) for name, value in (word.split(":") for word in words)}
+                seen |= {
+                    name: bool(value) for name, value in seen.items() if isinstance(getattr(GUARDED, name), bool)
+                }
+                rig.links = msgspec.structs.replace(GUARDED, **seen)
+            case "takes":
+                rig.takes = int(rest) if rest else None
+            case "tick_late":
+                rig.late_ns = int(rest) * MS
+                rig.tick()
+                rig.late_ns = 0
+            case "shutdown":
+                rig.core.shut_down(rig.now_ns)
+            case "clock":
+                rig.wall_ns += _ns(words[0])
+                rig.recorder_ns += 0 if "robot" in words else _ns(words[0])
+            case "hang":
+                rig.hang(float(rest))
+            case "another" | "followed":
+                then = rig.followed(float(rest)) if verb == "followed" else None
+                self._logs.append(self._log())
+                self._begin(then or rig.replaced(float(rest)))
+            case "note":
+                rig.core.latch_guard_stop(NOTE, rig.now_ns)
+            case "ended":
+                rig.links = msgspec.structs.replace(rig.links, guard_says=ENDED)
+            case "starve":
+                _starve(rig, int(rest or 0))
+            case "behind":
+                _fall_behind(rig)
+            case "gone":
+                at_ns = rig.at_ns + int(rest) * MS
+                kind = RecorderEventKind.GATEWAY
+                self._told.append(RecorderEvent(at_ns, 0, Severity.ERROR, kind, ROBOT, "", "", GONE))
+            case "late":
+                self._late_ns = int(rest) * MS
+            case "mute":
+                until_ns = self._begun_ns + _ns(rest)
+                is_state = {
+                    id(one) for one in rig.recorded if one[1].subject == "safety/state" and one[0] <= until_ns
+                }
+                rig.recorded = [one for one in rig.recorded if id(one) not in is_state]
+            case "unnamed":
+                self._is_named = False
+            case "without":
+                self._without = tuple(rest.split(", "))
+            case "alone":
+                self._is_alone = True
+            case "mark":
+                self.zero_ns = rig.at_ns
+            case "from":
+                self.zero_ns = next(one.time_ns for one in rig.events if one.reason is Reason(rest))
+            case _:
+                raise AssertionError(verb)
+
+
+def _ns(seconds: str) -> int:
+    return round(float(seconds) * SECOND)
+
+
+def _starve(rig: RecordedRig, early_ticks: int) -> None:
+    unread: list[tuple[int, Frame]] = []
+    rig.corrupt = lambda frame: unread.append((rig.now_ns, frame))
+
+    def read(until_ns: int) -> None:
+        while unread and unread[0][0] <= until_ns:
+            rig.core.receive_frame(unread.pop(0)[1], rig.now_ns)
+
+    for _ in range(4 if early_ticks else 0):
+        rig.tick()
+        read(rig.now_ns - early_ticks * 10 * MS)
+    rig.tick(12)
+    rig.corrupt = lambda frame: frame
+    read(rig.now_ns)
+
+
+def _fall_behind(rig: RecordedRig) -> None:
+    unread: list[Frame] = []
+    rig.corrupt = unread.append
+    rig.links = msgspec.structs.replace(GUARDED, is_behind=True)
+    rig.tick()
+    rig.corrupt = lambda frame: frame
+    rig.links = GUARDED
+    for frame in unread:
+        rig.core.receive_frame(frame, rig.now_ns)
 
 
 @cache
@@ -359,3 +381,16 @@ def acted(scenario: Scenario) -> RecordedRig:
 def recorded(scenario: Scenario, *without: str) -> bytes:
     """Its log, made once for all tests, but for some subjects."""
     return acted(scenario).log(without=without)
+
+
+def stepped_clock(*, steps_recorder: bool) -> RecordedRig:
+    """In mid-drive the robot's wall clock is set an hour forward, and the recorder's, if it is the same."""
+    clock = f"clock 3600{'' if steps_recorder else ' robot'}"
+    return Script(f"driving; drive 0.6 2; {clock}; drive 0.6 2").rig
+
+
+@cache
+def logs_of(words: str) -> tuple[list[bytes], int]:
+    """The logs of a script, and the time from which moments count."""
+    script = Script(words)
+    return script.logs, script.zero_ns

@@ -94,35 +94,25 @@ def main() -> int:
 
 def summary(results: list[Result], took_s: float) -> None:
     """Print what came of them."""
-    simulated_s = sum(result.simulated_s for result in results)
     print(
-        f"{len(results)} scenarios, {simulated_s / 60:.0f} min simulated in {took_s:.0f} s, "
-        f"{sum(result.driven_m for result in results):.0f} m driven, "
-        f"{sum(result.stops for result in results)} stop phases, "
-        f"{sum(bool(result.violations) for result in results)} scenarios with a violation"
+        f"{len(results)} scenarios, {sum(one.simulated_s for one in results) / 60:.0f} min simulated in "
+        f"{took_s:.0f} s, {sum(one.driven_m for one in results):.0f} m driven, "
+        f"{sum(one.stops for one in results)} stop phases, "
+        f"{sum(bool(one.violations) for one in results)} scenarios with a violation"
     )
     print("\nsteepest slope   scenarios   worst roll-back at release   at a stop")
     for low, high in zip((0, *SLOPES_DEG), (*SLOPES_DEG, 91), strict=True):
-        some = [result for result in results if low <= abs(result.slope_deg) < high]
-        if some:
-            release_m = max(result.worst_release_m for result in some)
-            stop_m = max(result.worst_stop_m for result in some)
-            print(
-                f"{low:>3} to {min(high, 20):>2} deg     {len(some):>9}   {release_m:>24.2f} m   {stop_m:>7.2f} m"
-            )
+        if some := [one for one in results if low <= abs(one.slope_deg) < high]:
+            release_m, stop_m = max(one.worst_release_m for one in some), max(one.worst_stop_m for one in some)
+            print(f"{low:>3} to {min(high, 20):>2} deg {len(some):>13} {release_m:>26.2f} m {stop_m:>9.2f} m")
     kinds: dict[str, list[tuple[int, Violation]]] = defaultdict(list)
     for result in sorted(results, key=lambda one: one.seed):
         for violation in result.violations:
             kinds[violation.kind].append((result.seed, violation))
-    if kinds:
-        print("\nviolation                   scenarios   seeds; the first")
     for kind, found in sorted(kinds.items(), key=lambda item: -len(item[1])):
-        seeds = ", ".join(str(seed) for seed, _ in found[:SEEDS_SHOWN])
-        seed, violation = found[0]
-        print(f"{kind:<27} {len(found):>9}   {seeds}; {seed} at {violation.at_s:.2f} s: {violation.detail}")
-    if kinds:
-        print("\nagain: python -m tests.system.scenarios --seed SEED")
-    print("\ndisturbances:", dict(Counter(name for result in results for name in result.disturbances)))
+        seeds, (_, first) = ", ".join(str(seed) for seed, _ in found[:SEEDS_SHOWN]), found[0]
+        print(f"{kind}: {len(found)}, seeds {seeds}; the first at {first.at_s:.2f} s: {first.detail}")
+    print("disturbances:", dict(Counter(name for result in results for name in result.disturbances)))
 
 
 if __name__ == "__main__":

@@ -19,9 +19,8 @@ from schemas.journal import Kind
 from schemas.settings import CommandSettings
 from tests.system.scenarios import early_stops
 from tests.system.scenarios.deaths import DEATHS
-from tests.system.scenarios.oracle import Oracle
+from tests.system.scenarios.oracle import Fields, Oracle
 from tests.system.scenarios.plant import CanFrame
-from tests.system.scenarios.rig import Fields
 from tests.system.scenarios.scenario import Play, Result, Scenario, scenario
 
 FILE: Final = Path(__file__).parents[2] / "data" / "frozen" / "scenarios.txt"

@@ -1,14 +1,13 @@
 """The gateway's core, its guard and an operator, beside the plant, in simulated time.
 
-Everything that this suite knows of the gateway's interfaces is in ``Gateway`` and ``GuardProcess``.
+Everything that this suite knows of the gateway's interfaces is in ``Gateway`` and ``Guard``.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from inspect import signature
 from random import Random
-from typing import Any, Final, Protocol
+from typing import Final
 
 import msgspec
 
@@ -24,6 +23,7 @@ from gateway.telemetry.health import Links
 from schemas.codec import Sample
 from schemas.decisions import Journal, StopPhase
 from schemas.settings import CommandSettings, Settings
+from tests.system.scenarios.oracle import Fields, Oracle
 from tests.system.scenarios.plant import BODY, STEP_NS, CanFrame, Plant, checksum
 
 TICK_NS: Final = 10_000_000
@@ -36,8 +36,6 @@ LEASE_LOST: Final = frozenset({"no_lease", "lease_expired", "lease_taken", "leas
 
 CHECKSUM_FAULTS: Final = 5
 """So many damaged frames of one identifier within a second are a cause to stop by the rules."""
-
-Fields = dict[str, Any]
 
 
 class Gateway:
@@ -67,8 +65,6 @@ class Gateway:
             self._core.note_crash(now_ns)
         if stopped_before:
             self._core.latch_guard_stop("the guard stopped the robot", now_ns)
-        self._takes_challenge = "challenge" in signature(Core.tick).parameters
-        self._known_links = set(Links.__struct_fields__)
         self._requests: list[tuple[str, Fields]] = []
         self._verbs: dict[int, str] = {}
         self._handle = 0
@@ -111,18 +107,17 @@ class Gateway:
             payload = msgspec.msgpack.encode(fields)
             self._core.receive_request(RawRequest(handle, verb, NAME, payload, len(payload)), now_ns)
         self._requests = []
-        links = {
-            "bus_up": not bus.is_away,
-            "bus_losses": bus.losses,
-            "guarded": guard.is_watching,
-            "guard_sends": guard.is_sending or (former_sends and self._core.hears_commands(now_ns)),
-            "guard_stops": guard.stops,
-            "realtime": True,
-        }
-        self._core.update_links(Links(**{k: v for k, v in links.items() if k in self._known_links}), now_ns)  # type: ignore[arg-type]
-        challenge = (self._random.randbytes(8),) if self._takes_challenge else ()
+        links = Links(
+            bus_up=not bus.is_away,
+            bus_losses=bus.losses,
+            guarded=guard.is_watching,
+            guard_sends=guard.is_sending or (former_sends and self._core.hears_commands(now_ns)),
+            guard_stops=guard.stops,
+            realtime=True,
+        )
+        self._core.update_links(links, now_ns)
         wall_ns = WALL_NS + now_ns
-        due = self._core.tick(now_ns, wall_ns, late_ns, *challenge)
+        due = self._core.tick(now_ns, wall_ns, late_ns, self._random.randbytes(8))
         frames = [] if guard.is_sending else due.frames
         self.replies = [(self._verbs.pop(one.handle), msgspec.msgpack.decode(one.payload)) for one in due.replies]
         samples = [*due.samples, *self._core.sent(bus.takes(len(frames)), now_ns, wall_ns)]
@@ -379,34 +374,6 @@ class Bus:
         return bytes(flipped)
 
 
-class Judge(Protocol):
-    """Who watches all this. ``now_s`` is the time since the start."""
-
-    def requests(self, verb: str, fields: Fields, now_s: float) -> None:
-        """A request reaches the gateway."""
-        ...
-
-    def reply(self, verb: str, fields: Fields, now_s: float) -> None:
-        """The gateway replies."""
-        ...
-
-    def hears(self, frames: list[CanFrame], now_s: float) -> None:
-        """Feedback arrives at the robot's computer."""
-        ...
-
-    def frames(self, burst: list[CanFrame], now_s: float, *, taken: int, by_guard: bool) -> None:
-        """A burst is sent in this tick, maybe an empty one, and so many of its frames go out on the bus."""
-        ...
-
-    def state(self, state: Fields, now_s: float) -> None:
-        """The newest safety/state, after each tick."""
-        ...
-
-    def motion(self, plant: Plant, now_s: float, *, gateway_lives: bool) -> None:
-        """Ten milliseconds of motion have passed."""
-        ...
-
-
 class Rig:
     """Everything together, tick by tick.
 
@@ -417,7 +384,7 @@ class Rig:
     """
 
     def __init__(
-        self, plant: Plant, gateway: Gateway, operator: Operator, bus: Bus, judge: Judge, guard: Guard | None
+        self, plant: Plant, gateway: Gateway, operator: Operator, bus: Bus, judge: Oracle, guard: Guard | None
     ) -> None:
         self.plant, self.gateway, self.operator, self.bus = plant, gateway, operator, bus
         self.guards = [] if guard is None else [guard]

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from schemas.settings import CommandSettings
+from tests.support.nights import every_value
 from tests.system.scenarios.plant import BODY, DRIVE, PERIOD_STEPS, WHEELS, Build
 from tests.system.scenarios.rig import Leg
 from tests.system.scenarios.scenario import FOREVER_S, Act, Play, Result, Scenario
@@ -64,18 +65,12 @@ def slipping(grip: float, creep_mps: float, end: Leg) -> Scenario:
     return aimed(fails, mps=0.5, slope_deg=20.0, ends=(Leg(0.5), end), build=build, rests_s=30.0)
 
 
-WAYS: Final = {
+WAYS: Final[dict[str, tuple[Scenario, float]]] = {
     "all frozen at standstill": (aimed(frozen(ALL, STANDS_S, "released")), 4.0),
     "speed frozen at standstill": (aimed(frozen(SPEED, STANDS_S, "released")), 4.0),
     "all frozen in mid-acceleration": (aimed(frozen(ALL, UNDER_WAY_S)), 5.0),
     "speed frozen in mid-acceleration": (aimed(frozen(SPEED, UNDER_WAY_S)), 5.0),
     "held from standstill": (aimed(Act(STANDS_S, "blocked", value=True, shows_s=FOREVER_S)), 0.01),
-    **{
-        f"the motor dies {phase_s} s after {mps} m/s, ramp {ramp_mps2}": (dying(phase_s, mps, ramp_mps2), bound_m)
-        for mps, bound_m in ((1.0, 1.0), (2.0, 1.8))
-        for ramp_mps2 in (0.3, 1.2, 2.0)
-        for phase_s in (-1.0, 0.1, 0.4)
-    },
     **{
         f"a brake with a grip of {grip}, creeping at {creep_mps}, in {name}": (slipping(grip, creep_mps, end), 0.3)
         for name, end in (("a stop", Leg(9.0, verb="stop", streams=False)), ("auto-hold", Leg(9.0)))
@@ -85,7 +80,6 @@ WAYS: Final = {
 
 
 def play(plan: Scenario) -> Result:
-    """Play it out."""
     return Play(plan, keeps=False).run()
 
 
@@ -95,6 +89,18 @@ def test_a_fault_costs_no_more_than_so_many_metres(plan: Scenario, bound_m: floa
     result = play(plan)
     assert result.violations == []
     assert result.way_m < bound_m
+
+
+@pytest.mark.parametrize(
+    ("fast", "ramp_mps2", "phase_s"), every_value(((1.0, 1.0), (2.0, 1.8)), (0.3, 1.2, 2.0), (-1.0, 0.1, 0.4))
+)
+def test_a_motor_that_dies_downhill_costs_no_more(
+    fast: tuple[float, float], ramp_mps2: float, phase_s: float
+) -> None:
+    """At a speed and within so many metres, so long after the operator has let go."""
+    result = play(dying(phase_s, fast[0], ramp_mps2))
+    assert result.violations == []
+    assert result.way_m < fast[1]
 
 
 @pytest.mark.parametrize("at_s", [STANDS_S, UNDER_WAY_S, FAST_S])
@@ -114,9 +120,7 @@ def test_a_robot_that_is_held_gives_up_and_does_not_jump(at_s: float) -> None:
     assert gave_up_s[0] - told_s[0] < 2.0
 
 
-@pytest.mark.parametrize("phase", range(0, 10, 3))
-@pytest.mark.parametrize("away_s", [0.05, 0.3])
-@pytest.mark.parametrize("verbs", [(), ("stop",)])
+@pytest.mark.parametrize(("phase", "away_s", "verbs"), every_value(range(0, 10, 3), (0.05, 0.3), ((), ("stop",))))
 def test_the_remote_control_is_told_no_speed_when_the_bus_returns(
     phase: int, away_s: float, verbs: tuple[str, ...]
 ) -> None:
@@ -140,8 +144,7 @@ def test_a_robot_that_is_given_back_does_not_drive_off(away_s: float) -> None:
     assert play(plan).violations == []
 
 
-@pytest.mark.parametrize("lasts_s", [0.05, 20.0])
-@pytest.mark.parametrize("most", range(2, 7))
+@pytest.mark.parametrize(("most", "lasts_s"), every_value(range(2, 7), (0.05, 20.0)))
 def test_the_brake_comes_through_where_bursts_go_out_in_part(most: int, lasts_s: float) -> None:
     """Of each burst the bus takes the first frames, be they two; a stop ends with the parking brake applied."""
     cut = Act(FAST_S, "most", most, lasts_s + 3.0, then=(Act(lasts_s, "most", None),))

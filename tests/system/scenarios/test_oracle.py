@@ -1,9 +1,11 @@
-"""The oracle finds what it is there to find: each case breaks one rule, and the first does not."""
+"""The oracle finds what it is there to find: each row of ``BREAKS`` breaks a rule, those of ``KEEPS`` none."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
 from functools import partial
 from random import Random
-from typing import Any
+from typing import Any, Self
 
 import pytest
 from msgspec.structs import replace
@@ -11,7 +13,6 @@ from msgspec.structs import replace
 from schemas.settings import CommandSettings
 from tests.system.scenarios.oracle import Oracle
 from tests.system.scenarios.plant import (
-    AUTO,
     BODY,
     BRAKING_CMD,
     DRIVE,
@@ -25,7 +26,6 @@ from tests.system.scenarios.plant import (
     PARKING_CMD,
     PERIOD_STEPS,
     PULSES,
-    REMOTE,
     ROLLING_MPS2,
     STEERING_CMD,
     STEP_S,
@@ -37,787 +37,380 @@ from tests.system.scenarios.plant import (
     orders,
 )
 
+USUAL = (DRIVE_CMD, GEAR_CMD, STEERING_CMD, BRAKING_CMD, PARKING_CMD)
+STICKS = (0.5, 0.0)
+
 
 class Stage:
-    """An oracle, a plant that it may believe, and whoever commands it."""
+    """An oracle, a plant that it may believe, and whoever commands it; each step returns the stage.
 
-    def __init__(self, slope_deg: float = 0.0) -> None:
+    A robot is engaged, and stands with its parking brake applied.
+    """
+
+    def __init__(self) -> None:
         self.oracle = Oracle(CommandSettings(speed_limit_mps=1.0), fine=True, is_undisturbed=True, lag_s=0.1)
-        self.plant = Plant(Build(fine=True, drive_lag_s=0.1), Random(1), slope_deg)  # noqa: S311
+        self.robot = Plant(Build(fine=True, drive_lag_s=0.1), Random(1))  # noqa: S311
         self.now_s = 1.0
         self.state: dict[str, Any] = {"latched": [], "engaged": True, "stop_reason": "none"}
+        self.asked_mps: float | None = 0.0
         self._counter = 0
-        self.order = (DRIVE_CMD, GEAR_CMD, STEERING_CMD, BRAKING_CMD, PARKING_CMD)
-        self.asked_mps = 0.0
-        self.asks = True
-        self.burst(GEAR_D, parking=1)
-        self.run(0.5, lambda: self.burst(GEAR_D, parking=1))
+        self.burst(parking=1).tell(0.5, parking=1)
         self.oracle.reply("engage", {"ok": True, "reason": "none"}, self.now_s)
 
     def burst(
         self,
-        gear: int,
         speed_mps: float = 0.0,
         *,
+        gear: int = GEAR_D,
         parking: int = 0,
         raw_angle: int = 2048,
         taken: int = 5,
         enabled: int = 1,
-    ) -> None:
+        order: tuple[int, ...] = USUAL,
+    ) -> Self:
         """The five go out, or the first of them."""
         frames = orders(gear, speed_mps, fine=True)
         bodies = {PARKING_CMD: bytes([1, parking, 0]), STEERING_CMD: b"\x01" + raw_angle.to_bytes(2, "little")}
-        on = bytes([enabled])
         sent = []
-        for identifier in self.order:
-            data = frames[identifier]
-            head = on + bodies.get(identifier, data[:3])[1:] + bytes([0, 0, 0, self._counter << 4])
+        for identifier in order:
+            body = bytes([enabled]) + bodies.get(identifier, frames[identifier][:3])[1:]
+            head = body + bytes([0, 0, 0, self._counter << 4])
             sent.append((identifier, head + bytes([checksum(head)])))
         self._counter = (self._counter + 1) % 16
         self.oracle.frames(sent, self.now_s, taken=taken, by_guard=False)
         for identifier, data in sent[:taken]:
-            self.plant.receive(identifier, data)
+            self.robot.receive(identifier, data)
+        return self
 
-    def run(self, seconds: float, each: Callable[[], None]) -> None:
+    def run(self, seconds: float, each: Callable[[], object] = bool) -> Self:
         """Time passes, and each tick this is done."""
         for _ in range(round(seconds * 100)):
             self.now_s += 0.01
             for _ in range(round(0.01 / STEP_S)):
-                self.oracle.hears(self.plant.step(), self.now_s)
-            self.oracle.motion(self.plant, self.now_s, gateway_lives=True)
-            if self.asks:
+                self.oracle.hears(self.robot.step(), self.now_s)
+            self.oracle.motion(self.robot, self.now_s, gateway_lives=True)
+            if self.asked_mps is not None:
                 self.oracle.requests("drive", {"speed_mps": self.asked_mps}, self.now_s)
             self.oracle.state(self.state, self.now_s)
             each()
+        return self
 
-    def slow_down(self, ticks: int) -> None:
-        """The ramp from 0.5 m/s to zero, and on at zero."""
-        for step in range(ticks):
-            told_mps = max(0.0, 0.49 - 0.012 * step)
-            self.run(0.01, partial(self.burst, GEAR_D, told_mps))
+    def call(self, act: Callable[..., object], *given: object) -> Self:
+        act(*given)
+        return self
 
-    def silence(self) -> None:
-        """Nothing goes out in this tick."""
-        self.oracle.frames([], self.now_s, taken=0, by_guard=False)
+    def tell(self, seconds: float, speed_mps: float = 0.0, **told: Any) -> Self:  # noqa: ANN401 - of a burst
+        return self.run(seconds, lambda: self.burst(speed_mps, **told))
 
-    def accelerate(self, to_mps: float = 0.5) -> None:
+    def tell_each(self, speeds_mps: Iterable[float]) -> Self:
+        """A speed a tick."""
+        for speed_mps in speeds_mps:
+            self.tell(0.01, speed_mps)
+        return self
+
+    def steer(self, *angles: int) -> Self:
+        for angle in angles:
+            self.tell(0.01, raw_angle=2048 + angle)
+        return self
+
+    def silence(self, seconds: float = 0.01) -> Self:
+        """Nothing goes out."""
+        return self.run(seconds, lambda: self.oracle.frames([], self.now_s, taken=0, by_guard=False))
+
+    def plant(self, **knobs: Any) -> Self:  # noqa: ANN401 - any knob
+        """Turn knobs of the plant; a slope is there at once."""
+        if (slope_deg := knobs.get("slope_deg")) is not None:
+            knobs["slope_target_deg"] = slope_deg
+        for name, value in knobs.items():
+            setattr(self.robot, name, value)
+        return self
+
+    def build(self, **changes: Any) -> Self:  # noqa: ANN401 - any field of a build
+        return self.plant(build=replace(self.robot.build, **changes))
+
+    def limits(self, **changes: float) -> Self:
+        self.oracle._limits = replace(self.oracle._limits, **changes)
+        return self
+
+    def ask(self, speed_mps: float | None) -> Self:
+        """The operator asks for a speed; for None it falls silent."""
+        self.asked_mps = speed_mps
+        return self
+
+    def request(self, verb: str) -> Self:
+        self.oracle.requests(verb, {}, self.now_s)
+        return self
+
+    def reply(self, detail: str = "") -> Self:
+        """A stop is ok."""
+        self.oracle.reply("stop", {"ok": True, "reason": "none", "detail": detail}, self.now_s)
+        return self
+
+    def stops(self, reason: str = "", *, latched: bool = True) -> Self:
+        """The gateway says that it has stopped the robot."""
+        self.state = {"latched": [reason] * latched, "engaged": False, "stop_reason": reason or "none"}
+        return self
+
+    def latches(self, *reasons: str) -> Self:
+        self.state = {**self.state, "latched": [*reasons]}
+        return self
+
+    def disturb(self, lasts_s: float = 9.0) -> Self:
+        self.oracle.disturb(self.now_s, lasts_s)
+        return self
+
+    def blind(self, lasts_s: float) -> Self:
+        self.oracle.blind(self.now_s, lasts_s)
+        return self
+
+    def hears(self, identifier: int, *payload: int) -> Self:
+        """A damaged frame arrives, and passes for a whole one."""
+        data = bytes(payload)
+        self.oracle.hears([(identifier, data + bytes([checksum(data)]))], self.now_s)
+        return self
+
+    def skip(self) -> Self:
+        self._counter = (self._counter + 3) % 16
+        return self
+
+    def all_fail(self, lasts_s: float = 0.0) -> Self:
+        self.oracle.all_fail(self.now_s, self.now_s + lasts_s)
+        return self
+
+    # Scenes that several begin with.
+
+    def accelerate(self, to_mps: float = 0.5) -> Self:
         """Drive as the rules want it, from the parking brake on."""
-        self.run(0.2, lambda: self.burst(GEAR_D))
-        self.asked_mps = to_mps
-        speed_mps = 0.0
-        while speed_mps < to_mps:
-            speed_mps = min(to_mps, speed_mps + 0.008)
-            self.run(0.01, partial(self.burst, GEAR_D, speed_mps))
-        self.run(0.5, lambda: self.burst(GEAR_D, to_mps))
-
-
-def as_it_should_be(stage: Stage) -> None:
-    """Up, along and down again, and the parking brake."""
-    stage.accelerate()
-    stage.asked_mps = 0.0
-    stage.slow_down(50)
-    stage.run(1.0, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def yields_twice(stage: Stage) -> None:
-    """A stop that is owed begins where no body frame came for 0.2 s, and yields to the remote control again."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
-    stage.plant.sticks = (0.0, 0.0)
-    stage.run(0.11, lambda: stage.burst(GEAR_D, parking=1))
-    stage.run(0.3, stage.silence)
-    stage.plant.silent = frozenset({BODY})
-    stage.run(0.21, stage.silence)
-    stage.run(0.3, lambda: stage.burst(GEAR_D, parking=1))
-    stage.plant.silent = frozenset()
-    stage.run(0.1, lambda: stage.burst(GEAR_D, parking=1))
-    stage.run(0.5, stage.silence)
-
-
-def found_after_a_crash(stage: Stage) -> None:
-    """Another gateway ramps from what it sees: it cannot know the zero on which an earlier stop had ended."""
-    stop_latched(stage)
-    stage.oracle.all_fail(stage.now_s, stage.now_s)
-    stage.plant.found_driving(GEAR_D, 0.3)
-    stage.run(0.5, lambda: None)
-    stage.oracle.gateway_returns()
-    stage.state = {**stage.state, "latched": []}
-    stage.burst(GEAR_D, 0.29)
-
-
-def a_damaged_speed(stage: Stage) -> None:
-    """A frame that passes for whole says that the robot moves: it has to stand for a second from there on."""
-    stage.run(0.8, lambda: stage.burst(GEAR_D))
-    payload = b"\x01" + (280).to_bytes(2, "little") + bytes(4)
-    stage.oracle.hears([(DRIVE, payload + bytes([checksum(payload)]))], stage.now_s)
-    stage.oracle.motion(stage.plant, stage.now_s, gateway_lives=True)
-    stage.run(1.1, lambda: stage.burst(GEAR_D))
-    stage.run(0.3, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def a_damaged_mode(stage: Stage) -> None:
-    """A frame that passes for whole says that nobody commands: the stop begins anew, at the angle that is seen."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    for tick in range(40):
-        stage.run(0.01, partial(stage.burst, GEAR_D, raw_angle=2048 + 4 * tick))
-    payload = bytes([0, 0, 0, 0, 0, STOP, 0])
-    stage.oracle.hears([(BODY, payload + bytes([checksum(payload)]))], stage.now_s)
-    stage.burst(GEAR_D, parking=1)
-
-
-def too_fast_unseen(stage: Stage) -> None:
-    """Drive and wheels are frozen: no speed is measured that could be over the limit."""
-    stage.accelerate()
-    stage.plant.frozen = frozenset({DRIVE, WHEELS})
-    stage.plant.speed_gain = 3.0
-    stage.run(1.6, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def fails_parked(stage: Stage, slope_deg: float = 5.0) -> None:
-    """The parking brake fails before it was released: the rule on rolling applies it, and that is all."""
-    stage.plant.brake_grip = 0.0
-    stage.plant.slope_deg = stage.plant.slope_target_deg = slope_deg
-    stage.run(0.3, lambda: stage.burst(GEAR_N, parking=1))
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "rolling", "latched": ["rolling"]}
-    stage.oracle.disturb(stage.now_s, 9.0)
-    stage.run(3.0, lambda: stage.burst(GEAR_N, parking=1))
-
-
-def lost_until_it_rests(stage: Stage) -> None:
-    """The same, and the hill ends: nothing but rolling resistance is left to bring it to rest."""
-    fails_parked(stage)
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 0.0
-    stage.run(12.0, lambda: stage.burst(GEAR_N, parking=1))
-
-
-def reset_after_it_rolled(stage: Stage) -> None:
-    """The same, and it was chocked and reset: what it rolled before was noticed."""
-    fails_parked(stage)
-    stage.plant.blocked = True
-    stage.run(1.0, lambda: stage.burst(GEAR_N, parking=1))
-    stage.state = {**stage.state, "latched": []}
-    stage.run(0.5, lambda: stage.burst(GEAR_N, parking=1))
-
-
-def caught_by_its_brake(stage: Stage) -> None:
-    """It is parked while it moves, and then its brake fails: its motor has not brought it to rest."""
-    stage.plant.build = replace(stage.plant.build, parks_motor=True)
-    stage.accelerate()
-    stage.asked_mps = 0.0
-    stage.run(0.4, lambda: stage.burst(GEAR_D, parking=1))
-    fails_parked(stage)
-
-
-def bus_away(stage: Stage) -> None:
-    """The bus is away, and the robot obeys what it was told last: nobody can tell it to stop before it is back."""
-    stage.accelerate()
-    stage.oracle.blind(stage.now_s, 2.0)
-    stage.oracle.disturb(stage.now_s, 9.0)
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "bus_down"}
-    stage.run(2.1, stage.silence)
-    stage.run(2.0, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def lamps_are_cut_off(stage: Stage) -> None:
-    """For half a second the bus takes a part of each burst, now of this length, then of that: never the lamps."""
-    stage.oracle._bytes[LIGHT_CMD] = bytes(8)
-    stage.oracle.blind(stage.now_s, 0.5)
-    stage.oracle.requests("stop", {}, stage.now_s)
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "remote_stop", "latched": ["remote_stop"]}
-    stage.run(0.1, lambda: stage.burst(GEAR_D, parking=1))
-    stage.oracle.blind(stage.now_s, 0.0)
-    stage.run(0.4, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def slips(stage: Stage) -> None:
-    """A brake that slips gives the robot back to its motor."""
-    stage.plant.build = replace(stage.plant.build, parks_motor=True)
-    stage.run(0.5, lambda: stage.burst(GEAR_D))
-    stage.plant.brake_grip = 0.0
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 5.0
-    stage.oracle.disturb(stage.now_s, 9.0)
-    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "brake_slips", "latched": ["brake_slips"]}
-
-
-def yields_held_by_its_motor(stage: Stage) -> None:
-    """The remote control takes it, and it is reset: the brake would let it roll once it is given back."""
-    slips(stage)
-    stage.run(1.0, lambda: stage.burst(GEAR_D))
-    stage.plant.sticks = (0.0, 0.0)
-    stage.run(0.11, lambda: stage.burst(GEAR_D))
-    stage.state = {**stage.state, "latched": []}
-    stage.run(0.3, stage.silence)
-
-
-def given_back(stage: Stage, after_s: float, hand: tuple[float, float] | None) -> None:
-    """A brake that slips gives the robot back to its motor; after this time it is braked again."""
-    slips(stage)
-    stage.run(after_s, lambda: stage.burst(GEAR_D))
-    stage.plant.hand = hand
-    stage.run(0.05, lambda: stage.burst(GEAR_D))
-    stage.plant.hand = None
-    stage.run(3.0, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def pushed_for_good(stage: Stage) -> None:
-    """Somebody pushes it once its motor has held it: it is braked for good."""
-    given_back(stage, 1.0, (-0.5, 2000.0))
-
-
-def gathers_speed(stage: Stage) -> None:
-    """A motor that is hardly enough for it sets the robot going, by 0.07 m/s in a second."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    stage.plant.motor_strength = stage.plant.build.mass_kg * (ROLLING_MPS2 + 0.07) / MOTOR_N
-    stage.asked_mps = 0.4
-    for tick in range(212):
-        stage.run(0.01, partial(stage.burst, GEAR_D, min(0.4, 0.008 * tick)))
-
-
-def frozen_within_its_lag(stage: Stage) -> None:
-    """The speeds are frozen while the command changes by 0.3 m/s for a moment: with its lag it did by less."""
-    stage.accelerate(0.3)
-    stage.plant.frozen = frozenset({DRIVE, WHEELS})
-    stage.asked_mps = 0.62
-    for step in range(80):
-        stage.run(0.01, partial(stage.burst, GEAR_D, 0.3 + 0.008 * min(step, 80 - step)))
-    stage.run(1.5, lambda: stage.burst(GEAR_D, 0.3))
-
-
-def pushed_off_its_brake(stage: Stage) -> None:
-    """Somebody pushes it as it is set going: it is given back to its motor, which cannot hold it against them."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    stage.plant.hand = (-0.6, 2000.0)
-    stage.run(0.1, lambda: stage.burst(GEAR_D))
-    stage.oracle.requests("stop", {}, stage.now_s)
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "brake_slips", "latched": ["brake_slips"]}
-    stage.run(0.5, lambda: stage.burst(GEAR_D))
-
-
-def creeps_unseen(stage: Stage) -> None:
-    """Behind its brake it creeps, so slowly that not each 50 ms bring a pulse."""
-    stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
-    stage.plant.build = replace(stage.plant.build, pulses_per_m=200.0)
-    stage.plant.brake_creep_mps = 0.02
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
-    stage.run(10.0, lambda: stage.burst(GEAR_N, parking=1))
-
-
-def creeps_slowly(stage: Stage) -> None:
-    """A few pulses in each second show it, too late for its motor to get it back: it is said, and creeps on."""
-    stage.run(0.8, lambda: stage.burst(GEAR_D))
-    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
-    stage.plant.build = replace(stage.plant.build, pulses_per_m=400.0, parks_motor=True)
-    stage.plant.brake_creep_mps = 0.03
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
-    stage.run(3.0, lambda: stage.burst(GEAR_D, parking=1))
-    stage.state = {**stage.state, "latched": ["rolling"]}
-    stage.run(15.0, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def caught_unheard(stage: Stage) -> None:
-    """It rolls while its controller restarts, its brake is asked for then and catches it, and fails afterwards."""
-    stage.run(0.5, lambda: stage.burst(GEAR_D))
-    stage.plant.build = replace(stage.plant.build, parks_motor=True)
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 8.0
-    stage.oracle.disturb(stage.now_s, 9.0)
-    stage.plant.reboot(0.4)
-    stage.oracle.blind(stage.now_s, 0.6)
-    stage.run(0.25, lambda: stage.burst(GEAR_D))
-    stage.run(0.8, lambda: stage.burst(GEAR_D, parking=1))
-    fails_parked(stage, 8.0)
-
-
-def engaged_after_a_long_stop(stage: Stage) -> None:
-    """It was asked for while a gentle ramp of 5 s was under way."""
-    stage.oracle._limits = replace(stage.oracle._limits, deceleration_mps2=0.2)
-    stage.oracle.requests("engage", {}, stage.now_s)
-    stage.run(6.5, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def given_back_in_vain(stage: Stage) -> None:
-    """It stands by its motor, and is given to its brake again all the same."""
-    given_back(stage, 1.0, None)
-
-
-def given_back_too_briefly(stage: Stage) -> None:
-    """It is given to its brake again before the motor could hold it."""
-    given_back(stage, 0.1, None)
-
-
-def neutral_unbraked(stage: Stage) -> None:
-    """Enabled, neutral, and no parking request."""
-    stage.run(0.1, lambda: stage.burst(GEAR_N))
-
-
-def gear_change_unbraked(stage: Stage) -> None:
-    """From drive to reverse without the parking brake."""
-    stage.run(0.1, lambda: stage.burst(GEAR_D))
-    stage.burst(GEAR_R)
-
-
-def speed_against_brake(stage: Stage) -> None:
-    """A speed and the parking request in one burst."""
-    stage.burst(GEAR_D, 0.005, parking=1)
-
-
-def over_limit(stage: Stage) -> None:
-    """A tenth over the limit in force."""
-    stage.accelerate(1.1)
-
-
-def acceleration(stage: Stage) -> None:
-    """From zero to 0.1 m/s in a tick."""
-    stage.asked_mps = 1.0
-    stage.run(0.1, lambda: stage.burst(GEAR_D))
-    stage.run(0.05, lambda: stage.burst(GEAR_D, 0.1))
-
-
-def angle(stage: Stage) -> None:
-    """24.6 deg."""
-    stage.burst(GEAR_D, raw_angle=2048 + 560)
-
-
-def steering_rate(stage: Stage) -> None:
-    """0.9 deg in a tick."""
-    stage.run(0.1, lambda: stage.burst(GEAR_D))
-    stage.run(0.01, lambda: stage.burst(GEAR_D, raw_angle=2048 + 20))
-
-
-def lateral_told(stage: Stage) -> None:
-    """Full speed at 22 deg."""
-    stage.burst(GEAR_D, 2.0, raw_angle=2048 + 500)
-
-
-def rises_unasked(stage: Stage) -> None:
-    """Up, although nobody has asked for anything for half a second."""
-    stage.run(0.1, lambda: stage.burst(GEAR_D))
-    stage.asks = False
-    stage.run(0.5, lambda: stage.burst(GEAR_D))
-    stage.run(0.1, lambda: stage.burst(GEAR_D, 0.006))
-
-
-def not_falling(stage: Stage) -> None:
-    """Zero is asked, and the speed stays."""
-    stage.accelerate()
-    stage.asked_mps = 0.0
-    stage.run(0.3, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def deadman(stage: Stage) -> None:
-    """The operator is silent, and the speed stays."""
-    stage.accelerate()
-    stage.asks = False
-    stage.run(0.7, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def remote_stop(stage: Stage) -> None:
-    """A remote stop comes, and the speed stays."""
-    stage.accelerate()
-    stage.oracle.requests("stop", {}, stage.now_s)
-    stage.run(0.3, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def roll_back_at_release(stage: Stage) -> None:
-    """Neutral on a hill."""
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 8
-    stage.run(1.5, lambda: stage.burst(GEAR_N))
-
-
-def rolling_unnoticed(stage: Stage) -> None:
-    """The motor dies on a hill, and zero is told on and on."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    stage.plant.motor_strength = 0.0
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 8
-    stage.run(0.5, lambda: stage.burst(GEAR_D))
-
-
-def rolling_against(stage: Stage) -> None:
-    """Pushed back while told to go forward."""
-    stage.accelerate()
-    stage.plant.hand = (-0.3, 2000.0)
-    stage.run(1.5, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def pushed(stage: Stage) -> None:
-    """Pushed at walking pace at zero command."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    stage.plant.hand = (0.25, 2000.0)
-    stage.run(1.0, lambda: stage.burst(GEAR_D))
-
-
-def steering_unnoticed(stage: Stage) -> None:
-    """The steering stays while the told angle goes."""
-    stage.plant.stuck = True
-    for step in range(100):
-        stage.run(0.01, partial(stage.burst, GEAR_D, raw_angle=2048 + min(300, 10 * step)))
-
-
-def overspeed_unnoticed(stage: Stage) -> None:
-    """The chassis drives faster than it is told."""
-    stage.plant.speed_gain = 1.6
-    stage.accelerate(1.0)
-    stage.run(0.5, lambda: stage.burst(GEAR_D, 1.0))
-
-
-def overspeed_half_seen(stage: Stage) -> None:
-    """The same while drive feedback is frozen: the wheels show it."""
-    stage.accelerate()
-    stage.plant.frozen = frozenset({DRIVE})
-    stage.plant.speed_gain = 3.0
-    stage.run(1.6, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def frozen_body_unnoticed(stage: Stage) -> None:
-    """The body frame says the same for 3 m."""
-    stage.accelerate()
-    stage.plant.frozen = frozenset({BODY})
-    stage.run(7.0, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def bumper_unnoticed(stage: Stage) -> None:
-    """On into the wall."""
-    stage.accelerate()
-    stage.plant.touch("front")
-    stage.run(1.0, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def talks_to_remote(stage: Stage) -> None:
-    """Twice as often as it may, the remote control is told to stand with its parking brake."""
-    stage.plant.sticks = (0.5, 0.0)
-    stage.run(0.3, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def yields_on_and_on(stage: Stage) -> None:
-    """Where the remote control was found to have the robot again, it is told so for longer than it may."""
-    yields_twice(stage)
-    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def commands_remote(stage: Stage) -> None:
-    """The ramp goes on when the body frame has said that the remote control drives."""
-    stage.accelerate()
-    stage.plant.sticks = (0.5, 0.0)
-    stage.run(0.05, lambda: stage.burst(GEAR_D, 0.4))
-
-
-def left_to_remote(stage: Stage) -> None:
-    """The remote control takes over, and half a metre a second is the last that the chassis was told."""
-    stage.accelerate()
-    stage.plant.sticks = (0.5, 0.0)
-    stage.run(0.03, lambda: None)
-    stage.burst(GEAR_D, 0.4)
-    stage.silence()
-
-
-def speed_from_standby(stage: Stage) -> None:
-    """After half a second without a body frame and without a burst, a stop begins as a ramp."""
-    stage.accelerate()
-    stage.plant.silent = frozenset({BODY})
-    stage.run(0.5, stage.silence)
-    stage.burst(GEAR_D, 0.4)
-
-
-def stop_lies(stage: Stage) -> None:
-    """A stop is ok, although the remote control has the robot."""
-    stage.plant.sticks = (0.5, 0.0)
-    stage.run(0.4, lambda: None)
-    assert stage.plant.mode == REMOTE
-    stage.oracle.reply("stop", {"ok": True, "reason": "none", "detail": ""}, stage.now_s)
-    stage.oracle.requests("stop", {}, stage.now_s)
-    stage.run(0.3, lambda: None)
-    stage.oracle.reply("stop", {"ok": True, "reason": "none", "detail": ""}, stage.now_s)
-
-
-def silence_unbraked(stage: Stage) -> None:
-    """Enabled, not parked, and then nothing more."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    assert stage.plant.mode == AUTO
-    stage.run(0.01, stage.silence)
-
-
-def no_auto_hold(stage: Stage) -> None:
-    """Standing for two seconds on the motor alone."""
-    stage.run(2.0, lambda: stage.burst(GEAR_D))
-
-
-def stop_unfinished(stage: Stage) -> None:
-    """A ramp to zero that ends without the parking brake."""
-    stage.accelerate()
-    stage.oracle.requests("disengage", {}, stage.now_s)
-    stage.state = {**stage.state, "engaged": False}
-    stage.slow_down(300)
-
-
-def false_stop(stage: Stage) -> None:
-    """A stop that nobody asked for and nothing has caused."""
-    stage.accelerate()
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "implausible_speed"}
-    stage.run(0.02, lambda: stage.burst(GEAR_D, 0.49))
-
-
-def malformed_frame(stage: Stage) -> None:
-    """A counter that jumps."""
-    stage.run(0.1, lambda: stage.burst(GEAR_D))
-    stage._counter = (stage._counter + 3) % 16
-    stage.burst(GEAR_D)
-
-
-def given_back_fast(stage: Stage) -> None:
-    """A first burst with a speed that nobody sees."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
-    stage.run(0.5, stage.silence)
-    stage.burst(GEAR_D, 0.5)
-
-
-def not_moving_unnoticed(stage: Stage) -> None:
-    """The wheels are held, and half a metre a second is told on and on."""
-    stage.plant.blocked = True
-    stage.accelerate()
-    stage.run(1.5, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def runs_ahead(stage: Stage) -> None:
-    """The wheels are held, and the ramp goes on to 0.9 m/s."""
-    stage.plant.blocked = True
-    stage.accelerate(0.9)
-
-
-def frozen_unnoticed(stage: Stage) -> None:
-    """All feedback says for ever what it said in the midst of the ramp."""
-    stage.accelerate(0.3)
-    stage.plant.frozen = frozenset(PERIOD_STEPS)
-    stage.asked_mps = 0.7
-    for step in range(250):
-        stage.run(0.01, partial(stage.burst, GEAR_D, min(0.7, 0.3 + 0.008 * step)))
-
-
-def frozen_pulses_unnoticed(stage: Stage) -> None:
-    """Drive and wheels say zero, and the pulses count."""
-    stage.run(0.3, lambda: stage.burst(GEAR_D))
-    stage.plant.frozen = frozenset({DRIVE, WHEELS})
-    stage.accelerate(0.25)
-    stage.run(1.0, lambda: stage.burst(GEAR_D, 0.25))
-
-
-def frozen_mileage_unnoticed(stage: Stage) -> None:
-    """Drive, wheels and pulses say the same, and the mileage counts."""
-    stage.run(0.3, lambda: stage.burst(GEAR_D))
-    stage.plant.frozen = frozenset({DRIVE, WHEELS, PULSES})
-    stage.accelerate(0.25)
-    stage.run(14.0, lambda: stage.burst(GEAR_D, 0.25))
-
-
-def reason_untrue(stage: Stage) -> None:
-    """A robot that was pushed is stopped, because it is not seen to move, and it is."""
-    stage.accelerate()
-    stage.oracle.disturb(stage.now_s, 1.0)
-    stage.state = {**stage.state, "engaged": False, "latched": ["not_moving"], "stop_reason": "not_moving"}
-    stage.run(0.02, lambda: stage.burst(GEAR_D, 0.49))
-
-
-def runaway_unbraked(stage: Stage) -> None:
-    """The motor dies downhill, and the speed is told on."""
-    stage.accelerate()
-    stage.plant.motor_strength = 0.0
-    stage.plant.slope_deg = stage.plant.slope_target_deg = -15
-    stage.run(0.6, lambda: stage.burst(GEAR_D, 0.5))
-
-
-def stop_latched(stage: Stage) -> None:
-    """A stop is latched, carried out and ended."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    stage.oracle.requests("stop", {}, stage.now_s)
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "remote_stop", "latched": ["remote_stop"]}
-    stage.run(1.0, lambda: stage.burst(GEAR_D, parking=1))
-    stage.run(0.5, lambda: stage.burst(GEAR_N, parking=1, enabled=0))
-    stage.run(0.01, stage.silence)
-
-
-def latched_unbraked(stage: Stage) -> None:
-    """The remote control gives a latched robot back without its parking brake, and nothing is told."""
-    stop_latched(stage)
-    stage.plant.sticks = (0.0, 0.0)
-    stage.run(0.5, stage.silence)
-    stage.plant.sticks = None
-    stage.run(2.0, stage.silence)
-
-
-def brake_unnoticed(stage: Stage) -> None:
-    """The parking brake reads applied, and the robot slips away."""
-    stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
-    stage.plant.brake_grip = 0.0
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
-    stage.run(1.2, lambda: stage.burst(GEAR_N, parking=1))
-
-
-def yields_unbraked(stage: Stage) -> None:
-    """The remote control takes a robot whose brake is as good as any, and is left without it."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    stage.plant.sticks = (0.0, 0.0)
-    stage.run(0.11, lambda: stage.burst(GEAR_D))
-
-
-def brake_slips(stage: Stage) -> None:
-    """It stood by its motor, creeps so fast that each frame has a pulse, is latched, and goes on."""
-    stage.run(0.2, lambda: stage.burst(GEAR_D))
-    stage.run(0.2, lambda: stage.burst(GEAR_D, parking=1))
-    stage.run(0.2, lambda: stage.burst(GEAR_N, parking=1))
-    stage.state = {**stage.state, "latched": ["rolling"]}
-    stage.plant.brake_creep_mps = 0.03
-    stage.plant.slope_deg = stage.plant.slope_target_deg = 3
-    stage.oracle.requests("stop", {}, stage.now_s)
-    stage.state = {**stage.state, "engaged": False, "stop_reason": "remote_stop", "latched": ["remote_stop"]}
-    stage.run(17.0, lambda: stage.burst(GEAR_N, parking=1))
-
-
-def stands_untrue(stage: Stage) -> None:
-    """A stop says that the robot stands, and it does not."""
-    stage.accelerate()
-    reply = {"ok": True, "reason": "none", "detail": "the robot stands, and its parking brake is applied"}
-    stage.oracle.reply("stop", reply, stage.now_s)
-
-
-def usual_order(stage: Stage) -> None:
-    """The bus took a part of a burst, and the brake is the last word of the next one again."""
-    stage.run(0.1, lambda: stage.burst(GEAR_D, parking=1))
-    stage.run(0.01, lambda: stage.burst(GEAR_D, parking=1, taken=3))
-    stage.burst(GEAR_D, parking=1)
-
-
-def second_order(stage: Stage) -> None:
-    """The parking brake comes second for no reason."""
-    stage.run(0.1, lambda: stage.burst(GEAR_D, parking=1))
-    stage.order = (DRIVE_CMD, PARKING_CMD, GEAR_CMD, STEERING_CMD, BRAKING_CMD)
-    stage.burst(GEAR_D, parking=1)
-
-
-def not_latched(stage: Stage) -> None:
-    """Gateway and guard were gone, the robot moved, and that is no matter."""
-    stage.oracle.all_fail(stage.now_s, stage.now_s + 1.0)
-    stage.oracle.expect_latched(stage.now_s + 2.0, "found_moving_not_latched")
-
-
-def does_not_move(stage: Stage) -> None:
-    """Parked on, whatever is asked."""
-    stage.asked_mps = 0.5
-    stage.run(4.0, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def no_hazard(stage: Stage) -> None:
-    """A latched stop whose frames leave the lamps alone."""
-    stage.accelerate()
-    stage.oracle.requests("stop", {}, stage.now_s)
-    stage.state = {**stage.state, "engaged": False, "latched": ["remote_stop"]}
-    stage.slow_down(50)
-
-
-def idle_engaged(stage: Stage) -> None:
-    """Engaged for longer than it may be without a speed asked for."""
-    stage.oracle._limits = replace(stage.oracle._limits, idle_s=1.0)
-    stage.run(1.5, lambda: stage.burst(GEAR_D, parking=1))
-
-
-def unwarned(stage: Stage) -> None:
-    """A speed before people were warned for as long as it is set."""
-    stage.oracle._limits = replace(stage.oracle._limits, warning_s=2.0)
-    stage.accelerate()
-
-
-BREAKS: dict[Callable[[Stage], None], str] = {
-    neutral_unbraked: "neutral_unbraked",
-    gear_change_unbraked: "gear_change_unbraked",
-    speed_against_brake: "speed_against_brake",
-    over_limit: "over_limit",
-    acceleration: "acceleration",
-    angle: "angle",
-    steering_rate: "steering_rate",
-    lateral_told: "lateral_told",
-    rises_unasked: "rises_unasked",
-    not_falling: "not_falling",
-    deadman: "not_falling",
-    remote_stop: "not_falling",
-    roll_back_at_release: "roll_back_at_release",
-    rolling_unnoticed: "rolling_unnoticed",
-    rolling_against: "rolling_against",
-    pushed: "rolling_unnoticed",
-    steering_unnoticed: "steering_unnoticed",
-    overspeed_unnoticed: "overspeed_unnoticed",
-    overspeed_half_seen: "overspeed_unnoticed",
-    frozen_body_unnoticed: "frozen_body_unnoticed",
-    bumper_unnoticed: "bumper_unnoticed",
-    talks_to_remote: "talks_to_remote",
-    yields_on_and_on: "talks_to_remote",
-    stop_lies: "stop_lies",
-    silence_unbraked: "silence_unbraked",
-    no_auto_hold: "no_auto_hold",
-    stop_unfinished: "stop_unfinished",
-    false_stop: "false_stop",
-    malformed_frame: "malformed_frame",
-    given_back_fast: "given_back_fast",
-    does_not_move: "does_not_move",
-    no_hazard: "no_hazard",
-    idle_engaged: "idle_engaged",
-    unwarned: "unwarned",
-    commands_remote: "commands_remote",
-    yields_unbraked: "commands_remote",
-    left_to_remote: "left_to_remote",
-    speed_from_standby: "speed_from_standby",
-    not_moving_unnoticed: "not_moving_unnoticed",
-    runs_ahead: "runs_ahead",
-    frozen_unnoticed: "frozen_unnoticed",
-    frozen_pulses_unnoticed: "frozen_pulses_unnoticed",
-    frozen_mileage_unnoticed: "frozen_mileage_unnoticed",
-    reason_untrue: "reason_untrue",
-    runaway_unbraked: "runaway_unbraked",
-    brake_unnoticed: "brake_unnoticed",
-    latched_unbraked: "latched_unbraked",
-    brake_slips: "roll_back_at_stop",
-    given_back_in_vain: "roll_back_at_stop",
-    given_back_too_briefly: "roll_back_at_stop",
-    stands_untrue: "stands_untrue",
-    usual_order: "burst_order",
-    second_order: "burst_order",
-    not_latched: "found_moving_not_latched",
+        ticks = range(1, round(to_mps / 0.008) + 2)
+        self.tell(0.2).ask(to_mps).tell_each(min(to_mps, 0.008 * tick) for tick in ticks)
+        return self.tell(0.5, to_mps)
+
+    def slow_down(self, ticks: int) -> Self:
+        """The ramp from 0.5 m/s to zero, and on at zero."""
+        return self.tell_each(max(0.0, 0.49 - 0.012 * tick) for tick in range(ticks))
+
+    def yields_twice(self) -> Self:
+        """A stop that is owed begins where no body frame came for 0.2 s, and yields to the remote control."""
+        self.tell(0.2, parking=1).plant(sticks=(0.0, 0.0)).tell(0.11, parking=1).silence(0.3)
+        self.plant(silent=frozenset({BODY})).silence(0.21).tell(0.3, parking=1)
+        return self.plant(silent=frozenset()).tell(0.1, parking=1).silence(0.5)
+
+    def stop_latched(self) -> Self:
+        """A stop is latched, carried out and ended."""
+        self.tell(0.2).request("stop").stops("remote_stop").tell(1.0, parking=1)
+        return self.tell(0.5, gear=GEAR_N, parking=1, enabled=0).silence()
+
+    def fails_parked(self, slope_deg: float = 5.0) -> Self:
+        """The parking brake fails before it was released: the rule on rolling applies it, and that is all."""
+        self.plant(brake_grip=0.0, slope_deg=slope_deg).tell(0.3, gear=GEAR_N, parking=1)
+        return self.stops("rolling").disturb().tell(3.0, gear=GEAR_N, parking=1)
+
+    def slips(self) -> Self:
+        """A brake that slips gives the robot back to its motor."""
+        self.build(parks_motor=True).tell(0.5).plant(brake_grip=0.0, slope_deg=5.0).disturb()
+        return self.tell(0.2, parking=1).stops("brake_slips")
+
+    def given_back(self, after_s: float, hand: tuple[float, float] | None = None) -> Self:
+        """It is braked again so long after a brake that slips gave it back to its motor."""
+        self.slips().tell(after_s).plant(hand=hand).tell(0.05).plant(hand=None)
+        return self.tell(3.0, parking=1)
+
+
+SPEED = frozenset({DRIVE, WHEELS})
+GATHERING = Build(fine=True).mass_kg * (ROLLING_MPS2 + 0.07) / MOTOR_N
+"""Of the motor's strength: hardly enough, by 0.07 m/s in a second."""
+
+Scene = Callable[[Stage], object]
+
+KEEPS: dict[str, Scene] = {
+    "up, along, down again, and the parking brake": lambda it: (
+        it.accelerate().ask(0.0).slow_down(50).tell(1.0, parking=1)
+    ),
+    "a stop that is owed yields to the remote control twice": Stage.yields_twice,
+    "another gateway ramps from what it sees, and knows no zero of before": lambda it: (
+        it.stop_latched().all_fail(),
+        it.call(it.robot.found_driving, GEAR_D, 0.3),
+        it.run(0.5).call(it.oracle.gateway_returns),
+        it.latches().burst(0.29),
+    ),
+    "a damaged frame says that it moves: it has to stand for a second from there on": lambda it: (
+        it.tell(0.8).hears(DRIVE, 1, 24, 1, 0, 0, 0, 0),
+        it.run(0).call(partial(it.oracle.motion, gateway_lives=True), it.robot, it.now_s),
+        it.tell(1.1).tell(0.3, parking=1),
+    ),
+    "a damaged frame says that nobody commands: the stop begins anew at the angle that is seen": lambda it: (
+        it.tell(0.2).steer(*range(0, 160, 4)).hears(BODY, 0, 0, 0, 0, 0, STOP, 0).burst(parking=1)
+    ),
+    "over the limit while drive and wheels are frozen: no speed is measured": lambda it: (
+        it.accelerate().plant(frozen=SPEED, speed_gain=3.0).tell(1.6, 0.5)
+    ),
+    "the brake fails before it was released": Stage.fails_parked,
+    "somebody pushes it once its motor has held it: it is braked for good": lambda it: it.given_back(
+        1.0, (-0.5, 2000.0)
+    ),
+    "the brake fails, and rolling resistance alone brings it to rest": lambda it: (
+        it.fails_parked().plant(slope_deg=0.0).tell(12.0, gear=GEAR_N, parking=1)
+    ),
+    "the brake fails, and it is chocked and reset: what it rolled before was noticed": lambda it: (
+        it.fails_parked().plant(blocked=True).tell(1.0, gear=GEAR_N, parking=1),
+        it.latches().tell(0.5, gear=GEAR_N, parking=1),
+    ),
+    "it is parked while it moves, then its brake fails: its motor has not brought it to rest": lambda it: (
+        it.build(parks_motor=True).accelerate().ask(0.0).tell(0.4, parking=1).fails_parked()
+    ),
+    "the bus is away, and nobody can tell it to stop": lambda it: (
+        it.accelerate().blind(2.0).disturb().stops("bus_down", latched=False).silence(2.1).tell(2.0, parking=1)
+    ),
+    "for half a second the bus takes a part of each burst, and never the lamps": lambda it: (
+        it.oracle._bytes.update({LIGHT_CMD: bytes(8)}),
+        it.blind(0.5).request("stop").stops("remote_stop").tell(0.1, parking=1).blind(0.0).tell(0.4, parking=1),
+    ),
+    "held by its motor, it yields: the brake would let it roll once it is given back": lambda it: (
+        it.slips().tell(1.0).plant(sticks=(0.0, 0.0)).tell(0.11).latches().silence(0.3)
+    ),
+    "a motor that is hardly enough gathers speed": lambda it: (
+        it.tell(0.2).plant(motor_strength=GATHERING).ask(0.4),
+        it.tell_each(min(0.4, 0.008 * tick) for tick in range(212)),
+    ),
+    "frozen while the command changes for a moment: with its lag it did by less": lambda it: (
+        it.accelerate(0.3).plant(frozen=SPEED).ask(0.62),
+        it.tell_each(0.3 + 0.008 * min(tick, 80 - tick) for tick in range(80)),
+        it.tell(1.5, 0.3),
+    ),
+    "pushed as it is set going: its motor cannot hold it against them": lambda it: (
+        it.tell(0.2).plant(hand=(-0.6, 2000.0)).tell(0.1).request("stop").stops("brake_slips").tell(0.5)
+    ),
+    "it creeps so slowly that not each 50 ms bring a pulse": lambda it: (
+        it.tell(0.2, gear=GEAR_N, parking=1).build(pulses_per_m=200.0),
+        it.plant(brake_creep_mps=0.02, slope_deg=3.0).tell(10.0, gear=GEAR_N, parking=1),
+    ),
+    "a few pulses a second show a creep, too late for its motor": lambda it: (
+        it.tell(0.8).tell(0.2, parking=1).build(pulses_per_m=400.0, parks_motor=True),
+        it.plant(brake_creep_mps=0.03, slope_deg=3.0)
+        .tell(3.0, parking=1)
+        .latches("rolling")
+        .tell(15.0, parking=1),
+    ),
+    "it rolls while its controller restarts, its brake catches it, and fails afterwards": lambda it: (
+        it.tell(0.5).build(parks_motor=True).plant(slope_deg=8.0).disturb(),
+        it.call(it.robot.reboot, 0.4),
+        it.blind(0.6).tell(0.25).tell(0.8, parking=1).fails_parked(8.0),
+    ),
+    "engaged after a gentle ramp of 5 s": lambda it: (
+        it.limits(deceleration_mps2=0.2).request("engage").tell(6.5, parking=1)
+    ),
 }
 
-
-KEEPS: list[Callable[[Stage], None]] = [
-    as_it_should_be,
-    yields_twice,
-    found_after_a_crash,
-    a_damaged_speed,
-    a_damaged_mode,
-    too_fast_unseen,
-    fails_parked,
-    pushed_for_good,
-    lost_until_it_rests,
-    reset_after_it_rolled,
-    caught_by_its_brake,
-    bus_away,
-    lamps_are_cut_off,
-    yields_held_by_its_motor,
-    gathers_speed,
-    frozen_within_its_lag,
-    pushed_off_its_brake,
-    creeps_unseen,
-    creeps_slowly,
-    caught_unheard,
-    engaged_after_a_long_stop,
+BREAKS: list[tuple[str, Scene]] = [
+    ("neutral_unbraked", lambda it: it.tell(0.1, gear=GEAR_N)),
+    ("gear_change_unbraked", lambda it: it.tell(0.1).burst(gear=GEAR_R)),
+    ("speed_against_brake", lambda it: it.burst(0.005, parking=1)),
+    ("over_limit", lambda it: it.accelerate(1.1)),
+    ("acceleration", lambda it: it.ask(1.0).tell(0.1).tell(0.05, 0.1)),
+    ("angle", lambda it: it.burst(raw_angle=2048 + 560)),
+    ("steering_rate", lambda it: it.tell(0.1).steer(20)),
+    ("lateral_told", lambda it: it.burst(2.0, raw_angle=2048 + 500)),
+    ("rises_unasked", lambda it: it.tell(0.1).ask(None).tell(0.5).tell(0.1, 0.006)),
+    ("not_falling", lambda it: it.accelerate().ask(0.0).tell(0.3, 0.5)),
+    # The deadman, and a remote stop.
+    ("not_falling", lambda it: it.accelerate().ask(None).tell(0.7, 0.5)),
+    ("not_falling", lambda it: it.accelerate().request("stop").tell(0.3, 0.5)),
+    ("roll_back_at_release", lambda it: it.plant(slope_deg=8.0).tell(1.5, gear=GEAR_N)),
+    ("rolling_unnoticed", lambda it: it.tell(0.2).plant(motor_strength=0.0, slope_deg=8.0).tell(0.5)),
+    ("rolling_against", lambda it: it.accelerate().plant(hand=(-0.3, 2000.0)).tell(1.5, 0.5)),
+    ("rolling_unnoticed", lambda it: it.tell(0.2).plant(hand=(0.25, 2000.0)).tell(1.0)),
+    ("steering_unnoticed", lambda it: it.plant(stuck=True).steer(*range(0, 300, 10), *[300] * 70)),
+    ("overspeed_unnoticed", lambda it: it.plant(speed_gain=1.6).accelerate(1.0).tell(0.5, 1.0)),
+    # The wheels alone show it.
+    (
+        "overspeed_unnoticed",
+        lambda it: it.accelerate().plant(frozen=frozenset({DRIVE}), speed_gain=3.0).tell(1.6, 0.5),
+    ),
+    ("frozen_body_unnoticed", lambda it: it.accelerate().plant(frozen=frozenset({BODY})).tell(7.0, 0.5)),
+    ("bumper_unnoticed", lambda it: it.accelerate().call(it.robot.touch, "front").tell(1.0, 0.5)),
+    ("talks_to_remote", lambda it: it.plant(sticks=STICKS).tell(0.3, parking=1)),
+    ("talks_to_remote", lambda it: it.yields_twice().tell(0.2, parking=1)),
+    ("stop_lies", lambda it: it.plant(sticks=STICKS).run(0.4).reply().request("stop").run(0.3).reply()),
+    ("silence_unbraked", lambda it: it.tell(0.2).silence()),
+    ("no_auto_hold", lambda it: it.tell(2.0)),
+    ("stop_unfinished", lambda it: it.accelerate().request("disengage").stops(latched=False).slow_down(300)),
+    ("false_stop", lambda it: it.accelerate().stops("implausible_speed", latched=False).tell(0.02, 0.49)),
+    ("malformed_frame", lambda it: it.tell(0.1).skip().burst()),
+    ("given_back_fast", lambda it: it.tell(0.2, parking=1).silence(0.5).burst(0.5)),
+    ("does_not_move", lambda it: it.ask(0.5).tell(4.0, parking=1)),
+    ("no_hazard", lambda it: it.accelerate().request("stop").stops("remote_stop").slow_down(50)),
+    ("idle_engaged", lambda it: it.limits(idle_s=1.0).tell(1.5, parking=1)),
+    ("unwarned", lambda it: it.limits(warning_s=2.0).accelerate()),
+    ("commands_remote", lambda it: it.accelerate().plant(sticks=STICKS).tell(0.05, 0.4)),
+    ("commands_remote", lambda it: it.tell(0.2).plant(sticks=(0.0, 0.0)).tell(0.11)),
+    ("left_to_remote", lambda it: it.accelerate().plant(sticks=STICKS).run(0.03).burst(0.4).silence()),
+    ("speed_from_standby", lambda it: it.accelerate().plant(silent=frozenset({BODY})).silence(0.5).burst(0.4)),
+    ("not_moving_unnoticed", lambda it: it.plant(blocked=True).accelerate().tell(1.5, 0.5)),
+    ("runs_ahead", lambda it: it.plant(blocked=True).accelerate(0.9)),
+    (
+        "frozen_unnoticed",
+        lambda it: (
+            it.accelerate(0.3).plant(frozen=frozenset(PERIOD_STEPS)).ask(0.7),
+            it.tell_each(min(0.7, 0.3 + 0.008 * tick) for tick in range(250)),
+        ),
+    ),
+    ("frozen_pulses_unnoticed", lambda it: it.tell(0.3).plant(frozen=SPEED).accelerate(0.25).tell(1.0, 0.25)),
+    (
+        "frozen_mileage_unnoticed",
+        lambda it: it.tell(0.3).plant(frozen=SPEED | {PULSES}).accelerate(0.25).tell(14.0, 0.25),
+    ),
+    ("reason_untrue", lambda it: it.accelerate().disturb(1.0).stops("not_moving").tell(0.02, 0.49)),
+    (
+        "runaway_unbraked",
+        lambda it: it.accelerate().plant(motor_strength=0.0, slope_deg=-15.0).tell(0.6, 0.5),
+    ),
+    (
+        "brake_unnoticed",
+        lambda it: (
+            it.tell(0.2, gear=GEAR_N, parking=1).plant(brake_grip=0.0, slope_deg=3.0),
+            it.tell(1.2, gear=GEAR_N, parking=1),
+        ),
+    ),
+    (
+        "latched_unbraked",
+        lambda it: it.stop_latched().plant(sticks=(0.0, 0.0)).silence(0.5).plant(sticks=None).silence(2.0),
+    ),
+    # It stood by its motor, creeps so fast that each frame has a pulse, is latched, and goes on.
+    (
+        "roll_back_at_stop",
+        lambda it: (
+            it.tell(0.2).tell(0.2, parking=1).tell(0.2, gear=GEAR_N, parking=1),
+            it.plant(brake_creep_mps=0.03, slope_deg=3.0).request("stop").stops("remote_stop"),
+            it.tell(17.0, gear=GEAR_N, parking=1),
+        ),
+    ),
+    # It is given to its brake again although its motor holds it, and before that could.
+    ("roll_back_at_stop", lambda it: it.given_back(1.0)),
+    ("roll_back_at_stop", lambda it: it.given_back(0.1)),
+    ("stands_untrue", lambda it: it.accelerate().reply("the robot stands, and its parking brake is applied")),
+    # The brake is the last word after a part of a burst, or the second for no reason.
+    ("burst_order", lambda it: it.tell(0.1, parking=1).tell(0.01, parking=1, taken=3).burst(parking=1)),
+    (
+        "burst_order",
+        lambda it: it.tell(0.1, parking=1).burst(parking=1, order=(DRIVE_CMD, PARKING_CMD, *USUAL[1:4])),
+    ),
+    (
+        "found_moving_not_latched",
+        lambda it: it.all_fail(1.0).oracle.expect_latched(it.now_s + 2.0, "found_moving_not_latched"),
+    ),
 ]
 
 
-@pytest.mark.parametrize("keeps", KEEPS, ids=lambda case: case.__name__)
-def test_a_drive_by_the_rules_breaks_none(keeps: Callable[[Stage], None]) -> None:
-    """Nothing is found where nothing is wrong."""
+@pytest.mark.parametrize("scene", KEEPS.values(), ids=KEEPS)
+def test_a_drive_by_the_rules_breaks_none(scene: Scene) -> None:
     stage = Stage()
     stage.oracle._bytes[LIGHT_CMD] = bytes([0, 1, 1, 0, 0, 0, 0, 0])
-    keeps(stage)
+    scene(stage)
     assert stage.oracle.violations == {}
 
 
-@pytest.mark.parametrize(("breaks", "kind"), BREAKS.items(), ids=lambda case: getattr(case, "__name__", ""))
-def test_each_broken_rule_is_found(breaks: Callable[[Stage], None], kind: str) -> None:
-    """What breaks a rule is found under that rule's name."""
+@pytest.mark.parametrize(("kind", "scene"), BREAKS)
+def test_each_broken_rule_is_found(kind: str, scene: Scene) -> None:
     stage = Stage()
-    breaks(stage)
+    scene(stage)
     assert kind in stage.oracle.violations, stage.oracle.violations

@@ -1,4 +1,4 @@
-"""The plant against what can be worked out on paper."""
+"""The plant against what can be worked out on paper; what it says is frozen too, in the column ``feedback``."""
 
 from math import radians, sin
 from random import Random
@@ -6,15 +6,12 @@ from random import Random
 import pytest
 
 from tests.system.scenarios.plant import (
-    BODY,
     BRAKING_CMD,
-    DRIVE,
     GEAR,
     GEAR_D,
     GEAR_N,
     GEAR_P,
     GRAVITY_MPS2,
-    PARKING,
     PARKING_CMD,
     PARKING_MPS2,
     ROLLING_MPS2,
@@ -90,79 +87,3 @@ def test_standing_wheels_read_as_the_manual_says() -> None:
     for fine, zero in ((False, 200), (True, 32768)):
         plant = Plant(Build(fine=fine), Random(1))  # noqa: S311
         assert int.from_bytes(passes(plant, 0.1)[WHEELS][1:3], "little") == zero
-
-
-def test_a_controller_that_restarts_forgets_its_commands() -> None:
-    """It says nothing meanwhile, and is in mode stop after."""
-    plant = on_hill(0)
-    assert plant.mode == 0
-    plant.reboot(0.5)
-    assert not [frame for _ in range(80) for frame in plant.step()]
-    assert [frame for _ in range(40) for frame in plant.step()]
-    assert plant.mode == 2
-
-
-def test_held_wheels_stay_whatever_the_motor_does() -> None:
-    """And the robot sets off when they come free."""
-    plant = on_hill(0)
-    plant.blocked = True
-    told(plant, GEAR_D, 2.0)
-    passes(plant, 1.0)
-    assert plant.speed_mps == 0
-    plant.blocked = False
-    passes(plant, 1.0)
-    assert plant.speed_mps > 1.0
-
-
-@pytest.mark.parametrize(
-    ("grip", "creep_mps", "rolled_m"), [(1.0, 0.0, 0.0), (0.0, 0.0, 0.16), (1.0, 0.02, 0.0136)]
-)
-def test_a_parking_brake_that_reads_applied_may_hold_nothing(
-    grip: float, creep_mps: float, rolled_m: float
-) -> None:
-    """Without grip it rolls as gravity says, and it creeps at its speed; in gear the motor holds the robot."""
-    plant = on_hill(5)
-    plant.brake_grip, plant.brake_creep_mps = grip, creep_mps
-    told(plant, GEAR_D, parking=1)
-    shown = passes(plant, 0.5)
-    assert (plant.x_m, shown[PARKING][1], plant.brake_holds) == (0, 1, not rolled_m)
-    told(plant, GEAR_N, parking=1)
-    passes(plant, 0.68)
-    assert -plant.x_m == pytest.approx(rolled_m, rel=0.1)
-
-
-def test_a_weak_battery_takes_force_and_speed() -> None:
-    """At 0.6 of it, 20 deg are too steep even without a load, and 2 m/s is the most."""
-    weak = Plant(Build(battery=0.6), Random(1), 20)  # noqa: S311
-    assert on_hill(20).can_climb
-    assert not weak.can_climb
-    weak.slope_deg = weak.slope_target_deg = 0.0
-    told(weak, GEAR_D, 2.2)
-    passes(weak, 5.0)
-    assert weak.speed_mps == pytest.approx(2.0, abs=0.01)
-
-
-def test_frozen_frames_count_on_and_silent_ones_do_not_come() -> None:
-    """A frozen frame repeats its values with a counter that runs."""
-    plant = on_hill(0)
-    plant.frozen, plant.silent = frozenset({DRIVE}), frozenset({BODY})
-    told(plant, GEAR_D, 1.0)
-    frames = [frame for _ in range(200) for frame in plant.step()]
-    drives = [data for identifier, data in frames if identifier == DRIVE]
-    assert {data[:6] for data in drives} == {drives[0][:6]}
-    assert len({data[6] for data in drives}) == 16
-    assert BODY not in {identifier for identifier, _ in frames}
-
-
-def test_a_bumper_bounces_and_is_clear_after_the_way_back() -> None:
-    """On and off at first, then on; off for good 0.3 m away."""
-    plant = on_hill(0)
-    plant.touch("front")
-    touches = [plant._touches()[0] for _ in range(4)]
-    assert touches[0] == 1
-    plant.x_m += 0.1
-    plant._contact_s = 1.0
-    assert plant._touches() == (1, 0)
-    plant.x_m -= 0.5
-    plant._touches()
-    assert plant.wall is None

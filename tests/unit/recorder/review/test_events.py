@@ -31,8 +31,7 @@ from tests.support.messages import refusal as refused
 from tests.support.nights import some_by_day
 from tests.support.rigs import gateway, scenarios
 from tests.support.rigs.recorded import RecordedRig
-from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
-from tests.support.rigs.script import logs_of
+from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, logs_of, recorded
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
@@ -101,7 +100,7 @@ def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
     return log.close()
 
 
-@pytest.mark.parametrize("scenario", some_by_day(list(SCENARIOS), 4), ids=lambda one: one.__name__)
+@pytest.mark.parametrize("scenario", some_by_day(list(SCENARIOS), 4), ids=str)
 def test_every_event_of_the_arbiter_is_told_once_in_its_order(scenario: Scenario, path: Path) -> None:
     """With its own time, operator, reason and text; states tell of the guard alone."""
     entries = told(path, recorded(scenario))

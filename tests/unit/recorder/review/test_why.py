@@ -29,8 +29,7 @@ from tests.support.rigs import scenarios
 from tests.support.rigs.day import Day
 from tests.support.rigs.gateway import WALL_NS
 from tests.support.rigs.recorded import RecordedRig, ask, ask_of, texts
-from tests.support.rigs.scenarios import SCENARIOS, Scenario, recorded
-from tests.support.rigs.script import ENDED, GONE, NOTE, logs_of
+from tests.support.rigs.scenarios import ENDED, GONE, NOTE, SCENARIOS, Scenario, logs_of, recorded
 
 HOUR_NS = 3600 * SECOND
 DAY_TICKS = 2500
@@ -425,7 +424,7 @@ def test_the_diary_has_thirty_stops_and_each_cause_among_them() -> None:
     assert set(EVIDENCE) - {reason for reason, _ in SCENARIOS.values()} == UNACTED
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.__name__)
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=str)
 def test_the_last_stop_has_its_cause_its_evidence_and_its_cure(scenario: Scenario, path: Path) -> None:
     """The right reason, shown by the right frame, silence or request, with the right numbers."""
     reason, words = SCENARIOS[scenario]
