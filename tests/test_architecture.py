@@ -170,17 +170,6 @@ def test_no_docstring_begins_as_a_question() -> None:
     assert found == []
 
 
-def test_each_test_states_its_truth() -> None:
-    """In its docstring; what helps a test says it by its name."""
-    found = [
-        f"{path.relative_to(ROOT)}:{one.lineno}"
-        for path in sorted((ROOT / "tests").rglob("*.py"))
-        for one in ast.parse(path.read_text(encoding="utf-8")).body
-        if isinstance(one, ast.FunctionDef) and one.name.startswith("test_") and ast.get_docstring(one) is None
-    ]
-    assert found == []
-
-
 def test_no_text_is_read_in_the_encoding_of_the_surroundings() -> None:
     """Our own files are UTF-8 whatever the locale."""
     found = [

@@ -3,15 +3,14 @@
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from urllib.parse import urlparse
 
 import pytest
 from playwright.sync_api import Browser, Page
 
 from schemas.settings import CommandSettings
 from tests.support.processes.desk import DeskScene, chromium, desk_scene, drive, open_robot
-from tests.support.processes.far_tcp import far_tcp
 from tests.support.processes.letting_go import WAYS
+from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 TIMES = 20
@@ -64,10 +63,10 @@ def test_each_way_to_let_go_stops_the_robot_twenty_times(
 
 def test_a_browser_that_is_300_ms_away_drives_slowly_and_stops(scene: DeskScene, running_browser: Browser) -> None:
     """The robot obeys commands that are 600 ms old at a speed that this age allows; let go, it stands."""
-    with far_tcp(urlparse(scene.address).port or 0, 0.3) as port:
+    with TcpLink(scene.address, lambda: 0.3) as link:
         context = running_browser.new_context(locale="en-GB")
         try:
-            page = open_robot(context, scene, f"http://127.0.0.1:{port}/")
+            page = open_robot(context, scene, f"http://127.0.0.1:{link.port}/")
             drive(scene, page)
             wait_until(lambda: " ms" in page.locator(".now").inner_text())
             age_ms = int(page.locator(".now").inner_text().split("Link:")[1].split("ms")[0])

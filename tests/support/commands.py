@@ -3,28 +3,14 @@
 import argparse
 import signal
 from collections.abc import Callable
-from typing import Protocol
+from types import ModuleType
 
 from gateway.cli.main import main
 from recorder.cli import review as review_command
 from schemas.settings import Settings
 
 
-class HasWords(Protocol):
-    """What declares the words of a command."""
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare them."""
-
-
-class Command(HasWords, Protocol):
-    """The module of a command."""
-
-    def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-        """Run it; the exit code."""
-
-
-def parsed(command: HasWords, *words: object) -> argparse.Namespace:
+def parsed(command: ModuleType, *words: object) -> argparse.Namespace:
     """These words, as a command understands them."""
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
@@ -32,10 +18,14 @@ def parsed(command: HasWords, *words: object) -> argparse.Namespace:
 
 
 def run_command(
-    command: Command, *words: object, settings: Settings | None = None, stopped: Callable[[], bool] = lambda: False
+    command: ModuleType,
+    *words: object,
+    settings: Settings | None = None,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> int:
     """Run the command of a module with these words, until ``stopped``; its exit code."""
-    return command.run(parsed(command, *words), settings or Settings(), stopped)
+    code: int = command.run(parsed(command, *words), settings or Settings(), stopped)
+    return code
 
 
 def review(*words: object, is_stopped: bool = False) -> int:

@@ -68,18 +68,6 @@ def test_a_subscriber_prints_what_a_robot_reports() -> None:
     assert re.match(r"fleet/cruiser-1/state mode=\w+ gear_position=\w+ speed_mps=0\.0 ", first)
 
 
-def test_a_subscriber_whose_reader_goes_ends_in_silence() -> None:
-    """As behind ``| head``."""
-    with FakeRobot() as fake:
-        words = [sys.executable, str(EXAMPLES / "subscribe.py"), fake.listen]
-        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        next(iter(process.stdout))
-        process.stdout.close()
-        _, said = process.communicate(timeout=30)
-    assert (process.returncode, said) == (0, "")
-
-
 def test_the_notebook_says_how_far_the_robot_went(tmp_path: Path) -> None:
     """Every cell runs, in order, over a dataset that the command has made; the notebook is kept without output."""
     rig, operator = RecordedRig.driving(1.0)

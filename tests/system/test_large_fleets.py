@@ -11,6 +11,8 @@ from schemas.command_line import ExitCode
 from tests.support.fakes.fleet import LEASE_MS, FakeFleet
 from tests.support.processes.busy import burning
 
+pytestmark = pytest.mark.night
+
 ENDS_S = 100
 """Far beyond any timeout that is given here: what is still running then hangs."""
 
@@ -27,7 +29,6 @@ def cruiser(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.night
 def test_a_stop_of_a_large_fleet_ends_and_hears_every_robot() -> None:
     """Each robot answers, and nobody is said to be silent. That they stand is not seen: these publish nothing."""
     with FakeFleet(400) as fleet:
@@ -46,7 +47,6 @@ def test_a_stop_of_a_large_fleet_is_seen_while_the_machine_is_busy() -> None:
     assert (report["counted"], ended.returncode) == (True, 0)
 
 
-@pytest.mark.night
 def test_a_large_fleet_is_listed_whole() -> None:
     """Every robot that is connected has its line, after one on all of them."""
     with FakeFleet(1000) as fleet:

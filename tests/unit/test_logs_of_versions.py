@@ -1,6 +1,8 @@
 """Logs of later versions are read as far as they are known; those of before are in ``test_golden_logs``."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
@@ -93,62 +95,51 @@ def test_what_is_added_at_the_end_means_the_same(kind: type) -> None:
     assert means_the_same(kind, older.SerializeToString())
 
 
-def changed(what: str) -> bytes:
-    """The schema of safety/event in which a number means something else."""
-    files = FileDescriptorSet.FromString(descriptor_set(SafetyEvent))
-    fields = files.file[-1].message_type[0].field
-    match what:
-        case "two fields in each other's place":
-            fields[2].name, fields[6].name = fields[6].name, fields[2].name
-        case "a field of another type":
-            fields[2].type = FieldDescriptorProto.TYPE_DOUBLE
-        case "a field renamed":
-            fields[2].name = "tack"
-        case "a value from another syntax":
-            files.file[-1].syntax = "proto2"
-        case "a field of another name in JSON":
-            fields[2].json_name = "tack"
-        case _:
-            change_values(files, what)
-    return files.SerializeToString()
+def swap(ones: Any, first: int, second: int) -> None:  # noqa: ANN401 - fields or values of a descriptor
+    ones[first].name, ones[second].name = ones[second].name, ones[first].name
 
 
-def change_values(files: FileDescriptorSet, what: str) -> None:
-    """Change the numbers of reasons, or what they are called."""
-    reason = next(enum for file in files.file for enum in file.enum_type if enum.name == "Reason")
-    match what:
-        case "two values in each other's place":
-            reason.value[1].name, reason.value[2].name = reason.value[2].name, reason.value[1].name
-        case "a value in place of another":
-            reason.value[3].name = "REASON_ICE"
-        case "two values in each other's place, and right ones elsewhere":
-            elsewhere = files.file.add(name="elsewhere.proto", package="elsewhere", syntax="proto3")
-            elsewhere.enum_type.add().CopyFrom(reason)
-            reason.value[1].name, reason.value[2].name = reason.value[2].name, reason.value[1].name
-        case "a number below zero":
-            reason.value.add(name="REASON_ICE", number=-1)
-        case "a number that is left out":
-            reason.value.add(name="REASON_ICE", number=len(reason.value) + 1)
+class Parts(NamedTuple):
+    """Of the schema of safety/event: its files, its fields, and the values of its reasons."""
+
+    files: FileDescriptorSet
+    fields: Any
+    values: Any
 
 
-@pytest.mark.parametrize(
-    "what",
-    [
-        "a value from another syntax",
-        "a field of another name in JSON",
-        "a number below zero",
-        "a number that is left out",
-        "two fields in each other's place",
-        "a field of another type",
-        "a field renamed",
-        "two values in each other's place",
-        "a value in place of another",
-        "two values in each other's place, and right ones elsewhere",
-    ],
-)
-def test_a_number_that_means_something_else_is_never_taken_for_ours(what: str) -> None:
+def decoy(files: FileDescriptorSet, values: Any) -> None:  # noqa: ANN401 - of a descriptor
+    """Right values of an enumeration of this name in another package, and wrong ones in ours."""
+    elsewhere = files.file.add(name="elsewhere.proto", package="elsewhere", syntax="proto3")
+    for value in values:
+        values_there = elsewhere.enum_type or [elsewhere.enum_type.add(name="Reason")]
+        values_there[0].value.add(name=value.name, number=value.number)
+    swap(values, 1, 2)
+
+
+DOUBLE = FieldDescriptorProto.TYPE_DOUBLE
+CHANGES: dict[str, Callable[[Parts], object]] = {
+    "another syntax": lambda of: setattr(of.files.file[-1], "syntax", "proto2"),
+    "another name in JSON": lambda of: setattr(of.fields[2], "json_name", "tack"),
+    "a number below zero": lambda of: of.values.add(name="REASON_ICE", number=-1),
+    "a number left out": lambda of: of.values.add(name="REASON_ICE", number=len(of.values) + 1),
+    "two fields swapped": lambda of: swap(of.fields, 2, 6),
+    "a field of another type": lambda of: setattr(of.fields[2], "type", DOUBLE),
+    "a field renamed": lambda of: setattr(of.fields[2], "name", "tack"),
+    "two values swapped": lambda of: swap(of.values, 1, 2),
+    "a value replaced": lambda of: setattr(of.values[3], "name", "REASON_ICE"),
+    "two values swapped, and right ones elsewhere": lambda of: decoy(of.files, of.values),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_number_that_means_something_else_is_never_taken_for_ours(
+    change: Callable[[Parts], object],
+) -> None:
     """Such messages are read by the log's own schema alone, and a check says so."""
-    data = changed(what)
+    files = FileDescriptorSet.FromString(descriptor_set(SafetyEvent))
+    values = next(enum for file in files.file for enum in file.enum_type if enum.name == "Reason").value
+    change(Parts(files, files.file[-1].message_type[0].field, values))
+    data = files.SerializeToString()
     assert not means_the_same(SafetyEvent, data)
     topic = topic_of(records.Channel(1, key_of(SafetyEvent), "protobuf", {}, 1), schema_record(data))
     assert topic.kind is None

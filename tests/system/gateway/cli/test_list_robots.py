@@ -14,7 +14,7 @@ from tests.support.commands import run_command
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.gateway import FakeGateway, speech
 from tests.support.messages import HEALTH, STANDBY, STATE
-from tests.support.processes.tcp_proxy import TcpProxy
+from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import StopWhen, nothing
 
 WELL = [STATE, HEALTH]
@@ -104,7 +104,7 @@ def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(cap
     """Over a slow way back the tokens of many robots do not come in time: silence is no answer."""
     with (
         FakeFleet(400) as fleet,
-        TcpProxy(fleet.listen, slowness_s=0.05) as proxy,
+        TcpLink(fleet.listen, down_bytes_per_s=1280) as proxy,
         pytest.raises(CommandError, match=r"did not say within 3 s which robots are connected") as caught,
     ):
         list_robots(proxy.endpoint, "--timeout", "3")

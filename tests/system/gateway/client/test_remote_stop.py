@@ -15,7 +15,7 @@ from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.peer import free_endpoint
 from tests.support.fakes.robot import FakeRobot, settings_for
 from tests.support.messages import ROOT
-from tests.support.processes.tcp_proxy import TcpProxy
+from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 
@@ -59,7 +59,7 @@ def test_a_fleet_is_stopped_and_who_is_silent_is_named() -> None:
 
 def test_a_fleet_that_is_not_counted_in_time_is_not_said_to_be_all() -> None:
     """Over a slow way back the tokens of many robots do not come in time: there may be more than those named."""
-    with FakeFleet(400) as fleet, TcpProxy(fleet.listen, slowness_s=0.05) as proxy:
+    with FakeFleet(400) as fleet, TcpLink(fleet.listen, down_bytes_per_s=1280) as proxy:
         report = stop_all("first", settings_for(proxy.endpoint), 3)
     assert (report.linked, report.counted) == (True, False)
 

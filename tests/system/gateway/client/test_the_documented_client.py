@@ -9,7 +9,7 @@ import pytest
 
 from schemas.decisions import ArbiterState
 from tests.support.fakes.robot import FakeRobot
-from tests.support.relay import Relay
+from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 PAGE = Path(__file__).parents[4] / "docs" / "commands.md"
@@ -32,12 +32,11 @@ def test_it_is_short() -> None:
 def test_it_drives_near_and_far(one_way_s: float) -> None:
     """Goal of the row 'travel delay': 200 ms one way. It drives, comes to rest and gives the lease back."""
     with FakeRobot() as fake:
-        host, _, port = fake.listen.removeprefix("tcp/").rpartition(":")
-        with Relay(host, int(port), lambda: one_way_s) as relay:
+        with TcpLink(fake.listen, lambda: one_way_s) as link:
             program = documented()
             assert ENDPOINT in program
             done = subprocess.run(
-                [sys.executable, "-c", program.replace(ENDPOINT, f"tcp/{relay.endpoint}")],
+                [sys.executable, "-c", program.replace(ENDPOINT, link.endpoint)],
                 capture_output=True,
                 text=True,
                 timeout=60,

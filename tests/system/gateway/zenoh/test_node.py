@@ -16,7 +16,7 @@ from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_PIECE
 from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
-from tests.support.processes.tcp_proxy import TcpProxy
+from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 BIG_REPLIES: Final = 16
@@ -151,10 +151,10 @@ def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
     patient = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(lease_ms=60_000))
     node, _ = open_node(patient)
     other = open_session(ZenohSettings(), [default_endpoint], [])
-    with TcpProxy(default_endpoint) as proxy:
+    with TcpLink(default_endpoint) as proxy:
         stuck = open_session(patient.zenoh, [proxy.endpoint], [])
         wait_until(lambda: bool(stuck.info.peers_zid() and other.info.peers_zid()) and node.peers() == 2)
-        proxy.stall()
+        proxy.is_stalled = True
         handlers = [stuck.get("fleet/r-1/gateway/info", timeout=60) for _ in range(2)]
         taken: list[bytes] = []
 

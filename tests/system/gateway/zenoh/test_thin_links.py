@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
+from random import Random
 from statistics import median
 from time import monotonic
 from typing import Final, NamedTuple
@@ -22,7 +23,7 @@ from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.links import LINKS
 from tests.support.nights import by_night
-from tests.support.processes.paced_link import PacedLink, paced_link
+from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 LTE: Final = next(link for link in LINKS if link.name == "LTE bad")
@@ -45,7 +46,7 @@ class Thin(NamedTuple):
         late_s: of what came, by key, how long after it was published; in the order of its coming.
     """
 
-    link: PacedLink
+    link: TcpLink
     node: ZenohNode
     inbox: CommandInbox
     operator: CommandPort
@@ -76,8 +77,9 @@ def thin() -> Iterator[Thin]:
 
     with ExitStack() as stack:
         stack.callback(open_local_router(endpoint).close)
-        link = stack.enter_context(paced_link(int(endpoint.rpartition(":")[2]), LTE, BYTES_PER_S))
-        robot = settings(f"tcp/127.0.0.1:{link.port}", "lo=operator")
+        random = Random(1)  # noqa: S311 - the same link each time
+        link = stack.enter_context(TcpLink(endpoint, lambda: LTE.delay_s(random), up_bytes_per_s=BYTES_PER_S))
+        robot = settings(link.endpoint, "lo=operator")
         node, place = open_node(robot)
         stack.callback(node.close)
         inbox = stack.enter_context(closing(open_inbox(robot, place)))

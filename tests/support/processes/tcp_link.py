@@ -1,18 +1,18 @@
-"""A radio uplink on the loopback: one queue for all connections, a rate, and the delays of a row of links.
+"""A bad link over TCP on the loopback: a delay, one queue with a rate upwards, a slow or stalled way back.
 
 What a sender has not got rid of waits in its own buffers, as before a modem: nothing is lost.
 """
 
+from __future__ import annotations
+
 import asyncio
+import re
 import socket
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from random import Random
-from typing import Final
-
-from tests.support.links import LinkProfile
+from contextlib import suppress
+from typing import Final, Self
 
 CHUNK_BYTES: Final = 1400
 """A packet: others get their turn behind it."""
@@ -29,29 +29,41 @@ BURST_S: Final = 0.05
 RECEIVE_BYTES: Final = 8192
 """The receive buffer towards the sender, which the system doubles: what waits shall wait at the sender."""
 
+WIDE: Final = 1e9
 
-class PacedLink:
-    """The uplink from whoever connects to it to a port of this machine.
+
+class TcpLink:
+    """Carries connections to a port of this machine, from where a ``with`` begins.
 
     Attributes:
+        port, endpoint: where to connect instead.
         up_bytes: so many have been carried from those who connect, and ``down_bytes`` to them.
+        is_stalled: nothing more is read of what comes back.
     """
 
-    def __init__(self, target: int, profile: LinkProfile, up_bytes_per_s: float, queue_packets: int) -> None:
-        """Nothing is carried yet.
+    def __init__(
+        self,
+        target: str,
+        delay_s: Callable[[], float] = float,
+        *,
+        up_bytes_per_s: float = WIDE,
+        down_bytes_per_s: float = WIDE,
+        queue_packets: int = 12,
+    ) -> None:
+        """Carry nothing yet.
 
         Args:
-            profile: the delay of each packet either way; none overtakes another.
-            up_bytes_per_s: the rate upwards; down there is no limit.
+            target: an address with a port of this machine in it.
+            delay_s: draws the delay of a packet, either way; none overtakes another.
             queue_packets: the places in the modem's queue, each for a packet of up to ``CHUNK_BYTES``.
         """
         self.up_bytes = self.down_bytes = 0
-        self._target = target
-        self._profile = profile
-        self._rate = up_bytes_per_s
+        self.is_stalled = False
+        self._target = re.findall(r":(\d+)", target)[0]
+        self._delay_s = delay_s
+        self._up_rate, self._down_rate = up_bytes_per_s, down_bytes_per_s
         self._places = asyncio.Semaphore(queue_packets)
         self._queue: deque[tuple[asyncio.StreamWriter, bytes]] = deque()
-        self._random = Random(1)  # noqa: S311 - the same link each time
         self._listening = socket.socket()
         self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         # Else the loopback's segments are larger than the buffer, and each waits for a delayed acknowledgement.
@@ -59,12 +71,32 @@ class PacedLink:
         self._listening.bind(("127.0.0.1", 0))
         self._listening.listen()
         self.port = int(self._listening.getsockname()[1])
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
+        self._ended = asyncio.Event()
+        # On a thread of its own: a browser's driver has a loop on the test's.
+        self._executor = ThreadPoolExecutor(1)
 
-    async def serve(self, ended: asyncio.Event) -> None:
-        """Carry until this is set."""
+    def __enter__(self) -> Self:
+        ready: Future[asyncio.AbstractEventLoop] = Future()
+        self._serving = self._executor.submit(asyncio.run, self._serve(ready))
+        self._loop = ready.result(10)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Break all connections, and take no more."""
+        if not self._serving.done():
+            self._loop.call_soon_threadsafe(self._ended.set)
+        self._serving.result(10)
+        self._executor.shutdown()
+
+    async def _serve(self, ready: Future[asyncio.AbstractEventLoop]) -> None:
         server = await asyncio.start_server(self._accept, sock=self._listening, limit=CHUNK_BYTES)
         pump = asyncio.create_task(self._pump())
-        await ended.wait()
+        ready.set_result(asyncio.get_running_loop())
+        await self._ended.wait()
         server.close()
         pump.cancel()
         with suppress(asyncio.CancelledError):
@@ -92,7 +124,7 @@ class PacedLink:
         while True:
             await asyncio.sleep(TURN_S)
             now_s = loop.time()
-            allowed = min(allowed + (now_s - before_s) * self._rate, self._rate * BURST_S)
+            allowed = min(allowed + (now_s - before_s) * self._up_rate, self._up_rate * BURST_S)
             before_s = now_s
             sent: dict[asyncio.StreamWriter, bytearray] = {}
             while self._queue and allowed > 0:
@@ -104,48 +136,25 @@ class PacedLink:
             if not self._queue:
                 allowed = min(allowed, 0.0)
             if sent:
-                arrives_s = max(arrives_s + LATER_S, now_s + self._profile.delay_s(self._random))
-                loop.call_at(arrives_s, _write_all, sent)
+                arrives_s = max(arrives_s + LATER_S, now_s + self._delay_s())
+                loop.call_at(arrives_s, _write, sent)
 
     async def _down(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         loop = asyncio.get_running_loop()
         arrives_s = loop.time()
-        while data := await reader.read(65_536):
+        most = min(65_536, int(self._down_rate * BURST_S))
+        while data := await reader.read(most):
+            if self.is_stalled:
+                await self._ended.wait()
             self.down_bytes += len(data)
-            arrives_s = max(arrives_s + LATER_S, loop.time() + self._profile.delay_s(self._random))
-            loop.call_at(arrives_s, _write, writer, data)
+            arrives_s = max(arrives_s + LATER_S, loop.time() + self._delay_s())
+            loop.call_at(arrives_s, _write, {writer: data})
+            await asyncio.sleep(len(data) / self._down_rate)
         await asyncio.sleep(max(0.0, arrives_s - loop.time()))
         writer.close()
 
 
-@contextmanager
-def paced_link(
-    target: int, profile: LinkProfile, up_bytes_per_s: float, queue_packets: int = 12
-) -> Iterator[PacedLink]:
-    """A link that carries until the end, on a thread of its own."""
-    link = PacedLink(target, profile, up_bytes_per_s, queue_packets)
-    ready: Future[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = Future()
-
-    async def serve() -> None:
-        ended = asyncio.Event()
-        ready.set_result((asyncio.get_running_loop(), ended))
-        await link.serve(ended)
-
-    with ThreadPoolExecutor(1) as executor:
-        serving = executor.submit(asyncio.run, serve())
-        loop, ended = ready.result(10)
-        try:
-            yield link
-        finally:
-            loop.call_soon_threadsafe(ended.set)
-            serving.result(10)
-
-
-def _write_all(sent: dict[asyncio.StreamWriter, bytearray]) -> None:
+def _write(sent: Mapping[asyncio.StreamWriter, bytes | bytearray]) -> None:
     for writer, data in sent.items():
-        _write(writer, bytes(data))
-
-
-def _write(writer: asyncio.StreamWriter, data: bytes) -> None:
-    if not writer.is_closing():
-        writer.write(data)
+        if not writer.is_closing():
+            writer.write(bytes(data))
