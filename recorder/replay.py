@@ -1,24 +1,11 @@
-"""A log published again: its rows as samples, and their times.
-
-Plays a log: waits until the next message is due, and hands it to the outlet.
-
-The rows of logs as they are replayed: each once, frames of a batch together, by a chosen time. Pure.
-
-Memory is bounded, however long the logs are.
-
-Turns the rows of a log into the Zenoh samples that it was made from. Pure.
+"""A log published again on Zenoh, as the samples that it was made from.
 
 A record of ours becomes its typed message and that its MessagePack payload, a RawSample the payload that it kept,
-frames of one batch a batch. What never was a Zenoh sample (other makers' channels, lines for viewers) is passed
-over.
+frames of one batch a batch. Other makers' channels and lines for viewers never were samples, and are passed over.
+Every due time is counted from one anchor, so that nothing adds up. Memory is bounded, however long the logs are.
 
-Schedules the contents of a log again. Pure: the time is an argument, and what is due comes out.
-
-Every due time is counted from one anchor, so that nothing adds up: a replay of ten hours is as long as the log.
-
-Publishes a log's samples again on Zenoh: no liveliness token, no queryable, nothing that a live robot has.
-
-While it is open it looks out for gateways. Where one is connected under the same root nothing is published.
+Nothing is declared that a live robot has, no liveliness token and no queryable, and where a gateway is connected
+under the same root nothing is published.
 """
 
 from __future__ import annotations
@@ -26,10 +13,8 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from enum import Enum
-from heapq import heappop, heappush
+from functools import lru_cache
 from typing import Any, Final, Protocol
 
 import msgspec
@@ -50,34 +35,8 @@ from schemas.zenoh_session import GOSSIP, close_session, is_connected, join, loc
 REMEMBERED: Final = 200_000
 """Rows that are compared with those of other files: some four minutes of a robot. Twice as many are held."""
 
-HORIZON_NS: Final = 2_000_000_000
-"""A row that reached the recorder so much later than others is not sorted in among them any more."""
-
-SORTED_MAX: Final = 100_000
-"""Rows that are held for sorting, whatever their times say."""
-
-
-class By(Enum):
-    """The time that decides when a message is replayed: the recorder's receipt, or the source's own."""
-
-    LOG = "log"
-    PUBLISH = "publish"
-
-
-class ReplayRun(msgspec.Struct, frozen=True, gc=False):
-    """One message of a log; of raw frames all that came in one batch.
-
-    Attributes:
-        time_ns: when it is due, in the log's time.
-    """
-
-    time_ns: int
-    topic: Topic
-    rows: list[Row]
-
 
 def once(rows: Iterable[Row], remembered: int = REMEMBERED) -> Iterator[Row]:
-    """The rows without those that another file repeats: an incident, another recorder's log."""
     before: dict[tuple[str, int, int], Topic] = {}
     seen: dict[tuple[str, int, int], Topic] = {}
     for row in rows:
@@ -94,55 +53,27 @@ def once(rows: Iterable[Row], remembered: int = REMEMBERED) -> Iterator[Row]:
         yield row
 
 
-def runs(rows: Iterable[Row], by: By) -> Iterator[ReplayRun]:
-    """The runs, each at the place of its first row."""
+def runs(rows: Iterable[Row]) -> Iterator[list[Row]]:
+    """Each row by itself, but raw frames that came in one batch together, at the place of the first."""
     pending: dict[Topic, list[Row]] = {}
     log_ns = -1
     for row in rows:
-        if pending and row.log_ns != log_ns:
-            yield from _released(pending, by)
-        log_ns = row.log_ns
+        if row.log_ns != log_ns:
+            yield from pending.values()
+            pending, log_ns = {}, row.log_ns
         topic = row.topic
         if topic.kind is not CanFrame:
-            yield ReplayRun(_time_ns(row, by), topic, [row])
+            yield [row]
             continue
         batch = pending.get(topic)
         if batch and (batch[0].sequence != row.sequence or len(batch) >= BATCH_MAX_FRAMES):
-            yield _run(batch, by)
+            yield batch
             batch = None
         if batch is None:
             pending[topic] = [row]
         else:
             batch.append(row)
-    yield from _released(pending, by)
-
-
-def in_order(
-    found: Iterable[ReplayRun], horizon_ns: int = HORIZON_NS, limit: int = SORTED_MAX
-) -> Iterator[ReplayRun]:
-    """The runs sorted by their times, as far as they are not more than the horizon out of it."""
-    waiting: list[tuple[int, int, ReplayRun]] = []
-    for number, run in enumerate(found):
-        heappush(waiting, (run.time_ns, number, run))
-        while waiting[0][2].rows[0].log_ns + horizon_ns <= run.rows[0].log_ns or len(waiting) > limit:
-            yield heappop(waiting)[2]
-    while waiting:
-        yield heappop(waiting)[2]
-
-
-def _released(pending: dict[Topic, list[Row]], by: By) -> Iterator[ReplayRun]:
-    for batch in pending.values():
-        yield _run(batch, by)
-    pending.clear()
-
-
-def _run(batch: list[Row], by: By) -> ReplayRun:
-    # A batch was published when its last frame had come.
-    return ReplayRun(max(_time_ns(row, by) for row in batch), batch[0].topic, batch)
-
-
-def _time_ns(row: Row, by: By) -> int:
-    return row.log_ns if by is By.LOG else row.publish_ns
+    yield from pending.values()
 
 
 DEFAULT_ROOT: Final = "replay"
@@ -151,7 +82,6 @@ DEFAULT_ROOT: Final = "replay"
 _PLAIN: Final = re.compile(r"[^/*$?#]+(/[^/*$?#]+)*")
 """A key that names one thing: a log may hold anything, and a wildcard would reach many."""
 
-_RAW_ENDING: Final = f"/{RAW_CHUNK}"
 _LAST_NS: Final = 2**63 - 1
 
 ENCODING_BYTES_MAX: Final = 255
@@ -160,8 +90,29 @@ ENCODING_BYTES_MAX: Final = 255
 DELETED: Final = "deleted"
 """The reason with which the recorder keeps a sample that deletes its key."""
 
+MATCHES_KEPT: Final = 10_000
+
 Wants = Callable[[str], bool]
 """Reports whether a key of the log is wanted."""
+
+
+def wants_of(texts: Sequence[str]) -> Wants:
+    """Return a test of keys by Zenoh's key expressions."""
+    expressions = []
+    for text in texts:
+        try:
+            expressions.append(zenoh.KeyExpr.autocanonize(text))
+        except zenoh.ZError as error:
+            raise CommandError(f"{text!a} is no key expression", ExitCode.USAGE) from error
+
+    @lru_cache(MATCHES_KEPT)
+    def wants(key: str) -> bool:
+        try:
+            return any(one.includes(zenoh.KeyExpr(key)) for one in expressions)
+        except zenoh.ZError:
+            return False
+
+    return wants
 
 
 class ReplaySample(msgspec.Struct, frozen=True):
@@ -169,13 +120,8 @@ class ReplaySample(msgspec.Struct, frozen=True):
 
     Attributes:
         time_ns: when it is due, in the log's time.
-        key: its destination.
-        encoding: Zenoh's, with the schema.
         subject: its row in the table of subjects; None if it has none.
-        message: its content; None of a sample that was kept as it was.
-        raw: the payload of such a sample.
-        attachment: likewise; empty if there was none.
-        is_delete: it says that the key was deleted.
+        message: its content; None of a sample that was kept as it was, which has ``raw`` and ``attachment``.
     """
 
     time_ns: int
@@ -211,10 +157,6 @@ class KeyMap:
 
     The log's root is replaced. If the log has several, each stays, behind the new one: else two robots of the same
     name would become one. A key under none of them is put behind the new root whole.
-
-    Args:
-        root: the destination.
-        log_roots: the roots of the robots in the log.
     """
 
     def __init__(self, root: str, log_roots: Sequence[str]) -> None:
@@ -222,7 +164,6 @@ class KeyMap:
         self._replaced = f"{log_roots[0]}/" if len(log_roots) == 1 else ""
 
     def __call__(self, key: str) -> str | None:
-        """The new key. None if nothing may be published there: a command, or a key that reaches many."""
         if _PLAIN.fullmatch(key) is None or COMMAND_CHUNK in key.split("/"):
             return None
         return f"{self._root}/{key.removeprefix(self._replaced)}"
@@ -240,27 +181,16 @@ def overlap(one: str, other: str) -> bool:
     return longer.startswith(shorter)
 
 
-def root_of_token(key: str) -> str:
-    """The root of the gateway whose liveliness token this is."""
-    return key.rsplit("/", 2)[0]
-
-
 def may_hold(topic: Topic, wants: Wants) -> bool:
-    """Report whether samples of wanted keys may be in a topic."""
     if topic.kind is RawSample:
         # Its samples tell their keys; only of a broken one of a known key the topic does too.
-        key = topic.name.removesuffix(_RAW_ENDING)
+        key = topic.name.removesuffix(f"/{RAW_CHUNK}")
         return key == topic.name or wants(key)
     return _subject_of(topic) is not None and wants(topic.name)
 
 
 class Samples:
     """Makes samples of runs of rows.
-
-    Args:
-        new_key: from the key in the log to the new one.
-        wants: a test of keys in the log.
-        faults: takes what cannot be decoded.
 
     Attributes:
         withheld: samples that must not be published: commands, keys that name more than one thing,
@@ -274,24 +204,23 @@ class Samples:
         self._known: dict[Topic, tuple[str | None, Subject | None]] = {}
         self.withheld = 0
 
-    def of(self, runs: Iterable[ReplayRun]) -> Iterator[ReplaySample]:
-        """The samples, in the order of the runs."""
-        for run in runs:
+    def of(self, runs: Iterable[list[Row]]) -> Iterator[ReplaySample]:
+        for rows in runs:
             try:
-                sample = self._sample(run)
+                sample = self._sample(rows)
             except UNREADABLE as error:
-                self._faults.add(f"{run.topic.name}: a message cannot be decoded: {error}")
+                self._faults.add(f"{rows[0].topic.name}: a message cannot be decoded: {error}")
                 continue
             if sample is not None:
                 yield sample
 
-    def _sample(self, run: ReplayRun) -> ReplaySample | None:
-        topic = run.topic
+    def _sample(self, rows: list[Row]) -> ReplaySample | None:
+        topic, time_ns = rows[0].topic, rows[0].log_ns
         decode = topic.decode
         if decode is None:
             return None
         if topic.kind is RawSample:
-            return self._raw(run.time_ns, decode(run.rows[0].data))
+            return self._raw(time_ns, decode(rows[0].data))
         known = self._known.get(topic)
         if known is None:
             known = self._known[topic] = (self._new_key(topic.name), _subject_of(topic))
@@ -299,11 +228,9 @@ class Samples:
         if key is None or subject is None:
             self.withheld += key is None
             return None
-        if topic.kind is CanFrame:
-            message = batch([decode(row.data) for row in run.rows], run.rows[0].sequence)
-        else:
-            message = decode(run.rows[0].data)
-        return ReplaySample(run.time_ns, key, subject.encoding, subject, message)
+        messages = [decode(row.data) for row in rows]
+        message = batch(messages, rows[0].sequence) if topic.kind is CanFrame else messages[0]
+        return ReplaySample(time_ns, key, subject.encoding, subject, message)
 
     def _raw(self, time_ns: int, raw: RawSample) -> ReplaySample | None:
         if not self._wants(raw.key):
@@ -312,47 +239,31 @@ class Samples:
         if key is None or len(raw.encoding.encode()) > ENCODING_BYTES_MAX:
             self.withheld += 1
             return None
+        is_delete = raw.reason == DELETED
         return ReplaySample(
-            time_ns,
-            key,
-            raw.encoding,
-            raw=raw.payload,
-            attachment=raw.attachment,
-            is_delete=raw.reason == DELETED,
+            time_ns, key, raw.encoding, raw=raw.payload, attachment=raw.attachment, is_delete=is_delete
         )
 
 
 def batch(frames: Sequence[CanFrame], sequence: int) -> CanFrames:
-    """Frames of a log as the batch that they came in. Of that the log keeps neither ``dropped`` nor the time."""
     return CanFrames(
         time_ns=max(frame.time_ns for frame in frames),
         sequence=sequence,
         bus=frames[0].bus,
         dropped=0,
         frame_time_ns=[frame.time_ns for frame in frames],
-        can_id=[word_of(frame) for frame in frames],
-        fd_flags=[fd_flags_of(frame) for frame in frames],
+        can_id=[
+            one.identifier | EXTENDED * one.is_extended | REMOTE * one.is_remote | ERROR * one.is_error
+            for one in frames
+        ],
+        fd_flags=[
+            FD * one.is_fd
+            | BITRATE_SWITCH * one.bitrate_switch
+            | ERROR_STATE_INDICATOR * one.error_state_indicator
+            for one in frames
+        ],
         length=[frame.dlc for frame in frames],
         data=[frame.data for frame in frames],
-    )
-
-
-def word_of(frame: CanFrame) -> int:
-    """Identifier and kind of a frame in one word."""
-    return (
-        frame.identifier
-        | (EXTENDED if frame.is_extended else 0)
-        | (REMOTE if frame.is_remote else 0)
-        | (ERROR if frame.is_error else 0)
-    )
-
-
-def fd_flags_of(frame: CanFrame) -> int:
-    """CAN FD's flags of a frame."""
-    return (
-        (FD if frame.is_fd else 0)
-        | (BITRATE_SWITCH if frame.bitrate_switch else 0)
-        | (ERROR_STATE_INDICATOR if frame.error_state_indicator else 0)
     )
 
 
@@ -371,17 +282,17 @@ AS_FAST_AS_POSSIBLE: Final = 0.0
 FOR_EVER: Final = 0
 """The number of loops that never ends."""
 
-SET_BACK_NS: Final = 1_000_000_000
-"""A message that is further behind in the log's time is late, or the clock was set back."""
+LONGEST_PAUSE_NS: Final = 60_000_000_000
+"""A longer pause of the log is cut to this."""
 
-SET_BACK_AFTER: Final = 100
-"""Messages in a row that are further behind before the clock counts as set back."""
+SET_BACK_NS: Final = 1_000_000_000
+"""A message that is further behind in the log's time was received by a clock that had been set back."""
 
 SLIP_NS: Final = 1_000_000_000
 """A process that stood still for longer (Ctrl-Z, a machine that slept) resumes from there, without a burst."""
 
-_BUCKET_NS: Final = 100_000
-_LAST_BUCKET: Final = 20_000
+ATTEND_NS: Final = 20_000_000
+"""The period in which the outlet is looked after."""
 
 
 class Pace:
@@ -389,29 +300,21 @@ class Pace:
 
     Args:
         speed: so many times as fast as recorded; AS_FAST_AS_POSSIBLE makes everything due at once.
-        longest_pause_ns: a pause of the log that is longer is cut to this, of the log's time.
 
     Attributes:
         cut: pauses that were cut.
     """
 
-    def __init__(self, speed: float, longest_pause_ns: int) -> None:
-        self._speed = speed
-        self._longest_pause_ns = longest_pause_ns
-        self._anchor_ns = self._anchor_time_ns = self._latest_ns = 0
-        self._is_anchored = False
-        self._behind = 0
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+        self._anchor_ns = self._anchor_time_ns = 0
+        self._latest_ns: int | None = None
         self.cut = 0
-
-    @property
-    def is_paced(self) -> bool:
-        """True if anything has a due time at all."""
-        return self._speed > 0
 
     def start(self, now_ns: int) -> None:
         """Make the next item due now."""
         self._anchor_ns = now_ns
-        self._is_anchored = False
+        self._latest_ns = None
 
     def delay(self, duration_ns: int) -> None:
         """All that is not due yet is due so much later."""
@@ -419,226 +322,96 @@ class Pace:
 
     def due_ns(self, time_ns: int) -> int:
         """Return the due time of a log time. To be called in the order of the log, once for each item."""
-        if not self._is_anchored:
-            self._is_anchored = True
+        if self._latest_ns is None:
             self._anchor_time_ns = self._latest_ns = time_ns
-        self._behind = self._behind + 1 if time_ns < self._latest_ns - SET_BACK_NS else 0
-        if self._behind > SET_BACK_AFTER:
-            self._behind = 0
-            self._anchor_time_ns += time_ns - self._latest_ns
-            self._latest_ns = time_ns
-        pause_ns = time_ns - self._latest_ns
-        if pause_ns > self._longest_pause_ns:
-            self._anchor_time_ns += pause_ns - self._longest_pause_ns
+        step_ns = time_ns - self._latest_ns
+        if step_ns > LONGEST_PAUSE_NS:
+            self._anchor_time_ns += step_ns - LONGEST_PAUSE_NS
             self.cut += 1
-        self._latest_ns = max(self._latest_ns, time_ns)
-        if not self.is_paced:
-            return self._anchor_ns
-        return self._anchor_ns + round((self._latest_ns - self._anchor_time_ns) / self._speed)
-
-
-class Lateness:
-    """The lateness of items, in buckets of 0.1 ms; the last one holds all that is later than 2 s."""
-
-    def __init__(self) -> None:
-        self._buckets: Counter[int] = Counter()
-        self.max_ns = 0
-
-    def add(self, late_ns: int) -> None:
-        """One that was so late."""
-        late_ns = max(0, late_ns)
-        self._buckets[min(late_ns // _BUCKET_NS, _LAST_BUCKET)] += 1
-        self.max_ns = max(self.max_ns, late_ns)
-
-    def quantile_ns(self, part: float) -> int:
-        """This part of them was no later; 0 if there were none."""
-        left = part * self._buckets.total()
-        for number in sorted(self._buckets):
-            left -= self._buckets[number]
-            if left <= 0:
-                return self.max_ns if number == _LAST_BUCKET else min((number + 1) * _BUCKET_NS, self.max_ns)
-        return 0
-
-
-class Due(msgspec.Struct, frozen=True, gc=False):
-    """A sample that is due, and its due time."""
-
-    item: ReplaySample
-    due_ns: int
-
-
-class ReplayScheduler:
-    """Plays what a log holds, once or several times.
-
-    Args:
-        read: returns the samples from the beginning on.
-        pace: when it is due.
-        loops: number of times; FOR_EVER does not end.
-
-    Attributes:
-        pace: as it was given.
-        lateness: of what was handed out, if it is paced.
-        slipped_ns: by how much the whole has been put off, as it could not keep up: see SLIP_NS.
-        loop: the number of the present loop, from 1.
-        is_ended: nothing more will come.
-    """
-
-    def __init__(self, read: Callable[[], Iterator[ReplaySample]], pace: Pace, loops: int = 1) -> None:
-        self._read = read
-        self.pace = pace
-        self._loops = loops
-        self._items: Iterator[ReplaySample] = iter(())
-        self._next: Due | None = None
-        self._last_due_ns = 0
-        self._has_played = False
-        self.lateness = Lateness()
-        self.slipped_ns = 0
-        self.loop = 1
-        self.is_ended = False
-
-    @property
-    def next_ns(self) -> int | None:
-        """The due time of the next sample; None at the end."""
-        return None if self._next is None else self._next.due_ns
-
-    def start(self, now_ns: int) -> None:
-        """Begin."""
-        self._items = self._read()
-        self._last_due_ns = now_ns
-        self.pace.start(now_ns)
-        self._advance()
-
-    def take(self, now_ns: int) -> Due | None:
-        """The next one, if it is due."""
-        due = self._next
-        if due is None or due.due_ns > now_ns:
-            return None
-        if self.pace.is_paced:
-            late_ns = now_ns - due.due_ns
-            self.lateness.add(late_ns)
-            if late_ns > SLIP_NS:
-                due = Due(due.item, now_ns)
-                self.pace.delay(late_ns)
-                self.slipped_ns += late_ns
-        self._last_due_ns = due.due_ns
-        self._has_played = True
-        self._advance()
-        return due
-
-    def hold(self, duration_ns: int) -> None:
-        """All that is not due yet is due so much later."""
-        self.pace.delay(duration_ns)
-        if self._next is not None:
-            self._next = Due(self._next.item, self._next.due_ns + duration_ns)
-
-    def _advance(self) -> None:
-        item = next(self._items, None)
-        if item is None and self._has_played and (self._loops == FOR_EVER or self.loop < self._loops):
-            self.loop += 1
-            self._has_played = False
-            self._items = self._read()
-            # Not from now on: what was late does not make the next round late too.
-            self.pace.start(self._last_due_ns)
-            item = next(self._items, None)
-        self._next = None if item is None else Due(item, self.pace.due_ns(item.time_ns))
-        self.is_ended = item is None
-
-
-ATTEND_NS: Final = 20_000_000
-"""The period in which the outlet is looked after."""
-
-MIN_SLEEP_NS: Final = 1_000
-"""Looking after things may have taken until the next look."""
-
-
-class Halt(msgspec.Struct, frozen=True):
-    """The reason for which a replay cannot continue."""
-
-    detail: str
-    code: ExitCode
+        if step_ns < -SET_BACK_NS:
+            self._anchor_time_ns += step_ns
+        elif step_ns < 0:
+            time_ns = self._latest_ns
+        self._latest_ns = time_ns
+        return self._anchor_ns + (round((time_ns - self._anchor_time_ns) / self.speed) if self.speed else 0)
 
 
 class Outlet(Protocol):
-    """The destination of a replay.
-
-    Attributes:
-        sent: number of samples that were accepted...
-        failed: ...and of those that were not. They are never sent later.
-    """
-
-    sent: int
-    failed: int
+    """The destination of a replay."""
 
     def send(self, item: ReplaySample, shift_ns: int) -> None:
         """Send one. Its time stamps become so much later. Never raises."""
-        ...
 
-    def attend(self) -> Halt | None:
+    def attend(self) -> CommandError | None:
         """Look after what else there is. Returns why it cannot go on."""
-        ...
-
-    def close(self) -> None:
-        """Give everything back; nothing is sent any more. Never raises."""
-        ...
 
 
-class ReplayClock:
-    """The machine's clocks, and waiting."""
+class Played(msgspec.Struct):
+    """The course of a replay.
 
-    def monotonic_ns(self) -> int:
-        """Return the time for due times."""
-        return time.monotonic_ns()
+    Attributes:
+        loops: number of times that it was begun.
+        late_ns: the greatest lateness of a sample, if it is paced.
+        slipped_ns: by how much the whole has been put off, as it could not keep up: see SLIP_NS.
+        has_ended: it reached the end.
+        halt: why it could not go on.
+    """
 
-    def wall_ns(self) -> int:
-        """Return the time since 1970."""
-        return time.time_ns()
-
-    def sleep(self, duration_ns: int) -> None:
-        """Wait."""
-        time.sleep(duration_ns / 1e9)
+    loops: int = 0
+    late_ns: int = 0
+    slipped_ns: int = 0
+    has_ended: bool = False
+    halt: CommandError | None = None
 
 
 def play(
-    player: ReplayScheduler,
+    read: Callable[[], Iterator[ReplaySample]],
+    pace: Pace,
     outlet: Outlet,
-    clock: ReplayClock,
     stopped: Callable[[], bool],
     *,
+    loops: int = 1,
     is_now: bool = False,
-) -> Halt | None:
+) -> Played:
     """Play to the end, or until stopped.
 
     Args:
-        player: plays the log.
-        outlet: the destination.
-        clock: the time.
-        stopped: end it.
         is_now: every time stamp is moved by what lies between the log's time and the present.
-
-    Returns:
-        Why it could not go on; None if it reached the end or was stopped.
     """
-    epoch_ns = clock.wall_ns() - clock.monotonic_ns()
-    attend_ns = clock.monotonic_ns()
-    player.start(attend_ns)
-    # What it took to find the beginning is no lateness.
-    player.hold(clock.monotonic_ns() - attend_ns)
-    while not stopped() and not player.is_ended:
-        now_ns = clock.monotonic_ns()
-        if now_ns >= attend_ns:
-            attend_ns = now_ns + ATTEND_NS
-            halt = outlet.attend()
-            if halt is not None:
-                return halt
-            now_ns = clock.monotonic_ns()
-        due = player.take(now_ns)
-        if due is not None:
-            present_ns = epoch_ns + (due.due_ns if player.pace.is_paced else now_ns)
-            outlet.send(due.item, present_ns - due.item.time_ns if is_now else 0)
-            continue
-        next_ns = player.next_ns
-        clock.sleep(max(MIN_SLEEP_NS, min(attend_ns if next_ns is None else next_ns, attend_ns) - now_ns))
-    return outlet.attend()
+    played = Played()
+    epoch_ns = time.time_ns() - time.monotonic_ns()
+    attend_ns = due_ns = 0
+    while loops == FOR_EVER or played.loops < loops:
+        items = read()
+        item = next(items, None)
+        if item is None:
+            break
+        # What it took to find the beginning is no lateness. What was late makes the next round no later.
+        pace.start(due_ns if played.loops else time.monotonic_ns())
+        played.loops += 1
+        while item is not None:
+            due_ns = pace.due_ns(item.time_ns)
+            while (now_ns := time.monotonic_ns()) < due_ns or now_ns >= attend_ns:
+                if now_ns >= attend_ns:
+                    attend_ns = now_ns + ATTEND_NS
+                    played.halt = outlet.attend()
+                else:
+                    time.sleep((min(due_ns, attend_ns) - now_ns) / 1e9)
+                if played.halt is not None or stopped():
+                    return played
+            if pace.speed:
+                late_ns = now_ns - due_ns
+                played.late_ns = max(played.late_ns, late_ns)
+                if late_ns > SLIP_NS:
+                    pace.delay(late_ns)
+                    played.slipped_ns += late_ns
+                    due_ns = now_ns
+            present_ns = epoch_ns + (due_ns if pace.speed else now_ns)
+            outlet.send(item, present_ns - item.time_ns if is_now else 0)
+            item = next(items, None)
+    played.has_ended = True
+    played.halt = outlet.attend()
+    return played
 
 
 log = logging.getLogger(__name__)
@@ -651,26 +424,6 @@ TOKEN_TIMEOUT_S: Final = 1.0
 POLL_S: Final = 0.02
 
 
-def key_checked(text: str) -> str:
-    """A key expression, in the form that Zenoh wants.
-
-    Raises:
-        CommandError: it is none.
-    """
-    try:
-        return str(zenoh.KeyExpr.autocanonize(text))
-    except zenoh.ZError as error:
-        raise CommandError(f"{text!a} is no key expression", ExitCode.USAGE) from error
-
-
-def key_matches(expression: str, topic: str) -> bool:
-    """True if a Zenoh key expression matches a topic. False of what is no key expression."""
-    try:
-        return zenoh.KeyExpr.autocanonize(expression).includes(zenoh.KeyExpr(topic))
-    except zenoh.ZError:
-        return expression == topic
-
-
 class ZenohOutlet:
     """A session that publishes samples, from its beginning to ``close``.
 
@@ -678,18 +431,13 @@ class ZenohOutlet:
     not see live robots beside those of the log.
 
     Args:
-        settings: of the session.
         root: the beginning of every key.
         waits: a subscriber that is too slow holds the replay up, instead of losing samples.
 
     Attributes:
         listen: where others are to connect; empty if nothing is said of it.
-        sent: samples that Zenoh took...
-        failed: ...and those that it did not.
+        sent: samples that Zenoh took; ``failed`` those that it did not.
         was_alone: for a while nobody was connected.
-
-    Raises:
-        CommandError: the session cannot be opened.
     """
 
     def __init__(self, settings: ZenohSettings, root: str, *, waits: bool) -> None:
@@ -709,23 +457,13 @@ class ZenohOutlet:
             keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
         )
 
-    @property
-    def is_connected(self) -> bool:
-        """True if any Zenoh node is connected."""
-        return is_connected(self._session)
-
     def wait_for_link(self, timeout_s: float, stopped: Callable[[], bool]) -> bool:
         """Wait until somebody is connected. False if nobody is in time."""
         # Zenoh lists no clients; that one of them subscribes is all that is known of it.
-        return self._wait(lambda probe: self.is_connected or _matches(probe), timeout_s, stopped)
+        return self._wait(lambda probe: is_connected(self._session) or _matches(probe), timeout_s, stopped)
 
     def wait_for_subscriber(self, timeout_s: float | None, stopped: Callable[[], bool]) -> bool:
-        """Wait for somebody who wants what will be published: links and declarations take their time.
-
-        Args:
-            timeout_s: the longest wait; None waits as long as need be.
-            stopped: gives up when it turns true.
-        """
+        """Wait for somebody who wants what will be published, as long as need be if the time is None."""
         return self._wait(_matches, timeout_s, stopped)
 
     def _wait(
@@ -742,7 +480,7 @@ class ZenohOutlet:
         finally:
             probe.undeclare()
 
-    def find_gateway(self) -> Halt | None:
+    def find_gateway(self) -> CommandError | None:
         """Ask for gateways. The refusal if there is one under the root."""
         for reply in self._session.liveliness().get(keys.ANY_TOKEN, timeout=TOKEN_TIMEOUT_S):
             if reply.ok is not None:
@@ -750,7 +488,6 @@ class ZenohOutlet:
         return self._refusal()
 
     def send(self, item: ReplaySample, shift_ns: int) -> None:
-        """Publish a sample, with the quality of service of its subject. Never raises."""
         try:
             if item.is_delete:
                 self._session.delete(item.key, congestion_control=self._congestion)
@@ -771,7 +508,7 @@ class ZenohOutlet:
         else:
             self.sent += 1
 
-    def attend(self) -> Halt | None:
+    def attend(self) -> CommandError | None:
         """Look out for gateways. Why the replay must end, if one has come."""
         while (token := self._tokens.try_recv()) is not None:
             key = str(token.key_expr)
@@ -779,11 +516,10 @@ class ZenohOutlet:
                 self._gateways.add(key)
             else:
                 self._gateways.discard(key)
-        self.was_alone = self.was_alone or not self.is_connected
+        self.was_alone = self.was_alone or not is_connected(self._session)
         return self._refusal()
 
     def close(self) -> None:
-        """Leave Zenoh. Never raises."""
         close_session(self._session)
 
     def _declare(self, key: str, subject: Subject) -> zenoh.Publisher:
@@ -796,13 +532,13 @@ class ZenohOutlet:
         )
         return publisher
 
-    def _refusal(self) -> Halt | None:
+    def _refusal(self) -> CommandError | None:
         for key in sorted(self._gateways):
-            if overlap(root_of_token(key), self._root):
-                robot = key.split("/")[-2]
-                return Halt(
+            # ROOT/ROBOT/gateway
+            if overlap(key.rsplit("/", 2)[0], self._root):
+                return CommandError(
                     f"the gateway of a robot is connected under this root, {key}: what is replayed would be taken "
-                    f"for {robot}; choose another --root",
+                    "for that robot; choose another --root",
                     ExitCode.REFUSED,
                 )
         return None

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from functools import lru_cache
 from typing import Final
 
 import msgspec
@@ -23,25 +22,19 @@ from recorder.replay import (
     AS_FAST_AS_POSSIBLE,
     DEFAULT_ROOT,
     FOR_EVER,
-    By,
-    Halt,
     KeyMap,
     Pace,
-    ReplayClock,
     ReplaySample,
-    ReplayScheduler,
     Samples,
     Wants,
     ZenohOutlet,
-    in_order,
-    key_checked,
-    key_matches,
     may_hold,
     once,
     overlap,
     play,
     roots_of,
     runs,
+    wants_of,
 )
 from schemas import keys
 from schemas.arguments import add_link_arguments, seconds
@@ -61,27 +54,22 @@ DESCRIPTION: Final = (
 
 TIMEOUT_S: Final = 3.0
 EVERY_KEY: Final = "**"
-MATCHES_KEPT: Final = 10_000
 MAX: Final = "max"
 FOREVER: Final = "forever"
 WITHHELD: Final = "commands, and keys or encodings that are unfit"
 NOTHING: Final = "the logs hold nothing that could be replayed"
 SPEED_MIN: Final = 0.001
 SPEED_MAX: Final = 1e6
-LONGEST_PAUSE_S: Final = 60.0
 
 
 class Replayed(msgspec.Struct, frozen=True):
     """The outcome of a replay.
 
     Attributes:
-        to: the destination.
         sent: samples; ``failed`` were not taken.
-        withheld: those that are not to be sent, by why: commands, keys that name several things, and encodings
-            that are too long.
+        withheld: those that are not to be sent, by why.
         loops: number of times that it was begun.
-        took_s: its duration.
-        lateness_p50_ms, lateness_p99_ms, lateness_max_ms: how late they were sent; 0 at the speed 'max'.
+        lateness_max_ms: how late they were sent; 0 at the speed 'max'.
         slipped_s: by how much it fell behind altogether, as it could not keep up.
         pauses_cut: pauses of the log that were shortened.
         was_alone: for a while nobody was connected; what was sent then is lost.
@@ -94,8 +82,6 @@ class Replayed(msgspec.Struct, frozen=True):
     withheld: dict[str, int]
     loops: int
     took_s: float
-    lateness_p50_ms: float
-    lateness_p99_ms: float
     lateness_max_ms: float
     slipped_s: float
     pauses_cut: int
@@ -104,20 +90,12 @@ class Replayed(msgspec.Struct, frozen=True):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help="print the outcome as JSON")
     add_period(parser)
     parser.add_argument(
         "--speed", type=_speed, default=1.0, metavar="X", help="so many times as fast; 'max' waits for nothing (1)"
     )
     parser.add_argument("--loop", type=_loops, default=1, metavar="N", help="how often, or 'forever' (1)")
-    parser.add_argument(
-        "--longest-pause",
-        type=seconds,
-        default=LONGEST_PAUSE_S,
-        metavar="S",
-        help=f"a longer pause of the log is shortened to this ({LONGEST_PAUSE_S:g})",
-    )
     parser.add_argument(
         "--keys",
         action="append",
@@ -129,12 +107,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--force", action="store_true", help="allow the log's own root; never where a gateway is connected"
-    )
-    parser.add_argument(
-        "--time",
-        choices=[by.value for by in By],
-        default=By.LOG.value,
-        help="whose time counts: receipt, or source (log)",
     )
     parser.add_argument("--now", action="store_true", help="move the messages' time stamps into the present")
     add_link_arguments(parser)
@@ -156,20 +128,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Replay, and print what became of it."""
-    expressions = [key_checked(text) for text in arguments.keys or [EVERY_KEY]]
-
-    @lru_cache(MATCHES_KEPT)
-    def wants(key: str) -> bool:
-        return any(key_matches(expression, key) for expression in expressions)
-
+    wants = wants_of(arguments.keys or [EVERY_KEY])
     asked = find(arguments, settings, stopped)
     replayed, halt = _replay(arguments, settings, asked, wants, stopped)
     show(replayed, describe(replayed), as_json=arguments.json)
     sys.stdout.flush()
     code = end_with(asked.faults)
     if halt is not None:
-        raise CommandError(halt.detail, halt.code)
+        raise halt
     if not replayed.sent and not replayed.failed and replayed.ended == "end":
         raise CommandError(NOTHING)
     return int(ExitCode.PARTIAL) if replayed.failed or replayed.was_alone else code
@@ -177,8 +143,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 def _replay(
     arguments: argparse.Namespace, settings: Settings, asked: Asked, wants: Wants, stopped: Callable[[], bool]
-) -> tuple[Replayed, Halt | None]:
-    root, by = arguments.root, By(arguments.time)
+) -> tuple[Replayed, CommandError | None]:
+    root = arguments.root
     if re.fullmatch(keys.ROOT_PATTERN, root) is None:
         raise CommandError(f"{root!a} cannot be a root: it is {keys.ROOT_PATTERN}", ExitCode.USAGE)
     # What cannot be read is told when the rows are.
@@ -192,39 +158,35 @@ def _replay(
     def read() -> Iterator[ReplaySample]:
         # What cannot be read is told once, however often it is read.
         rows = read_rows(asked.logs, selection, faults.pop() if faults else Faults())
-        found = runs(once(rows) if len(asked.logs) > 1 else rows, by)
-        return samples.of(in_order(found) if by is By.PUBLISH else found)
+        return samples.of(runs(once(rows) if len(asked.logs) > 1 else rows))
 
     # Or it would wait for somebody, and have nothing to say.
     if not any(may_hold(topic, wants) for topic in topics):
         raise CommandError(NOTHING)
-    player = ReplayScheduler(read, Pace(arguments.speed, round(arguments.longest_pause * 1e9)), arguments.loop)
-    with closing(ZenohOutlet(settings.zenoh, root, waits=not player.pace.is_paced)) as outlet:
+    pace = Pace(arguments.speed)
+    with closing(ZenohOutlet(settings.zenoh, root, waits=not pace.speed)) as outlet:
         _meet(outlet, root, arguments.timeout, stopped)
         if not outlet.wait_for_subscriber(arguments.timeout, stopped) and not stopped():
             _tell(f"nobody subscribes to {root}/** yet")
         _tell(f"{len(asked.logs)} logs to {root}/**")
         begun_s = time.monotonic()
-        halt = play(player, outlet, ReplayClock(), stopped, is_now=arguments.now)
-    late = player.lateness
-    ended = "end" if player.is_ended else "stopped"
+        played = play(read, pace, outlet, stopped, loops=arguments.loop, is_now=arguments.now)
+    ended = "end" if played.has_ended else "stopped"
     replayed = Replayed(
         to=f"{root}/**",
         sent=outlet.sent,
         failed=outlet.failed,
         withheld={WITHHELD: samples.withheld} if samples.withheld else {},
-        loops=player.loop,
+        loops=played.loops,
         took_s=round(time.monotonic() - begun_s, 3),
-        lateness_p50_ms=late.quantile_ns(0.5) / 1e6,
-        lateness_p99_ms=late.quantile_ns(0.99) / 1e6,
-        lateness_max_ms=late.max_ns / 1e6,
-        slipped_s=player.slipped_ns / 1e9,
-        pauses_cut=player.pace.cut,
+        lateness_max_ms=played.late_ns / 1e6,
+        slipped_s=played.slipped_ns / 1e9,
+        pauses_cut=pace.cut,
         # Who listens has guests that come and go.
         was_alone=outlet.was_alone and not outlet.listen,
-        ended=ended if halt is None else halt.detail,
+        ended=ended if played.halt is None else str(played.halt),
     )
-    return replayed, halt
+    return replayed, played.halt
 
 
 def _check_root(root: str, others: set[str], *, is_forced: bool) -> None:
@@ -252,21 +214,17 @@ def _meet(outlet: ZenohOutlet, root: str, timeout_s: float, stopped: Callable[[]
         )
     halt = outlet.find_gateway()
     if halt is not None:
-        raise CommandError(halt.detail, halt.code)
+        raise halt
 
 
 def describe(replayed: Replayed) -> Iterator[str]:
-    """Yield lines for people about what became of a replay."""
     rate = replayed.sent / replayed.took_s if replayed.took_s else 0
     yield f"{replayed.to}: {replayed.sent} sent in {replayed.took_s:.1f} s, {rate:.0f}/s"
     if replayed.failed:
         yield f"  {replayed.failed} were not taken"
     yield from (f"  {count} withheld: {why}" for why, count in replayed.withheld.items())
     if replayed.lateness_max_ms:
-        yield (
-            f"  lateness: median {replayed.lateness_p50_ms:.1f} ms, p99 {replayed.lateness_p99_ms:.1f} ms, "
-            f"at most {replayed.lateness_max_ms:.1f} ms"
-        )
+        yield f"  lateness: at most {replayed.lateness_max_ms:.1f} ms"
     if replayed.slipped_s:
         yield f"  it fell {replayed.slipped_s:.1f} s behind"
     if replayed.pauses_cut:

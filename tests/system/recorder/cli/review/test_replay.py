@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import msgspec
 import pytest
 import zenoh
 
@@ -164,20 +163,6 @@ def test_time_stamps_can_be_those_of_the_present(peer: tuple[Peer, str], log: st
         assert begun_ns - 500 * MS <= message.time_ns <= ended_ns
         if isinstance(message, CanFrames):
             assert message.frame_time_ns[1] - message.frame_time_ns[0] == 2 * MS
-
-
-def test_by_the_sources_time_late_messages_are_in_their_place(tmp_path: Path, peer: tuple[Peer, str]) -> None:
-    """What a recorder was told late stands behind others in the log."""
-    one, endpoint = peer
-    samples = drive_samples(20)
-    late = [*samples[:1], *samples[11:], *samples[1:11]]
-    path = write_samples(tmp_path / "late.mcap", late)
-    words = [str(path), "--speed", "max", "--keys", "fleet/*/chassis/gear"]
-    for by, is_sorted in (("log", False), ("publish", True)):
-        heard = Heard(one, "replay/*/chassis/gear")
-        assert run(*words, "--time", by, endpoint=endpoint) == ExitCode.OK
-        times = [msgspec.msgpack.decode(sample.payload.to_bytes())["time_ns"] for sample in heard.wait(20)]
-        assert (times == sorted(times)) is is_sorted
 
 
 @pytest.mark.parametrize(
