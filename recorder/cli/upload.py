@@ -41,7 +41,6 @@ POLL_S: Final = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     # It runs for as long as its machine, and its log says what is safe.
     parser.set_defaults(log_level="info")
     parser.add_argument("-d", "--directory", dest="recorder.directory", metavar="DIR", help="of the logs (.)")
@@ -59,7 +58,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Upload until it is stopped, and print what became of the logs."""
     upload, directory = settings.upload, Path(settings.recorder.directory)
     if not upload.store:
         raise CommandError("no store is named: give --store URL, or upload.store in the settings", ExitCode.USAGE)
@@ -90,9 +88,9 @@ async def _upload(
     upload: UploadSettings, directory: Path, note: UploadNote, stopped: Callable[[], bool], *, is_once: bool
 ) -> tuple[UploadTotals, bool]:
     """Return what became of the logs, and whether the store is there."""
-    from recorder.upload.uploader import ObstoreLogs, Uploader, UploadPlan  # noqa: PLC0415 - not before the package is known
+    from recorder.upload.uploader import LogStore, Uploader, UploadPlan  # noqa: PLC0415 - not before the package is known
 
-    store = ObstoreLogs(upload.store, upload.options)
+    store = LogStore(upload.store, upload.options)
     url, release = shown_url(upload.store), version("cruiser-gateway")
     plan = UploadPlan(directory, url, upload.logs == "incidents", upload.read_back, release)
     rows = row_maker("recorder.review.catalog") if upload.catalog else None

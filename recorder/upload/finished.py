@@ -1,12 +1,7 @@
-"""Finished logs on the disk: read slowly, with the manifest and the row that go beside them.
+"""Finished logs: read slowly, so that the recorder has the disk, and their manifest and row in a store.
 
-- The row of a log for the catalog, made by a process of its own that can be ended at any time.
-- A finished log on the disk: opened with care, and read slowly, so that the recorder has the disk.
-
-The manifest of a log, which lies beside it in the store: made before the log, and verified after it. Pure.
-
-The store makes a manifest only where none is. So nobody overwrites the log of somebody else, and nothing depends
-on lists, which a store may answer with those of a while ago.
+The manifest is made before the log, and verified after it; the store makes it only where none is. So nobody
+overwrites the log of somebody else, and nothing depends on lists, which may be of a while ago.
 """
 
 from __future__ import annotations
@@ -27,8 +22,6 @@ import msgspec
 
 from recorder.disk.log_names import SIGNATURE_SUFFIX
 from recorder.mcap.reader import is_mcap
-from recorder.reading.rows import read_contents
-from recorder.record.robots import METADATA_NAME
 from recorder.record.signed_mode import SIGNATURE_MAX_BYTES, LogSignature
 from schemas.command_line import module_command, other_kind, plain
 from schemas.peers import RateLimit
@@ -123,7 +116,6 @@ class UploadManifest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def object_names(robot: str, file: str) -> Iterator[str]:
-    """The names that a log may get in the store, the first one first."""
     # Whoever makes up a file's name must not lead out of the store's directory.
     folder = robot.lstrip(".") or "_"
     yield f"{folder}/{file}"
@@ -170,23 +162,9 @@ class LogDigest(msgspec.Struct, frozen=True):
     e_tags: frozenset[str]
 
 
-class LogFacts(msgspec.Struct, frozen=True):
-    """The facts that stand at a log's end; none, where it is not whole."""
-
-    messages: int | None = None
-    start_ns: int | None = None
-    end_ns: int | None = None
-    metadata: dict[str, str] = {}
-
-
 @contextmanager
 def finished_log(path: Path) -> Generator[BinaryIO, None, None]:
-    """Open a log that nobody writes. Nobody recovers it meanwhile either.
-
-    Raises:
-        UnfitLogError: it is no log, or somebody has it in hand.
-        OSError: it cannot be read.
-    """
+    """Open a log that nobody writes. Nobody recovers it meanwhile either."""
     if path.is_symlink():
         raise UnfitLogError("is a link")
     descriptor = os.open(path, SAFELY)
@@ -218,11 +196,6 @@ def signature_of(path: Path, sha256: str) -> bytes:
 
 
 async def digest(stream: BinaryIO) -> LogDigest:
-    """The checksums of an open file.
-
-    Raises:
-        OSError: it cannot be read.
-    """
     status = os.fstat(stream.fileno())
     whole, whole_md5, part, in_part = hashlib.sha256(), _md5(), _md5(), 0
     parts: list[bytes] = []
@@ -243,16 +216,11 @@ async def digest(stream: BinaryIO) -> LogDigest:
 
 
 def _md5(data: bytes = b"") -> hashlib._Hash:
-    """S3 has no other for it."""
     return hashlib.md5(data, usedforsecurity=False)
 
 
 async def read_slowly(stream: BinaryIO, pace: RateLimit) -> AsyncIterator[bytes]:
-    """All bytes of a file, in pieces, at this rate. What was read does not stay in the system's memory.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """All bytes of a file, in pieces, at this rate. What was read does not stay in the system's memory."""
     descriptor, at = stream.fileno(), 0
     while piece := os.pread(descriptor, READ_BYTES, at):
         with suppress(OSError):
@@ -260,16 +228,3 @@ async def read_slowly(stream: BinaryIO, pace: RateLimit) -> AsyncIterator[bytes]
         at += len(piece)
         yield piece
         await asyncio.sleep(pace.delay_s(len(piece), time.monotonic()))
-
-
-def read_facts(stream: BinaryIO) -> LogFacts:
-    """Read what stands at the end of an open log. Nothing in the file raises."""
-    contents = read_contents(stream)
-    if contents is None:
-        return LogFacts()
-    return LogFacts(
-        sum(contents.counts.values()),
-        contents.start_ns,
-        contents.end_ns,
-        dict(contents.metadata).get(METADATA_NAME, {}),
-    )

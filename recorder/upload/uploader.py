@@ -1,8 +1,4 @@
-"""One log after the other to a store, incidents first.
-
-The questions to an object store, and any store that obstore knows: S3, GCS, Azure, a directory.
-
-Finished logs to a store, one after the other, incidents first.
+"""Finished logs to a store that obstore knows (S3, GCS, Azure, a directory), one after the other, incidents first.
 
 Of each log first the manifest is made, where none is; then the log comes and is verified, its recorder's signature
 follows, and the manifest says so; then the note beside the logs. Whatever breaks off in between is done again from
@@ -21,7 +17,7 @@ from collections.abc import AsyncIterator, Callable, Generator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Protocol
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import obstore
@@ -33,7 +29,9 @@ from recorder.disk.keeper import read_entries
 from recorder.disk.log_names import SIGNATURE_SUFFIX, SUFFIX
 from recorder.objects.address import StoredObject, StoreError
 from recorder.objects.store import line_of, open_store
+from recorder.reading.rows import read_contents
 from recorder.record.retention import LogEntry
+from recorder.record.robots import METADATA_NAME
 from recorder.upload.finished import (
     MANIFEST_SUFFIX,
     PART_BYTES,
@@ -47,7 +45,6 @@ from recorder.upload.finished import (
     digest,
     finished_log,
     object_names,
-    read_facts,
     read_manifest,
     read_slowly,
     signature_of,
@@ -68,35 +65,8 @@ REQUEST_S: Final = timedelta(minutes=3)
 """A link may be away for so long, and a part that was begun goes on."""
 
 
-class LogStore(Protocol):
-    """A store of logs. Each method raises StoreError where it is not answered, or refused."""
-
-    async def create(self, name: str, data: bytes) -> bool:
-        """Put a small object where none is. False if there is one."""
-
-    async def replace(self, name: str, data: bytes) -> None:
-        """Put a small object in the place of what is there."""
-
-    async def read(self, name: str) -> bytes | None:
-        """A small object; None if there is none."""
-
-    async def write(self, name: str, pieces: AsyncIterator[bytes], size: int) -> None:
-        """Put a log there. It appears when all of it has come, and not before."""
-
-    async def look(self, name: str) -> StoredObject | None:
-        """Return length and mark of what is there; None if nothing is."""
-
-    def read_back(self, name: str, size: int) -> AsyncIterator[bytes]:
-        """The bytes of a log, of which there should be so many."""
-
-
-class ObstoreLogs:
-    """The store at a URL.
-
-    Args:
-        url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY.
-        options: of this store, by obstore's names; credentials come from the environment.
-    """
+class LogStore:
+    """The store at a URL, as obstore has them. Methods raise StoreError where it does not answer, or refuses."""
 
     def __init__(self, url: str, options: Mapping[str, Any]) -> None:
         self._store: ObjectStore = open_store(
@@ -104,7 +74,6 @@ class ObstoreLogs:
         )
 
     async def create(self, name: str, data: bytes) -> bool:
-        """Put a small object where none is. False if there is one."""
         with _store_errors():
             try:
                 await obstore.put_async(self._store, name, data, mode="create")
@@ -120,12 +89,10 @@ class ObstoreLogs:
         return True
 
     async def replace(self, name: str, data: bytes) -> None:
-        """Put a small object in the place of what is there."""
         with _store_errors():
             await obstore.put_async(self._store, name, data)
 
     async def read(self, name: str) -> bytes | None:
-        """A small object; None if there is none."""
         with _store_errors():
             try:
                 found = await obstore.get_async(self._store, name)
@@ -148,7 +115,6 @@ class ObstoreLogs:
                 await obstore.put_async(self._store, name, pieces, chunk_size=PART_BYTES, max_concurrency=1)
 
     async def look(self, name: str) -> StoredObject | None:
-        """Return length and mark of what is there; None if nothing is."""
         with _store_errors():
             try:
                 found = await obstore.head_async(self._store, name)
@@ -209,13 +175,6 @@ class UploadPlan(msgspec.Struct, frozen=True):
     version: str
 
 
-ROW_LOOK_S: Final = 5.0
-"""While a row is made, the directory is looked at so often for a log that goes first."""
-
-ROW_TRIES: Final = 3
-"""A row is tried so often; then whoever looks for it makes it from the log."""
-
-
 class UploadTotals(msgspec.Struct):
     """The result of an upload.
 
@@ -237,7 +196,6 @@ class Uploader:
 
     Args:
         pace: the rate at which a log is read while it is sent, and while it is read back.
-        summarize: makes a log's row for the catalog; None makes none.
     """
 
     def __init__(
@@ -257,8 +215,8 @@ class Uploader:
         self._failures = 0
         """Logs in a row that the store did not take."""
         self._summarize = summarize
-        self._rowless: deque[tuple[str, str, int]] = deque()
-        """Logs that are safe and have no row yet: file, object, and how often it was tried."""
+        self._rowless: deque[tuple[str, str]] = deque()
+        """Logs that are safe and have no row yet: file and object."""
         self.totals = UploadTotals()
 
     async def upload_all(self, may_go_on: Callable[[], bool]) -> bool:
@@ -266,10 +224,6 @@ class Uploader:
 
         Returns:
             True if the store took what it was asked to: it is worth asking again soon.
-
-        Raises:
-            CommandError: the note cannot be written.
-            OSError: the directory cannot be read.
         """
         self._failures = 0
         self._note.forget({entry.name for entry in read_entries(self._plan.directory)})
@@ -279,26 +233,19 @@ class Uploader:
             # Some have gone since, or are safe.
             faults = self.totals.faults
             self.totals.faults = {name: faults[name] for name in self.totals.waiting if name in faults}
-            due = self._due(entries)
+            now_s = time.monotonic()
+            due = [entry for entry in entries if self._retry_s.get(entry.name, now_s) <= now_s]
             is_away = self._failures == AWAY_AFTER
             if is_away or not may_go_on() or not (due or self._rowless):
                 return not is_away
             if due:
                 await self._upload_one(due[0])
-            else:
+            elif self._summarize is not None:
                 # Only when every log is safe: a row can be made again, from the log in the store.
-                await self._add_row(*self._rowless.popleft())
-
-    def _due(self, entries: list[LogEntry]) -> list[LogEntry]:
-        now_s = time.monotonic()
-        return [entry for entry in entries if self._retry_s.get(entry.name, now_s) <= now_s]
+                await self._add_row(self._summarize, *self._rowless.popleft())
 
     def waiting(self) -> list[LogEntry]:
-        """Return what is finished, and not safe yet; incidents first, of each kind the oldest first.
-
-        Raises:
-            OSError: the directory cannot be read.
-        """
+        """Return what is finished, and not safe yet; incidents first, of each kind the oldest first."""
         entries = [
             entry
             for entry in read_entries(self._plan.directory, safe=self._note.safe())
@@ -326,47 +273,23 @@ class Uploader:
         self._note.add(UploadedLog(entry.name, found.bytes, found.modified_ns, found.sha256, self._plan.url, name))
         log.info("%s is safe as %s, %d bytes, verified: %s", plain(entry.name), plain(name), found.bytes, how)
         if self._summarize is not None:
-            self._rowless.append((entry.name, name, 1))
+            self._rowless.append((entry.name, name))
         self._retry_s.pop(entry.name, None)
         self.totals.uploaded += 1
         self.totals.bytes += found.bytes
 
-    async def _add_row(self, file: str, name: str, tried: int) -> None:
-        """Put the row of a log beside it. That there is none is no fault of the upload."""
+    async def _add_row(self, summarize: Summarize, file: str, name: str) -> None:
+        """Put the row of a log beside it. That there is none is no fault of the upload: who misses it makes it."""
         try:
-            row = await self._row_of(file)
-            if row is None:
-                self._rowless.append((file, name, tried))
-                return
-            await self._store.replace(name + ROW_SUFFIX, row)
+            await self._store.replace(name + ROW_SUFFIX, await summarize(self._plan.directory / file))
         except FileNotFoundError:
             return  # Retention was faster.
-        except StoreError as error:
-            self._failures += 1
-            log.debug("%s has no row yet: %s", plain(name), error)
-            if tried < ROW_TRIES:
-                self._rowless.append((file, name, tried + 1))
-        except (RowError, OSError) as error:
+        except (RowError, StoreError, OSError) as error:
+            self._failures += isinstance(error, StoreError)
             log.warning("%s has no row of the catalog: %s", plain(name), error)
         else:
             self._failures = 0
             self.totals.rows += 1
-
-    async def _row_of(self, file: str) -> bytes | None:
-        """Make the row of a log; None if a log came that goes first."""
-        if self._summarize is None:
-            raise RowError("nobody makes it")
-        making = asyncio.ensure_future(self._summarize(self._plan.directory / file))
-        try:
-            while not making.done():
-                await asyncio.wait([making], timeout=ROW_LOOK_S)
-                if not making.done() and self._due(self.waiting()):
-                    return None
-            return making.result()
-        finally:
-            if not making.done():
-                making.cancel()
-                await asyncio.wait([making])
 
     def _put_off(self, name: str, fault: str, pause_s: float) -> None:
         is_new = self.totals.faults.get(name) != fault
@@ -396,7 +319,7 @@ class Uploader:
         raise _WrongLogError("the store has too many other logs of that name")
 
     def _manifest(self, name: str, entry: LogEntry, stream: BinaryIO, found: LogDigest) -> UploadManifest:
-        facts = read_facts(stream)
+        found_in = read_contents(stream)
         return UploadManifest(
             state=UploadState.UPLOADING,
             object=name,
@@ -405,10 +328,10 @@ class Uploader:
             sha256=found.sha256,
             robot=entry.robot,
             is_incident=entry.is_incident,
-            messages=facts.messages,
-            start_ns=facts.start_ns,
-            end_ns=facts.end_ns,
-            metadata=facts.metadata,
+            messages=None if found_in is None else found_in.counts.total(),
+            start_ns=None if found_in is None else found_in.start_ns,
+            end_ns=None if found_in is None else found_in.end_ns,
+            metadata={} if found_in is None else dict(found_in.metadata).get(METADATA_NAME, {}),
             verified="",
             recorder_version=self._plan.version,
             uploaded_ns=time.time_ns(),

@@ -6,9 +6,10 @@ import hashlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 
 from recorder.objects.address import StoredObject, StoreError
+from recorder.upload.uploader import LogStore
 
 
-class FakeLogStore:
+class FakeLogStore(LogStore):
     """A store in memory.
 
     Attributes:

@@ -13,7 +13,7 @@ import pytest
 from recorder.objects import store as stores
 from recorder.objects.address import StoreAddress, StoreError
 from recorder.objects.store import ObstoreObjects
-from recorder.upload.uploader import ObstoreLogs
+from recorder.upload.uploader import LogStore
 
 DATA = bytes(range(250)) * 1000
 
@@ -177,7 +177,7 @@ def test_an_answer_without_an_end_fills_no_memory() -> None:
     with served(endless) as (objects, _), pytest.raises(StoreError, match="sent more where 1000 were asked for"):
         objects.read("a.mcap", 0, 1000, "one")
     with served(endless) as (objects, _):
-        logs = ObstoreLogs(objects._place.url, {"allow_http": True})
+        logs = LogStore(objects._place.url, {"allow_http": True})
 
         async def read_back() -> int:
             return len(b"".join([piece async for piece in logs.read_back("a.mcap", 1000)]))

@@ -17,20 +17,18 @@ from obstore.exceptions import GenericError
 from recorder.disk.files import NAME, SafeLogReader, UploadNote
 from recorder.objects.address import StoreError
 from recorder.record.signed_mode import LogSigner
-from recorder.upload import finished
-from recorder.upload import uploader as stores
-from recorder.upload import uploader as uploading
-from recorder.upload.finished import NAMESAKES_MAX, ROW_SUFFIX, RowError, UploadManifest, UploadState
-from recorder.upload.uploader import (
-    AWAY_AFTER,
-    CHECKSUM,
-    READ_BACK,
-    LogStore,
-    ObstoreLogs,
-    Uploader,
-    UploadPlan,
-    UploadTotals,
+from recorder.upload import finished, uploader
+from recorder.upload.finished import (
+    NAMESAKES_MAX,
+    PART_BYTES,
+    READ_BYTES,
+    ROW_SUFFIX,
+    RowError,
+    UploadManifest,
+    UploadState,
+    digest,
 )
+from recorder.upload.uploader import AWAY_AFTER, CHECKSUM, READ_BACK, LogStore, Uploader, UploadPlan, UploadTotals
 from schemas.authority.key_files import Identity
 from schemas.authority.proof import GrantRole
 from schemas.command_line import CommandError, ExitCode
@@ -55,25 +53,27 @@ def store() -> FakeLogStore:
     return FakeLogStore()
 
 
-def plan_of(directory: Path, *, reads_back: bool = True, only_incidents: bool = False) -> UploadPlan:
-    """All that is finished there, read back."""
-    return UploadPlan(directory, "s3://logs", only_incidents, reads_back, "0.1.0")
-
-
-def upload(
+def uploader_of(
     directory: Path,
     store: LogStore,
+    note: UploadNote,
     rows: Rows | None = None,
+    pace: RateLimit | None = None,
     *,
     reads_back: bool = True,
     only_incidents: bool = False,
-) -> UploadTotals:
-    """Upload all that is there, as a start of the command does; with its rows, if somebody makes them."""
+) -> Uploader:
+    """Of all that is finished there, read back; with its rows, if somebody makes them."""
+    plan = UploadPlan(directory, "s3://logs", only_incidents, reads_back, "0.1.0")
+    return Uploader(plan, store, note, pace or RateLimit(0), rows)
+
+
+def upload(directory: Path, store: LogStore, rows: Rows | None = None, **plan: bool) -> UploadTotals:
+    """Upload all that is there, as a start of the command does."""
     with UploadNote(directory) as note:
-        plan = plan_of(directory, reads_back=reads_back, only_incidents=only_incidents)
-        uploader = Uploader(plan, store, note, RateLimit(0), rows)
-        asyncio.run(uploader.upload_all(lambda: True))
-        return uploader.totals
+        one = uploader_of(directory, store, note, rows, None, **plan)
+        asyncio.run(one.upload_all(lambda: True))
+        return one.totals
 
 
 def manifest(store: FakeLogStore, name: str) -> UploadManifest:
@@ -180,30 +180,25 @@ def test_incidents_come_first_and_then_the_oldest(tmp_path: Path, store: FakeLog
 
 
 def test_a_file_that_only_has_the_name_of_a_log_is_named_and_stays(tmp_path: Path, store: FakeLogStore) -> None:
-    """No file that it leads to goes out, nothing is waited for, and the others go."""
+    """No file that it leads to goes out, nothing is waited for, what somebody has in hand waits; the others go."""
     saved(tmp_path / LOG, b"none of ours")
     secret = saved(tmp_path / "elsewhere" / "secret", log_of())
     (tmp_path / "a-20270115T080000Z.mcap").symlink_to(secret)
     os.mkfifo(tmp_path / "b-20270115T080000Z.mcap")
     (tmp_path / "c-20270115T080000Z.mcap").mkdir()
     saved(tmp_path / LATER, log_of())
-    totals = upload(tmp_path, store)
+    with saved(tmp_path / INCIDENT, log_of()).open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        totals = upload(tmp_path, store)
     assert totals.faults == {
+        INCIDENT: "is being written or recovered",
         LOG: "is no MCAP file",
         "a-20270115T080000Z.mcap": "is a link",
         "b-20270115T080000Z.mcap": "is a FIFO",
         "c-20270115T080000Z.mcap": "is a directory",
     }
     assert safe(tmp_path) == {LATER}
-
-
-def test_a_log_that_somebody_has_in_hand_waits(tmp_path: Path, store: FakeLogStore) -> None:
-    """A recorder, or a recovery by hand, may still change it."""
-    path = saved(tmp_path / LOG, log_of())
-    with path.open("rb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        assert upload(tmp_path, store).faults == {LOG: "is being written or recovered"}
-    assert upload(tmp_path, store).uploaded == 1
+    assert upload(tmp_path, store).uploaded == 1, "nobody has the incident in hand any more"
 
 
 @pytest.mark.parametrize(
@@ -211,7 +206,7 @@ def test_a_log_that_somebody_has_in_hand_waits(tmp_path: Path, store: FakeLogSto
     [
         ("cuts", 1, "connection reset by peer"),
         ("spoils", 1, ""),
-        ("spoils", uploading.TRIES, "the store does not hold it as it was sent"),
+        ("spoils", uploader.TRIES, "the store does not hold it as it was sent"),
     ],
 )
 def test_a_log_that_the_store_loses_or_spoils_is_never_called_safe(
@@ -309,8 +304,8 @@ def test_a_store_that_answers_with_very_much_fills_no_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A manifest that is no manifest is read up to a bound."""
-    monkeypatch.setattr(stores, "SMALL_MAX_BYTES", 1000)
-    logs = ObstoreLogs(f"file://{tmp_path}/store", {})
+    monkeypatch.setattr(uploader, "SMALL_MAX_BYTES", 1000)
+    logs = LogStore(f"file://{tmp_path}/store", {})
     for size in (1000, 1001):
         asyncio.run(logs.replace(f"r/{size}.json", bytes(size)))
     assert asyncio.run(logs.read("r/1000.json")) == bytes(1000)
@@ -328,23 +323,22 @@ def test_a_disk_without_hard_links_is_a_store_too(tmp_path: Path, monkeypatch: p
 
     whole = obstore.put_async
     monkeypatch.setattr(obstore, "put_async", put)
-    logs = ObstoreLogs(f"file://{tmp_path}/store", {})
+    logs = LogStore(f"file://{tmp_path}/store", {})
     assert asyncio.run(logs.create("r/1.json", b"first"))
     assert not asyncio.run(logs.create("r/1.json", b"second"))
     assert asyncio.run(logs.read("r/1.json")) == b"first"
 
 
 def test_another_log_of_the_same_name_is_never_overwritten(tmp_path: Path, store: FakeLogStore) -> None:
-    """A robot's own recorder and a depot's may begin a log in the same second."""
-    robots, depots = log_of(1), log_of(2)
-    saved(tmp_path / "robot" / LOG, robots)
-    saved(tmp_path / "depot" / LOG, depots)
-    upload(tmp_path / "robot", store)
-    upload(tmp_path / "depot", store)
-    assert store.objects[f"cruiser-1/{LOG}"] == robots
-    second = LOG.replace(".mcap", "-2.mcap")
-    assert store.objects[f"cruiser-1/{second}"] == depots
-    assert (manifest(store, second).file, manifest(store, second).object) == (LOG, f"cruiser-1/{second}")
+    """Two recorders may begin a log in the same second; one may change after it was sent."""
+    saved(tmp_path / "robot" / LOG, log_of(1))
+    saved(tmp_path / "depot" / LOG, log_of(2))
+    for count, directory in enumerate(("robot", "depot", "robot"), start=1):
+        assert upload(tmp_path / directory, store).uploaded == 1
+        saved(tmp_path / "robot" / LOG, log_of(3))
+        name = LOG.replace(".mcap", f"-{count}.mcap") if count > 1 else LOG
+        assert store.objects[f"cruiser-1/{name}"] == log_of(count)
+        assert (manifest(store, name).file, manifest(store, name).object) == (LOG, f"cruiser-1/{name}")
 
 
 def test_there_are_not_endless_logs_of_one_name(tmp_path: Path, store: FakeLogStore) -> None:
@@ -368,10 +362,7 @@ def test_two_machines_that_upload_the_same_log_at_once_make_one_of_it(tmp_path: 
     async def both() -> None:
         store.meanwhile = let_the_other
         with UploadNote(tmp_path / "a") as one, UploadNote(tmp_path / "b") as other:
-            uploaders = [
-                Uploader(plan_of(tmp_path / name), store, note, RateLimit(0))
-                for name, note in (("a", one), ("b", other))
-            ]
+            uploaders = (uploader_of(tmp_path / name, store, note) for name, note in (("a", one), ("b", other)))
             await asyncio.gather(*(each.upload_all(lambda: True) for each in uploaders))
 
     asyncio.run(both())
@@ -392,7 +383,7 @@ def test_sending_and_reading_back_keep_to_the_rate(tmp_path: Path, store: FakeLo
     data = log_of()
     saved(tmp_path / LOG, data)
     with UploadNote(tmp_path) as note:
-        asyncio.run(Uploader(plan_of(tmp_path), store, note, CountedPace(0)).upload_all(lambda: True))
+        asyncio.run(uploader_of(tmp_path, store, note, pace=CountedPace(0)).upload_all(lambda: True))
     assert safe(tmp_path) == {LOG}
     assert sum(counted) == 2 * len(data)
 
@@ -402,15 +393,6 @@ def test_a_second_upload_from_one_directory_is_refused(tmp_path: Path) -> None:
     with UploadNote(tmp_path), pytest.raises(CommandError, match="another upload") as refused:
         UploadNote(tmp_path)
     assert refused.value.code is ExitCode.REFUSED
-
-
-def test_a_log_that_changes_after_it_was_sent_is_not_safe_any_more(tmp_path: Path, store: FakeLogStore) -> None:
-    """It was recovered by hand, for one; it goes under another name."""
-    path = saved(tmp_path / LOG, log_of())
-    upload(tmp_path, store)
-    path.write_bytes(log_of(7))
-    assert upload(tmp_path, store).uploaded == 1
-    assert store.objects[f"cruiser-1/{LOG}".replace(".mcap", "-2.mcap")] == log_of(7)
 
 
 def test_a_store_that_is_gone_is_not_asked_for_each_log(tmp_path: Path, store: FakeLogStore) -> None:
@@ -430,9 +412,9 @@ def test_nothing_is_begun_outside_of_the_hours(tmp_path: Path, store: FakeLogSto
     """What is not begun waits."""
     saved(tmp_path / LOG, log_of())
     with UploadNote(tmp_path) as note:
-        uploader = Uploader(plan_of(tmp_path), store, note, RateLimit(0))
-        assert asyncio.run(uploader.upload_all(lambda: False))
-    assert (store.calls, uploader.totals.waiting) == ([], [LOG])
+        one = uploader_of(tmp_path, store, note)
+        assert asyncio.run(one.upload_all(lambda: False))
+    assert (store.calls, one.totals.waiting) == ([], [LOG])
 
 
 @pytest.fixture
@@ -450,7 +432,7 @@ def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, coun
         log_of(3) if count == 3 else own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(11_000_000))])
     )
     saved(tmp_path / "logs" / LOG, data)
-    store = ObstoreLogs(place.format(tmp_path), {})
+    store = LogStore(place.format(tmp_path), {})
     assert upload(tmp_path / "logs", store).uploaded == 1
 
     async def look() -> bytes:
@@ -466,7 +448,7 @@ def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, coun
 
 def test_a_write_that_is_broken_off_shows_nothing_in_a_directory(tmp_path: Path) -> None:
     """Whoever looks into it finds whole logs, or none."""
-    store = ObstoreLogs(f"file://{tmp_path}/store", {})
+    store = LogStore(f"file://{tmp_path}/store", {})
 
     async def broken() -> AsyncIterator[bytes]:
         for _ in range(100):
@@ -478,29 +460,17 @@ def test_a_write_that_is_broken_off_shows_nothing_in_a_directory(tmp_path: Path)
     assert asyncio.run(store.look("log.mcap")) is None
 
 
-@pytest.mark.parametrize("url", ["nonsense", "ftp://host/place", "s3://"])
-def test_a_store_that_nothing_is_called_is_a_clear_error(url: str) -> None:
-    """It is said at the start, not with the first log."""
-    with pytest.raises(CommandError, match="cannot use the store") as error:
-        ObstoreLogs(url, {})
-    assert error.value.code is ExitCode.USAGE
-
-
 class Rows:
-    """Makes rows; or waits, or fails."""
+    """Makes rows, or fails."""
 
-    def __init__(self) -> None:
+    def __init__(self, fault: Exception | None = None) -> None:
         self.made: list[str] = []
-        self.fault: Exception | None = None
+        self.fault = fault
         self.meanwhile: Callable[[], None] = lambda: None
-        self.waits = 0
 
     async def __call__(self, path: Path) -> bytes:
         self.made.append(path.name)
         self.meanwhile()
-        if self.waits:
-            self.waits -= 1
-            await asyncio.sleep(3600)
         if self.fault is not None:
             raise self.fault
         return b"row of " + path.name.encode()
@@ -517,43 +487,32 @@ def test_a_row_of_the_catalog_lies_beside_each_log_when_all_are_safe(tmp_path: P
     assert rows.made == [LOG, LATER]
 
 
-def test_a_row_that_is_being_made_gives_way_to_a_new_log(
-    tmp_path: Path, store: FakeLogStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It is made from its beginning when the log is safe."""
-    monkeypatch.setattr(uploading, "ROW_LOOK_S", 0.01)
-    saved(tmp_path / LOG, log_of(2))
-    rows = Rows()
-    rows.waits = 1
-
-    def save_once() -> None:
-        if not (tmp_path / LATER).exists():
-            saved(tmp_path / LATER, log_of(3))
-
-    rows.meanwhile = save_once
-    assert upload(tmp_path, store, rows).rows == 2
-    assert rows.made == [LOG, LOG, LATER]
-
-
-@pytest.mark.parametrize("fault", [RowError("given up after 600 s"), FileNotFoundError()])
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [(RowError("given up after 600 s"), "given up"), (FileNotFoundError(), ""), (None, "nobody answers")],
+    ids=["cannot be made", "the log is gone", "the store takes none"],
+)
 def test_a_log_is_safe_without_its_row(
-    tmp_path: Path, store: FakeLogStore, fault: Exception, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, store: FakeLogStore, fault: Exception | None, said: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A row that cannot be made is named, and no fault of the upload; of a log that is gone nothing is said."""
-    saved(tmp_path / LOG, log_of())
-    rows = Rows()
-    rows.fault = fault
-    totals = upload(tmp_path, store, rows)
-    assert (totals.uploaded, totals.rows, totals.faults) == (1, 0, {})
-    assert safe(tmp_path) == {LOG}
-    assert ("given up" in caplog.text) == isinstance(fault, RowError)
-
-
-def test_a_store_that_takes_no_rows_is_asked_a_few_times(tmp_path: Path, store: FakeLogStore) -> None:
-    """Then whoever looks for the row makes it."""
+    """It is named, and no fault of the upload; of a log that is gone nothing is said."""
     saved(tmp_path / LOG, log_of())
     store.refused.add(f"cruiser-1/{LOG}{ROW_SUFFIX}")
-    rows = Rows()
-    assert upload(tmp_path, store, rows).rows == 0
+    totals = upload(tmp_path, store, Rows(fault))
+    assert (totals.uploaded, totals.rows, totals.faults) == (1, 0, {})
     assert safe(tmp_path) == {LOG}
-    assert 1 <= len(rows.made) <= uploading.ROW_TRIES
+    told = [record.getMessage() for record in caplog.records if "has no row" in record.getMessage()]
+    assert [said in one for one in told] == [True] * bool(said)
+
+
+@pytest.mark.usefixtures("_quick_disk")
+@pytest.mark.parametrize("size", [1, READ_BYTES + 1, PART_BYTES, PART_BYTES + 1, 2 * PART_BYTES])
+def test_the_checksums_are_those_of_the_stores(tmp_path: Path, size: int) -> None:
+    """S3 sums up the checksums of parts, and says how many there were."""
+    data = os.urandom(size)
+    parts = [hashlib.md5(data[at : at + PART_BYTES]).digest() for at in range(0, size, PART_BYTES)]  # noqa: S324
+    with saved(tmp_path / "log", data).open("rb") as stream:
+        found = asyncio.run(digest(stream))
+    assert (found.bytes, found.sha256) == (size, hashlib.sha256(data).hexdigest())
+    by_parts = f"{hashlib.md5(b''.join(parts)).hexdigest()}-{len(parts)}"  # noqa: S324
+    assert found.e_tags == {hashlib.md5(data).hexdigest(), by_parts}  # noqa: S324
