@@ -65,34 +65,27 @@ class SampleSource(Protocol):
     @property
     def is_asking(self) -> bool:
         """True if a query is still without its reply."""
-        ...
 
     @property
     def query_room(self) -> int:
         """Queries that may still be asked: the answers to others would be given up for more."""
-        ...
 
     @property
     def is_connected(self) -> bool:
         """True if any Zenoh node is connected."""
-        ...
 
     @property
     def is_behind(self) -> bool:
         """True if more had come in than the last ``drain`` gave."""
-        ...
 
     def drain(self, limit: int) -> Sequence[ReceivedSample]:
         """The samples that have come in, so many at most."""
-        ...
 
     def tokens_gone(self) -> Iterable[str]:
         """The keys of the gateways' liveliness tokens that are gone since the last call."""
-        ...
 
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key; the replies come with the samples."""
-        ...
 
 
 class Control(Protocol):
@@ -100,11 +93,9 @@ class Control(Protocol):
 
     def drain(self) -> Iterable[OperatorRequest]:
         """The requests that have come in."""
-        ...
 
     def publish(self, message: Message) -> None:
         """Publish a message under the recorder's own keys."""
-        ...
 
 
 class Recorded(msgspec.Struct, frozen=True):
@@ -140,13 +131,7 @@ class Recorded(msgspec.Struct, frozen=True):
 
 
 class RecorderLoop:
-    """Runs a recorder.
-
-    Args:
-        writer: writes the files; it is closed at the end.
-        health: makes the report of each second.
-        leftovers: recovers what was left unfinished, at the start and when the disk takes the logs again.
-    """
+    """Runs a recorder."""
 
     def __init__(
         self,
@@ -192,7 +177,6 @@ class RecorderLoop:
         return self._recorded()
 
     def _step(self) -> bool:
-        """One pass. False if nothing had come in."""
         busy = self._take_samples()
         now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
         if now_ns - self._ticked_ns < TICK_NS:

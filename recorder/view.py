@@ -1,17 +1,11 @@
-"""Robots live in Foxglove and Lichtblick.
+"""Robots live in Foxglove and Lichtblick: the channels and records that a log would have, for viewers.
 
-The loop of a view: samples from Zenoh to viewers. It waits for neither.
-
-The WebSocket server of foxglove-sdk: channels and records go out, and nothing comes in.
-
-It has no capability, so it refuses what viewers publish, call or set, with a status message. Records wait for each
-viewer in a ring of its own; of a viewer who is too slow the oldest go.
-
-Samples to the channels and records that a log would have, for viewers instead of a file.
+``ViewServer`` is the WebSocket server of foxglove-sdk. It has no capability, so it refuses what viewers publish,
+call or set, with a status message. Records wait for each viewer in a ring of its own; of one who is too slow the
+oldest go.
 
 What nobody looks at is not decoded. What comes seldom (events, decisions, who a robot is) is declared before it
 comes, so that viewers have subscribed by then, and the newest of it is shown to those who come later.
-Its bounds are those of a log's channels: ``gateway.client.fleet`` stores messages, a viewer gets encoded records.
 """
 
 from __future__ import annotations
@@ -21,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final, Protocol, Self
+from typing import Final, Self
 
 import foxglove
 from cryptography.hazmat.primitives.serialization import (
@@ -66,19 +60,17 @@ class _Subscriptions(ServerListener):
 
 
 class ViewServer:
-    """Viewers, as ``LiveChannels`` wants them. Ends at the end of a ``with``.
+    """A server of viewers. No method waits for one of them. Ends at the end of a ``with``.
+
+    Args:
+        port: 0 is a free one.
+        certificate: the files of a chain and its key, PEM; without them there is no TLS.
 
     Attributes:
         where: its address, as it is typed into a viewer.
     """
 
     def __init__(self, name: str, host: str, port: int, certificate: tuple[Path, Path] | None = None) -> None:
-        """Listen.
-
-        Args:
-            port: 0 is a free one.
-            certificate: the files of a chain and its key, PEM; without them there is no TLS.
-        """
         # Its lines are about what viewers send; they are told themselves.
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         self._context = foxglove.Context()
@@ -115,7 +107,6 @@ class ViewServer:
         self._server.stop()
 
     def declare(self, channel: LogChannel) -> None:
-        """Add a channel."""
         schema = foxglove.Schema(
             name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema_data
         )
@@ -126,15 +117,12 @@ class ViewServer:
         self._channels[channel.channel_id] = added
 
     def is_wanted(self, channel_id: int) -> bool:
-        """True if somebody has subscribed to a channel."""
         return self._channels[channel_id].base.has_sinks()
 
     def write(self, channel_id: int, log_ns: int, data: bytes) -> None:
-        """Send a record to those who have subscribed to its channel."""
         self._channels[channel_id].log(data, log_time=log_ns)
 
     def subscribed(self) -> Iterator[int]:
-        """The channels to which somebody has subscribed since the last call."""
         waiting = self._subscriptions.channels
         while waiting:
             channel_id = self._ids.get(waiting.popleft())
@@ -146,7 +134,6 @@ class ViewServer:
         self._server.publish_status(text, StatusLevel.Warning, about)
 
     def clear(self, about: str) -> None:
-        """Take a warning back."""
         self._server.remove_status([about])
 
 
@@ -174,22 +161,6 @@ _SELDOM: Final = (SafetyEvent, Decision)
 _SHOWN_LATER: Final = frozenset({SafetyEvent, GatewayInfo})
 
 
-class Viewers(Protocol):
-    """The destination of channels and records. No method waits for a viewer."""
-
-    def declare(self, channel: LogChannel) -> None:
-        """Add a channel."""
-        ...
-
-    def is_wanted(self, channel_id: int) -> bool:
-        """True if somebody has subscribed to a channel."""
-        ...
-
-    def write(self, channel_id: int, log_ns: int, data: bytes) -> None:
-        """Send a record to those who have subscribed to its channel."""
-        ...
-
-
 class LiveChannels:
     """The channels of what robots say.
 
@@ -197,8 +168,7 @@ class LiveChannels:
         left_out: samples that were too large to be shown.
     """
 
-    def __init__(self, viewers: Viewers, version: str) -> None:
-        """Nothing has come yet."""
+    def __init__(self, viewers: ViewServer, version: str) -> None:
         self.left_out = 0
         self._viewers = viewers
         self._channels = Channels(viewers.declare)
@@ -211,11 +181,9 @@ class LiveChannels:
 
     @property
     def robots(self) -> frozenset[str]:
-        """The robots of which something came."""
         return frozenset(self._received_ns)
 
     def silent(self, now_ns: int) -> frozenset[str]:
-        """The robots of which nothing came for ``SILENT_NS``."""
         return frozenset(name for name, at_ns in self._received_ns.items() if now_ns - at_ns > SILENT_NS)
 
     def changed_robots(self) -> Iterator[RobotKeys]:
@@ -224,7 +192,6 @@ class LiveChannels:
             yield self._changed.popleft()
 
     def queries(self, now_ns: int) -> list[Query]:
-        """The queries that are due."""
         return self._robots.queries(now_ns)
 
     def receive(self, sample: ReceivedSample, now_ns: int) -> None:
@@ -306,17 +273,12 @@ IDLE_S: Final = 0.01
 """Pause when nothing has come in."""
 
 
-class Greeting(Protocol):
-    """Acts on a robot that is new, or whose bus is known since."""
-
-    def __call__(self, robot: RobotKeys, /) -> None:
-        """Act on it."""
-
-
 class ViewLoop:
-    """Shows samples to viewers."""
+    """Shows samples to viewers, and greets a robot that is new, or whose bus is known since."""
 
-    def __init__(self, source: ZenohSource, server: ViewServer, channels: LiveChannels, greet: Greeting) -> None:
+    def __init__(
+        self, source: ZenohSource, server: ViewServer, channels: LiveChannels, greet: Callable[[RobotKeys], None]
+    ) -> None:
         self._source = source
         self._server = server
         self._channels = channels
@@ -325,13 +287,11 @@ class ViewLoop:
         self._silent: frozenset[str] = frozenset()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Show what comes, until stopped."""
         while not stopped():
             if not self._step(time.monotonic_ns()):
                 time.sleep(IDLE_S)
 
     def _step(self, now_ns: int) -> bool:
-        """One pass. False if nothing had come in."""
         samples = self._source.drain(PASS_SAMPLES)
         for sample in samples:
             self._channels.receive(sample, now_ns)

@@ -39,7 +39,6 @@ class Written(msgspec.Struct, frozen=True):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help="print a JSON object a line, one for each file written")
     parser.add_argument(
         "-o", "--out", type=Path, default=Path(), metavar="DIRECTORY", help="write there; made if it is missing"
@@ -47,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Write them."""
     asked = find(arguments, settings, stopped)
     robots = robots_of(asked.logs, asked.faults)
     if not robots:

@@ -1,8 +1,4 @@
-"""``cruiser record``: write MCAP logs.
-
-- The name by which a recorder goes, in its keys.
-- ``cruiser record``: write what is said on Zenoh into an MCAP log.
-"""
+"""``cruiser record``: write what is said on Zenoh into MCAP logs."""
 
 from __future__ import annotations
 
@@ -86,7 +82,6 @@ BUDGET_RINGS: Final = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     # It runs for hours, and who looks into its log wants to see links come and go.
     parser.set_defaults(log_level="info")
     parser.add_argument(
@@ -210,11 +205,7 @@ def signer_of(settings: AuthoritySettings) -> LogSigner | None:
 
 
 def _proofs_of(settings: AuthoritySettings) -> Callable[[], StatementProofs] | None:
-    """Return what makes a log's verifier of statements, in signed mode.
-
-    Raises:
-        CommandError: there is no authority's file, or it is none.
-    """
+    """Return what makes a log's verifier of statements, in signed mode."""
     if settings.mode != "signed":
         return None
     from recorder.record.signed_mode import StatementProofs  # noqa: PLC0415 - open mode does without
@@ -243,7 +234,6 @@ def _source(settings: Settings, expressions: Sequence[str]) -> ZenohSource:
 
 
 def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecorderPlan:
-    """Return the plan that the settings ask for."""
     recorder = settings.recorder
     # What is being written cannot be deleted: within a budget no file may be large.
     budget_part = recorder.budget_bytes // BUDGET_FILES
@@ -281,11 +271,7 @@ def collect_seldom() -> None:
 
 
 def allow_many_files() -> int:
-    """As many open files as the system lets this user have: each robot has its own, and its incident another.
-
-    Returns:
-        How many robots may have logs of their own.
-    """
+    """As many open files as the system lets this user have: each robot has its own, and its incident another."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     return ROBOT_LIMIT if most == resource.RLIM_INFINITY else min(ROBOT_LIMIT, max(0, most - FILES_APART) // 2)

@@ -1,7 +1,6 @@
-"""Orders to a recorder from afar, and its part in Zenoh.
+"""``cruiser record status`` and ``mark``: a recorder elsewhere, and what its certificate lets one do.
 
-- The role of this machine's certificate. What a role may not do a router denies, and says nothing of it.
-- ``cruiser record status`` and ``mark``: a recorder that is running elsewhere.
+What a role may not do a router denies, and says nothing of it.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ def check_role(settings: ZenohSettings, roles: Collection[str], allowed: str) ->
     """Check that this machine's certificate is of one of these roles.
 
     Args:
-        settings: of the session.
         roles: those that may do it.
         allowed: what routers let them do, and what cures it, in words.
     """
@@ -80,7 +78,6 @@ LOOK_S: Final = 0.3
 
 
 def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
-    """Declare the flags of one of them."""
     parser.add_argument(
         "recorder", nargs="?", type=recorder_name, default=None, metavar="RECORDER", help="its name (the only one)"
     )
@@ -142,7 +139,6 @@ def _as_json(name: str, reply: RecorderReply) -> str:
 
 
 def describe(name: str, action: str, reply: RecorderReply) -> str:
-    """A reply for people."""
     head = f"{name}: {reply.detail}" if reply.ok else f"{name}: refused: {reply.detail}"
     lines = [head, *(f"  {file}" for file in reply.files)]
     if action == "status":

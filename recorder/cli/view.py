@@ -46,7 +46,6 @@ QUEUE_SAMPLES: Final = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "robots", nargs="*", type=robot_name, metavar="ROBOT", help="the robots; all of them if left out"
     )
@@ -73,7 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show the robots until it is stopped."""
     try:
         from recorder.view import LiveChannels, ViewLoop, ViewServer  # noqa: PLC0415 - not before the package is known
     except ModuleNotFoundError as error:
@@ -134,11 +132,7 @@ def _wait(
 
 
 class Layouts:
-    """Writes the layouts of robots, as ``cruiser review layouts`` does.
-
-    Args:
-        directory: the place; None writes nothing.
-    """
+    """Writes the layouts of robots, as ``cruiser review layouts`` does."""
 
     def __init__(self, directory: Path | None) -> None:
         self._directory = directory

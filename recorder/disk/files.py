@@ -63,7 +63,6 @@ def clear_errors(path: Path) -> Iterator[None]:
 
 
 def sync_directory(path: Path) -> None:
-    """Have the names in a directory reach the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -72,11 +71,7 @@ def sync_directory(path: Path) -> None:
 
 
 def write_signature(log: Path, sha256: str, signer: LogSigner) -> None:
-    """Write the signature of a log beside it, before the log has its name: what has it is signed.
-
-    Raises:
-        OSError: the disk does not take it.
-    """
+    """Write the signature of a log beside it, before the log has its name: what has it is signed."""
     with log.with_name(log.name + SIGNATURE_SUFFIX).open("wb") as file:
         file.write(signer.sign(sha256, log.name))
         file.flush()
@@ -118,17 +113,8 @@ class Prologue:
         file.add_channels([action.channel for action in self._channels.values()])
 
 
-def _nothing() -> None:
-    """Do nothing: nobody waits for the disk."""
-
-
 class PartFile:
-    """A file that is being written.
-
-    Args:
-        stream: the open file, unbuffered.
-        signer: signs it when it is whole; None leaves it unsigned.
-    """
+    """A file that is being written."""
 
     def __init__(
         self,
@@ -152,7 +138,7 @@ class PartFile:
         """Something was written that the present sync may not cover: another is to follow it."""
         self._fault: OSError | None = None
         """The failure of a sync, until the next write raises it."""
-        self.when_synced: Callable[[], None] = _nothing
+        self.when_synced: Callable[[], object] = int
         """Called on another thread after each sync, whatever became of it."""
         self.has_synced = False
         """True if the disk has taken anything of this file."""
@@ -182,7 +168,6 @@ class PartFile:
 
     @property
     def name(self) -> str:
-        """Its name when it is whole, without the directory."""
         return self._whole_path.name
 
     @property
@@ -198,7 +183,6 @@ class PartFile:
         return self._fault is not None
 
     def begin(self, prologue: Prologue) -> None:
-        """Write what the file begins with."""
         with clear_errors(self.path):
             prologue.write_to(self._mcap)
 
@@ -241,9 +225,6 @@ class PartFile:
         A file without a message only repeats what another one holds, and is deleted. Where the disk has failed to
         keep what it had taken, the file is cut back to what the disk keeps: a part, which the next start makes
         whole.
-
-        Returns:
-            The chunks that the disk has failed to keep.
         """
         if not self._stream.closed:
             self._end()
@@ -289,11 +270,7 @@ class PartFile:
             self._find().unlink()
 
     def _find(self) -> Path:
-        """Return the part's path now: its directory may have been moved, and another file be in its place.
-
-        Raises:
-            OSError: it is nowhere to be found.
-        """
+        """Return the part's path now: its directory may have been moved, and another file be in its place."""
         descriptor = self._stream.fileno()
         state = os.fstat(descriptor)
         link = Path("/proc/self/fd", str(descriptor))
@@ -382,11 +359,7 @@ NAMESAKES_MAX: Final = 1000
 
 
 class LogDirectory:
-    """The directory of the logs. It is made if it does not exist.
-
-    Args:
-        signer: signs each log when it is whole; None leaves them unsigned.
-    """
+    """The directory of the logs. It is made if it does not exist."""
 
     def __init__(self, path: Path, signer: LogSigner | None = None) -> None:
         self._path = path
@@ -419,7 +392,6 @@ class LogDirectory:
                 raise
 
     def close(self) -> None:
-        """Wait for the disk."""
         self._disk.shutdown()
 
     def _make_again(self) -> None:
@@ -603,7 +575,6 @@ class SafeLogReader:
         self._safe: SafeLogs = NONE_SAFE
 
     def read(self) -> SafeLogs:
-        """Return what is safe; nothing, where there is no note or it cannot be read."""
         try:
             status = self._path.stat()
             state = status.st_ino, status.st_size, status.st_mtime_ns
@@ -660,11 +631,9 @@ class UploadNote:
         self._stream.close()
 
     def safe(self) -> SafeLogs:
-        """The logs that are safe elsewhere."""
         return self._reader.read()
 
     def add(self, log: UploadedLog) -> None:
-        """Have the disk keep that a log is safe."""
         with clear_errors(self._path):
             # After a line that was torn this one begins anew.
             self._stream.write(b"\n" * self._is_torn() + msgspec.json.encode(log) + b"\n")

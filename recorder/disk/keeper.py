@@ -98,9 +98,7 @@ def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSig
     """Make a log whole.
 
     Args:
-        library: the writer's name, for the header of a copy.
         set_aside: rename a file of which nothing can be read, so that nobody tries it again.
-        signer: signs what becomes a whole log of a part; None leaves it unsigned.
     """
     name = str(path)
     try:
@@ -212,11 +210,7 @@ def _copy(
 
 
 def _check_room(directory: Path, size: int) -> None:
-    """Check that a file fits beside the others: one that fills the disk in vain would cost logs that are whole.
-
-    Raises:
-        OSError: it does not.
-    """
+    """Check that a file fits beside the others: one that fills the disk in vain would cost logs that are whole."""
     if shutil.disk_usage(directory).free < size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -318,7 +312,6 @@ class LeftoverThread:
                 self._notices.append(Recovered(plain(Path(recovery.result).name), recovery.messages))
 
     def notices(self) -> Iterator[Notice]:
-        """Return the notices since the last call; begin a look that had to wait."""
         self._begin_wanted()
         while self._notices:
             yield self._notices.popleft()
@@ -361,15 +354,6 @@ class DiskUse(msgspec.Struct, frozen=True):
 
 
 def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NONE_SAFE) -> list[LogEntry]:
-    """The recorder's files in a directory.
-
-    Args:
-        own: names of those that are being written here.
-        safe: those that are safe elsewhere, as long as they have not changed since.
-
-    Raises:
-        OSError: it cannot be read.
-    """
     entries = []
     now_s = time.time()
     with os.scandir(directory) as found:
@@ -399,11 +383,7 @@ def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NO
 
 
 class DiskKeeper:
-    """A thread that looks at the disk from its beginning to ``close``.
-
-    Args:
-        own: names of the files that are being written here.
-    """
+    """A thread that looks at the disk from its beginning to ``close``."""
 
     def __init__(
         self, directory: Path, limits: DiskLimits, own: Callable[[], Collection[str]] = frozenset
@@ -425,7 +405,6 @@ class DiskKeeper:
         self._thread.start()
 
     def notices(self) -> Iterable[Notice]:
-        """Return the notices since the last call."""
         while self._notices:
             yield self._notices.popleft()
 

@@ -1,8 +1,4 @@
-"""The writing thread and its queue.
-
-The actions that wait for the disk: in their order, within a bound of memory.
-
-The writer's thread: applies actions to the files of all logs, whatever the disk does, while the loop receives.
+"""The writing thread and its queue: actions on the files of all logs, whatever the disk does meanwhile.
 
 When a write fails, the file is cut back to its last whole chunk and ended, and the next one begins with the chunk
 that failed; or, where the disk fails to keep what it had accepted, with all that it has not kept. That is held
@@ -42,11 +38,7 @@ from schemas.command_line import CommandError
 
 
 class LogQueue:
-    """Actions that wait, the oldest first.
-
-    Args:
-        limit_bytes: the most that ``trim`` leaves, as far as messages and metadata may go.
-    """
+    """Actions that wait, the oldest first."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit_bytes = limit_bytes
@@ -61,22 +53,18 @@ class LogQueue:
 
     @property
     def head(self) -> LogAction:
-        """The oldest."""
         return self._actions[0]
 
     def put(self, action: LogAction) -> None:
-        """Add an action behind the others."""
         self._actions.append(action)
         self._count(action, 1)
 
     def put_back(self, actions: Iterable[LogAction]) -> None:
-        """Add actions before the others, in their order."""
         for action in reversed(list(actions)):
             self._actions.appendleft(action)
             self._count(action, 1)
 
     def take(self) -> LogAction:
-        """Remove and return the oldest."""
         action = self._actions.popleft()
         self._count(action, -1)
         return action
@@ -214,7 +202,6 @@ class LogWriter:
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes of what waits for the disk."""
         return self._queue.bytes
 
     @property
@@ -241,7 +228,6 @@ class LogWriter:
             return [(chain, file) for chain in self._chains.values() if (file := chain.file) is not None]
 
     def notices(self) -> Iterable[Notice]:
-        """Return the notices since the last call."""
         with self._changed:
             losses, self._losses = self._losses, {}
         yield from losses.values()
@@ -249,11 +235,7 @@ class LogWriter:
             yield self._notices.popleft()
 
     def submit(self, actions: Iterable[LogAction]) -> None:
-        """Have these applied, in order. Never waits for the disk.
-
-        Raises:
-            Exception: the thread has ended by a fault of our own.
-        """
+        """Have these applied, in order. Never waits for the disk."""
         with self._changed:
             if self._fault is not None:
                 raise self._fault

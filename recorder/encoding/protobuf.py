@@ -1,18 +1,13 @@
-"""Messages as protobuf: schemas, and one compiled function for each.
-
-The typed messages as protobuf descriptors, built at run time from the message classes.
+"""Messages as protobuf: descriptors built at run time from the classes, and one compiled encoder for each.
 
 Every message and enumeration is a file of its own, so that the descriptor set of a channel holds what that
 channel needs and nothing else. Field numbers are positions in the class, from 1: a new field goes to the end.
+Numbers are fixed-width: an encoder packs all, flags and enumerations in one ``struct`` call, tags included;
+the other fields follow, one part each. Enumerations keep their order, so what one begins with is protobuf's 0:
+``UNDEFINED``, ``UNKNOWN`` or ``NONE`` wherever there may be nothing to say.
 
-Numbers are fixed-width: an encoder then packs all of them in one call. Enumerations keep their order, so what one
-begins with is protobuf's 0: ``UNDEFINED``, ``UNKNOWN`` or ``NONE`` wherever there may be nothing to say.
-
-A typed message to its protobuf bytes, by an encoder that is compiled once for each class.
-
-All fields of fixed width (numbers, flags, enumerations) go out in one ``struct`` call, tags included; the others
-follow, one part each. Fields may come in any order in protobuf, and a default may be written or left out, so a
-reader sees exactly what the protobuf package itself would have written.
+Fields may come in any order in protobuf, and a default may be written or left out, so a reader sees what the
+protobuf package itself would have written.
 """
 
 from __future__ import annotations
@@ -197,7 +192,6 @@ _FILES: Final = _build_files()
 
 
 def schema_name(kind: type[msgspec.Struct]) -> str:
-    """The name of a logged class's schema: ``cruiser.Gear``."""
     return f"{SCHEMA_PREFIX}.{kind.__name__}"
 
 
@@ -243,7 +237,6 @@ ENUM_MAX_VALUES: Final = 128
 
 
 def varint(number: int) -> bytes:
-    """Protobuf's variable-length form of a number that is not negative."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -343,7 +336,6 @@ def _fixed_format(kind: inspect.Type) -> tuple[str, int] | None:
 
 
 def enum_numbers(kind: type[Enum]) -> dict[str, int]:
-    """The protobuf number of each name of an enumeration: its position."""
     return {member.name: number for number, member in enumerate(kind)}
 
 
@@ -390,7 +382,6 @@ def _list_part(number: int, kind: inspect.Type) -> Encoder:
 
 
 def _delimited(number: int, encoder: Encoder | None) -> Encoder:
-    """Tag, length, bytes; without an encoder the value is the bytes."""
     tag = _tag(number, _LENGTH)
     # Nearly every length is below 128 and a varint of one byte.
     short = [tag + varint(length) for length in range(128)]

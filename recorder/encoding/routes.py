@@ -1,17 +1,12 @@
-"""The way of a sample into its channel, with the fast one of raw frames.
+"""The way of a sample into its channel: how it becomes records, with fast ways for nearly every sample. Pure.
 
-The route of a key's samples: their channel, and how they become records. Pure.
+The fast way of a key is one function, compiled for its subject: it decodes the payload, checks that the sequence
+continues, and appends header and fields of the record in one packing. It returns any other case (a gap, a broken
+payload, a message that the session itself reads, a full chunk) untouched, and the session then takes the slow way.
 
-The way of nearly every sample into a chunk: one function for each key, compiled for its subject. Pure.
-
-It decodes the payload, checks that the sequence continues, and appends header and fields of the record in one
-packing. It returns any other case (a gap, a broken payload, a message that the session itself reads, a full chunk)
-untouched, and the session then takes the slow path.
-
-Batches of raw frames into a chunk, by columns: the common batch, of classic data frames alike in form. Pure.
-
-The records of such frames differ in a few bytes only: times, identifier and data. One record is repeated for all
-frames of the batch, and each column of bytes written over it at once, which costs a tenth of one packing a frame.
+Of raw frames the fast way is by columns, for the common batch of classic data frames alike in form. Their records
+differ in a few bytes only: one is repeated for all frames of the batch, each column of bytes is written over it at
+once, which costs a tenth of one packing a frame.
 """
 
 from __future__ import annotations
@@ -57,7 +52,6 @@ Make = Callable[[KeyCounters, ChunkBuilder, int, Latest], Adder]
 def compile_adder(
     kind: type[Message], counters: KeyCounters, chunk: ChunkBuilder, channel_id: int, latest: Latest
 ) -> Adder:
-    """The function of one key."""
     return _make(kind)(counters, chunk, channel_id, latest)
 
 
@@ -357,7 +351,6 @@ def _fault_of(batch: CanFrames) -> str:
 
 
 def unfold(batch: CanFrames) -> list[Record]:
-    """One CanFrame record for each frame of a batch."""
     bus = batch.bus
     columns = (batch.frame_time_ns, batch.can_id, batch.fd_flags, batch.length, batch.data)
     return [
@@ -382,7 +375,6 @@ def unfold(batch: CanFrames) -> list[Record]:
 
 
 def keep_raw(sample: ReceivedSample, reason: str, time_ns: int) -> bytes:
-    """The RawSample record of a sample that is not decoded."""
     raw = RawSample(
         time_ns=time_ns,
         key=sample.key,

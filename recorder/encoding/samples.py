@@ -1,12 +1,7 @@
-"""Samples as they are received, counters of their keys, and log lines for viewers.
+"""Samples as they are received, untrusted; the counters of a key; and events as ``foxglove.Log``. Pure.
 
-- A Zenoh sample as it was received: untrusted.
-- Counters of one key: samples received, missed and lost. Pure.
-
-Events as ``foxglove.Log``, which viewers list as a log: beside their typed form, on ``{key}/log``. Pure.
-
-The schema is Foxglove's in protobuf (https://docs.foxglove.dev/docs/visualization/message-schemas/log): fields and
-numbers as published there.
+Viewers list those as a log: on ``{key}/log``, beside their typed form. The schema is Foxglove's in protobuf
+(https://docs.foxglove.dev/docs/visualization/message-schemas/log): fields and numbers as published there.
 """
 
 from __future__ import annotations
@@ -30,47 +25,38 @@ class ReceivedSample(Protocol):
     @property
     def key(self) -> str:
         """The key."""
-        ...
 
     @property
     def encoding(self) -> str:
         """Zenoh's encoding string, schema included."""
-        ...
 
     @property
     def payload(self) -> bytes:
         """The payload."""
-        ...
 
     @property
     def received_ns(self) -> int:
         """The time of receipt, nanoseconds since 1970."""
-        ...
 
     @property
     def is_reply(self) -> bool:
         """It is a reply to a query of ours, and did not come by itself."""
-        ...
 
     @property
     def attachment(self) -> bytes:
         """The attachment; empty if there is none."""
-        ...
 
     @property
     def zenoh_time_ns(self) -> int:
         """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
-        ...
 
     @property
-    def source(self) -> tuple[str, int] | None:
-        """The publisher's identifier and its sequence number on the key; None if the sample has none."""
-        ...
+    def source_sequence(self) -> int:
+        """Its publisher's sequence number on the key; 0 if the sample has none."""
 
     @property
     def deleted(self) -> bool:
         """The sample says that the key was deleted, and carries nothing else."""
-        ...
 
 
 class WaitingSample(msgspec.Struct, frozen=True, gc=False):
@@ -81,21 +67,20 @@ class WaitingSample(msgspec.Struct, frozen=True, gc=False):
     payload: bytes
     attachment: bytes
     zenoh_time_ns: int
-    source: tuple[str, int] | None
+    source_sequence: int
     deleted: bool
     received_ns: int
     is_reply: bool
 
 
 def copy(sample: ReceivedSample) -> WaitingSample:
-    """All of a sample, by value."""
     return WaitingSample(
         sample.key,
         sample.encoding,
         sample.payload,
         sample.attachment,
         sample.zenoh_time_ns,
-        sample.source,
+        sample.source_sequence,
         sample.deleted,
         sample.received_ns,
         sample.is_reply,
@@ -107,9 +92,6 @@ SEQUENCE_SPAN: Final = 2**32
 
 UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
 """Reasons for the loss of samples that were never decoded: their sequence is not known."""
-
-SOURCES_MAX: Final = 16
-"""Sources of one key that are followed; of more, those that were silent longest begin anew."""
 
 RESTART_STEP: Final = 2**24
 """A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
@@ -135,8 +117,6 @@ class KeyCounters:
         self.lost: dict[GapReason, int] = {}
         self.lost_bus: int | None = None
         self._bus_count: int | None = None
-        # By source, the one that was heard last at the end.
-        self._sources: dict[str, int | None] = {}
         self.next: int | None = None
         """The sequence that the next sample should have; None before the first."""
         self._unread = 0
@@ -165,14 +145,6 @@ class KeyCounters:
         # A count that falls is a gateway's that began anew.
         new = 0 if before is None else lost - before if lost >= before else lost
         self.lost_bus = (self.lost_bus or 0) + new
-
-    def count_source(self, source: str, sequence: int) -> None:
-        """Take note of a sample by the sequence that Zenoh gives it: each source of a key has its own."""
-        self.next = self._sources.pop(source, None)
-        self.count_sequence(sequence % SEQUENCE_SPAN)
-        self._sources[source] = self.next
-        if len(self._sources) > SOURCES_MAX:
-            del self._sources[next(iter(self._sources))]
 
     def count_sequence(self, sequence: int) -> bool:
         """Take note of a sample's sequence. False if it steps back: the source has begun anew."""

@@ -63,17 +63,14 @@ class Places(msgspec.Struct, frozen=True):
     lengths: Numbers
 
     def only(self, which: NDArray[Any]) -> Places:
-        """Some of them."""
         return Places(self.offsets[which], self.lengths[which])
 
     @property
     def starts(self) -> Numbers:
-        """Offsets of their records."""
         return self.offsets - DATA_AT
 
     @property
     def size(self) -> int:
-        """Bytes of their records."""
         return len(self.offsets) * DATA_AT + int(self.lengths.sum())
 
     def moved(self, base: int) -> Places:
@@ -81,15 +78,12 @@ class Places(msgspec.Struct, frozen=True):
         return Places(self.offsets + base, self.lengths)
 
     def log_ns(self, content: Bytes) -> NDArray[np.uint64]:
-        """Log times, in nanoseconds since 1970."""
         return _words(content, "<u8", LOG_AT)[self.starts]
 
     def publish_ns(self, content: Bytes) -> NDArray[np.uint64]:
-        """Publish times, in nanoseconds since 1970."""
         return _words(content, "<u8", PUBLISH_AT)[self.starts]
 
     def sequences(self, content: Bytes) -> NDArray[np.uint32]:
-        """Sequence numbers."""
         return _words(content, "<u4", SEQUENCE_AT)[self.starts]
 
 
@@ -98,7 +92,6 @@ def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[
 
     Args:
         content: the records of the chunks, one chunk after the other, and PADDING bytes.
-        size: without the padding.
         chunks: of each its index, in turns log time and offset.
     """
     parts = [
@@ -162,7 +155,6 @@ class Blocks:
 
     @property
     def size(self) -> int:
-        """Bytes of all records."""
         return self.bases[-1]
 
     def add(self, block: MessageBlock, index: Index | None = None) -> None:

@@ -132,12 +132,7 @@ def parsing() -> Iterator[None]:
 
 
 class RecordFile:
-    """The bytes of a file and the headers of its records; what lies close together is read at once.
-
-    Args:
-        size: its length in bytes.
-        block_bytes: the least that is read at a time.
-    """
+    """The bytes of a file and the headers of its records; what lies close together is read at once."""
 
     def __init__(self, stream: BinaryIO, size: int, block_bytes: int = _GLANCE_BYTES) -> None:
         self.size = size
@@ -171,11 +166,6 @@ class RecordFile:
         return header[0], self.read(offset, header[1] - offset)
 
     def records(self, start: int, end: int) -> Iterator[tuple[int, int, bytes]]:
-        """Opcode, offset and body of each record there.
-
-        Raises:
-            ValueError: a record reaches beyond the end.
-        """
         at = start
         while at < end:
             opcode, behind = self.header(at) or (0, end + 1)
@@ -211,10 +201,6 @@ def is_reserved(opcode: int) -> bool:
 def parse(opcode: int, body: bytes) -> Any:  # noqa: ANN401 - by the opcode
     """The mcap package's record of this opcode.
 
-    Args:
-        opcode: one of those that have a parser here.
-        body: the record without opcode and length.
-
     Raises:
         what BROKEN lists.
     """
@@ -225,7 +211,6 @@ def record_at(stream: BinaryIO, offset: int, kind: type[Record], size: int | Non
     """The record of this kind there; None if there is none.
 
     Args:
-        offset: in the file, in bytes.
         size: its bytes in the file, if they are known: a record of another size is none.
 
     Raises:
@@ -240,7 +225,6 @@ def record_at(stream: BinaryIO, offset: int, kind: type[Record], size: int | Non
 
 
 def encode(record: records.McapRecord) -> bytes:
-    """A record's bytes, opcode and length included."""
     builder = RecordBuilder()
     record.write(builder)
     return cast("bytes", builder.end())
@@ -266,7 +250,6 @@ def check_of(length: int, crc: int) -> bytes:
 
 
 def checked(data: bytes) -> bytes:
-    """Records, and the check behind them."""
     return data + check_of(len(data), zlib.crc32(data))
 
 

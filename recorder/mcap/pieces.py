@@ -1,15 +1,11 @@
-"""The pieces of an MCAP file in their order, and the proof of what they hold.
-
-The pieces that a reader finds in an MCAP file, and the one way to take a chunk apart. Pure, but for the stream.
+"""The pieces of an MCAP file in their order, and the proof of what they hold. Pure, but for the stream.
 
 A chunk is still packed when it is found. Unpacked it is a block of messages, as is a single message outside of
 chunks; a block is read message by message, by its index, or with many others as numpy's arrays (``arrays``).
 
-The intact pieces of a damaged or unfinished MCAP file, each proven by its checksum.
-
-A piece is a chunk with its message indexes, or another record with the check behind it. Where the bytes make no
-sense the scan goes on at the next piece that is proven. In a file without checks, which others wrote, a record
-outside of chunks is taken as it is.
+In a damaged or unfinished file each intact piece is proven by its checksum: a chunk with its message indexes, or
+another record with the check behind it. Where the bytes make no sense the scan goes on at the next piece that is
+proven. In a file without checks, which others wrote, a record outside of chunks is taken as it is.
 """
 
 from __future__ import annotations
@@ -111,12 +107,6 @@ class DeclaredRoom:
         self._seen: set[tuple[int, bytes]] = set()
 
     def read(self, opcode: int, body: bytes) -> Declared:
-        """Return the record.
-
-        Raises:
-            DamagedError: there is no more room.
-            and what ``framing.BROKEN`` lists.
-        """
         key = opcode, body[:2]
         if key not in self._seen:
             if len(body) > self._left:
@@ -141,7 +131,6 @@ class MessageBlock(msgspec.Struct, frozen=True):
 
     @property
     def is_single(self) -> bool:
-        """It is one message, and nothing else."""
         content = self.content
         return len(content) >= MESSAGE_HEADER.size and RECORD_HEADER.unpack_from(content) == (
             MESSAGE_OPCODE,
@@ -300,7 +289,6 @@ def _from_lz4(data: bytes, size: int) -> bytes:
 
 
 def _from_zstd(data: bytes, size: int) -> bytes:
-    """The content of all frames, or one byte more than it should have."""
     try:
         return zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(size + 1)
     except zstandard.ZstdError as error:
@@ -360,11 +348,7 @@ def has_too_many(index: Index) -> bool:
 
 
 def index_content(content: bytes, room: DeclaredRoom | None = None) -> tuple[Index, list[Declared]]:
-    """The index of a chunk's messages, and the schemas and channels among them.
-
-    Raises:
-        DamagedError: these are no records.
-    """
+    """The index of a chunk's messages, and the schemas and channels among them."""
     index, declared, why = _index_of(content, room or DeclaredRoom())
     if why:
         raise DamagedError(why)
@@ -473,11 +457,7 @@ Found = ProvenChunk | ProvenRecord | DataEnd | Fault
 
 
 class Scanner:
-    """Looks through a file.
-
-    Args:
-        size: its length in bytes.
-    """
+    """Looks through a file."""
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.file = RecordFile(stream, size)
@@ -498,7 +478,6 @@ class Scanner:
         return False
 
     def scan(self) -> Iterator[Found]:
-        """Yield the pieces and faults of the file, in its order."""
         offset: int | None = FIRST_RECORD
         if self.file.read(0, len(MAGIC)) != MAGIC:
             yield Fault(0, "the file does not begin as MCAP does")

@@ -115,8 +115,6 @@ def read_pieces(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> It
     """The pieces of a file. Schemas, channels and statistics come again from the summary.
 
     Args:
-        stream: the file, which can be sought in, and which begins as MCAP does.
-        size: its length in bytes.
         is_verifying: hold the data, the checks and the summary against their checksums too, which reads every
             byte. A chunk's own is verified whenever it is unpacked.
     """

@@ -38,7 +38,6 @@ class Sink(Protocol):
 
     def write(self, data: bytes, /) -> object:
         """Write all of the data."""
-        ...
 
 
 class FileSurvey(msgspec.Struct, frozen=True):

@@ -90,11 +90,7 @@ class LogSummary(msgspec.Struct):
     chunks_at: list[tuple[int, int]] = msgspec.field(default_factory=list)
 
     def chunks(self, stream: BinaryIO) -> Iterator[IndexedChunk]:
-        """Return the index entry of each chunk, in the order of the index.
-
-        Raises:
-            DamagedError: it cannot be read.
-        """
+        """Return the index entry of each chunk, in the order of the index."""
         with parsing():
             for start, end in self.chunks_at:
                 for opcode, _, body in _read_records(stream, start, end):
@@ -102,11 +98,7 @@ class LogSummary(msgspec.Struct):
                         yield _indexed_chunk(body)
 
     def wrong_groups(self, stream: BinaryIO) -> Iterator[records.SummaryOffset]:
-        """The groups that are not where the summary says, or are not theirs alone.
-
-        Raises:
-            DamagedError: one cannot be read.
-        """
+        """The groups that are not where the summary says, or are not theirs alone."""
         with parsing():
             for group in self.groups:
                 end = group.group_start + group.group_length

@@ -55,7 +55,6 @@ class LogChannel(msgspec.Struct, frozen=True):
 
     @property
     def has_schema(self) -> bool:
-        """True if there is one, were it empty."""
         return bool(self.schema_name or self.schema_data or self.schema_encoding)
 
 
@@ -105,7 +104,6 @@ class Chunk(msgspec.Struct, frozen=True):
 
     @property
     def counts(self) -> dict[int, int]:
-        """Messages of each channel."""
         return {channel_id: len(entries) // 2 for channel_id, entries in self.index.items()}
 
 
@@ -133,12 +131,10 @@ class ChunkBuilder:
         self.index = _Index()
 
     def __len__(self) -> int:
-        """Bytes so far, before compression."""
         return len(self.records)
 
     @property
     def is_full(self) -> bool:
-        """It is time to seal it."""
         return len(self.records) >= self.limit_bytes
 
     def add(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
@@ -153,7 +149,6 @@ class ChunkBuilder:
         records += data
 
     def seal(self) -> Chunk | None:
-        """The messages so far, or None if there are none."""
         if not self.records:
             return None
         times = [index[::2] for index in self.index.values()]
@@ -192,7 +187,6 @@ class Summary:
 
     @property
     def messages(self) -> int:
-        """Messages in the file."""
         return self._counts.total()
 
     @property
@@ -202,11 +196,9 @@ class Summary:
 
     @property
     def chunks(self) -> int:
-        """Chunks in the file."""
         return self._records[Opcode.CHUNK_INDEX]
 
     def add_schema(self, schema: records.Schema) -> None:
-        """A schema, the first of its id."""
         self._add(Opcode.SCHEMA, encode(schema))
 
     def add_channels(self, encoded: Sequence[bytes]) -> None:
@@ -231,12 +223,8 @@ class Summary:
         """A chunk at this offset of the file, its message indexes right behind it.
 
         Args:
-            offset: of its record, and ``length`` of that.
-            length: in bytes.
-            index: the log time and place of each message, by channel.
             places: how far behind the offset each message index stands, and ``indexes_length`` their bytes;
                 None: as ``framing.encode_indexes`` puts them.
-            indexes_length: in bytes.
         """
         if places is None:
             places, end = {}, length
@@ -261,7 +249,6 @@ class Summary:
         self._add(Opcode.CHUNK_INDEX, encode(found))
 
     def add_attachment(self, attachment: records.Attachment, offset: int, length: int) -> None:
-        """An attachment at this offset of the file."""
         index = records.AttachmentIndex(
             offset=offset,
             length=length,
@@ -275,7 +262,6 @@ class Summary:
         self._add(Opcode.ATTACHMENT_INDEX, encoded)
 
     def add_metadata(self, metadata: records.Metadata, offset: int, length: int) -> None:
-        """A metadata record at this offset of the file."""
         index = records.MetadataIndex(offset=offset, length=length, name=metadata.name)
         self._add(Opcode.METADATA_INDEX, encode(index))
 
@@ -328,22 +314,18 @@ class LogStream(Protocol):
 
     def write(self, data: memoryview, /) -> int | None:
         """Write some of the data; returns how many bytes, or None if none could be."""
-        ...
 
     def seek(self, offset: int, /) -> int:
         """Go to an offset."""
-        ...
 
     def truncate(self) -> int:
         """End the stream here."""
-        ...
 
 
 class McapFile:
     """An MCAP file that is being written.
 
     Args:
-        stream: the destination of the bytes, from its present beginning on.
         profile: the header's promise about the channels, by MCAP's registry; ours promise nothing.
     """
 
@@ -360,7 +342,6 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Bytes of whole records so far."""
         return self._size
 
     @property
@@ -370,11 +351,9 @@ class McapFile:
 
     @property
     def messages(self) -> int:
-        """Messages written so far."""
         return self._summary.messages
 
     def add_channel(self, channel: LogChannel) -> None:
-        """Write a channel, and its schema unless that has been written."""
         self.add_channels([channel])
 
     def add_channels(self, channels: Iterable[LogChannel]) -> None:
@@ -412,7 +391,6 @@ class McapFile:
         self._summary.add_channels(encoded)
 
     def write_chunk(self, chunk: Chunk) -> None:
-        """Compress and write messages, with an index per channel."""
         record = records.Chunk(
             compression=COMPRESSION,
             data=self._compressor.compress(chunk.records),
@@ -426,7 +404,6 @@ class McapFile:
         self._summary.add_chunk(record, start, len(data), chunk.index)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_ns: int, create_ns: int = 0) -> None:
-        """Write an attachment. That its time of creation is not known MCAP says with 0."""
         record = records.Attachment(
             create_time=create_ns, log_time=log_ns, name=name, media_type=media_type, data=data
         )
@@ -435,7 +412,6 @@ class McapFile:
         self._summary.add_attachment(record, start, len(encoded))
 
     def add_metadata(self, name: str, entries: dict[str, str]) -> None:
-        """Write a metadata record."""
         record = records.Metadata(name=name, metadata=entries)
         encoded, start = encode(record), self._size
         self._write(checked(encoded))
@@ -449,11 +425,7 @@ class McapFile:
         self._is_finished = True
 
     def cut_back(self) -> None:
-        """After a failed write: take the stream back to the end of the last whole record.
-
-        Raises:
-            OSError: the stream cannot even be cut.
-        """
+        """After a failed write: take the stream back to the end of the last whole record."""
         self._stream.seek(self._size)
         self._stream.truncate()
 

@@ -1,7 +1,6 @@
-"""Addresses of objects, and questions that a store answers.
+"""Addresses of objects (``s3://BUCKET/PLACE`` and the like), and the questions that a store answers. Pure.
 
-- Addresses of objects: ``s3://BUCKET/PLACE`` and the like. Pure.
-- The questions that are asked of a store of objects; known without the library that does the asking. Pure.
+Known without the library that does the asking.
 """
 
 from __future__ import annotations
@@ -28,26 +27,21 @@ class StoreAddress(msgspec.Struct, frozen=True):
 
     @property
     def scheme(self) -> str:
-        """The kind of the store, ``s3://`` for example."""
         return next(one for one in SCHEMES if self.url.startswith(one))
 
     @property
     def has_list(self) -> bool:
-        """True if its store says what a place holds."""
         return self.scheme not in UNLISTED
 
     @property
     def parent(self) -> StoreAddress:
-        """The place that an object lies in."""
         return StoreAddress(self.url.rpartition("/")[0])
 
     @property
     def name(self) -> str:
-        """The last part of it."""
         return self.url.rpartition("/")[2]
 
     def join(self, name: str) -> StoreAddress:
-        """The address of an object of this place."""
         return StoreAddress(f"{self.url.rstrip('/')}/{name}")
 
 
@@ -61,7 +55,6 @@ def shown_url(url: str) -> str:
 
 
 def is_address(text: str) -> bool:
-    """True of what names an object of a store, and no file."""
     return text.startswith(SCHEMES)
 
 

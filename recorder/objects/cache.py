@@ -44,7 +44,6 @@ class _Manifest(msgspec.Struct):
 
 
 def cache_directory(environment: Mapping[str, str], home: Path) -> Path:
-    """Return the directory of the copies: in $XDG_CACHE_HOME, if that names one."""
     given = Path(environment.get("XDG_CACHE_HOME", ""))
     return (given if given.is_absolute() else home / ".cache") / "cruiser" / "logs"
 
@@ -53,7 +52,6 @@ class LogCache:
     """The copies in a directory.
 
     Args:
-        directory: of the copies; each has a directory of its own in it.
         limit_bytes: that they take together; a log that is asked about now stays.
     """
 
@@ -64,11 +62,6 @@ class LogCache:
         """The copies that were asked for here."""
 
     def fetch(self, objects: Objects, place: StoreAddress, name: str, progress: Callable[[int], None]) -> Path:
-        """Return the path of a copy of a log.
-
-        Args:
-            progress: receives the bytes that were fetched, or were here already.
-        """
         url = shown_url(place.join(name).url)
         try:
             found = objects.look(name)
@@ -157,7 +150,6 @@ def _small(objects: Objects, name: str) -> bytes:
 
 
 def _sha256_of(path: Path) -> str:
-    """The SHA-256 that the manifest beside a copy says; empty if there is none."""
     with suppress(OSError, msgspec.MsgspecError, UnicodeDecodeError):
         return msgspec.json.decode(path.with_name(path.name + BESIDE[0]).read_bytes(), type=_Manifest).sha256
     return ""

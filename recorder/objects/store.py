@@ -61,11 +61,7 @@ _CREDENTIALS: Final = {
 
 
 class ObstoreObjects:
-    """The objects of a place that obstore reads.
-
-    Args:
-        options: of this store, by obstore's names; credentials come from the environment.
-    """
+    """The objects of a place that obstore reads."""
 
     def __init__(self, place: StoreAddress, options: Mapping[str, Any]) -> None:
         self._place = place
@@ -77,7 +73,6 @@ class ObstoreObjects:
         self._store = open_store(place.url, options, client, retries, may_make=False)
 
     def look(self, name: str) -> StoredObject | None:
-        """Return length and mark of an object; None if there is none."""
         with self._errors():
             try:
                 found = obstore.head(self._store, name)
@@ -86,7 +81,6 @@ class ObstoreObjects:
         return StoredObject(found["size"], _mark(found["e_tag"]))
 
     def read(self, name: str, start: int, end: int, e_tag: str) -> bytes:
-        """Return a range of an object that still has this mark; any, where the mark is empty."""
         with self._errors():
             for tried in range(1, TRIES + 1):
                 try:
@@ -97,7 +91,6 @@ class ObstoreObjects:
         raise AssertionError("unreachable")
 
     def names(self) -> Iterator[ListedObject]:
-        """Return all objects of the place, and of those within it."""
         count = 0
         with self._errors():
             for page in obstore.list(self._store):
@@ -166,7 +159,6 @@ def open_store(
 
     Args:
         url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY, https://.
-        options: of this store, by obstore's names; ``allow_http`` of ours.
         may_make: a directory is made where there is none.
     """
     config = dict(options)

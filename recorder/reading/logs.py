@@ -1,10 +1,4 @@
-"""Logs by their files: which there are, what they cover, and their faults.
-
-- Faults of logs: all are counted, the first ones are listed.
-- A log that a question is about.
-- Selection of logs without the incidents that other logs hold completely.
-- Selection of the logs for a question: files and directories, in the order of time.
-"""
+"""Logs by their files: which there are, in the order of time, what they cover, and their faults."""
 
 from __future__ import annotations
 
@@ -59,7 +53,6 @@ class Faults:
         self._known: dict[str, None] = {}
 
     def add(self, detail: str) -> None:
-        """One more, unless it is known."""
         if detail in self._known:
             return
         if len(self._known) < KNOWN_MAX:
@@ -74,7 +67,6 @@ class Faults:
             self.add(detail)
 
     def __bool__(self) -> bool:
-        """Report whether there are any."""
         return self.count > 0
 
 
@@ -102,15 +94,9 @@ class LogFile(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """The path or the address, as it was asked for."""
         return self.url or str(self.path)
 
     def open(self) -> BinaryIO:
-        """Return a stream of its bytes.
-
-        Raises:
-            OSError: it cannot be opened.
-        """
         return self.path.open("rb")
 
     @property
@@ -236,8 +222,6 @@ def find_logs(
     Args:
         paths: files, and directories whose logs are taken, whole or still being written. Of a directory an
             incident is left out if its other logs hold every message of it, and can be read.
-        faults: takes what is wrong with single files of several.
-        with_covered: leave no incident out.
         stored: copies of logs of object stores that are asked about with them.
 
     Raises:
@@ -270,11 +254,6 @@ def _with_namesakes(logs: list[LogFile]) -> list[LogFile]:
 
 
 def look_at(path: Path) -> LogFile:
-    """One log.
-
-    Raises:
-        CommandError: it cannot be opened, is empty, or is no MCAP file.
-    """
     with open_log(path) as (stream, size):
         is_written = is_being_written(stream)
         start_ns, end_ns, channels = _span(stream, size)
@@ -288,11 +267,6 @@ def _robots(channels: Sequence[records.Channel]) -> frozenset[tuple[str, str]]:
 
 @contextmanager
 def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
-    """The file, and its length in bytes.
-
-    Raises:
-        CommandError: it cannot be read, is no file (a FIFO, a device), is empty, or is no MCAP file.
-    """
     shown = plain(str(path))
     try:
         # Before it is opened: opening a FIFO waits for somebody who writes to it.

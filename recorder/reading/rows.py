@@ -1,17 +1,10 @@
-"""Messages of logs as rows, by topic and time.
-
-- Names for topics where a key cannot be used: in SQL, and as a directory. Pure.
-- A log in a program: ``from recorder import read_log``.
-
-The messages of logs, as rows in the order of their log times, of wanted topics and a wanted time alone.
+"""Messages of logs as rows in the order of their log times, of wanted topics and a wanted time alone.
 
 A chunk that holds nothing wanted is not read from the disk, if the file has message indexes. Memory does not grow
 with a log: of each open file one chunk is held.
 
-Channels, counts, times, metadata and attachments of a file, without its messages.
-
-Either from the summary at its end, with a look at the first and the last message index of each channel; or, where
-that does not tell all, record by record, with a look into those chunks alone that have no message indexes.
+``Contents`` is a file without its messages: from the summary at its end, with a look at the first and the last
+message index of each channel; or, where that does not tell all, record by record.
 """
 
 from __future__ import annotations
@@ -57,12 +50,10 @@ Progress = Callable[[int], None]
 
 
 def every_topic(_topic: Topic) -> bool:
-    """Wants all."""
     return True
 
 
 def no_topic(_topic: Topic) -> bool:
-    """Wants none."""
     return False
 
 
@@ -101,14 +92,7 @@ def read_rows(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> Iterator[Row]:
-    """The rows of logs, merged by log time. A file is opened when its time has come.
-
-    Args:
-        logs: in the order of their beginnings, as ``find_logs`` gives them.
-        selection: the wanted messages.
-        faults: takes what cannot be read; the rest is read all the same.
-        progress: receives the number of bytes that were read or passed over.
-    """
+    """The rows of logs, merged by log time. A file is opened when its time has come."""
     wanted = [log for log in logs if log.start_ns < selection.to_ns and log.end_ns >= selection.from_ns]
     groups: list[list[LogFile]] = []
     ends_ns = -1
@@ -154,12 +138,6 @@ def _rows_from(log: LogFile, selection: Selection, faults: Faults, progress: Pro
 
 class BlockReader:
     """Reads what may hold something wanted of one log: chunks, unpacked, and messages outside of chunks.
-
-    Args:
-        stream: the file.
-        log: the log that the file is.
-        selection: the wanted messages.
-        faults: takes what cannot be read.
 
     Attributes:
         name: of the log.
@@ -215,7 +193,6 @@ class BlockReader:
         progress(self._size - read_to)
 
     def take(self, piece: records.Schema | records.Channel | Fault) -> None:
-        """Take what stands between messages."""
         if isinstance(piece, Fault):
             self.fault(f"byte {piece.offset}: {piece.detail}")
         else:
@@ -254,7 +231,6 @@ class LogReader(BlockReader):
     """Reads the rows of one log."""
 
     def rows(self, progress: Progress = lambda _: None) -> Iterator[Row]:
-        """The wanted rows, in the order of the file."""
         from_ns, to_ns = self.selection.from_ns, self.selection.to_ns
         for block, index in self.blocks(progress):
             found = None
@@ -304,7 +280,6 @@ class Contents(msgspec.Struct):
     has_ended: bool = False
 
     def fault(self, offset: int, detail: str) -> None:
-        """Something is wrong there."""
         self.faults.add(f"byte {offset}: {detail}")
 
 
@@ -349,14 +324,7 @@ def read_contents(stream: BinaryIO) -> Contents | None:
 def walk_contents(
     stream: BinaryIO, size: int, progress: Progress = lambda _: None, *, is_being_written: bool = False
 ) -> Contents:
-    """Return the contents by a scan, record by record. Nothing in the file raises.
-
-    Args:
-        stream: the file.
-        size: its length in bytes.
-        progress: receives the number of bytes that were read.
-        is_being_written: that it has no end yet is no fault.
-    """
+    """Return the contents by a scan, record by record. Nothing in the file raises."""
     contents = Contents()
     read_to = 0
     for piece in read_pieces(stream, size, is_verifying=False):
@@ -407,7 +375,6 @@ def _times(stream: BinaryIO, channel_id: int, offset: int, contents: Contents) -
 
 
 def _record(stream: BinaryIO, offset: int, kind: type[Kind]) -> Kind | None:
-    """The record there; None if it is no such record."""
     try:
         return record_at(stream, offset, kind)
     except DamagedError:
@@ -539,8 +506,6 @@ def read_log(
         paths: files, or directories of logs.
         topics: patterns as of a shell, for the whole topic or what follows the robot in it: ``state``,
             ``safety/*``; none reads all.
-        from_ns: the first log time.
-        to_ns: the first log time that is too late.
         faults: takes what cannot be read. Without it that is logged as a warning, when all is read.
 
     Raises:

@@ -1,8 +1,4 @@
-"""A first look through logs: their topics, robots and configurations.
-
-- Topics, metadata and attachments of logs, read without any chunk.
-- The configuration of each run of a gateway, from its own messages and from the attachments of recorders.
-"""
+"""A first look through logs: topics, metadata and attachments without any chunk, and the runs' configurations."""
 
 from __future__ import annotations
 
@@ -42,17 +38,10 @@ class Survey(msgspec.Struct):
 
     @property
     def robots(self) -> list[str]:
-        """The robots whose topics are there."""
         return sorted({topic.robot for topic in self.topics.values() if topic.robot}, key=keys.in_order)
 
 
 def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
-    """Return the topics, metadata and attachments of logs.
-
-    Args:
-        logs: in the order of their beginnings.
-        faults: collects what cannot be read.
-    """
     found = Survey({}, [], [])
     for log in logs:
         try:
@@ -135,14 +124,6 @@ class Configurations(msgspec.Struct, frozen=True):
 
 
 def configurations_of(robot: str, logs: Sequence[LogFile], found: Survey, faults: Faults) -> Configurations:
-    """The configurations of a robot's runs.
-
-    Args:
-        robot: its name.
-        logs: in the order of their beginnings.
-        found: the survey of these logs.
-        faults: takes what cannot be read.
-    """
     told: dict[int, str] = {}
     room = TEXTS_MAX
     selection = Selection(lambda topic: topic.robot == robot and topic.subject == INFO)
@@ -166,9 +147,4 @@ def attached(robot: str, found: Survey) -> list[tuple[int, str]]:
 
 
 def settings_from(text: str) -> Settings:
-    """The settings that a configuration holds.
-
-    Raises:
-        CommandError: they are none of this version.
-    """
     return merge(TomlSource(CONFIGURATION, text, is_recorded=True), {}, {})

@@ -26,11 +26,6 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
     Args:
         text: see FORMS. A time of day is the first such after the beginning, if the log reaches so far; else
             that of the day on which the log begins.
-        start_ns: when the log begins.
-        end_ns: when it ends.
-
-    Raises:
-        CommandError: it is of no known form.
     """
     text = text.removesuffix(" UTC")  # As these commands print it.
     if match := _SECONDS.fullmatch(text):
@@ -67,7 +62,6 @@ def date_of(text: str) -> int | None:
 
 
 def _fraction_ns(digits: str | None) -> int:
-    """The nanoseconds that the digits behind a point are."""
     return int((digits or "0").ljust(9, "0")[:9])
 
 

@@ -1,12 +1,8 @@
 """Topics of a log and their decoders, of other versions too.
 
-Schemas of logs that another version wrote: whether its messages mean the same here, and the words it has more.
-
 Numbers of fields are places in a class, and those of values places in an enumeration: what is added goes to the
 end. So an older log lacks what came later, and a newer one has more. Where a number means something else, the
 messages are read by the log's own schema alone, as anybody else's.
-
-The topics of a log: what each holds, and how its messages are read.
 
 A message of ours becomes the typed class that it was (``schemas``); anybody else's protobuf a protobuf message,
 JSON what ``json`` makes of it; of any other encoding only the bytes are known.
@@ -206,9 +202,6 @@ def topic_of(
 class Declared:
     """The topics of one log, as far as its records have declared them; each channel counts once.
 
-    Args:
-        namesakes: names that robots under several roots have.
-
     Attributes:
         topics: by channel id.
     """
@@ -255,7 +248,6 @@ def typed_decoder(kind: type[msgspec.Struct], descriptors: bytes = b"") -> Decod
     Fields that the record lacks, because an older version wrote it, have protobuf's defaults.
 
     Args:
-        kind: the class.
         descriptors: the schema of another version; its enumerations may have values that ours have not.
     """
     read: Any = message_class(kind).FromString

@@ -58,7 +58,6 @@ class KeyReport(msgspec.Struct, frozen=True):
 
     @property
     def lost(self) -> int:
-        """Everything that was lost after the source, samples and messages alike."""
         return self.lost_link + self.lost_queue + self.lost_size + self.lost_full + self.lost_disk
 
 
@@ -66,7 +65,6 @@ NO_REPORT: Final = KeyReport()
 
 
 def report(counters: KeyCounters, *, counts_sequence: bool) -> KeyReport:
-    """Report the counters of a key."""
     lost = counters.lost
     received = counters.samples + counters.unread
     return KeyReport(
@@ -94,7 +92,6 @@ def since(now: KeyReport, before: KeyReport) -> KeyReport:
 
 
 def total(reports: Iterable[KeyReport]) -> KeyReport:
-    """Add the reports of one topic in several logs; None where none of them counts."""
     sums: dict[str, Any] = {}
     for one in reports:
         for name, value in msgspec.structs.asdict(one).items():
@@ -188,24 +185,13 @@ class Channels:
 
     @property
     def counters(self) -> Iterable[KeyCounters]:
-        """The counters of every topic."""
         return (route.counters for route in self._by_id)
 
     @property
     def counts(self) -> dict[str, KeyReport]:
-        """The report of each topic."""
         return {
             topic: report(route.counters, counts_sequence=route.counts_sequence)
             for topic, route in sorted(self._by_topic.items())
-        }
-
-    @property
-    def latest(self) -> dict[str, str]:
-        """The newest state of each topic, as JSON, with its log time."""
-        return {
-            topic: msgspec.json.encode({"log_time_ns": latest.log_ns, "message": latest.message}).decode()
-            for topic, route in sorted(self._by_topic.items())
-            if (latest := route.latest).message is not None
         }
 
     def get(self, key: str) -> Route | None:
@@ -240,11 +226,7 @@ class Channels:
         return route
 
     def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
-        """Count messages of these channels that are in no log. Without a reason they are no loss.
-
-        Returns:
-            The counts by topic.
-        """
+        """Count messages of these channels that are in no log. Without a reason they are no loss."""
         topics = {}
         for channel_id, count in counts.items():
             counters = self._by_id[channel_id - 1].counters

@@ -65,16 +65,13 @@ class DeclareChannel(LogAction, frozen=True):
 
     @property
     def bytes(self) -> int:
-        """The topic; the schema is one that all channels of a kind share."""
         return ACTION_BYTES + len(self.channel.topic)
 
     @property
     def is_repeated(self) -> bool:
-        """Always: messages of the next file may be on it."""
         return True
 
     def write_to(self, file: McapFile) -> None:
-        """Write the channel."""
         file.add_channel(self.channel)
 
 
@@ -85,11 +82,9 @@ class WriteChunk(LogAction, frozen=True):
 
     @property
     def bytes(self) -> int:
-        """The messages, before compression."""
         return ACTION_BYTES + len(self.chunk.records)
 
     def write_to(self, file: McapFile) -> None:
-        """Compress and write the messages."""
         file.write_chunk(self.chunk)
 
 
@@ -106,16 +101,13 @@ class WriteMetadata(LogAction, frozen=True):
 
     @property
     def bytes(self) -> int:
-        """All names and values."""
         return ACTION_BYTES + sum(len(name) + len(entry) for name, entry in self.entries.items())
 
     @property
     def is_repeated(self) -> bool:
-        """True if it lasts."""
         return self.lasts
 
     def write_to(self, file: McapFile) -> None:
-        """Write the record."""
         file.add_metadata(self.name, self.entries)
 
 
@@ -129,16 +121,13 @@ class WriteAttachment(LogAction, frozen=True):
 
     @property
     def bytes(self) -> int:
-        """The content."""
         return ACTION_BYTES + len(self.data)
 
     @property
     def is_repeated(self) -> bool:
-        """Always: each file can be read alone."""
         return True
 
     def write_to(self, file: McapFile) -> None:
-        """Write the attachment."""
         file.add_attachment(self.name, self.media_type, self.data, self.wall_ns)
 
 
@@ -150,7 +139,6 @@ class CloseLog(LogAction, frozen=True):
     """Make the file whole."""
 
     def write_to(self, file: McapFile) -> None:
-        """Write the end of the data, the summary and the footer."""
         file.finish()
 
 
@@ -274,30 +262,25 @@ ROOM: Final = Announcement(RecorderEventKind.FULL, Severity.INFO, "there is room
 
 
 def incident_begun(file: str, because: str) -> Announcement:
-    """Announce an incident that is being written."""
     text = f"{file} keeps what came before and after: {because}"
     return Announcement(RecorderEventKind.INCIDENT, Severity.WARNING, text, file)
 
 
 def incident_refused(robot: str, because: str) -> Announcement:
-    """Announce an incident for which there is no room."""
     text = f"the disk may hold no more incidents, so none is kept of {robot}: {because}"
     return Announcement(RecorderEventKind.INCIDENT, Severity.ERROR, text)
 
 
 def incident_cut(robot: str, file: str) -> Announcement:
-    """Announce an incident that was ended for want of room."""
     text = f"the disk may hold no more incidents, so the one that was being written of {robot} has ended early"
     return Announcement(RecorderEventKind.INCIDENT, Severity.ERROR, text, file)
 
 
 def other_version(robot: str, subject: str, what: str) -> Announcement:
-    """Announce samples of another version, which the recorder records as far as it knows them."""
     return Announcement(RecorderEventKind.GAP, Severity.WARNING, short(f"{subject}: {what}"), robot=robot)
 
 
 def announcement_of(notice: Notice) -> Announcement | None:
-    """Announce what people should know of a notice; None if there is nothing."""
     match notice:
         case DiskFault():
             return Announcement(RecorderEventKind.DISK, Severity.ERROR, f"the disk takes no logs: {notice.detail}")

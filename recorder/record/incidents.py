@@ -50,11 +50,9 @@ class Incidents:
 
     @property
     def is_open(self) -> bool:
-        """True if an incident is being written."""
         return self._until_ns is not None
 
     def add(self, chunk: Chunk, now_ns: int) -> list[LogAction]:
-        """Add a chunk of the log."""
         self._ring.append((now_ns, chunk))
         self.ring_bytes += len(chunk.records)
         return [WriteChunk(self.log, chunk)] if self.is_open else []
@@ -65,7 +63,6 @@ class Incidents:
         return self._ring[0][0] if self._ring else None
 
     def trim(self, now_ns: int) -> None:
-        """Forget what is too old for an incident that would begin now."""
         while self._ring and now_ns - self._ring[0][0] > self._before_ns:
             self.forget_oldest()
 
@@ -76,13 +73,7 @@ class Incidents:
         return size
 
     def begin(self, now_ns: int, wall_ns: int, because: str, file: str) -> list[LogAction]:
-        """Begin an incident. One that is being written lasts longer instead, and nothing is to be done.
-
-        Args:
-            now_ns: monotonic time.
-            wall_ns: the same instant since 1970.
-            file: the log's present file; empty if there is none.
-        """
+        """Begin an incident. One that is being written lasts longer instead, and nothing is to be done."""
         if self._until_ns is not None:
             self._until_ns = min(now_ns + self._after_ns, self._begun_ns + INCIDENT_MAX_NS)
             return []
@@ -101,11 +92,9 @@ class Incidents:
         return [self._link_to(file)] if self.is_open else []
 
     def is_over(self, now_ns: int) -> bool:
-        """True if the incident that is being written is to be ended."""
         return self._until_ns is not None and now_ns >= self._until_ns
 
     def close(self) -> list[LogAction]:
-        """End the incident, if there is one."""
         if self._until_ns is None:
             return []
         self._until_ns = None
@@ -174,22 +163,14 @@ class LostGateways:
         """Note that a gateway's token is gone.
 
         Args:
-            key: of the gateway's ``safety/state``.
-            latest: the newest of these; it is looked at again when it is due.
             ended: returns the tick at which the gateway last reported that it shuts down; None if it
                 never did.
-            now_ns: monotonic.
         """
         if isinstance(latest.message, SafetyState):
             self._waiting.setdefault(key, _Waiting(latest, latest.message, ended, now_ns))
 
     def due(self, now_ns: int, wall_ns: int) -> Iterator[LostGateway]:
-        """Return the gateways that turn out to have died.
-
-        Args:
-            now_ns: monotonic.
-            wall_ns: since 1970, as are the states' times of receipt.
-        """
+        """Return the gateways that turn out to have died."""
         for key, waiting in [*self._waiting.items()]:
             waited_ns = now_ns - waiting.lost_ns
             if waited_ns < WAIT_NS:

@@ -86,7 +86,6 @@ class Orders:
                 one.files.append(notice.file)
 
     def tick(self, now_ns: int) -> None:
-        """Send the replies that are due."""
         due = [one for one in self._pending if not one.awaits or now_ns >= one.until_ns]
         for one in due:
             self._pending.remove(one)

@@ -48,11 +48,7 @@ SAMPLE_BYTES: Final = 500
 
 
 class SampleInbox:
-    """A queue of samples.
-
-    Args:
-        limit_bytes: memory of what may wait, payloads, keys and all.
-    """
+    """A queue of samples."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit_bytes = limit_bytes
@@ -78,7 +74,6 @@ class SampleInbox:
         return dropped
 
     def take(self, limit: int, limit_bytes: int) -> Iterator[ReceivedSample]:
-        """Return the oldest samples: at most so many, and about so many bytes."""
         taken_bytes = 0
         for _ in range(min(limit, len(self._waiting))):
             sample, size = self._waiting.popleft()
@@ -149,14 +144,12 @@ class Recorder:
 
     @property
     def state(self) -> RecorderState:
-        """Its state."""
         if self._plan.standby:
             return RecorderState.STOPPED
         return RecorderState.RECORDING if self._has_room else RecorderState.FULL
 
     @property
     def counts(self) -> dict[str, KeyReport]:
-        """The report of each topic."""
         reports = defaultdict(list)
         for log in self._logs.values():
             for topic, report in log.channels.counts.items():
@@ -166,12 +159,10 @@ class Recorder:
 
     @property
     def counters(self) -> Iterable[KeyCounters]:
-        """The counters of every topic of every log."""
         return (counters for log in self._logs.values() for counters in log.channels.counters)
 
     @property
     def robots(self) -> int:
-        """Robots of which a sample has come."""
         return sum(len(log.robots) for log in self._logs.values())
 
     @property
@@ -186,17 +177,14 @@ class Recorder:
 
     @property
     def incidents(self) -> int:
-        """Incidents that were begun."""
         return self._context.incidents
 
     @property
     def has_incident_room(self) -> bool:
-        """True if the disk may hold more incidents."""
         return self._context.has_incident_room
 
     @property
     def ring_bytes(self) -> int:
-        """Bytes of the messages in all rings."""
         return sum(log.incidents.ring_bytes for log in self._logs.values())
 
     def receive(
@@ -208,7 +196,6 @@ class Recorder:
 
         Args:
             samples: if it is an iterator, what there was no time for is still in it.
-            now_ns: monotonic time.
             is_late: the time is over, asked after each sample that may have taken long.
         """
         fast_paths, limit_bytes = self._context.fast_paths, min(QUICK_BYTES, self._plan.sample_max_bytes)
@@ -248,19 +235,11 @@ class Recorder:
             self._lost_gateways.lose_token(state_key, route.latest, ended, now_ns)
 
     def drop(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
-        """Count a sample that was dropped unread."""
         if key not in self._own_keys:
             log = self._by_key.get(key) or self._find_log(key)
             log.drop_sample(key, reason, now_ns, wall_ns)
 
     def tick(self, now_ns: int, wall_ns: int, sizes: Mapping[str, int]) -> Sequence[Action]:
-        """Do what is due.
-
-        Args:
-            now_ns: monotonic time.
-            wall_ns: since 1970.
-            sizes: of the file of each log, in bytes.
-        """
         for log in self._due():
             log.tick(now_ns, sizes.get(log.name, 0))
         for lost in self._lost_gateways.due(now_ns, wall_ns):
@@ -305,7 +284,6 @@ class Recorder:
         return {log.incidents.log: log.incident_file for log in marked}, self._take_actions()
 
     def receive_notice(self, notice: Notice, now_ns: int, wall_ns: int) -> Sequence[Action]:
-        """Act on what became of files and of the disk."""
         announcement, log = announcement_of(notice), None
         if isinstance(notice, DiskRoom):
             self._receive_room(notice, now_ns, wall_ns)
@@ -330,7 +308,6 @@ class Recorder:
             log.ask_last(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> Sequence[Action]:
-        """End everything."""
         for log in self._logs.values():
             log.hand_over(now_ns)
         self._report_losses(now_ns, wall_ns)
@@ -488,7 +465,6 @@ class HealthReport:
         self._received_per_s = self._cpu_percent = 0.0
 
     def is_due(self, now_ns: int) -> bool:
-        """A second has passed."""
         return now_ns - self._last_ns >= SECOND_NS
 
     def next(self, recorder: Recorder, vitals: Vitals, cpu_ns: int, now_ns: int, wall_ns: int) -> RecorderHealth:

@@ -64,12 +64,6 @@ CONTINUED_NAME: Final = "cruiser.continued"
 STANDING_MPS: Final = 0.05
 """A robot that reads a lower speed stands."""
 
-LATEST_NAME: Final = "cruiser.latest"
-"""The metadata record with the newest state of each topic when this file began, as JSON, with its log time.
-
-No message of a channel: no message may be there twice when the files of a log are put together.
-"""
-
 GAPS_MAX: Final = 10_000
 """Gaps of all logs that wait to be reported."""
 
@@ -133,11 +127,7 @@ class LogContext:
 
 
 class RobotLog:
-    """The log of one robot, or the one log of all.
-
-    Args:
-        context: what it shares with the recorder's other logs; its actions go there.
-    """
+    """The log of one robot, or the one log of all."""
 
     def __init__(self, plan: LogPlan, context: LogContext) -> None:
         self.name = plan.name
@@ -214,7 +204,6 @@ class RobotLog:
             self._fast_keys.append(key)
 
     def drop_sample(self, key: str, reason: GapReason, now_ns: int, wall_ns: int) -> None:
-        """Count a sample that was dropped unread."""
         route = self.channels.get(key) or self._find_route(key, now_ns)
         route.counters.lose(reason, 1)
         self._context.losses.lose(self.name, key, reason, 1, wall_ns, wall_ns)
@@ -278,12 +267,9 @@ class RobotLog:
         if route.subject is not None:
             route = self.channels.declare_raw(sample.key)
         time_ns = log_time(sample.zenoh_time_ns)
-        source, sequence = sample.source or ("", 0)
-        if source and route.subject is None:
-            route.counters.count_source(source, sequence)
         # Without a time of the source's, the receipt's is the best there is.
         records = [(time_ns or log_ns, keep_raw(sample, reason, time_ns))]
-        self._add(route, sequence % SEQUENCE_SPAN, now_ns, log_ns, records)
+        self._add(route, sample.source_sequence % SEQUENCE_SPAN, now_ns, log_ns, records)
 
     def _add(self, route: Route, sequence: int, now_ns: int, log_ns: int, records: Sequence[Record]) -> None:
         """Append the records of a sample. A chunk is handed over as soon as it is full: many more may follow."""
@@ -297,7 +283,6 @@ class RobotLog:
     def _add_line(
         self, key: str, event: SafetyEvent | RecorderEvent, now_ns: int, log_ns: int, quota: ChannelQuota
     ) -> None:
-        """Append the event once more, as viewers list them."""
         route = self.channels.declare_line(key, quota)
         if route is None:
             return
@@ -362,7 +347,6 @@ class RobotLog:
     # Chunks and files
 
     def tick(self, now_ns: int, file_bytes: int = 0) -> None:
-        """Do what is due: handing the chunk over to the disk, ending a file of this size, an incident."""
         self.statements.tick()
         if self._at_risk_since_ns is None and len(self._chunk):
             # What took the fast path since the last tick.
@@ -401,7 +385,6 @@ class RobotLog:
         self.close(now_ns)
 
     def resume(self, now_ns: int) -> None:
-        """Have the next sample begin a file; what came before it is in none."""
         self.hand_over(now_ns)
         self.is_paused = False
 
@@ -428,7 +411,6 @@ class RobotLog:
         self._backlog.ask_last()
 
     def close(self, now_ns: int) -> None:
-        """End the file, if one is open."""
         self.hand_over(now_ns)
         if not self.is_open:
             return
@@ -466,7 +448,6 @@ class RobotLog:
         if self._files > 1:
             continued = {"file": str(self._files), "because": self._ended_by}
             self._apply(WriteMetadata(self.name, CONTINUED_NAME, continued))
-            self._apply(WriteMetadata(self.name, LATEST_NAME, self.channels.latest))
         events, self._pending_events = self._pending_events, deque(maxlen=PENDING_EVENTS_MAX)
         for topic, event in events:
             self.add_own(topic, event, now_ns)
@@ -523,7 +504,6 @@ class RobotLog:
         self._context.actions += actions
 
     def end_incident(self, now_ns: int) -> None:
-        """End the incident, if there is one."""
         if self.incidents.is_open:
             # What is in hand was received in time.
             self.hand_over(now_ns)

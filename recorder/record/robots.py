@@ -106,7 +106,6 @@ class Robots:
             robot.pause_ns = ASK_AGAIN_NS
 
     def queries(self, now_ns: int, most: int = QUERIES_PER_TICK) -> list[Query]:
-        """The queries that are due, at most so many; the others stay due."""
         queries: list[Query] = []
         for robot in self._robots.values():
             if robot.ask_at_ns is None or now_ns < robot.ask_at_ns:
@@ -180,11 +179,7 @@ goes that was not repeated for longest."""
 
 
 class Statements:
-    """The statements that the robots of a log have shown.
-
-    Args:
-        proofs: verifies them; None where the recorder knows no authority, so that nothing is proven.
-    """
+    """The statements that the robots of a log have shown."""
 
     def __init__(self, log: str, proofs: StatementProofs | None = None) -> None:
         self._log = log
@@ -194,7 +189,6 @@ class Statements:
         self._is_new = False
 
     def tick(self) -> None:
-        """Verify a few more from now on."""
         if self._proofs is not None:
             self._proofs.tick()
 
@@ -393,7 +387,6 @@ class Backlog:
         return one.hold(sequence, payload), wanted.counted
 
     def queries(self, now_ns: int, most: int = QUERIES_PER_TICK) -> list[Query]:
-        """The queries that are due, at most so many; the others stay due."""
         due = (query for one in self._keys.values() if (query := one.query(now_ns)) is not None)
         return list(islice(due, most))
 

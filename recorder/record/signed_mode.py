@@ -50,7 +50,6 @@ class LogSignature(msgspec.Struct, frozen=True):
 
     @property
     def key(self) -> bytes:
-        """The key that the grant is for."""
         grant = self.chain[0].statement
         return bytes.fromhex(grant.key) if isinstance(grant, Grant) else b""
 
@@ -74,7 +73,6 @@ class LogSignature(msgspec.Struct, frozen=True):
         return found if len(found.key) == KEY_BYTES and found.text() == data else None
 
     def text(self) -> bytes:
-        """The content of the file."""
         pem = b64encode(_DER + self.key).decode()
         return (
             signed_text(self.sha256, self.file)
@@ -95,7 +93,6 @@ class LogSigner:
         self._identity = identity
 
     def sign(self, sha256: str, file: str) -> bytes:
-        """Return the content of the signature beside a log of this name."""
         signature = self._identity.private.sign(signed_text(sha256, file))
         return LogSignature(sha256, file, signature, self._identity.chain).text()
 
@@ -115,7 +112,6 @@ class StatementProofs:
         self._left = VERIFIED_PER_TICK
 
     def tick(self) -> None:
-        """Verify a few more from now on."""
         self._left = VERIFIED_PER_TICK
 
     def has(self, text: str) -> bool:

@@ -1,13 +1,7 @@
-"""Orders to a recorder over Zenoh: both ends.
+"""Requests to a recorder over Zenoh, both ends: who asks, and the recorder's own keys with its liveliness token.
 
-Asks recorders over Zenoh.
-
-No Python of ours runs on Zenoh's threads.
-
-The recorder's own keys on Zenoh: its verbs, its health, events and gaps, and a liveliness token.
-
-A session of its own: the one that receives the robots' samples may have a long queue. Queries wait in a ring that
-the loop drains; no Python of ours runs on Zenoh's threads.
+The recorder's session is apart from the one that receives the robots' samples, which may have a long queue.
+Queries wait in a ring that the loop drains; no Python of ours runs on Zenoh's threads.
 """
 
 from __future__ import annotations
@@ -79,11 +73,7 @@ class RecorderClient:
     def ask(
         self, recorder: str, verb: str, request: Request, timeout_s: float
     ) -> Iterator[tuple[str, RecorderReply]]:
-        """The replies to a request, each with the recorder that it is from.
-
-        Args:
-            recorder: its name; ``keys.ALL`` for all.
-        """
+        """The replies to a request, each with the recorder that it is from."""
         try:
             replies: Any = self._session.get(
                 keys.recorder_command(self._root, recorder, self._operator, verb),
@@ -118,7 +108,6 @@ class RecorderClient:
         return CommandError(who, ExitCode.UNREACHABLE)
 
     def close(self) -> None:
-        """Leave Zenoh."""
         close_session(self._session)
 
     def _samples(self, replies: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - Zenoh's handlers have no common type
@@ -157,11 +146,7 @@ NAMESAKES_MAX: Final = 100
 
 
 class RemoteControl:
-    """The recorder on Zenoh, from its beginning to ``close``. Nothing here raises once it is open.
-
-    Args:
-        settings: of the session, the root, and the recorder's name.
-    """
+    """The recorder on Zenoh, from its beginning to ``close``. Nothing here raises once it is open."""
 
     def __init__(self, settings: Settings) -> None:
         self._root = settings.robot.root
@@ -190,14 +175,12 @@ class RemoteControl:
         }
 
     def publish(self, message: Message) -> None:
-        """Publish a message under the recorder's own keys."""
         try:
             self._publishers[type(message)].put(codec.encode(message))
         except zenoh.ZError as error:
             log.debug("Zenoh does not take it: %s", error)
 
     def drain(self) -> Iterator[OperatorRequest]:
-        """The requests that have come in."""
         for _ in range(REQUESTS_PER_PASS):
             query = self._queries.try_recv()
             if query is None:
@@ -209,7 +192,6 @@ class RemoteControl:
                 yield asked
 
     def close(self) -> None:
-        """Leave Zenoh."""
         self._replier.shutdown(cancel_futures=True)
         close_session(self._session)
 
@@ -269,7 +251,6 @@ class RemoteControl:
 
 
 def host_name() -> str:
-    """The host's name as a chunk of a key."""
     return re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().partition(".")[0].lower()).strip("-") or "recorder"
 
 

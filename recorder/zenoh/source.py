@@ -1,11 +1,7 @@
-"""Samples from Zenoh, and the robots of a shard.
+"""Samples from Zenoh, whose own threads fill its ring channels; no Python of ours runs on them.
 
-- Samples from Zenoh. Zenoh's own threads fill its ring channels; no Python of ours runs on them.
-- Samples of the robots that are this recorder's, where several recorders share a fleet.
-
-Which robots a recorder records where several share a fleet. Pure.
-
-It follows from a robot's name alone, so recorders need not know of each other.
+Where several recorders share a fleet, it follows from a robot's name alone whose it is, so recorders need not know
+of each other.
 """
 
 from __future__ import annotations
@@ -86,25 +82,21 @@ class ZenohSample(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def attachment(self) -> bytes:
-        """The attachment; empty if there is none."""
         attachment = self.received.attachment
         return b"" if attachment is None else attachment.to_bytes()
 
     @property
     def zenoh_time_ns(self) -> int:
-        """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
         timestamp = self.received.timestamp
         return 0 if timestamp is None else timestamp.get_time_as_ntp64().as_nanos()
 
     @property
-    def source(self) -> tuple[str, int] | None:
-        """The publisher's identifier and its sequence number on the key; None if the sample has none."""
+    def source_sequence(self) -> int:
         info = self.received.source_info
-        return None if info is None else (str(info.source_id), info.source_sn)
+        return 0 if info is None else info.source_sn
 
     @property
     def deleted(self) -> bool:
-        """The sample says that the key was deleted."""
         return self.received.kind == zenoh.SampleKind.DELETE
 
 
@@ -118,7 +110,6 @@ class ZenohSource:
 
     Args:
         key_expressions: those to subscribe to. A key that several of them match is received once.
-        queue_samples: samples that may wait for each of them; beyond it the oldest go.
     """
 
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
@@ -141,21 +132,17 @@ class ZenohSource:
 
     @property
     def is_asking(self) -> bool:
-        """True if a query is still without its reply."""
         return bool(self._pending)
 
     @property
     def query_room(self) -> int:
-        """Queries that may still be asked: the answers to others would be given up for more."""
         return PENDING_MAX - len(self._pending)
 
     @property
     def is_connected(self) -> bool:
-        """True if any Zenoh node is connected."""
         return is_connected(self._session)
 
     def drain(self, limit: int) -> list[ZenohSample]:
-        """The samples and replies that have come in, at most about ``limit``."""
         taken: list[ZenohSample] = []
         taken_bytes = 0
         self.is_behind = False
@@ -181,13 +168,11 @@ class ZenohSource:
         return taken
 
     def tokens_gone(self) -> Iterator[str]:
-        """The keys of the gateways' liveliness tokens that are gone since the last call."""
         while (token := self._tokens.try_recv()) is not None:
             if token.kind == zenoh.SampleKind.DELETE:
                 yield str(token.key_expr)
 
     def ask(self, key: str, parameters: str = "") -> None:
-        """Query a key. The replies come with the samples."""
         # Not a ring: that one forgets the reply when the query ends before it is taken.
         replies: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(REPLIES_WAITING)
         handler = self._session.get(
@@ -204,7 +189,6 @@ class ZenohSource:
         self._pending = [*self._pending, (key, handler)][-PENDING_MAX:]
 
     def close(self) -> None:
-        """End the session."""
         close_session(self._session)
 
     def _subscribe(self, expressions: Iterable[zenoh.KeyExpr]) -> None:
@@ -276,7 +260,6 @@ class ShardedSource(ZenohSource):
 
     Args:
         key_expressions: what of each robot is recorded; the robot's chunk of a key is a robot or a wildcard.
-        own: which one of how many recorders this is.
     """
 
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], root: str, own: Shard) -> None:
