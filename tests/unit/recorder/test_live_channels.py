@@ -1,21 +1,18 @@
 """What of robots' samples viewers are shown: channels and records as in a log."""
 
-from typing import Any
-
 import msgspec
 import pytest
 
-from recorder.encoding.protobuf import descriptor_set, message_class
-from recorder.encoding.samples import LEVELS, SCHEMA_DATA, ReceivedSample
+from recorder.encoding.protobuf import descriptor_set
+from recorder.encoding.samples import SCHEMA_DATA, ReceivedSample
 from recorder.layouts.attached import RobotKeys
 from recorder.mcap.writer import LogChannel
 from recorder.record.actions import Query
-from recorder.view import SAMPLE_MAX_BYTES, SILENT_NS, LiveChannels
+from recorder.view import SAMPLE_MAX_BYTES, SILENT_NS, LiveChannels, ViewServer
 from schemas.decisions import EventKind, SafetyEvent
-from schemas.messages import CanFrame, CanFrames, GatewayInfo, Gear, RawSample
+from schemas.messages import GatewayInfo, Gear, RawSample
 from tests.support.logs import encoded
 from tests.support.messages import (
-    ROBOT,
     WALL_NS,
     FakeSample,
     batch,
@@ -31,7 +28,7 @@ from tests.support.rigs.recorder import RecorderRig, messages
 GEAR_KEY, EVENT_KEY = key_of(Gear), key_of(SafetyEvent)
 
 
-class FakeViewers:
+class FakeViewers(ViewServer):
     """Viewers who have subscribed to some topics, or to all."""
 
     def __init__(self, *wanted: str) -> None:
@@ -92,14 +89,6 @@ def test_each_topic_of_a_log_is_shown_with_as_many_records() -> None:
     assert {f"{GEAR_KEY}/@raw", f"{EVENT_KEY}/log", "fleet/cruiser-1/camera"} < set(logged)
 
 
-def test_frames_are_shown_one_by_one() -> None:
-    """Each with its own time."""
-    _, viewers = shown(sample_of(batch(0, [(5, feedback(0)), (6, feedback(1))])))
-    frames: list[Any] = [message_class(CanFrame).FromString(data) for _, _, data in viewers.records]
-    assert [frame.time_ns for frame in frames] == [5, 6]
-    assert viewers.by_topic[key_of(CanFrames)].schema_name == "cruiser.CanFrame"
-
-
 def test_what_nobody_looks_at_is_declared_and_not_sent() -> None:
     """Whoever subscribes later gets what comes then."""
     channels, viewers = shown(sample_of(gear(0)), wanted=("nothing",))
@@ -126,15 +115,6 @@ def test_whoever_subscribes_later_is_shown_the_newest_of_what_comes_seldom(topic
     for channel_id in viewers.channels:
         channels.show_newest(channel_id)
     assert [(one, at_ns) for one, at_ns, _ in viewers.records] == [(topic, WALL_NS)]
-
-
-def test_an_event_is_a_line_of_its_robot() -> None:
-    """As viewers list them."""
-    _, viewers = shown(sample_of(safety_event(EventKind.STOP)))
-    (line,) = [data for topic, _, data in viewers.records if topic == f"{EVENT_KEY}/log"]
-    assert ROBOT.encode() in line
-    assert b"as it were" in line
-    assert bytes([2 << 3, LEVELS.index("WARNING")]) in line
 
 
 def test_a_huge_sample_is_left_out_and_counted() -> None:

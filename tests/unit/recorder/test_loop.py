@@ -1,34 +1,31 @@
 """The run loop, with a source of its own and a real directory."""
 
-import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
-from io import BytesIO, FileIO
-from itertools import count, pairwise, takewhile
+from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 import pytest
 from mcap.reader import make_reader
 
 from recorder import loop as loop_module
-from recorder.disk import files as log_directory
-from recorder.disk import log_writer
 from recorder.disk.files import LogDirectory
-from recorder.disk.keeper import DiskUse, recover_leftovers
+from recorder.disk.keeper import DiskUse
 from recorder.disk.log_writer import LogWriter
 from recorder.encoding.routes import keep_raw
 from recorder.encoding.samples import ReceivedSample
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.loop import Recorded, RecorderLoop
-from recorder.record import orders, robot_log
+from recorder.record import orders
 from recorder.record.accounting import KeyReport
 from recorder.record.actions import Action, Deleted, DiskRoom, Notice
 from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import HealthReport, Recorder, SampleInbox
-from recorder.record.robot_log import CONTINUED_NAME, LogPlan
+from recorder.record.robot_log import LogPlan
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.decisions import EventKind
@@ -38,7 +35,6 @@ from schemas.recording import (
     RecorderEvent,
     RecorderHealth,
     RecorderState,
-    RecordGap,
     Status,
 )
 from schemas.requests import Request
@@ -151,126 +147,6 @@ def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Pat
     assert len(found.attachments) == 2 + LAYOUTS
 
 
-class FailingFile(FileIO):
-    """A file on a disk with so much room; what is given back by a cut can be used again."""
-
-    room = 4000
-
-    def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
-        taken = data[: max(0, self.room - self.tell())]
-        if not taken:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return super().write(taken)
-
-
-FILE_SAMPLES: Final = 2000
-
-
-class Steady(FakeSource):
-    """Brings a few at a time."""
-
-    def drain(self, _limit: int) -> list[ReceivedSample]:
-        taken = super().drain(100)
-        self.is_behind = False
-        return taken
-
-
-def gear_sample(number: int) -> FakeSample:
-    """A sample of which the receipt may be another."""
-    sample = sample_of(gear(number))
-    assert isinstance(sample, FakeSample)
-    return sample
-
-
-@pytest.mark.parametrize("room", [5000, 20_000])
-def test_a_file_that_takes_no_more_is_ended_and_another_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
-) -> None:
-    """The recording goes on, no message is lost or doubled, and each file can be read alone.
-
-    Where there was no room for the end of a file, the next start makes it whole.
-    """
-    monkeypatch.setattr(log_directory, "FileIO", FailingFile)
-    monkeypatch.setattr(FailingFile, "room", room)
-    monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.0)
-    monkeypatch.setattr(log_writer, "END_S", 60.0)
-    # None waits for its turn: else what the recorder says meanwhile comes before it, and is of a later time.
-    monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
-    numbers = map(gear_sample, range(3000))
-    samples = (msgspec.structs.replace(one, received_ns=time.time_ns()) for one in numbers)
-    recorded = record(Steady(samples), tmp_path, LogPlan("x", 1024, 10**9, "1"))
-    assert recorded.files > 1
-    assert (recorded.lost, recorded.keys[key_of(Gear)].written) == (0, 3000)
-    sequences: list[int] = []
-    for path in sorted(tmp_path.iterdir(), key=number_of):
-        assert check_log(path).whole == (path.suffix == ".mcap")
-    for _ in recover_leftovers(sorted(tmp_path.glob("*.part")), "test"):
-        pass
-    for path in sorted(tmp_path.iterdir(), key=number_of):
-        assert check_log(path).whole
-        reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
-        messages = reader.iter_messages(topics=[key_of(Gear)], log_time_order=False)
-        sequences += [message.sequence for _, _, message in messages]
-    assert sequences == list(range(3000))
-
-
-def number_of(path: Path) -> tuple[str, int]:
-    """The second in which a log's file was begun, and which of those of that second it is."""
-    start, _, number = path.name.partition(".")[0].rpartition("Z")
-    return start, int(number[1:] or 1)
-
-
-def test_a_disk_that_takes_nothing_ends_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it did not take is counted; nothing is left behind."""
-    monkeypatch.setattr(log_directory, "FileIO", FailingFile)
-    monkeypatch.setattr(FailingFile, "room", 4)
-    recorded = record(FakeSource(sample_of(gear(number)) for number in range(100)), tmp_path)
-    assert (recorded.path, recorded.files, recorded.messages, recorded.lost_disk) == (None, 0, 0, 100)
-    assert logs_in(tmp_path) == []
-
-
-def test_a_new_file_is_begun_on_demand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As by SIGHUP; between two samples, none of which is lost."""
-    monkeypatch.setattr(robot_log, "ROLL_MIN_NS", 0)
-    files: list[str] = []
-
-    class Filling(Steady):
-        """Brings what a file holds, and then waits for the next: no disk is too slow for it."""
-
-        brought = 0
-
-        def drain(self, limit: int) -> list[ReceivedSample]:
-            taken = super().drain(limit) if self.brought < FILE_SAMPLES * (1 + len(files)) else []
-            self.brought += len(taken)
-            return taken
-
-    source = Filling(sample_of(gear(number)) for number in takewhile(lambda _: len(files) < 3, count()))
-    one = recorder(source, tmp_path)
-
-    def rolls() -> bool:
-        """Once for each file, as soon as it is there."""
-        file = one._recorder.files.get("cruiser-1", "")
-        if not file or file in files:
-            return False
-        files.append(file)
-        return len(files) < 3
-
-    recorded = one.run(lambda: len(files) == 3 and source.is_exhausted, rolls)
-    assert recorded.files == 3
-    found = [read_info(path) for path in sorted(tmp_path.iterdir(), key=number_of)]
-    assert all(check_log(path).is_sound for path in tmp_path.iterdir())
-    assert sum(one.messages for one in found) == recorded.messages
-    assert recorded.keys[GEAR_KEY] == KeyReport(
-        sent=recorded.messages, received=recorded.messages, written=recorded.messages
-    )
-    assert [one.metadata.get(CONTINUED_NAME) for one in found] == [
-        None,
-        {"file": "2", "because": "signal"},
-        {"file": "3", "because": "signal"},
-    ]
-    assert recorded.bytes == sum(one.bytes for one in found)
-
-
 def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever ends the loop, the log is closed."""
     monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
@@ -356,26 +232,6 @@ def test_operators_are_obeyed_and_told(tmp_path: Path, monkeypatch: pytest.Monke
     assert recorded.incidents == 1
     events = [message.kind.value for message in control.published if isinstance(message, RecorderEvent)]
     assert events == ["incident"]
-
-
-@pytest.mark.usefixtures("fast_clock")
-def test_health_is_published_each_second(tmp_path: Path) -> None:
-    """With what the writer, the queue and this process have to tell; so is what was lost."""
-    control = FakeControl()
-    source = FakeSource(sample_of(gear(number)) for number in range(10**9))
-    one = recorder(source, tmp_path, queue_bytes=1_000_000)
-    one.obey(control)
-    # The first may come before the disk has opened a file.
-    one.run(lambda: len(control.health()) >= 2 and control.health()[-1].files > 0)
-    first, second = control.health()[-2:]
-    assert (second.sequence, second.files, second.robots) == (first.sequence + 1, 1, 1)
-    assert second.received > first.received
-    assert second.received_per_s > 0
-    assert second.cpu_percent > 0
-    assert second.queue_bytes > 0
-    gaps = [one for one in control.published if isinstance(one, RecordGap)]
-    assert {gap.key for gap in gaps} == {GEAR_KEY}
-    assert sum(gap.count for gap in gaps) >= second.dropped["queue"] > 0
 
 
 def test_notices_of_others_are_taken(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """``cruiser record`` as a process of its own, against a small Zenoh peer."""
 
 import json
-import os
 import signal
 import time
 from functools import partial
@@ -9,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from recorder.disk.keeper import RecoveryOutcome, recover
 from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.command_line import ExitCode
@@ -17,8 +15,8 @@ from schemas.messages import CanFrames, Gear
 from tests.bench import recorder_kills
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.logs import logs_in
-from tests.support.messages import MS, FakeSample, batch, feedback, gear, info, key_of, sample_of
-from tests.support.processes.recorder import counts, heard, link, readable, recording, whole
+from tests.support.messages import MS, batch, feedback, gear, info, key_of, sample_of
+from tests.support.processes.recorder import counts, heard, link, readable, recording
 from tests.support.waiting import wait_until
 
 FLUSH_S = 0.5
@@ -109,19 +107,6 @@ def test_a_recorder_that_is_there_first_waits_and_goes_on_after_a_cut(tmp_path: 
     assert {"fleet/cruiser-1/peer/0", "fleet/cruiser-1/peer/1"} <= set(counts(read_info(path)))
 
 
-def test_a_recording_may_end_by_itself(tmp_path: Path) -> None:
-    """After --seconds; the path alone is on stdout."""
-    endpoint = free_endpoint()
-    with (
-        Peer(endpoint) as peer,
-        recording("-o", str(tmp_path), "--connect", endpoint, "--seconds", "2") as process,
-    ):
-        link(peer, tmp_path)
-        code, out, _ = process.end(None)
-    assert code == ExitCode.OK
-    assert Path(out.strip()).suffix == ".mcap"
-
-
 def test_without_a_sample_there_is_no_log(tmp_path: Path) -> None:
     """Nobody answered: exit code 4, a warning at once, one clear line at the end, and JSON that says so."""
     words = ["-o", str(tmp_path), "--connect", free_endpoint(), "--json"]
@@ -133,60 +118,6 @@ def test_without_a_sample_there_is_no_log(tmp_path: Path) -> None:
     assert warning.endswith("no Zenoh node is connected; trying on\n")
     assert err == "cruiser record: no sample came, so there is no log\n"
     assert logs_in(tmp_path) == []
-
-
-def test_a_file_that_may_grow_no_more_ends_no_recording(tmp_path: Path) -> None:
-    """The log goes on in further files, each readable alone. The shell bounds what a file may hold."""
-    endpoint = free_endpoint()
-    words = ["-o", str(tmp_path), "--connect", endpoint, "--json"]
-    with Peer(endpoint) as peer, recording(*words, ulimit="-f 2048") as process:
-        wait_until(partial(heard, peer, tmp_path, "small"))
-
-        def has_gone_on() -> bool:
-            for _ in range(10):
-                peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(2000)))
-                time.sleep(0.002)
-            return len(logs_in(tmp_path)) > 2
-
-        wait_until(has_gone_on)
-        wait_until(partial(heard, peer, tmp_path, "last"))
-        _, out, err = process.end()
-    assert "File too large; the log goes on in another file" in err
-    assert "Traceback" not in err
-    result = json.loads(out)
-    assert result["lost_disk"] == 0
-    # A log that is full to the last byte has no room for its index: it stays as it is, and is told.
-    assert result["unfinished"] == len(list(tmp_path.glob("*.part")))
-    assert Path(result["path"]).exists()
-    for path in tmp_path.iterdir():
-        assert check_log(path).whole == (path.suffix == ".mcap")
-        assert recover(path, "test").outcome in {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}
-
-
-def test_a_full_disk_ends_no_recording(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it does not take is counted; when there is room again, the log goes on, and says what was lost."""
-    monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "0")
-    endpoint = free_endpoint()
-    ballast = small_disk / "ballast"
-    ballast.write_bytes(bytes(15_500_000))
-    with Peer(endpoint) as peer, recording("-o", str(small_disk), "--connect", endpoint) as process:
-        wait_until(partial(heard, peer, small_disk, "small"))
-
-        def is_full() -> bool:
-            peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(5000)))
-            time.sleep(0.002)
-            return bool(whole(small_disk))
-
-        wait_until(is_full)
-        assert process.is_running
-        ballast.unlink()
-        wait_until(partial(heard, peer, small_disk, "last"))
-        code, _, err = process.end()
-    assert code in {ExitCode.OK, ExitCode.PARTIAL}
-    assert "No space left on device" in err
-    assert "Traceback" not in err
-    for path in small_disk.glob("*.mcap*"):
-        assert recover(path, "test").outcome in {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}
 
 
 def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:
@@ -219,32 +150,6 @@ def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:
 
 def has_gear(directory: Path) -> bool:
     return any(one.path.endswith(".part") and one.messages for one in readable(directory))
-
-
-def test_files_are_ended_by_time_and_by_size(tmp_path: Path) -> None:
-    """As the settings say."""
-    endpoint = free_endpoint()
-    settings = tmp_path / "settings.toml"
-    settings.write_text("[recorder]\nrotate_bytes = 20000\nrotate_s = 2.5\n")
-    logs = tmp_path / "logs"
-    words = ["-o", str(logs), "--connect", endpoint, "--config", str(settings)]
-    because: set[str] = set()
-    with Peer(endpoint) as peer, recording(*words) as process:
-        link(peer, logs)
-
-        def has_rolled_by(reason: str, size: int) -> bool:
-            peer.put(FakeSample("fleet/cruiser-1/some", "zenoh/bytes", os.urandom(size)))
-            time.sleep(0.005)
-            because.update(
-                one.metadata.get("cruiser.continued", {}).get("because", "") for one in map(read_info, whole(logs))
-            )
-            return reason in because
-
-        wait_until(partial(has_rolled_by, "size", 2000))
-        wait_until(partial(has_rolled_by, "time", 0))
-        code, _, _ = process.end()
-    assert code == ExitCode.OK
-    assert all(check_log(path).whole for path in logs.iterdir())
 
 
 @pytest.mark.night

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from recorder.review.check import check_log
 from recorder.review.info import LogInfo, read_info
 from schemas.command_line import ExitCode
 from schemas.messages import CanFrames, Gear
-from schemas.recording import GapReason
 from tests.support.fakes.peer import Peer
 from tests.support.logs import logs_in
 from tests.support.messages import FakeSample, gear, key_of, sample_of
@@ -44,48 +42,6 @@ def by_name(directory: Path) -> dict[str, LogInfo]:
 def of_robots(found: LogInfo) -> set[str]:
     """The topics with messages that are not the recorder's own."""
     return {topic for topic, count in counts(found).items() if count and "@recorder" not in topic}
-
-
-KEYS = [
-    key_of(Gear, "cruiser-1"),
-    key_of(Gear, "cruiser-2"),
-    "fleet/cruiser-2/anything/else",
-    "fleet/Shed/door",
-    "fleet/cruiser-3",
-    "other/deep/cruiser-1/state",
-    "elsewhere",
-]
-EXPRESSIONS = ["-k", "fleet/**", "other/**", "elsewhere"]
-
-
-def test_each_robot_has_a_log_of_its_own(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """What is no robot's is in the fleet's; robots of another root are not mixed up with ours."""
-    with recording(*EXPRESSIONS, *at(tmp_path, endpoint)) as process:
-        put_until_told(peer, Told(peer), KEYS, len(KEYS))
-        code, _, err = process.end()
-    assert code == ExitCode.OK
-    assert "Traceback" not in err
-    topics = {name: of_robots(found) for name, found in by_name(tmp_path).items()}
-    assert topics == {
-        "cruiser-1": {key_of(Gear, "cruiser-1") + "/@raw"},
-        "cruiser-2": {key_of(Gear, "cruiser-2") + "/@raw", "fleet/cruiser-2/anything/else"},
-        "other_deep_cruiser-1": {"other/deep/cruiser-1/state/@raw"},
-        "fleet": {"fleet/Shed/door", "fleet/cruiser-3", "elsewhere"},
-    }
-
-
-def test_one_log_may_hold_all_robots(
-    peer: Peer, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """If the settings say so."""
-    monkeypatch.setenv("CRUISER_RECORDER_PER_ROBOT", "false")
-    with recording(*EXPRESSIONS, *at(tmp_path, endpoint)) as process:
-        put_until_told(peer, Told(peer), KEYS, len(KEYS))
-        code, _, _ = process.end()
-    assert code == ExitCode.OK
-    ((name, found),) = by_name(tmp_path).items()
-    assert name == "fleet"
-    assert len(of_robots(found)) == len(KEYS)
 
 
 @pytest.mark.night
@@ -126,19 +82,6 @@ def test_more_robots_than_files_may_be_open_cost_no_log(peer: Peer, endpoint: st
     assert 10 < len(found) < 200
     assert "fleet" in found
     assert len({topic for one in found.values() for topic in of_robots(one)}) == len(robots)
-
-
-def test_a_robots_name_may_be_of_any_length(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """Anybody on the network can make one up: it costs nobody's log."""
-    keys = [f"fleet/{'a' * 3000}/key", "fleet/cruiser-1/key"]
-    with recording(*at(tmp_path, endpoint)) as process:
-        put_until_told(peer, Told(peer), keys, len(keys))
-        code, _, err = process.end()
-    assert code == ExitCode.OK
-    assert "Traceback" not in err
-    assert "ERROR" not in err
-    # So long a key has no channel of its own; its samples are kept with it.
-    assert {topic for one in by_name(tmp_path).values() for topic in of_robots(one)} == {"@more", keys[1]}
 
 
 def wrong(**fields: object) -> bytes:
@@ -193,48 +136,6 @@ def test_nothing_that_is_sent_ends_a_recording_or_spoils_a_file(peer: Peer, endp
     assert counts(found)[GEAR.key + "/@raw"] >= 12
     assert 7 in sequences(path, GEAR.key)
     assert sequences(path, "fleet/cruiser-1/\x1b[2J\n")
-
-
-def test_a_sample_that_is_too_large_is_told_and_no_more(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """50 MB by default: a gap of the key, exit code 3, and the rest is recorded."""
-    large = "fleet/cruiser-1/large"
-    before_ns = time.time_ns()
-    with recording(*at(tmp_path, endpoint), "--json") as process:
-        told = Told(peer)
-        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
-        peer.put(FakeSample(large, "zenoh/bytes", bytes(50_000_000)))
-        peer.put(sample_of(gear(7)))
-        wait_until(lambda: bool(told.gaps()))
-        wait_until(lambda: told.wait_for_health().robots == 1)
-        assert told.wait_for_health().dropped == {"size": 1}
-        code, out, err = process.end()
-    (gap,) = told.gaps()
-    assert (gap.key, gap.reason, gap.count) == (large, GapReason.SIZE, 1)
-    assert before_ns < gap.first_ns <= gap.last_ns < time.time_ns()
-    assert code == ExitCode.PARTIAL
-    assert "1 samples dropped" in err
-    assert json.loads(out)["keys"][large]["lost_size"] == 1
-    (path,) = whole(tmp_path)
-    assert sequences(path, GEAR.key) == [7]
-    assert sequences(path, "fleet/@recorder/bench/gap") == [gap.sequence]
-
-
-def test_a_sample_of_50_mb_is_recorded_if_the_settings_say_so(
-    peer: Peer, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In a chunk of its own."""
-    monkeypatch.setenv("CRUISER_RECORDER_SAMPLE_MAX_BYTES", "60000000")
-    large = "fleet/cruiser-1/large"
-    with recording(*at(tmp_path, endpoint)) as process:
-        told = Told(peer)
-        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
-        peer.put(FakeSample(large, "zenoh/bytes", bytes(50_000_000)))
-        wait_until(lambda: told.wait_for_health().keys >= 2)
-        code, _, err = process.end()
-    assert code == ExitCode.OK, err
-    (path,) = whole(tmp_path)
-    assert len(sequences(path, large)) == 1
-    assert not told.gaps()
 
 
 def test_health_is_told_each_second(peer: Peer, endpoint: str, tmp_path: Path) -> None:

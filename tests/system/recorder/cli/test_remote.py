@@ -13,7 +13,7 @@ from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.info import read_info
 from schemas.command_line import ExitCode
 from schemas.recording import RecorderEventKind
-from tests.support.fakes.peer import Peer
+from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.fakes.recorders import a_reply, answering
 from tests.support.logs import logs_in
 from tests.support.messages import gear, sample_of
@@ -108,56 +108,22 @@ def test_what_cannot_be_done_is_refused(depot: Depot) -> None:
     assert not [name for name in logs_in(depot.directory) if "incident" in name]
 
 
-def test_recorders_of_one_name_are_asked_one_by_one(
-    depot: Depot, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The second has a number; status is of all, and nothing else is done to all."""
-    monkeypatch.setenv("CRUISER_RECORDER_NAME", "depot")
-    with recording("-o", str(tmp_path / "second"), "--connect", endpoint) as process:
-        depot.told.wait_for_health("depot-2")
-        link(depot.peer, tmp_path / "second")
+def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str) -> None:
+    """Exit code 4, one clear line; whom it looked for. Nor is one of use that was there a moment ago."""
 
-        def are_both_found() -> bool:
-            _, out, _ = depot.ask("status", "--json")
-            return [json.loads(line)["recorder"] for line in out.splitlines()] == ["depot", "depot-2"]
+    def answer(*words: str, to: str = endpoint, timeout_s: float = 0.5) -> tuple[int, str, str]:
+        return ask(*words, "--connect", to, "--timeout", str(timeout_s))
 
-        wait_until(are_both_found)
-        several = "cruiser record: there are several recorders: depot, depot-2; name one\n"
-        # Asked while only one of them is found, that one makes an incident.
-        wait_until(lambda: depot.ask("mark") == (ExitCode.USAGE, "", several))
-        before = depot.told.wait_for_health("depot").incidents
-        code, out, _ = depot.ask("mark", "depot-2")
-        assert code == ExitCode.OK
-        assert out.startswith("depot-2: an incident keeps")
-        assert depot.told.wait_for_health("depot").incidents == before
-        code, _, err = process.end()
-    assert code == ExitCode.OK
-    assert "a recorder depot is there already; this one is depot-2" in process.ready + err
+    def line(text: str) -> tuple[int, str, str]:
+        return ExitCode.UNREACHABLE, "", f"cruiser record: {text}\n"
 
-
-@pytest.mark.parametrize("action", ["status", "mark"])
-def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str, action: str) -> None:
-    """Exit code 4, one clear line; whom it looked for."""
-    assert peer
-    words = ["--connect", endpoint, "--timeout", "0.5"]
-    assert ask(action, *words) == (ExitCode.UNREACHABLE, "", "cruiser record: no recorder answers\n")
-    expected = "cruiser record: recorder depot does not answer\n"
-    assert ask("status", "depot", *words) == (ExitCode.UNREACHABLE, "", expected)
-
-
-def test_without_a_zenoh_node_it_says_so(endpoint: str) -> None:
-    """It is not for want of a recorder, whatever was asked for."""
-    expected = f"cruiser record: no Zenoh node answered at {endpoint}\n"
-    for words in (["status"], ["status", "depot"]):
-        answer = ask(*words, "--connect", endpoint, "--timeout", "0.1")
-        assert answer == (ExitCode.UNREACHABLE, "", expected)
-
-
-def test_a_recorder_that_says_no_more_is_told(peer: Peer, endpoint: str) -> None:
-    """It was there a moment ago."""
+    nowhere = free_endpoint()
+    assert answer("status", to=nowhere) == line(f"no Zenoh node answered at {nowhere}")
+    for action in ("status", "mark"):
+        assert answer(action) == line("no recorder answers")
+    assert answer("status", "depot") == line("recorder depot does not answer")
     with answering(peer, "depot", a_reply(), silent="mark"):
-        answer = ask("mark", "--connect", endpoint, "--timeout", "1")
-    assert answer == (ExitCode.UNREACHABLE, "", "cruiser record: recorder depot does not answer\n")
+        assert answer("mark", timeout_s=1) == line("recorder depot does not answer")
 
 
 def test_words_before_an_action_hold(endpoint: str) -> None:
@@ -188,8 +154,15 @@ def test_what_a_recorder_says_rules_no_terminal(peer: Peer, endpoint: str, words
         assert "\nhost: recording" not in out
 
 
-def test_two_that_share_a_name_are_both_shown(peer: Peer, endpoint: str) -> None:
-    """They may have begun before they could know of each other."""
+def test_two_that_share_a_name_are_both_shown_and_of_several_one_is_named(peer: Peer, endpoint: str) -> None:
+    """They may have begun before they could know of each other. Nothing but status is asked of all."""
+    words = ("mark", "--connect", endpoint, "--timeout", "2")
     with answering(peer, "depot", a_reply("here"), a_reply("and here")):
-        code, out, err = ask("mark", "--connect", endpoint, "--timeout", "2")
-    assert (code, out, err) == (ExitCode.OK, "depot: here\ndepot: and here\n", "")
+        assert ask(*words) == (ExitCode.OK, "depot: here\ndepot: and here\n", "")
+        with answering(peer, "other", a_reply("elsewhere")) as other:
+            several = "cruiser record: there are several recorders: depot, other; name one\n"
+            # Asked while only one of them is found, that one makes an incident.
+            wait_until(lambda: ask(*words) == (ExitCode.USAGE, "", several))
+            other.clear()
+            assert ask("mark", "other", *words[1:]) == (ExitCode.OK, "other: elsewhere\n", "")
+            assert "fleet/@recorder/other/@cmd/" in other[-1]

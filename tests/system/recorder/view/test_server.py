@@ -70,16 +70,6 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(server: ViewServer) -> None
         assert server.is_wanted(7)
 
 
-def test_a_warning_is_shown_and_taken_back(server: ViewServer) -> None:
-    """Under one name, so that a later one replaces it."""
-    with FoxgloveClient(server.where) as viewer:
-        server.warn("cruiser-1", "it is silent")
-        server.clear("cruiser-1")
-        viewer.wait(lambda one: len(one.said) == 2)
-        assert viewer.said[0] == {"op": "status", "level": 1, "message": "it is silent", "id": "cruiser-1"}
-        assert viewer.said[1] == {"op": "removeStatus", "statusIds": ["cruiser-1"]}
-
-
 def test_a_port_that_is_taken_is_one_line(server: ViewServer) -> None:
     """With the address."""
     port = int(server.where.rpartition(":")[2])

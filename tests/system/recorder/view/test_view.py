@@ -164,28 +164,6 @@ def test_it_ends_at_a_signal_and_leaves_the_layouts(scene: Scene, tmp_path: Path
     assert len(scene.view.said) == 1
 
 
-@pytest.mark.night
-def test_a_replay_is_shown_too(scene: Scene, tmp_path: Path) -> None:
-    """Under its own root, by the same command."""
-    with recording(
-        "-k", "fleet/cruiser-1/**", "-o", str(tmp_path / "logs"), "--connect", scene.endpoint
-    ) as recorder:
-        with FoxgloveClient(scene.url) as viewer:
-            viewer.subscribe(lambda topic: topic == STATE)
-            viewer.wait(lambda one: len(one.messages) > 40)
-        assert recorder.end()[0] == ExitCode.OK
-    here = free_endpoint()
-    words = ("replay", str(tmp_path / "logs"), "--loop", "forever", "--listen", here)
-    with (
-        Running("review", *words),
-        Running("view", "--root", "replay", *LISTEN, "--connect", here) as viewing,
-        FoxgloveClient(viewing.wait_says(r"view: (ws://[^,]+)")[1]) as viewer,
-    ):
-        viewer.subscribe()
-        viewer.wait(lambda one: "replay/cruiser-1/state" in {message.topic for message in one.messages})
-        assert all(topic.startswith("replay/cruiser-1/") for topic in viewer.topics)
-
-
 def settings(endpoint: str) -> Settings:
     """Of a view of the robots there."""
     return Settings(zenoh=ZenohSettings(connect=[endpoint]))

@@ -65,17 +65,16 @@ def test_one_recorder_alone_is_asked_by_its_name(both: Both) -> None:
     assert other == []
 
 
-@pytest.mark.parametrize("name", ["\x1b[2J", "Depot", "a b", "\N{RIGHT-TO-LEFT OVERRIDE}x"])
-def test_who_has_no_recorders_name_is_none(both: Both, name: str) -> None:
-    """Anybody can answer on the network; such a name rules no terminal, and is asked nothing more."""
-    with answering(both.peer, name, a_reply()) as asked, answering(both.peer, "depot", a_reply()):
-        assert both.names_heard_after(asked) == {"depot"}
-
-
-@pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", a_reply()[:-1], b"\x00" * 100_000])
-def test_who_says_what_no_recorder_says_is_none(both: Both, payload: bytes) -> None:
-    """The others are heard all the same."""
-    with answering(both.peer, "liar", payload, payload) as asked, answering(both.peer, "depot", a_reply()):
+@pytest.mark.parametrize(
+    ("name", "payload"),
+    [
+        *((name, a_reply()) for name in ("\x1b[2J", "Depot", "a b", "\N{RIGHT-TO-LEFT OVERRIDE}x")),
+        *(("liar", payload) for payload in (b"", b"\xc1", b"\x80", a_reply()[:-1], b"\x00" * 100_000)),
+    ],
+)
+def test_who_is_not_called_as_a_recorder_or_talks_like_none_is_none(both: Both, name: str, payload: bytes) -> None:
+    """Anybody can answer on the network; such a name rules no terminal. The others are heard all the same."""
+    with answering(both.peer, name, payload, payload) as asked, answering(both.peer, "depot", a_reply()):
         assert both.names_heard_after(asked) == {"depot"}
 
 

@@ -1,7 +1,7 @@
 """Samples from a real Zenoh, on the loopback."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
 
@@ -55,7 +55,7 @@ def linked(endpoint: str) -> Iterator[tuple[Peer, ZenohSource]]:
 
 
 def test_a_sample_arrives_as_it_was_sent(linked: tuple[Peer, ZenohSource]) -> None:
-    """Key, encoding with its schema, payload, attachment, and Zenoh's own time."""
+    """Key, encoding with its schema, payload, attachment, and Zenoh's own time. A deletion is a sample too."""
     peer, origin = linked
     inbox = Inbox(origin)
     before_ns = time.time_ns()
@@ -66,6 +66,9 @@ def test_a_sample_arrives_as_it_was_sent(linked: tuple[Peer, ZenohSource]) -> No
     assert (received.key, received.encoding) == (sent.key, sent.encoding)
     assert (received.payload, received.attachment, received.deleted) == (sent.payload, sent.attachment, False)
     assert abs(received.zenoh_time_ns - before_ns) < 10 * 10**9
+    peer.delete("fleet/x/gone")
+    wait_until(lambda: inbox.holds("fleet/x/gone"))
+    assert inbox.samples[-1].deleted
 
 
 def test_requests_are_not_recorded(linked: tuple[Peer, ZenohSource]) -> None:
@@ -78,15 +81,6 @@ def test_requests_are_not_recorded(linked: tuple[Peer, ZenohSource]) -> None:
     peer.put(FakeSample("fleet/cruiser-1/safety/decision", "zenoh/bytes", b""))
     wait_until(lambda: inbox.holds("fleet/cruiser-1/safety/decision"))
     assert not requests & {sample.key for sample in inbox.samples}
-
-
-def test_a_deletion_is_told(linked: tuple[Peer, ZenohSource]) -> None:
-    """It is a sample too."""
-    peer, origin = linked
-    inbox = Inbox(origin)
-    peer.delete("fleet/x/gone")
-    wait_until(lambda: inbox.holds("fleet/x/gone"))
-    assert inbox.samples[-1].deleted
 
 
 def test_a_query_is_answered_among_the_samples(linked: tuple[Peer, ZenohSource]) -> None:
@@ -117,15 +111,6 @@ def test_a_query_without_an_answer_ends_by_itself(linked: tuple[Peer, ZenohSourc
     inbox = Inbox(origin)
     wait_until(lambda: inbox.holds("") or not origin.is_asking)
     assert not [sample for sample in inbox.samples if sample.key.endswith("info")]
-
-
-def test_a_source_that_is_there_first_hears_what_comes_later(endpoint: str) -> None:
-    """And again after the other side has gone and come back: Zenoh connects by itself."""
-    with closing(source(endpoint)) as origin:
-        for number in range(3):
-            inbox = Inbox(origin)
-            with Peer(endpoint) as peer:
-                put_until(peer, FakeSample(f"fleet/peer/{number}", "zenoh/bytes", b""), inbox)
 
 
 def test_a_key_that_several_expressions_match_is_received_once(endpoint: str) -> None:
@@ -165,39 +150,6 @@ def test_samples_of_declared_keys_come_once_and_those_of_others_too(linked: tupl
         peer.put(FakeSample(last, "zenoh/bytes", b""))
         wait_until(partial(inbox.holds, last))
     assert sorted(sample.key for sample in inbox.samples if sample.key in names) == sorted(3 * names)
-
-
-def test_of_too_many_samples_the_oldest_go(endpoint: str) -> None:
-    """The queue is bounded."""
-    with Peer(endpoint) as peer, closing(source(endpoint, queue=10)) as origin:
-        put_until(peer, FakeSample("fleet/link", "zenoh/bytes", b""), Inbox(origin))
-        for number in range(1000):
-            peer.put(FakeSample("fleet/many", "zenoh/bytes", str(number).encode()))
-        received: list[bytes] = []
-
-        def condition() -> bool:
-            received.extend(sample.payload for sample in origin.drain(5))
-            return b"999" in received
-
-        # All are on this side before the first is taken, so that the queue has to let go.
-        wait_until(_settled(peer, endpoint))
-        wait_until(condition)
-        assert len(received) <= 10 + 1
-
-
-def _settled(peer: Peer, endpoint: str) -> Callable[[], bool]:
-    """A condition: another listener of the same peer has heard what came after."""
-    other = source(endpoint, "fleet/after")
-    inbox = Inbox(other)
-
-    def condition() -> bool:
-        peer.put(FakeSample("fleet/after", "zenoh/bytes", b""))
-        if not inbox.holds("fleet/after"):
-            return False
-        other.close()
-        return True
-
-    return condition
 
 
 def test_a_client_without_a_router_is_told_so(endpoint: str) -> None:

@@ -19,7 +19,6 @@ from recorder.disk.keeper import (
     LeftoverThread,
     Recovery,
     RecoveryOutcome,
-    read_entries,
     recover,
     recover_leftovers,
 )
@@ -179,25 +178,14 @@ def test_what_fails_leaves_the_log_as_it_was(
     assert recover(path, "test").outcome in {RecoveryOutcome.RECOVERED, RecoveryOutcome.DAMAGED}
 
 
-class FullDisk:
-    """Takes so many bytes of each file's end, and 50 of them at once."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
-        write = os.pwrite
-        sizes: dict[int, int] = {}
-
-        def pwrite(file: int, data: bytes, offset: int) -> int:
-            begin = sizes.setdefault(file, offset)
-            if offset - begin >= room:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return write(file, data[:50], offset)
-
-        monkeypatch.setattr(os, "pwrite", pwrite)
-
-
 def test_a_log_whose_end_does_not_fit_stays_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut back to its last whole record, to be recovered when there is room."""
-    FullDisk(monkeypatch, 100)
+    write = os.pwrite
+
+    def pwrite(file: int, data: bytes, offset: int) -> int:
+        return write(file, data[:50], offset) if offset < SUMMARY + 100 else failing(errno.ENOSPC)()
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
     path = part(tmp_path, LOG[: SUMMARY + 3])
     assert recover(path, "test").outcome is RecoveryOutcome.FAILED
     assert path.read_bytes() == LOG[:SUMMARY]
@@ -254,27 +242,16 @@ def test_a_start_recovers_every_part_and_says_so(tmp_path: Path, caplog: pytest.
     assert list(thread.notices()) == []
 
 
-def test_what_is_left_later_is_recovered_when_it_is_looked_for_again(tmp_path: Path) -> None:
-    """A part that its recorder is still writing is locked, and left alone."""
-    thread = looked(tmp_path)
-    part(tmp_path, LOG[:SUMMARY], "a")
-    held = part(tmp_path, LOG[:SUMMARY], "b")
-    with held.open("rb") as stream:
-        assert lock(stream.fileno())
-        thread.look_again()
-        thread.wait(30)
-    assert logs_in(tmp_path) == ["a.mcap", "b.mcap.part"]
-    assert [one.messages for one in thread.recoveries] == [12]
-
-
 def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither before, nor again after that: where nothing has failed, room is no reason to look."""
     monkeypatch.setattr(keeper, "_finish", failing(errno.ENOSPC))
     part(tmp_path, LOG[:SUMMARY])
     thread = looked(tmp_path)
+    for notice, tries in ((FULL, 1), (ROOM, 2)):
+        thread.receive_notice(notice)
+        thread.wait(30)
+        assert [one.outcome for one in thread.recoveries] == [RecoveryOutcome.FAILED] * tries
     monkeypatch.undo()
-    thread.receive_notice(FULL)
-    thread.wait(30)
     assert logs_in(tmp_path) == ["x.mcap.part"]
     thread.receive_notice(ROOM)
     thread.wait(30)
@@ -288,18 +265,6 @@ def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkey
     thread.receive_notice(DiskBack())
     thread.wait(30)
     assert logs_in(tmp_path) == ["later.mcap", "x.mcap"]
-
-
-def test_a_try_that_fails_again_waits_for_the_next_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One try for each time that there is room: it reads the whole log."""
-    monkeypatch.setattr(keeper, "_finish", failing(errno.ENOSPC))
-    part(tmp_path, LOG[:SUMMARY])
-    thread = LeftoverThread(tmp_path, "test")
-    for tries in (1, 2, 3):
-        thread.wait(30)
-        assert list(thread.notices()) == []
-        assert [one.outcome for one in thread.recoveries] == [RecoveryOutcome.FAILED] * tries
-        thread.receive_notice(ROOM)
 
 
 def test_room_that_comes_during_a_look_is_not_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -326,21 +291,6 @@ def test_room_that_comes_during_a_look_is_not_missed(tmp_path: Path, monkeypatch
     told += thread.notices()
     assert told == [Recovered("b.mcap", 12), Recovered("a.mcap", 12)]
     assert logs_in(tmp_path) == ["a.mcap", "b.mcap"]
-
-
-def test_an_incident_stays_one(tmp_path: Path) -> None:
-    """Whole, with a number, with a rest or set aside: nobody deletes it for want of room."""
-    stem = "a-20270115T080000Z.incident"
-    (tmp_path / f"{stem}.mcap").write_bytes(LOG)
-    part(tmp_path, DAMAGED, stem)
-    (tmp_path / f"{stem}-3.mcap").write_bytes(LOG)
-    part(tmp_path, LOG[:SUMMARY] + BEHIND, f"{stem}-3")
-    part(tmp_path, b"", f"{stem}-4")
-    looked(tmp_path)
-    assert len(logs_in(tmp_path)) == 7
-    entries = read_entries(tmp_path)
-    assert len(entries) == 7
-    assert all(entry.is_incident for entry in entries)
 
 
 def test_a_part_that_begins_after_the_start_is_no_leftover(

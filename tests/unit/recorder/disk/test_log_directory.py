@@ -2,11 +2,8 @@
 
 import errno
 import os
-import resource
 import stat
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BytesIO, FileIO
 from pathlib import Path
 
@@ -20,14 +17,12 @@ from recorder.disk import files
 from recorder.disk.files import LogDirectory, PartFile, Prologue, lock, safe_name
 from recorder.disk.keeper import read_entries
 from recorder.encoding.protobuf import descriptor_set
-from recorder.mcap.writer import LogChannel
+from recorder.mcap.writer import LogChannel, McapFile
 from recorder.reading.rows import file_name
-from recorder.record.actions import CloseLog, DeclareChannel, SyncLog, WriteChunk
-from recorder.review.check import check_log
-from recorder.review.info import read_info
+from recorder.record.actions import CloseLog, DeclareChannel, SyncLog, WriteAttachment, WriteChunk
 from schemas.command_line import CommandError
 from schemas.messages import Gear
-from tests.support.fakes.recording import SlowDisk, failing
+from tests.support.fakes.recording import failing
 from tests.support.logs import logs_in, sealed
 from tests.support.messages import WALL_NS
 from tests.support.reading import Read
@@ -120,86 +115,28 @@ def test_a_name_is_no_longer_than_a_disk_takes(tmp_path: Path) -> None:
     assert all(log.path.name.startswith("aaa") and ".incident" in log.path.name for log in logs)
 
 
-def test_a_directory_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
-    """A file is in its place."""
+def test_a_directory_that_cannot_be_used_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file is in its place; it may not be written to, for which root needs a knob."""
     (tmp_path / "logs").write_text("")
     with pytest.raises(CommandError, match=r"cannot write .*logs: (File exists|Not a directory)"):
         LogDirectory(tmp_path / "logs")
     with pytest.raises(CommandError, match="Not a directory"):
         LogDirectory(tmp_path / "logs" / "deeper")
-
-
-def test_a_directory_that_is_not_writable_is_one_clear_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It is found before the first sample. Root may write anywhere, so the answer is the system's by knob."""
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(CommandError, match="no permission to write there"):
         LogDirectory(tmp_path)
 
 
-def fill(log: PartFile) -> int:
-    """Write until the disk takes no more; the number of chunks that it took."""
-    number = 0
-    try:
-        while True:
-            log.write(chunk(number + 1, os.urandom(50 if log.size > 7500 else 500)))
-            number += 1
-    except CommandError:
-        return number
-
-
-@contextmanager
-def files_end_at(limit_bytes: int) -> Iterator[None]:
-    """No file may grow beyond this: the system itself says so, with EFBIG.
-
-    Only within a test: the test runner's own output may be a file too.
-    """
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def test_a_log_that_can_grow_no_more_is_closed_as_well_as_possible(tmp_path: Path) -> None:
-    """The chunk that fits no more goes; if there is room for the end, the file is whole."""
-    with files_end_at(8192):
-        log = opened(tmp_path)
-        log.write(chunk(1))
-        with pytest.raises(CommandError, match=os.strerror(errno.EFBIG)):
-            log.write(chunk(2, os.urandom(20_000)))
-        log.salvage()
-    assert log.path == tmp_path / f"{STEM}.mcap"
-    assert sequences(log.path) == [1]
-
-
-def test_without_room_for_the_end_the_part_stays_readable(tmp_path: Path) -> None:
-    """It ends with its last whole chunk."""
-    with files_end_at(8192):
-        log = opened(tmp_path)
-        written = fill(log)
-        log.salvage()
-        log.salvage()
-    assert log.path == tmp_path / f"{STEM}.mcap.part"
-    info = read_info(log.path)
-    assert not info.whole
-    assert check_log(log.path).messages == written
-    assert info.messages == written
-    assert [fault.partition(": ")[2] for fault in info.faults] == ["the file ends without a footer"]
-
-
 def test_what_the_disk_does_not_take_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No header; names, however often it is tried; a file without a message, which only repeats another's."""
     directory = LogDirectory(tmp_path)
-    with files_end_at(4), pytest.raises(CommandError, match="too large"):
-        directory.open("x", WALL_NS, "test")
-    with monkeypatch.context() as knobs:
-        knobs.setattr(files, "sync_directory", failing(errno.EIO))
-        for _ in range(3):
-            with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
-                directory.open("x", WALL_NS, "test")
+    for step in ("McapFile", "sync_directory", "sync_directory"):
+        monkeypatch.setattr(files, step, failing(errno.EIO))
+        with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
+            directory.open("x", WALL_NS, "test")
+        monkeypatch.undo()
     log = opened(tmp_path)
     log.salvage()
     assert logs_in(tmp_path) == []
@@ -222,35 +159,6 @@ def test_a_part_that_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.Monkey
     log.write(chunk(1))
     log.write(CloseLog("x"))
     assert sequences(log.path) == [1]
-
-
-def test_a_slow_sync_holds_up_no_write(tmp_path: Path, disk: SlowDisk) -> None:
-    """What is written meanwhile is in the file, safe from a kill; of however many syncs one goes on."""
-    disk.goes_on.clear()
-    log = opened(tmp_path)
-    for number in range(1, 6):
-        log.write(chunk(number))
-        log.write(SyncLog("x"))
-    wait_until(lambda: bool(disk.asked))
-    assert read_info(log.path).messages == 5
-    disk.goes_on.set()
-    log.write(CloseLog("x"))
-    assert len(disk.asked) <= 3, "two, and that of the end"
-    assert sequences(log.path) == [1, 2, 3, 4, 5]
-
-
-def test_what_is_written_during_a_sync_is_kept_by_the_next_one(tmp_path: Path, disk: SlowDisk) -> None:
-    """Though nothing more is written: a silence does not leave the last of it to a power cut."""
-    disk.goes_on.clear()
-    log = opened(tmp_path)
-    for number in range(1, 5):
-        log.write(chunk(number))
-        log.write(SyncLog("x"))
-        wait_until(lambda: bool(disk.asked))
-    disk.goes_on.set()
-    wait_until(lambda: log.kept_size == log.size)
-    assert disk.asked[-1] == log.size
-    log.salvage()
 
 
 def test_no_file_takes_the_disk_for_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -303,36 +211,6 @@ def test_a_file_begins_with_all_channels_in_one_write(tmp_path: Path, monkeypatc
     assert (len(summary.channels), len(summary.schemas)) == (500, 1)
 
 
-def test_a_log_whose_directory_was_moved_becomes_whole_where_it_is(tmp_path: Path) -> None:
-    """Though another one of its name may be in its old place: that one is left alone."""
-    here, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
-    log = opened(here)
-    log.write(chunk(1))
-    here.rename(elsewhere)
-    other = opened(here)
-    assert other.path == here / f"{STEM}.mcap.part"
-    log.write(chunk(2))
-    log.write(CloseLog("x"))
-    assert log.path == elsewhere / f"{STEM}.mcap"
-    assert log.is_kept
-    assert sequences(log.path) == [1, 2]
-    assert logs_in(here) == [f"{STEM}.mcap.part"]
-    other.salvage()
-
-
-def test_a_log_that_was_called_something_else_is_left_as_it_is(tmp_path: Path) -> None:
-    """Who has renamed it wants it called so; it is one clear error, and nothing else is taken for it."""
-    log = opened(tmp_path)
-    log.write(chunk(1))
-    (tmp_path / f"{STEM}.mcap.part").rename(tmp_path / "mine")
-    with pytest.raises(CommandError, match="moved the log"):
-        log.write(CloseLog("x"))
-    log.salvage()
-    assert log.is_left
-    assert logs_in(tmp_path) == ["mine"]
-    assert sequences(tmp_path / "mine") == [1]
-
-
 def test_for_want_of_a_name_no_log_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However many there are of one name and second."""
     monkeypatch.setattr(files, "NAMESAKES_MAX", 3)
@@ -377,3 +255,19 @@ def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
             directory.open("x", WALL_NS, "test")
     with (tmp_path / "x-20270115T080000Z.mcap.part").open("rb") as left:
         assert lock(left.fileno()), "nobody holds it any more"
+
+
+def test_names_without_end_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot may name its DBC anew for ever: of the attachments that each file repeats the oldest go."""
+    monkeypatch.setattr(files, "ATTACHMENTS_MAX", 3)
+    prologue, stream = Prologue(), BytesIO()
+    for number in (1, 2, 3, 1, 4):
+        prologue.add(WriteAttachment("x", f"a/{number}", "text/plain", b"", number))
+    file = McapFile(stream, "test")
+    prologue.write_to(file)
+    file.finish()
+    assert [one.name for one in make_reader(BytesIO(stream.getvalue())).iter_attachments()] == [
+        "a/3",
+        "a/1",
+        "a/4",
+    ]

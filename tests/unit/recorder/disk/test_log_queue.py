@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from recorder.disk.log_writer import LogQueue
 from recorder.record.actions import (
-    ACTION_BYTES,
     CloseLog,
     LogAction,
     OpenLog,
@@ -44,14 +43,6 @@ def test_what_can_never_fit_goes_before_everything_else() -> None:
     assert left(queue) == small
 
 
-def test_a_large_chunk_waits_where_there_is_room() -> None:
-    """While nothing is too much nothing goes."""
-    large = chunk(1500)
-    queue = queue_of(2000, large)
-    assert queue.trim(0) == []
-    assert left(queue) == [large]
-
-
 def test_the_oldest_messages_go_first_and_what_is_said_of_files_last() -> None:
     """Which files there are, and what lasts, stays whatever happens."""
     opened, end, sync = OpenLog("x", "x", WALL_NS), CloseLog("x"), SyncLog("x")
@@ -65,18 +56,6 @@ def test_the_oldest_messages_go_first_and_what_is_said_of_files_last() -> None:
     assert queue.trim(3000 - queue.bytes + 300) == [first]
     assert queue.trim(3000) == [sync, second, once]
     assert left(queue) == [opened, lasting, attachment, end]
-
-
-def test_all_that_waits_counts() -> None:
-    """Metadata and attachments may be large, and a million small things are large, too."""
-    queue = queue_of(
-        10_000,
-        WriteMetadata("x", "a", {"key": "entry"}),
-        WriteAttachment("x", "a", "", bytes(7), 0),
-        SyncLog("x"),
-        chunk(300),
-    )
-    assert queue.bytes == 4 * ACTION_BYTES + len("keyentry") + 7 + 300
 
 
 @given(
@@ -99,13 +78,3 @@ def test_nothing_goes_without_need_and_the_order_stays(actions: list[LogAction],
     if dropped:
         needed = bound + min(one.bytes for one in dropped[-1:])
         assert needed > 4000 - other_bytes
-
-
-def test_what_is_put_back_is_the_oldest_again() -> None:
-    """In its order."""
-    ones = [chunk(100) for _ in range(4)]
-    queue = queue_of(2000, *ones)
-    taken = [queue.take(), queue.take()]
-    assert queue.head is ones[2]
-    queue.put_back(taken)
-    assert left(queue) == ones

@@ -1,4 +1,4 @@
-"""The writer's thread, on a real directory and on a disk that fails on demand."""
+"""A log survives all that a disk may do: writer, files and recovery, on a real directory that fails on demand."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from recorder.disk import files, log_writer
-from recorder.disk.files import LogDirectory
+from recorder.disk.files import LogDirectory, PartFile
 from recorder.disk.keeper import RecoveryOutcome, recover
 from recorder.disk.log_writer import LogWriter
 from recorder.encoding.protobuf import descriptor_set
@@ -106,6 +106,13 @@ def is_written(writer: LogWriter) -> bool:
     return bool(writer.sizes) and not writer._queue
 
 
+def file_of(writer: LogWriter) -> PartFile:
+    """The file of x that is being written."""
+    file = writer._chains["x"].file
+    assert file is not None
+    return file
+
+
 def is_kept(writer: LogWriter) -> bool:
     """Whether all that is in the file of x is on the disk."""
     file = writer._chains["x"].file
@@ -123,9 +130,9 @@ def names(path: Path) -> list[str]:
 
 def files_of(directory: Path) -> dict[str, list[int]]:
     """The messages of each file, those that are parts made whole."""
-    for path in directory.glob("*.part"):
+    for path in directory.rglob("*.part"):
         assert recover(path, "test").outcome in {RecoveryOutcome.RECOVERED, RecoveryOutcome.WHOLE}
-    return {path.name: sequences(path) for path in sorted(directory.glob("*.mcap"), key=lambda path: path.stem)}
+    return {path.name: sequences(path) for path in sorted(directory.rglob("*.mcap"), key=lambda path: path.stem)}
 
 
 def all_sequences(directory: Path) -> list[int]:
@@ -140,10 +147,16 @@ a bad start                 | broken begin 1 faulty well told-back end          
 what is taken and not kept  | begin 1 sync kept forgets 2 3 sync 4 told remembers 5 end   | 1 / 2 3 4 5
 the same at the end         | begin 1 sync kept forgets 2 3 close faulty remembers closed | 1 / 2 3
 a failed sync and a silence | stalls forgets begin 1 sync asked answers faulty remembers kept end | 1
+a slow sync                 | stalls begin 1 sync asked 2 sync 3 sync written answers kept end | 1 2 3
 no room for the end         | begin 1 written full end                                    | 1
 a disk that is gone         | broken begin {} end                                         | -20
 a disk that hangs           | hangs begin {} sync goes-on end                             | {}
 more than can ever wait     | full begin {} faulty large 20 well end                      | {} 20 -1
+a kill                      | begin 1 sync kept 2 written killed                          | 1 2
+a kill in a write           | begin 1 sync kept 2 written torn                            | 1 2
+a power cut                 | begin 1 sync kept 2 written cut                             | 1
+a move of its directory     | begin 1 written moved 2 end                                 | 1 2
+another name                | begin 1 written renamed end                                 | 1
 """.replace("{}", " ".join(map(str, range(20))))
 """What happens, and the messages of each file that is left; last, how many are lost."""
 
@@ -153,8 +166,28 @@ SAID: Final = {
     "a failed sync and a silence": [DiskBack, Ended],
 }
 
+LOGS, ELSEWHERE, LEFT = "logs", "elsewhere", "left"
+"""Where a log is begun, where it may be moved, and what is left of it when its recorder is gone."""
 
-def play(writer: LogWriter, disk: SlowDisk, steps: str) -> None:
+
+def leave(logs: Path, writer: LogWriter, then: Callable[[Path], object] = lambda _: None) -> None:
+    """The recorder is gone: what is on the disk now is all that there is of its log."""
+    (left,) = logs.iterdir()
+    copy = logs.with_name(LEFT) / left.name
+    copy.parent.mkdir()
+    shutil.copy(left, copy)
+    then(copy)
+    end(writer)
+    shutil.rmtree(logs)
+
+
+def tear(path: Path) -> None:
+    """A write that only its beginning came of."""
+    with path.open("ab") as stream:
+        stream.write(b"\x06\x10\x00")
+
+
+def play(logs: Path, writer: LogWriter, disk: SlowDisk, steps: str) -> None:
     """Chunks by their numbers, actions, what becomes of the disk, and what is waited for."""
 
     def told(*, is_faulty: bool) -> None:
@@ -181,6 +214,11 @@ def play(writer: LogWriter, disk: SlowDisk, steps: str) -> None:
         "faulty": lambda: wait_until(lambda: writer._is_faulty),
         "told": lambda: told(is_faulty=True),
         "told-back": lambda: told(is_faulty=False),
+        "killed": lambda: leave(logs, writer),
+        "torn": lambda: leave(logs, writer, tear),
+        "cut": lambda: leave(logs, writer, lambda path: os.truncate(path, file_of(writer).kept_size)),
+        "moved": lambda: logs.rename(logs.with_name(ELSEWHERE)),
+        "renamed": lambda: (logs / f"{STEM}.mcap.part").rename(logs / f"{STEM}.mcap"),
         "end": lambda: end(writer),
         "closed": writer.close,
     }
@@ -195,16 +233,20 @@ def play(writer: LogWriter, disk: SlowDisk, steps: str) -> None:
 def test_a_log_survives(tmp_path: Path, disk: SlowDisk, row: str) -> None:
     """Nothing is lost untold or there twice; it goes on in another file, and who submits waits for no disk."""
     name, steps, left = (part.strip() for part in row.split("|"))
-    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=15_000)
-    play(writer, disk, steps)
-    assert writer.unfinished == len(list(tmp_path.glob("*.part")))
+    logs = tmp_path / LOGS
+    writer = LogWriter(LogDirectory(logs), "test", queue_bytes=15_000)
+    play(logs, writer, disk, steps)
+    is_here = logs.exists() and "renamed" not in steps
+    assert not is_here or writer.unfinished == len(list(logs.glob("*.part")))
+    assert "moved" not in steps or not [*tmp_path.rglob("*.part")], "it is ended where it is now"
     messages, _, lost = left.partition("-")
     wanted = [[int(number) for number in file.split()] for file in messages.split("/") if file.strip()]
     found = files_of(tmp_path)
     assert found == dict(zip((f"{STEM}.mcap", f"{STEM}-2.mcap"), wanted, strict=False))
     assert writer.lost == int(lost or 0)
-    assert writer.unfinished == 0
-    assert (writer.path or "").removesuffix(".part") == (str(tmp_path / [*found][-1]) if found else "")
+    assert not is_here or writer.unfinished == 0
+    if is_here:
+        assert (writer.path or "").removesuffix(".part") == (str(logs / [*found][-1]) if found else "")
     said = SAID.get(name, [])
     assert [type(one) for one in writer.notices()][-len(said) or 10**6 :] == said
 
@@ -227,8 +269,11 @@ def test_the_size_is_that_of_the_file_that_is_asked_for(writer: LogWriter) -> No
     writer.close()
 
 
-def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(tmp_path: Path) -> None:
-    """The oldest go; the next file says how many there were. No files are left behind by the tries."""
+def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The oldest go, and who asks seldom is told of each all the same. No files are left behind by the tries."""
+    monkeypatch.setattr(log_writer, "NOTICES_MAX", 3)
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
     FaultyFile.error = errno.ENOSPC
     writer.submit(on_log(BEGIN))
@@ -244,10 +289,10 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(t
     # One may be in hand while later ones go.
     assert kept[1:] == list(range(101 - len(kept), 100))
     assert len(kept) == 100 - writer.lost
-    notices = list(writer.notices())
-    assert sum(one.counts[1] for one in notices if isinstance(one, Lost)) == writer.lost
-    kinds = [type(one) for one in notices if not isinstance(one, Lost)]
-    assert (kinds[:2], kinds[-1]) == ([DiskFault, Opened], Ended)
+    lost, *others = writer.notices()
+    assert isinstance(lost, Lost)
+    assert (lost.counts, lost.first_ns) == ({1: writer.lost}, WALL_NS)
+    assert Ended in map(type, others)
 
 
 def test_several_logs_are_written_at_once(tmp_path: Path, writer: LogWriter) -> None:
@@ -303,20 +348,22 @@ def test_what_is_removed_with_a_log_is_lost(tmp_path: Path, writer: LogWriter, *
     assert [notice for notice in writer.notices() if isinstance(notice, Lost)] == [lost]
 
 
+@pytest.mark.parametrize(("fails", "kept", "lost"), [(False, [1], 0), (True, [], 1)])
 def test_a_fault_of_our_own_is_raised_where_the_loop_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, disk: SlowDisk, *, fails: bool, kept: list[int], lost: int
 ) -> None:
-    """A thread that dies in silence would be a recorder that records nothing; the file is ended."""
+    """A thread that dies in silence would record nothing. The file is ended; what is not kept counts."""
+    writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(lambda: not writer._queue)
+    wait_until(lambda: not writer._queue and writer._unkept_bytes > 100)
+    disk.fails = fails
     monkeypatch.setattr(writer, "_apply", lambda _: 1 / 0)
-    writer.submit(on_log([chunk(2)]))
+    writer.submit(on_log([SyncLog("x")]))
     wait_until(lambda: not writer._thread.is_alive())
-    with pytest.raises(ZeroDivisionError):
-        writer.submit(on_log([chunk(3)]))
-    with pytest.raises(ZeroDivisionError):
-        writer.close()
-    assert sequences(tmp_path / f"{STEM}.mcap") == [1]
+    for step in (partial(writer.submit, on_log([chunk(3)])), writer.close):
+        with pytest.raises(ZeroDivisionError):
+            step()
+    assert (all_sequences(tmp_path), writer.lost) == (kept, lost)
 
 
 def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path) -> None:
@@ -334,17 +381,6 @@ def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path)
     assert {one.log for one in lost} <= {"x"}
     assert writer.lost == sum(one.counts[1] for one in lost) <= 1
     assert sequences(tmp_path / f"{STEM}.incident.mcap")[-1] == 99
-
-
-def test_the_newest_log_is_told_and_no_incident(tmp_path: Path, writer: LogWriter) -> None:
-    """Not even the second incident of one second."""
-    writer.submit(on_log([*BEGIN, chunk(1), CloseLog("x")]))
-    for number in (2, 3):
-        opening = OpenLog("x", "x", WALL_NS, is_incident=True)
-        writer.submit(on_log([opening, *BEGIN[1:], chunk(number), CloseLog("x")], "x!"))
-    writer.close()
-    assert logs_in(tmp_path) == [f"{STEM}.incident-2.mcap", f"{STEM}.incident.mcap", f"{STEM}.mcap"]
-    assert (writer.path, writer.files) == (str(tmp_path / f"{STEM}.mcap"), 3)
 
 
 def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path, writer: LogWriter) -> None:
@@ -504,36 +540,6 @@ def test_at_the_end_what_the_disk_fails_to_keep_is_written_again(
     assert not writer.is_hung
     assert all_sequences(tmp_path) == [0, 1, 10, 11, 20, 21]
     assert writer.lost == 0
-
-
-def test_however_much_is_lost_none_of_it_is_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who asks seldom what became of the files is told all the same: once for each log."""
-    monkeypatch.setattr(log_writer, "NOTICES_MAX", 3)
-    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
-    FaultyFile.error = errno.ENOSPC
-    writer.submit(on_log(BEGIN))
-    wait_until(lambda: writer._is_faulty)
-    for number in range(100):
-        writer.submit(on_log([chunk(number)]))
-    (lost,) = [one for one in writer.notices() if isinstance(one, Lost)]
-    assert lost.counts == {1: writer.lost}
-    assert lost.first_ns == WALL_NS
-    assert writer.lost > 80
-    writer.close()
-
-
-def test_what_a_fault_of_our_own_leaves_unkept_is_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter, disk: SlowDisk
-) -> None:
-    """The disk fails as well: nobody writes it again any more."""
-    writer.submit(on_log([*BEGIN, chunk(1), chunk(2)]))
-    wait_until(lambda: not writer._queue and writer._unkept_bytes > 200)
-    disk.fails = True
-    monkeypatch.setattr(writer, "_apply", lambda _: 1 / 0)
-    writer.submit(on_log([SyncLog("x")]))
-    with pytest.raises(ZeroDivisionError):
-        writer.close()
-    assert (writer.lost, logs_in(tmp_path)) == (2, [])
 
 
 def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: Path, writer: LogWriter) -> None:

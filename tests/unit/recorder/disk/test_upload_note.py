@@ -6,7 +6,6 @@ import pytest
 
 from recorder.disk import files
 from recorder.disk.files import NAME, SafeLogReader, UploadedLog, UploadNote
-from recorder.disk.keeper import read_entries
 from schemas.command_line import CommandError
 
 LOG = "cruiser-1-20270115T080000Z.mcap"
@@ -24,19 +23,6 @@ def test_the_next_start_knows_what_was_safe(tmp_path: Path) -> None:
         note.add(line())
         assert note.safe() == {LOG: (7, 1, "00")}
     assert reader.read() == SafeLogReader(tmp_path).read() == {LOG: (7, 1, "00")}
-
-
-def test_a_line_holds_for_the_file_that_it_was_made_of(tmp_path: Path) -> None:
-    """Not for one that was changed since, nor for another one of its name."""
-    path = tmp_path / LOG
-    path.write_bytes(bytes(7))
-    status = path.stat()
-    for size, modified_ns, is_safe in (
-        (7, status.st_mtime_ns, True),
-        (8, status.st_mtime_ns, False),
-        (7, status.st_mtime_ns + 1, False),
-    ):
-        assert [one.is_safe for one in read_entries(tmp_path, safe={LOG: (size, modified_ns, "00")})] == [is_safe]
 
 
 @pytest.mark.parametrize("torn", [b"", b"\n", b'{"file":"b', b"\xff\x00", b"[]\n", b'{"file":"b"}\n'])

@@ -66,29 +66,19 @@ def test_a_common_batch_becomes_the_same_records(message: CanFrames) -> None:
     assert counters.next == (message.sequence + 1) % SEQUENCE_SPAN
 
 
-def test_a_full_chunk_is_left_to_the_slow_path() -> None:
-    """Which has it handed over."""
-    message = batch(0, [(WALL_NS, feedback(0))])
-    whole = slow_path(message)
-    assert whole is not None
-    counters, chunk = KeyCounters(), ChunkBuilder(len(whole.records))
-    counters.next = 0
-    add = can_adder(counters, chunk, CHANNEL)
-    assert add(codec.encode(message), WALL_NS)
-    assert not add(codec.encode(msgspec.structs.replace(message, sequence=1)), WALL_NS)
-    assert (counters.samples, counters.next) == (1, 1)
-
-
-@pytest.mark.parametrize(("limit_frames", "added"), [(9, False), (10, True)])
-def test_a_batch_that_is_more_than_a_chunk_is_left_to_the_slow_path(limit_frames: int, added: bool) -> None:  # noqa: FBT001 - pytest gives it
-    """Which makes several of it: no chunk becomes twice as large as it is to be."""
+@pytest.mark.parametrize(("limit_frames", "added"), [(9, [False, False]), (10, [True, False]), (11, [True, True])])
+def test_what_fits_no_chunk_is_left_to_the_slow_path(limit_frames: int, added: list[bool]) -> None:
+    """Which has a full one handed over, and makes several of a batch that is more than one."""
     message = batch(0, [(WALL_NS, feedback(number)) for number in range(10)])
     whole = slow_path(message)
     assert whole is not None
     counters, chunk = KeyCounters(), ChunkBuilder(len(whole.records) * limit_frames // 10)
     counters.next = 0
-    assert can_adder(counters, chunk, CHANNEL)(codec.encode(message), WALL_NS) == added
-    assert (counters.messages, len(chunk) > 0) == (10 * added, added)
+    add = can_adder(counters, chunk, CHANNEL)
+    both = (message, msgspec.structs.replace(message, sequence=1))
+    assert [add(codec.encode(one), WALL_NS) for one in both] == added
+    assert (counters.samples, counters.messages) == (sum(added), 10 * sum(added))
+    assert len(chunk) == len(whole.records) * sum(added)
 
 
 @given(message_of(CanFrames))
@@ -120,9 +110,7 @@ def test_one_frame_of_another_form_sends_the_batch_down_the_slow_path() -> None:
 
 def test_a_bus_has_no_long_name() -> None:
     """A log repeats it with every frame: a small sample would become a large one."""
-    subject = BY_TYPE[CanFrames]
     message = batch(0, [(WALL_NS, feedback(0))])
-    named = [msgspec.structs.replace(message, bus="b" * length) for length in (BUS_MAX_LENGTH, BUS_MAX_LENGTH + 1)]
-    whole, too_long = (codec.decode(subject, codec.encode(one)) for one in named)
-    assert isinstance(whole, CanFrames)
-    assert isinstance(too_long, codec.PayloadFault)
+    for length, kind in ((BUS_MAX_LENGTH, CanFrames), (BUS_MAX_LENGTH + 1, codec.PayloadFault)):
+        payload = codec.encode(msgspec.structs.replace(message, bus="b" * length))
+        assert isinstance(codec.decode(BY_TYPE[CanFrames], payload), kind)

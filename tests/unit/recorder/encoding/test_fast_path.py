@@ -78,13 +78,3 @@ def test_what_cannot_be_decoded_leaves_no_trace(payload: bytes) -> None:
     with pytest.raises(msgspec.DecodeError):
         add(payload, WALL_NS)
     assert (len(chunk), dict(chunk.index), counters.samples, counters.next) == (0, {}, 0, 1)
-
-
-def test_after_a_chunk_is_handed_over_the_next_one_is_filled() -> None:
-    """The function of a key outlives its chunks."""
-    counters, chunk = KeyCounters(), ChunkBuilder()
-    counters.next = 0
-    add = compile_adder(Gear, counters, chunk, CHANNEL, Latest())
-    for number in range(3):
-        assert add(codec.encode(gear(number)), WALL_NS)
-        assert chunk.seal() == slow_path([gear(number)])

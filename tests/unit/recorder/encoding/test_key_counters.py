@@ -1,6 +1,6 @@
 """Losses by sequence."""
 
-from recorder.encoding.samples import SOURCES_MAX, KeyCounters
+from recorder.encoding.samples import KeyCounters
 from schemas.recording import GapReason
 
 
@@ -41,28 +41,3 @@ def test_what_has_come_after_all_is_missed_no_more() -> None:
     counters.find()
     counters.find()
     assert counters.missed == 0
-
-
-def test_another_source_begins_another_sequence() -> None:
-    """Two that publish on one key do not look like losses."""
-    counters = KeyCounters()
-    for source, sequence in (("a", 5), ("a", 7), ("b", 900), ("b", 902), ("a", 8)):
-        counters.count_source(source, sequence)
-    assert counters.missed == 2
-
-
-def test_sources_that_take_turns_are_followed_each_for_itself() -> None:
-    """Of nine lost from each of two, none is hidden by the other."""
-    counters = KeyCounters()
-    for sequence in range(0, 50, 10):
-        for source in ("a", "b"):
-            counters.count_source(source, sequence)
-    assert counters.missed == 2 * 4 * 9
-
-
-def test_sources_without_end_take_no_memory_without_end() -> None:
-    """Anybody may make them up."""
-    counters = KeyCounters()
-    for number in range(10 * SOURCES_MAX):
-        counters.count_source(str(number), 7)
-    assert (counters.missed, len(counters._sources)) == (0, SOURCES_MAX)

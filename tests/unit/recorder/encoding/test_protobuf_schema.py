@@ -6,7 +6,7 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorS
 
 from recorder.encoding import protobuf
 from recorder.encoding.protobuf import LOGGED, descriptor_set, message_class, schema_name
-from schemas.messages import GatewayHealth, Gear, GearPosition, RawSample, RobotState, WheelPulse
+from schemas.messages import RobotState
 
 KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
 
@@ -42,16 +42,6 @@ def test_numbers_have_a_fixed_width(kind: type[msgspec.Struct]) -> None:
                 assert not {field.type for field in part.field} & varints
 
 
-def test_an_enumeration_begins_with_its_undefined_value() -> None:
-    """Protobuf's default, 0, means that nothing is known; names carry the enumeration's."""
-    enum = message_class(Gear).DESCRIPTOR.fields_by_name["gear_position"].enum_type
-    assert enum is not None
-    assert [(value.name, value.number) for value in enum.values] == [
-        (f"GEAR_POSITION_{member.name}", number) for number, member in enumerate(GearPosition)
-    ]
-    assert enum.values[0].name == "GEAR_POSITION_UNDEFINED"
-
-
 def test_what_may_be_null_has_presence() -> None:
     """A speed that is not known differs from a speed of 0."""
     fields = message_class(RobotState).DESCRIPTOR.fields_by_name
@@ -65,20 +55,6 @@ def test_what_may_be_null_has_presence() -> None:
     optional = {field.name for field in proto.field if field.proto3_optional}
     assert optional == {field.name for field in proto.field if field.HasField("oneof_index")}
     assert "speed_mps" in optional
-
-
-def test_types_follow_bounds() -> None:
-    """A field is as wide as its values need."""
-    kinds = FieldDescriptorProto
-    pulses = message_class(WheelPulse).DESCRIPTOR.fields_by_name
-    assert pulses["time_ns"].type == kinds.TYPE_FIXED64
-    assert pulses["sequence"].type == kinds.TYPE_FIXED32
-    assert pulses["rear_left_pulses"].type == kinds.TYPE_SFIXED32
-    assert message_class(RawSample).DESCRIPTOR.fields_by_name["payload"].type == kinds.TYPE_BYTES
-    faults = message_class(GatewayHealth).DESCRIPTOR.fields_by_name["faults"].message_type
-    assert faults is not None
-    assert faults.GetOptions().map_entry
-    assert faults.fields_by_name["value"].type == kinds.TYPE_FIXED64
 
 
 def test_a_type_without_a_counterpart_is_our_own_mistake() -> None:

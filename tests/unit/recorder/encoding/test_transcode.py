@@ -9,7 +9,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.encoding.protobuf import LOGGED, compile_encoder, compile_row_encoder, message_class, varint
+from recorder.encoding.protobuf import LOGGED, compile_encoder, compile_row_encoder, message_class
 from schemas.messages import CanFrame, Message, RawSample
 from tests.support.strategies import message_of
 
@@ -54,15 +54,6 @@ def test_a_row_encodes_as_its_message(frame: Message) -> None:
     """The encoder of values writes what the encoder of messages writes."""
     values = [getattr(frame, name) for name in frame.__struct_fields__]
     assert compile_row_encoder(CanFrame)(*values) == ENCODERS[CanFrame](frame)
-
-
-@given(st.integers(0, 2**63))
-def test_a_varint_holds_seven_bits_a_byte(number: int) -> None:
-    """The lowest seven bits first; the high bit says that more follow."""
-    data = varint(number)
-    assert sum((byte & 0x7F) << 7 * index for index, byte in enumerate(data)) == number
-    assert all(byte & 0x80 for byte in data[:-1])
-    assert not data[-1] & 0x80
 
 
 @pytest.mark.parametrize("length", [0, 127, 128, 16_383, 16_384, 100_000])

@@ -92,12 +92,6 @@ def test_a_copy_can_be_recovered_again() -> None:
         assert survey(copy, len(copy.getvalue())).fault_count == 0
 
 
-def test_a_whole_log_is_left_alone() -> None:
-    """Nothing is to be done."""
-    found = survey(BytesIO(LOG), len(LOG))
-    assert (found.is_whole, found.fault_count, found.messages) == (True, 0, len(ROWS))
-
-
 def test_a_log_cut_off_at_any_byte_is_whole_up_to_there() -> None:
     """Never an exception; all whole chunks, by index and in one pass; what is cut off was but a torn write."""
     every_chunk = rows(CHUNKS)
@@ -148,21 +142,6 @@ def test_a_flipped_bit_is_never_silently_wrong_data(*, is_finished: bool, step: 
         if len(read) < len(ROWS):
             # The last chunk alone may go without a fault: its length says that it is longer than the file.
             assert found.fault_count or not found.is_torn or not is_finished
-
-
-@given(st.binary(min_size=1, max_size=200), st.integers(0, len(CHUNKS) - 1))
-def test_garbage_anywhere_never_raises_and_never_invents(garbage: bytes, place: int) -> None:
-    """Overwritten, as by a bad block."""
-    data = CHUNKS[:place] + garbage + CHUNKS[place + len(garbage) :]
-    _, result = repaired(data)
-    assert [row for row in rows(result) if row not in rows(CHUNKS)] == []
-
-
-@given(st.binary(max_size=500))
-def test_what_is_no_log_holds_nothing(data: bytes) -> None:
-    """Never an exception."""
-    found = survey(BytesIO(data), len(data))
-    assert (found.messages, found.is_whole) == (0, False)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from recorder.reading.logs import Faults, find_logs, look_at
+from recorder.reading.logs import FAULTS_SHOWN, Faults, find_logs, look_at
 from schemas.command_line import CommandError
 from tests.support.logs import flipped, foreign_log, gears, own_log, saved
 
@@ -118,3 +120,14 @@ def test_nothing_to_read_is_an_error(tmp_path: Path) -> None:
         find_logs([tmp_path], Faults())
     with pytest.raises(CommandError, match="is empty"):
         find_logs([saved(tmp_path / "x.mcap", b"")], Faults())
+
+
+@given(st.lists(st.text()))
+def test_all_faults_are_counted_and_the_first_are_told(details: list[str]) -> None:
+    """Memory does not grow with the damage."""
+    faults = Faults()
+    for detail in details:
+        faults.add(detail)
+    assert faults.count == len(dict.fromkeys(details))
+    assert faults.told == list(dict.fromkeys(details))[:FAULTS_SHOWN]
+    assert bool(faults) == bool(details)

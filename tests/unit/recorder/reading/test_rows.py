@@ -1,21 +1,20 @@
-"""The messages of logs, as rows."""
+"""The messages of logs, as rows, and ``from recorder import read_log``."""
 
 from array import array
-from io import BytesIO
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
+import recorder
+from recorder import read_log
 from recorder.encoding.protobuf import descriptor_set, schema_name
-from recorder.mcap.framing import MAGIC, encode_index
-from recorder.mcap.reader import PackedChunk, read_pieces
+from recorder.mcap.framing import encode_index
 from recorder.mcap.writer import LogChannel
-from recorder.reading.logs import Faults, LogFile, find_logs
-from recorder.reading.rows import END_OF_TIME_NS, LogReader, Row, Selection, decoded_rows, read_rows
+from recorder.reading.logs import Faults, find_logs
+from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, decoded_rows, read_rows
+from schemas.command_line import CommandError
 from schemas.messages import Drive, Gear
-from tests.support.logs import GEAR_TOPIC, flipped, foreign_log, gears, own_log, saved
+from tests.support.logs import GEAR_TOPIC, flipped, foreign_log, gears, own_log, saved, small_log
 
 DRIVE_TOPIC = "fleet/cruiser-1/chassis/drive"
 CHANNELS = [
@@ -152,19 +151,43 @@ def test_the_progress_comes_to_the_length_of_the_file(tmp_path: Path) -> None:
     assert sum(told) == len(LOG)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.binary(max_size=200), st.integers(0, 10_000))
-def test_nothing_that_a_file_may_hold_raises(tmp_path: Path, noise: bytes, place: int) -> None:
-    """Noise in place of a file's bytes."""
-    place = 8 + place % (len(LOG) - 8)
-    rows(tmp_path, Selection(), LOG[:place] + noise + LOG[place + len(noise) :], faults=Faults())
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return saved(tmp_path / "a.mcap", small_log())
 
 
-def test_wherever_a_file_is_cut_off_its_whole_chunks_are_read() -> None:
-    """Also where the cut goes through the message indexes behind the last one."""
-    data = own_log([[*gears(0, 3, 100), (2, 0, 115, b""), *gears(3, 2, 130)]], CHANNELS)
-    [chunk] = [piece for piece in read_pieces(BytesIO(data), len(data)) if isinstance(piece, PackedChunk)]
-    for size in range(len(MAGIC), len(data)):
-        log = LogFile(Path("log"), size, 0, 0)
-        found = list(LogReader(BytesIO(data[:size]), log, Selection(), Faults()).rows())
-        assert len(found) == (6 if size >= chunk.offset + chunk.length else 0)
+def test_messages_are_typed_and_in_order(log: Path) -> None:
+    """Of a topic as it is called behind the robot; a directory is all of its logs."""
+    found = list(read_log(log.parent, topics=["chassis/*"]))
+    assert found
+    assert {one.topic for one in found} == {"fleet/cruiser-1/chassis/gear"}
+    assert all(isinstance(one.message, Gear) for one in found)
+    times = [one.log_time_ns for one in found]
+    assert times == sorted(times)
+    assert len(list(read_log(log))) > len(found)
+
+
+def test_a_time_bounds_what_is_read(log: Path) -> None:
+    """From the first to before the last."""
+    times = sorted(one.log_time_ns for one in read_log(log))
+    some = list(read_log(str(log), from_ns=times[0], to_ns=times[-1]))
+    assert len(some) == sum(time < times[-1] for time in times)
+
+
+def test_what_cannot_be_read_is_said(log: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """To whom gathers it, or in the program's log."""
+    log.write_bytes(log.read_bytes()[:-300])
+    faults = Faults()
+    list(read_log(log, faults=faults))
+    assert faults
+    assert not caplog.records
+    list(read_log(log))
+    assert [record.getMessage() for record in caplog.records] == faults.told
+
+
+def test_where_there_is_no_log_that_is_an_error(tmp_path: Path) -> None:
+    """As for the commands; and a mistaken name is one as of any module."""
+    with pytest.raises(CommandError, match="no log"):
+        list(read_log(tmp_path))
+    with pytest.raises(AttributeError, match="no attribute 'read_logs'"):
+        recorder.read_logs  # noqa: B018

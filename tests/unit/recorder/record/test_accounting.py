@@ -7,23 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.encoding.samples import KeyCounters
-from recorder.mcap.writer import log_time
-from recorder.record.accounting import OTHER_KEYS, FileAccount, KeyReport, LossReport, report, since, total
-from schemas import codec
+from recorder.record.accounting import OTHER_KEYS, KeyReport, LossReport, report, since, total
 from schemas.recording import GapReason, RecordGap
-from schemas.subjects import BY_TYPE
-
-LOSSES = st.lists(
-    st.tuples(
-        st.sampled_from(["a", "b"]),
-        st.sampled_from(["k/1", "k/2"]),
-        st.sampled_from(GapReason),
-        st.integers(1, 100),
-        st.integers(-(2**70), 2**70),
-        st.integers(-(2**70), 2**70),
-    ),
-    max_size=30,
-)
 
 COUNTS = st.integers(0, 100)
 REPORTS = st.builds(
@@ -36,26 +21,6 @@ REPORTS = st.builds(
 
 def fields(one: KeyReport) -> dict[str, Any]:
     return msgspec.structs.asdict(one)
-
-
-@given(
-    st.lists(st.sampled_from(["come", "come", "link", "queue", "size"]), max_size=40), st.integers(0, 2**32 - 1)
-)
-def test_what_was_sent_was_received_or_lost_on_the_way(fates: list[str], first: int) -> None:
-    """Wherever in the sequence it was dropped: what the recorder dropped itself is no fault of the link."""
-    counters = KeyCounters()
-    for number, fate in enumerate(fates):
-        if fate == "come":
-            counters.count_sequence((first + number) % 2**32)
-            counters.samples += 1
-        elif fate != "link":
-            counters.lose(GapReason(fate), 1)
-    came = [number for number, fate in enumerate(fates) if fate == "come"]
-    on_the_way = fates[came[0] : came[-1]].count("link") if came else 0
-    found = report(counters, counts_sequence=True)
-    assert found.received == len(fates) - fates.count("link")
-    assert (found.lost_link, found.sent) == (on_the_way, found.received + on_the_way)
-    assert report(counters, counts_sequence=False).sent is None
 
 
 def test_a_report_has_a_field_for_each_reason() -> None:
@@ -83,47 +48,6 @@ def test_the_change_since_a_report_is_what_came_on_top(before: KeyReport, more: 
         wanted = fields(more)[name]
         assert value == (wanted if wanted is not None or none_before else 0)
     assert all(value in (0, None) for value in fields(since(before, total([before, more]))).values())
-
-
-@given(st.lists(REPORTS, max_size=5))
-def test_a_topic_of_several_logs_is_counted_together(reports: list[KeyReport]) -> None:
-    """What no log tells is not told."""
-    for name, value in fields(total(reports)).items():
-        told = [fields(one)[name] for one in reports if fields(one)[name] is not None]
-        assert value == (sum(told) if told else getattr(KeyReport(), name))
-
-
-@given(st.lists(st.tuples(st.integers(0, 9), st.booleans()), max_size=30))
-def test_files_together_tell_all_that_came(steps: list[tuple[int, bool]]) -> None:
-    """Whenever one ends."""
-    account = FileAccount()
-    received = told = 0
-    for count, ends in [*steps, (0, True)]:
-        received += count
-        if ends:
-            told += account.end_file({"k": KeyReport(received=received)})["k"].received
-    assert told == received
-
-
-@given(LOSSES, LOSSES)
-def test_every_loss_is_reported_once_with_its_place(
-    first: list[tuple[str, str, GapReason, int, int, int]], second: list[tuple[str, str, GapReason, int, int, int]]
-) -> None:
-    """One gap for each place, key and reason; it spans them all, and others can read it whatever the clock."""
-    losses = LossReport(100)
-    for lost in (first, second):
-        wanted: dict[tuple[str, str, GapReason], list[tuple[int, int, int]]] = {}
-        for place, key, reason, *loss in lost:
-            losses.lose(place, key, reason, *loss)
-            wanted.setdefault((place, key, reason), []).append((loss[0], loss[1], loss[2]))
-        gaps = losses.take()
-        assert [(place, gap.key, gap.reason) for place, gap in gaps] == list(wanted)
-        for (_, gap), found in zip(gaps, wanted.values(), strict=True):
-            assert gap.count == sum(count for count, _, _ in found)
-            assert gap.first_ns <= min(log_time(first_ns) for _, first_ns, _ in found)
-            assert gap.last_ns >= max(log_time(last_ns) for _, _, last_ns in found)
-            assert codec.decode(BY_TYPE[RecordGap], codec.encode(gap)) == gap
-    assert losses.take() == []
 
 
 def test_gaps_that_are_merged_are_the_newest() -> None:

@@ -62,16 +62,14 @@ class Robot:
             self.counted += was_counted
 
 
-def test_what_has_to_be_whole_and_its_proofs_are_kept() -> None:
-    """Of nothing else the past is worth asking for."""
+def test_a_robot_that_is_new_is_asked_for_all_that_has_to_be_whole_and_its_proofs() -> None:
+    """Also where it says nothing now. What there is no room to ask stays due, and no try is counted meanwhile."""
     assert {f"fleet/cruiser-1/{subject.name}" for subject in KEPT_SUBJECTS} == FIRSTS
-
-
-def test_a_robot_that_is_new_is_asked_for_all_it_keeps() -> None:
-    """Also where it says nothing now."""
     backlog = Backlog()
     backlog.see("fleet", "cruiser-1", 0)
-    assert set(backlog.queries(0)) == {Query(key, 0) for key in FIRSTS}
+    asked = [backlog.queries(0, most) for most in (0, 2, 0, 1, 9)]
+    assert list(map(len, asked)) == [0, 2, 0, 1, len(FIRSTS) - 3]
+    assert {query for queries in asked for query in queries} == {Query(key, 0) for key in FIRSTS}
     assert backlog.queries(MS) == []
 
 
@@ -144,15 +142,6 @@ def test_the_end_is_asked_for_too(*, has_asked: bool) -> None:
     for query in robot.backlog.queries(robot.now_ns):
         robot.answer(query)
     assert robot.got == [0, 1]
-
-
-def test_what_there_is_no_room_to_ask_stays_due() -> None:
-    """It is asked for later, and no try is counted meanwhile."""
-    backlog = Backlog()
-    backlog.see("fleet", "cruiser-1", 0)
-    asked = [backlog.queries(0, most) for most in (0, 2, 0, 1, 9)]
-    assert list(map(len, asked)) == [0, 2, 0, 1, len(FIRSTS) - 3]
-    assert {query for queries in asked for query in queries} == {Query(key, 0) for key in FIRSTS}
 
 
 def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:

@@ -82,35 +82,23 @@ def test_it_counts_everything_that_became_of_the_samples() -> None:
     assert codec.decode(BY_TYPE[RecorderHealth], codec.encode(found)) == found
 
 
-def test_rates_are_those_of_the_last_second() -> None:
-    """Also of what was received and not recorded; who asks between gets the same."""
+def test_it_is_due_each_second_with_the_rates_of_that() -> None:
+    """Also of what was not recorded. Who asks between gets the same, and takes no number: a gap is a loss."""
     recorder, health = Recorder(RECORDER_PLAN), report()
     receive(recorder, *range(30))
     for _ in range(10):
         recorder.drop(key_of(Gear, "a"), GapReason.QUEUE, START_NS, WALL_NS)
     cpu_ns = SECOND // 4
+    assert [health.is_due(START_NS + after_ns) for after_ns in (SECOND - 1, SECOND)] == [False, True]
     first = health.next(recorder, Vitals(), cpu_ns, START_NS + 2 * SECOND, WALL_NS)
-    assert (first.received_per_s, first.cpu_percent) == (20.0, 12.5)
+    assert (first.received_per_s, first.cpu_percent, first.sequence) == (20.0, 12.5, 1)
+    assert [health.is_due(START_NS + after_ns) for after_ns in (3 * SECOND - 1, 3 * SECOND)] == [False, True]
     receive(recorder, 40, 41)
     between = health.now(recorder, Vitals(), START_NS + 3 * SECOND - 1, WALL_NS)
-    assert (between.received, between.received_per_s, between.cpu_percent) == (42, 20.0, 12.5)
-    second = health.next(recorder, Vitals(), cpu_ns, START_NS + 3 * SECOND, WALL_NS)
-    assert (second.received_per_s, second.cpu_percent) == (2.0, 0.0)
-
-
-def test_it_is_due_each_second_and_numbered() -> None:
-    """A gap in the numbers is a loss on the way, so a reply between takes none."""
-    recorder, health = Recorder(RECORDER_PLAN), report()
-    assert not health.is_due(START_NS + SECOND - 1)
-    assert health.is_due(START_NS + SECOND)
-    first = health.next(recorder, VITALS, 0, START_NS + SECOND, WALL_NS)
-    assert not health.is_due(START_NS + 2 * SECOND - 1)
-    between = health.now(recorder, VITALS, START_NS + SECOND, WALL_NS)
-    second = health.next(recorder, VITALS, 0, START_NS + 2 * SECOND, WALL_NS)
-    assert between.sequence == first.sequence
-    assert second.sequence == first.sequence + 1
+    assert (between.received, between.received_per_s, between.cpu_percent, between.sequence) == (42, 20.0, 12.5, 1)
     health._sequence = SEQUENCE_SPAN - 1
-    assert health.next(recorder, VITALS, 0, START_NS + 3 * SECOND, WALL_NS).sequence == 0
+    second = health.next(recorder, Vitals(), cpu_ns, START_NS + 3 * SECOND, WALL_NS)
+    assert (second.received_per_s, second.cpu_percent, second.sequence) == (2.0, 0.0, 0)
 
 
 def test_it_says_since_when_it_does_what_it_does() -> None:

@@ -1,63 +1,51 @@
 """What operators ask of a recorder, and what they are told."""
 
-from collections.abc import Callable
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.record.actions import Deleted, DiskRoom, Ended, Opened
+from recorder.record.actions import Deleted, Opened
 from recorder.record.orders import MARK_EVERY_NS, MARKS_AT_ONCE, REPLY_NS, Orders
-from recorder.record.recorder import Recorder
 from schemas.codec import PayloadFault
 from schemas.recording import Mark, Status
 from schemas.requests import Request
-from tests.support.fakes.recording import RECORDER_PLAN, FakeAsked, MemoryWriter
+from tests.support.fakes.recording import RECORDER_PLAN, FakeAsked
 from tests.support.messages import SECOND, WALL_NS, gear, recorder_health, sample_of
+from tests.support.rigs.recorder import RecorderRig
 
 
-class Desk:
-    """Orders for a recording that a writer in memory carries out."""
+class Desk(RecorderRig):
+    """Orders for a recorder, whose disk opens files when it is told to."""
 
     def __init__(self) -> None:
-        self.recorder = Recorder(RECORDER_PLAN)
-        self.writer = MemoryWriter()
+        super().__init__(RECORDER_PLAN)
         self.has_mark_room = True
         self.orders = Orders(
             self.recorder, lambda: recorder_health(self.recorder.state), lambda: self.has_mark_room
         )
-        self.now_ns = 0
 
-    def receive(self, *robots: str) -> None:
-        for robot in robots:
-            actions = self.recorder.receive([sample_of(gear(0), robot)], self.now_ns)
-            self.writer.apply(actions)
+    def hear(self, *robots: str) -> None:
+        self.receive(*(sample_of(gear(0), robot) for robot in robots))
 
     def ask(self, request: Request | PayloadFault) -> FakeAsked:
         asked = FakeAsked(request)
         self.writer.apply(self.orders.obey(asked.asked, self.now_ns, WALL_NS))
         return asked
 
-    def notice(self, only: Callable[[str], bool] = lambda _: True) -> None:
-        """What became of the files, of these logs only."""
-        notices, self.writer.notices = self.writer.notices, []
-        for notice in notices:
-            assert isinstance(notice, Opened | Ended)
-            if only(notice.log):
-                self.orders.receive_notice(notice)
-                self.writer.apply(self.recorder.receive_notice(notice, self.now_ns, WALL_NS))
+    def notice(self, only: str = "") -> None:
+        """What became of the files, of this log only."""
+        notices = self.writer.notices
+        self.writer.notices = [one for one in notices if isinstance(one, Opened) and only in {"", one.log}]
+        for notice in self.writer.notices:
+            self.orders.receive_notice(notice)
+        super().notice()
         self.orders.tick(self.now_ns)
-
-    def room(self, *, has_room: bool = True, has_incident_room: bool = True) -> None:
-        self.writer.apply(
-            self.recorder.receive_notice(DiskRoom(has_room, has_incident_room), self.now_ns, WALL_NS)
-        )
 
 
 def test_status_names_the_files_that_are_written() -> None:
     """In order, without the incidents."""
     desk = Desk()
-    desk.receive("b", "a")
+    desk.hear("b", "a")
     desk.ask(Mark())
     desk.notice()
     assert desk.ask(Status()).answer.files == ["a-0.mcap", "b-0.mcap"]
@@ -66,7 +54,7 @@ def test_status_names_the_files_that_are_written() -> None:
 def test_a_mark_names_its_incidents() -> None:
     """One that is under way at once, the others when they are begun; its reason goes into them."""
     desk = Desk()
-    desk.receive("a", "b")
+    desk.hear("a", "b")
     first = desk.ask(Mark("it shook", "a"))
     desk.notice()
     assert first.answer.files == ["a-0.incident.mcap"]
@@ -92,7 +80,7 @@ def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
     assert desk.ask(Mark()).answer.detail == "nothing has been heard"
     unread = desk.ask(PayloadFault("no such field")).answer
     assert (unread.ok, unread.detail) == (False, "no such field")
-    desk.receive("a")
+    desk.hear("a")
     desk.room(has_incident_room=mark.robot == "c")
     answer = desk.ask(mark).answer
     assert (answer.ok, answer.detail, answer.files) == (False, detail, [])
@@ -101,7 +89,7 @@ def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
 def test_a_flood_of_marks_is_refused() -> None:
     """Nobody signs them, and their incidents take room that those of faults need. Later some more are taken."""
     desk = Desk()
-    desk.receive("a")
+    desk.hear("a")
     desk.now_ns = 5 * SECOND
     assert [desk.ask(Mark("", "nobody")).answer.ok for _ in range(3)] == [False] * 3, "what keeps nothing is free"
     asked = [desk.ask(Mark(f"mark {number}")) for number in range(MARKS_AT_ONCE + 2)]
@@ -118,7 +106,7 @@ def test_a_flood_of_marks_is_refused() -> None:
 def test_marks_leave_room_for_incidents_of_faults() -> None:
     """Which are written all the same: a part of the budget, and on a full disk the reserve."""
     desk = Desk()
-    desk.receive("a")
+    desk.hear("a")
     for has_room, has_mark_room in ((True, False), (False, True)):
         desk.room(has_room=has_room)
         desk.has_mark_room = has_mark_room
@@ -131,10 +119,10 @@ def test_marks_leave_room_for_incidents_of_faults() -> None:
 def test_a_disk_that_does_not_answer_keeps_nobody_waiting() -> None:
     """After a while the reply says how far it has come."""
     desk = Desk()
-    desk.receive("a", "b")
+    desk.hear("a", "b")
     desk.notice()
     asked = desk.ask(Mark())
-    desk.notice(lambda log: log == "a!")
+    desk.notice("a!")
     desk.orders.tick(REPLY_NS - 1)
     assert not asked.replies
     desk.orders.tick(REPLY_NS)
@@ -155,7 +143,7 @@ def test_whoever_asks_is_answered_once_and_in_time(steps: list[Request | Payload
     for step in steps:
         match step:
             case "receive":
-                desk.receive("a", "b")
+                desk.hear("a", "b")
             case "notice":
                 desk.notice()
             case "wait":

@@ -77,25 +77,16 @@ def test_a_message_with_a_new_word_is_not_missed() -> None:
     assert log.log.channels.get(key_of(type(STANDBY))).latest.message.sequence == 3  # type: ignore[union-attr]
 
 
-def test_a_latch_for_a_new_reason_is_an_incident_all_the_same() -> None:
-    """An older recorder keeps what came before and after it, and lists it for viewers."""
+@pytest.mark.parametrize("field", ["reason", "severity"])
+def test_a_latch_with_a_new_word_is_an_incident_all_the_same(field: str) -> None:
+    """An older recorder keeps what came before and after it, and lists it as far as it knows the level."""
     event = safety_event(EventKind.LATCH)
     subject = BY_TYPE[type(event)]
-    payload = with_new_word(event, ("reason",))
     log = Log(msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.LATCH})))
-    log.receive(FakeSample(key_of(type(event)), subject.encoding, payload))
+    log.receive(FakeSample(key_of(type(event)), subject.encoding, with_new_word(event, (field,))))
     assert log.context.incidents == 1
-    assert f"{key_of(type(event))}/log" in [topic for topic, _, _, _ in read(log.close(), lines=True)]
-
-
-def test_an_event_of_a_new_severity_is_listed() -> None:
-    """As one whose level is not known."""
-    event = safety_event(EventKind.STOP)
-    payload = with_new_word(event, ("severity",))
-    log = Log()
-    log.receive(FakeSample(key_of(type(event)), BY_TYPE[type(event)].encoding, payload))
-    (line,) = [content for topic, _, _, content in read(log.close(), lines=True) if topic.endswith("/log")]
-    assert line.level == 0
+    lines = [content for topic, _, _, content in read(log.close(), lines=True) if topic.endswith("/log")]
+    assert [line.level for line in lines] == [3 if field == "reason" else 0]
 
 
 def test_fields_of_a_newer_version_are_said_once_and_the_rest_is_recorded() -> None:

@@ -103,21 +103,6 @@ def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: Reco
     assert described[-1]["cruiser-1.variant"] == "coarse"
 
 
-def test_each_file_of_a_robot_is_filed_under_it_by_foxglove(bench: RecorderRig) -> None:
-    """As the public reader finds it; the file that continues a log says it too."""
-    for number in range(2):
-        bench.receive(sample_of(gear(number)), sample_of(gear(number), "cruiser-2"))
-        bench.run(2 * SECOND)
-        bench.writer.apply(bench.recorder.roll("split", bench.now_ns))
-    bench.close()
-    devices = {
-        name: [metadata(file, "foxglove")[-1] for file in files]
-        for name, files in bench.writer.files.items()
-        if name.startswith("cruiser")
-    }
-    assert devices == {name: [{"deviceName": name}] * 2 for name in ("cruiser-1", "cruiser-2")}
-
-
 def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: RecorderRig) -> None:
     """What was deleted, and a disk that is full and is not any more."""
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"))

@@ -283,14 +283,6 @@ def test_what_the_disk_lost_of_an_incident_is_no_loss_of_the_log(bench: Recorder
     assert bench.recorder.counts[GEAR_KEY].lost_disk == 0
 
 
-def test_a_sample_that_is_too_large_is_counted_and_no_more(bench: RecorderRig) -> None:
-    """One byte less is recorded."""
-    bench.receive(FakeSample("x", "x", bytes(1000)), FakeSample("x", "x", bytes(1001)))
-    bench.run(REPORT_LOSSES_NS)
-    assert bench.recorder.counts["x"] == KeyReport(received=2, written=1, lost_size=1)
-    assert [(gap.key, gap.reason, gap.count) for gap in bench.gaps()] == [("x", GapReason.SIZE, 1)]
-
-
 Step = str | int
 
 

@@ -2,16 +2,18 @@
 
 from io import BytesIO
 
-import msgspec
+from hypothesis import example, given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from recorder.record.incidents import INCIDENT_NAME
-from recorder.record.recorder import Recorder
+from recorder.mcap.writer import Chunk
+from recorder.record.incidents import INCIDENT_NAME, Incidents, trim_rings
 from schemas.decisions import EventKind, Severity
 from schemas.messages import CanFrames, GatewayInfo
 from schemas.recording import RecorderEventKind
+from schemas.settings import INCIDENT_MAX_NS
+from tests.support.logs import sealed
 from tests.support.messages import (
-    MS,
     SECOND,
     WALL_NS,
     batch,
@@ -22,16 +24,9 @@ from tests.support.messages import (
     safety_event,
     sample_of,
 )
-from tests.support.rigs.recorder import EVENT_KEY, GEAR_KEY, PLAN, RecorderRig, metadata, times
+from tests.support.rigs.recorder import GEAR_KEY, RecorderRig, metadata, times
 
-
-def test_an_incident_of_no_time_holds_its_cause(bench: RecorderRig) -> None:
-    """Nothing before and nothing after, but the event."""
-    plan = msgspec.structs.replace(PLAN, log=msgspec.structs.replace(PLAN.log, before_ns=0, after_ns=0))
-    bench.recorder = Recorder(plan)
-    bench.receive(sample_of(safety_event(EventKind.STOP)))
-    bench.run(10 * MS)
-    assert times(bench.writer.files["cruiser-1!"][0], EVENT_KEY) == [0]
+BEFORE_NS = 10 * SECOND
 
 
 def test_the_next_incident_is_of_its_own(bench: RecorderRig) -> None:
@@ -121,16 +116,6 @@ def test_without_room_for_incidents_there_are_none(bench: RecorderRig) -> None:
     assert (cut.kind, cut.severity, cut.file) == (RecorderEventKind.INCIDENT, Severity.ERROR, incident.name)
 
 
-def test_the_rings_share_their_memory(bench: RecorderRig) -> None:
-    """However much comes, from however many robots."""
-    bench.recorder = Recorder(msgspec.structs.replace(PLAN, ring_bytes=10_000))
-    for number in range(300):
-        bench.receive(sample_of(gear(number), f"r-{number % 3}"))
-        bench.run(10 * MS)
-        assert bench.recorder.ring_bytes <= 10_000
-    assert bench.recorder.ring_bytes > 5000
-
-
 def test_an_incident_declares_what_its_log_did(bench: RecorderRig) -> None:
     """With its attachments, and what is known of the robot; also what is declared while it lasts."""
     bench.receive(sample_of(gear(0)), sample_of(info()))
@@ -146,3 +131,52 @@ def test_an_incident_declares_what_its_log_did(bench: RecorderRig) -> None:
     assert [one.name for one in reader.iter_metadata()] == ["cruiser", "foxglove", INCIDENT_NAME]
     attached = {one.name for one in reader.iter_attachments()}
     assert {"cruiser-1/configuration.toml", "cruiser-1/cruiser-coarse.dbc"} < attached
+
+
+def chunk(number: int, size: int = 10) -> Chunk:
+    return sealed([(1, number, number, number, bytes(size))])
+
+
+@given(st.lists(st.integers(0, 360 * SECOND), max_size=20))
+@example([299 * SECOND] * 7)
+def test_whatever_happens_meanwhile_makes_it_longer_up_to_a_bound(waits_ns: list[int]) -> None:
+    """A fault that comes back all the time makes no endless file, nor many at once."""
+    after_ns = 300 * SECOND
+    incidents = Incidents("a", 0, after_ns)
+    now_ns = begun_ns = 0
+    incidents.begin(now_ns, WALL_NS, "first", "")
+    last_ns = now_ns
+    for wait_ns in waits_ns:
+        now_ns += wait_ns
+        is_over = now_ns >= min(last_ns + after_ns, begun_ns + INCIDENT_MAX_NS)
+        assert incidents.is_over(now_ns) == is_over
+        if is_over:
+            incidents.close()
+            begun_ns = now_ns
+        assert bool(incidents.begin(now_ns, WALL_NS, "again", "")) == is_over
+        last_ns = now_ns
+
+
+@given(
+    steps=st.lists(st.tuples(st.integers(1, SECOND), st.integers(0, 3), st.integers(1, 500))),
+    wait_ns=st.integers(0, 40 * SECOND),
+    limit_bytes=st.integers(0, 3000),
+)
+def test_all_rings_together_hold_the_newest(
+    steps: list[tuple[int, int, int]], wait_ns: int, limit_bytes: int
+) -> None:
+    """Whosesoever it is: a robot that says much may use what the others leave."""
+    rings = [Incidents(str(number), BEFORE_NS, 0) for number in range(4)]
+    now_ns = 0
+    came: list[tuple[int, int]] = []
+    for number, (step_ns, ring, size) in enumerate(steps):
+        now_ns += step_ns
+        one = chunk(number, size)
+        rings[ring].add(one, now_ns)
+        came.append((now_ns, len(one.records)))
+    now_ns += wait_ns
+    trim_rings(rings, now_ns, limit_bytes)
+    young = [size for at_ns, size in came if now_ns - at_ns <= BEFORE_NS]
+    while sum(young) > limit_bytes:
+        young.pop(0)
+    assert sum(ring.ring_bytes for ring in rings) == sum(young)

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from recorder.record import robots as robots_module
-from recorder.record.actions import QUERIES_PER_TICK, LogAction, Query, WriteAttachment, WriteMetadata
+from recorder.record.actions import LogAction, Query, WriteAttachment, WriteMetadata
 from recorder.record.robots import ASK_AGAIN_MAX_NS, ASK_AGAIN_NS, Robots
 from schemas.messages import Variant
 from tests.support.messages import SECOND, WALL_NS, info
@@ -35,19 +35,6 @@ def test_a_new_robot_is_asked_at_once_and_again_ever_more_rarely() -> None:
     assert pauses[0] == ASK_AGAIN_NS
     assert pauses == sorted(pauses)
     assert pauses[-1] == ASK_AGAIN_MAX_NS
-
-
-def test_many_robots_at_once_are_asked_in_turns() -> None:
-    """A tick sends a bounded number of queries, and all get their turn."""
-    robots = Robots("x", "1.0")
-    for number in range(3 * QUERIES_PER_TICK):
-        robots.see("fleet", f"r{number}", 0)
-    asked: set[Query] = set()
-    for _ in range(3):
-        effects = robots.queries(0)
-        assert len(effects) == QUERIES_PER_TICK
-        asked.update(effects)
-    assert len(asked) == 3 * QUERIES_PER_TICK
 
 
 def test_robots_beyond_the_limit_are_neither_asked_nor_described(monkeypatch: pytest.MonkeyPatch) -> None:

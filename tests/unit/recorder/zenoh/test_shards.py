@@ -1,11 +1,15 @@
-"""Which robots a recorder records where several share a fleet."""
+"""Which robots a recorder records where several share a fleet, and what it is called."""
 
+import re
+import socket
 from collections import Counter
 from hashlib import sha256
 
 import pytest
 
+from recorder.zenoh.remote_control import host_name
 from recorder.zenoh.source import Shard, shard_of
+from schemas import keys
 from schemas.command_line import CommandError, ExitCode
 
 ROBOTS = [f"cruiser-{number}" for number in range(200)]
@@ -34,14 +38,27 @@ def test_the_rule_is_the_documented_one() -> None:
     ]
 
 
-def test_a_shard_is_read_as_it_is_written() -> None:
-    """Number and total."""
-    assert shard_of("2/4") == Shard(2, 4)
-
-
 @pytest.mark.parametrize("text", ["5/4", "0/4", "2", "2/", "a/b", "2/4/", "-1/4", "1/1000"])
 def test_a_shard_that_is_none_is_refused(text: str) -> None:
-    """What is wrong is said, with an example."""
+    """What is wrong is said, with an example of one that is read."""
+    assert shard_of("2/4") == Shard(2, 4)
     with pytest.raises(CommandError, match="such as 2/4") as refused:
         shard_of(text)
     assert refused.value.code is ExitCode.USAGE
+
+
+@pytest.mark.parametrize(
+    ("host", "name"),
+    [
+        ("cruiser-7", "cruiser-7"),
+        ("Depot_PC.example.org", "depot-pc"),
+        ("--", "recorder"),
+        ("", "recorder"),
+        ("r\N{LATIN SMALL LETTER O WITH DIAERESIS}ver/2", "r-ver-2"),
+    ],
+)
+def test_a_recorder_is_called_like_its_host(monkeypatch: pytest.MonkeyPatch, host: str, name: str) -> None:
+    """As far as that can be a chunk of a key."""
+    monkeypatch.setattr(socket, "gethostname", lambda: host)
+    assert host_name() == name
+    assert re.fullmatch(keys.ROBOT_PATTERN, host_name())

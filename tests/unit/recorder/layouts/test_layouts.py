@@ -1,14 +1,16 @@
-"""A layout for Foxglove and Lichtblick."""
+"""The layouts that a recorder attaches to each log: for Foxglove and Lichtblick, and for PlotJuggler."""
 
 import json
 import re
 from typing import Any
+from xml.etree.ElementTree import Element, fromstring
 
 import foxglove.layouts
 import pytest
+from msgspec import inspect
 
-from recorder.encoding.protobuf import message_class
-from recorder.layouts.attached import RobotKeys, layouts
+from recorder.encoding.protobuf import fields, message_class, optional_part
+from recorder.layouts.attached import COUNT, RobotKeys, layouts
 from recorder.record.actions import DeclareChannel
 from schemas.decisions import EventKind
 from schemas.keys import parse
@@ -103,3 +105,45 @@ def test_a_point_in_a_root_does_not_end_the_topic() -> None:
     topics = {match["topic"] for match in map(PATH.fullmatch, found) if match is not None}
     assert len(topics) == 4
     assert all(parse(topic) is not None for topic in topics)
+
+
+def test_they_are_few_and_small_and_always_the_same() -> None:
+    """As many as room is kept for: each file of a recording repeats them."""
+    made = layouts(ROBOT)
+    assert len(made) == len({layout.name for layout in made}) == COUNT
+    assert sum(len(layout.data) for layout in made) < 16_000
+    assert made == layouts(ROBOT)
+
+
+def plots(robot: RobotKeys) -> Element:
+    return fromstring(layouts(robot)[1].data)  # noqa: S314 - our own words
+
+
+@pytest.mark.parametrize("key", ["fleet/cruiser-1", "depot.1/hall/r-2"])
+def test_each_curve_is_a_number_of_a_topic_that_a_recorder_writes(key: str) -> None:
+    """Its name is topic and field, as PlotJuggler's parser of protobuf joins them; it plots numbers alone."""
+    topics = logged_topics(key)
+    curves = [curve.attrib["name"] for curve in plots(RobotKeys(key)).iter("curve")]
+    assert len(curves) > 12
+    for curve in curves:
+        topic, _, field = curve.rpartition("/")
+        kinds = {name: kind for name, _, kind in fields(topics[topic])}
+        kind = optional_part(kinds[field]) or kinds[field]
+        assert isinstance(kind, inspect.IntType | inspect.FloatType | inspect.BoolType), curve
+
+
+def test_plots_are_built_as_plotjuggler_builds_it() -> None:
+    """root, tabbed_widget, Tab, Container, DockSplitter, DockArea, plot, curve; as many areas as it says."""
+    root = plots(RobotKeys("fleet/cruiser-1"))
+    assert root.tag == "root"
+    (tabs,) = root.findall("tabbed_widget")
+    assert tabs.attrib == {"parent": "main_window", "name": "Main Window"}
+    for tab in tabs.findall("Tab"):
+        (splitter,) = tab.findall("Container/DockSplitter")
+        areas = splitter.findall("DockArea")
+        shares = [float(share) for share in splitter.attrib["sizes"].split(";")]
+        assert int(splitter.attrib["count"]) == len(areas) == len(shares) > 1
+        assert sum(shares) == pytest.approx(1, abs=1e-3)
+        assert all(len(area.findall("plot")) == 1 for area in areas)
+        assert all(area.find("plot/curve") is not None for area in areas)
+    assert tabs.find("currentTabIndex") is not None
