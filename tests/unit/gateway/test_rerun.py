@@ -1,8 +1,9 @@
-"""A recorded day, run again from its log."""
+"""A recorded day, run again from its log, from a place of rest, and beside the one that it would have been."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from io import BytesIO
+from random import Random
 from typing import Any
 
 import msgspec
@@ -13,23 +14,24 @@ from mcap_protobuf.decoder import DecoderFactory
 from gateway import rerun as module
 from gateway.chassis.frame import Frame
 from gateway.choice import CHASSIS
+from gateway.command.restart import QUIET_NS
 from gateway.core import Core
-from gateway.journal import BrokenJournalError, JournalGapError, read
-from gateway.rerun import give, rerun, run_again, run_of
+from gateway.journal import BrokenJournalError, JournalGapError, inputs_of, read
+from gateway.rerun import WARM_UP_NS, give, rerun, run_again, run_of, what_if
 from recorder.encoding.protobuf import compile_encoder
 from schemas import codec
 from schemas.can_word import EXTENDED
 from schemas.codec import Sample
 from schemas.configuration import TomlSource, merge
-from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState
+from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState, Verdict
 from schemas.journal import COMMAND_RULES, Kind
-from schemas.messages import Message, Variant
+from schemas.messages import Message, Mode, RobotState, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings
 from schemas.subjects import BY_DBC_MESSAGE, BY_NAME
 from tests.support.nights import by_night
-from tests.support.rigs.day import DAY_TICKS, MINUTE_TICKS, STARTED_NS, Day
-from tests.support.rigs.gateway import Operator
+from tests.support.rigs.day import DAY_TICKS, MINUTE_TICKS, STARTED_NS, Day, RestfulDay, restful_day
+from tests.support.rigs.gateway import GatewayRig, Operator
 
 OF_FRAMES = {subject.name for subject in BY_DBC_MESSAGE.values()}
 SAFETY: dict[str, type[Message]] = {
@@ -137,47 +139,57 @@ def test_the_day_is_worth_running_again() -> None:
     assert {Reason.REMOTE_STOP, Reason.SHUTDOWN, Reason.LEASE_TAKEN, Reason.DEADMAN} <= stops
 
 
-def test_a_log_that_misses_a_batch_is_refused() -> None:
-    """Nothing that looks like a run comes out of it."""
+def short(act: Callable[[Day], object] = lambda _day: None, seconds: float = 2) -> Day:
+    """Two seconds in which nobody drives."""
     day = Day(3, Variant.COARSE)
-    day.rig.run(2)
-    log = ReadBack(day.rig.log())
+    act(day)
+    day.rig.run(seconds)
+    return day
+
+
+def test_a_gap_is_noticed_wherever_a_run_is_run_again() -> None:
+    """Bit by bit too: what comes before it has come out, and nothing that looks like a run comes after."""
+    log = ReadBack(short().rig.log())
     del log.journals[20]
     with pytest.raises(JournalGapError):
         list(log.run_again())
+    with pytest.raises(JournalGapError, match="are missing"):
+        list(rerun(log.settings, log.journals))
 
 
-def the_event_again(day: Day) -> SafetyEvent:
-    """The one event of this day, which is the same when the day is run again."""
-    again = [s.payload for _, samples in ReadBack(day.rig.log()).run_again() for s in samples if is_event(s)]
-    assert again == [s.payload for _, s in day.rig.recorded if is_event(s)]
-    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in again)
-    assert isinstance(event, SafetyEvent)
-    return event
+BEGUN: dict[str, tuple[Callable[[Day], object], EventKind, Reason, str]] = {
+    "latched by the guard": (
+        lambda day: day.rig.core.latch_guard_stop("yesterday guard: it is gone", day.rig.now_ns),
+        EventKind.LATCH,
+        Reason.GUARD,
+        "; yesterday guard: it is gone",
+    ),
+    "with a warning": (
+        lambda day: day.rig.core.warn("somebody has our name", day.rig.now_ns),
+        EventKind.FAULT,
+        Reason.NONE,
+        "somebody has our name",
+    ),
+}
 
 
-def is_event(sample: Sample) -> bool:
-    """It is of the events that people read."""
-    return sample.subject == "safety/event"
-
-
-def test_a_run_that_began_latched_by_the_guard_is_run_again_so() -> None:
-    """Row 'the guard has stopped the robot: latched, also across a restart': what the note said is an input."""
-    day = Day(3, Variant.COARSE)
-    day.rig.core.latch_guard_stop("yesterday guard: the gateway is gone", day.rig.now_ns)
-    day.rig.run(2)
-    event = the_event_again(day)
-    assert (event.kind, event.reason) == (EventKind.LATCH, Reason.GUARD)
-    assert event.text.endswith("; yesterday guard: the gateway is gone")
-
-
-def test_what_a_run_began_with_a_warning_of_is_run_again_so() -> None:
+@pytest.mark.parametrize(("act", "kind", "reason", "text"), BEGUN.values(), ids=BEGUN)
+def test_what_a_run_began_with_is_run_again_so(
+    act: Callable[[Day], object], kind: EventKind, reason: Reason, text: str
+) -> None:
     """An event that nothing in the bus or the requests explains is in the journal as well."""
-    day = Day(3, Variant.COARSE)
-    day.rig.core.warn("somebody has our name", day.rig.now_ns)
-    day.rig.run(2)
-    event = the_event_again(day)
-    assert (event.kind, event.text) == (EventKind.FAULT, "somebody has our name")
+    day = short(act)
+    events = [
+        [one.payload for one in samples if one.subject == "safety/event"]
+        for samples in (
+            (s for _, samples in ReadBack(day.rig.log()).run_again() for s in samples),
+            (one for _, one in day.rig.recorded),
+        )
+    ]
+    assert events[0] == events[1]
+    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in events[0])
+    assert isinstance(event, SafetyEvent)
+    assert (event.kind, event.reason, event.text.endswith(text)) == (kind, reason, True)
 
 
 def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> None:
@@ -187,19 +199,13 @@ def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> 
     give(core, (Kind.TICK, 10, 11, 0))
     assert core.command is not None
     seen = core.command.arbiter.monitor.chassis
-    assert (seen.bus_losses, seen.guarded, seen.guard_stops, seen.guard_says, seen.realtime) == (
-        1,
-        True,
-        2,
-        "",
-        True,
-    )
+    links = (seen.bus_losses, seen.guarded, seen.guard_stops, seen.guard_says, seen.realtime)
+    assert links == (1, True, 2, "", True)
 
 
 def test_another_run_number_gives_other_leases() -> None:
     """The comparison can fail: the run number is part of the log for a reason."""
-    day = Day(3, Variant.COARSE)
-    day.rig.run(1)
+    day = short(seconds=1)
     Operator(day.rig).take_lease()
     day.rig.run(1)
     log = ReadBack(day.rig.log())
@@ -211,24 +217,12 @@ def test_another_run_number_gives_other_leases() -> None:
 
 def test_a_run_may_come_bit_by_bit() -> None:
     """The same comes out of journals that are read one after the other, and at last what is still in batches."""
-    day = Day(3, Variant.COARSE)
-    day.rig.run(1)
-    log = ReadBack(day.rig.log())
+    log = ReadBack(short(seconds=1).rig.log())
     samples = [sample for _, published in log.run_again() for sample in published]
     again = list(rerun(log.settings, iter(log.journals)))
     assert again[: len(samples)] == samples
     assert {sample.subject for sample in again[len(samples) :]} <= {"can/{bus}/rx", "can/{bus}/tx", "journal"}
     assert not list(rerun(log.settings, iter(())))
-
-
-def test_a_gap_is_noticed_wherever_a_run_is_run_again() -> None:
-    """Bit by bit too: what comes before it has come out, and nothing that looks like a run comes after."""
-    day = Day(3, Variant.COARSE)
-    day.rig.run(2)
-    log = ReadBack(day.rig.log())
-    del log.journals[20]
-    with pytest.raises(JournalGapError, match="are missing"):
-        list(rerun(log.settings, log.journals))
 
 
 def made_up(first: int, *inputs: object) -> Journal:
@@ -260,3 +254,191 @@ def test_what_no_core_was_given_is_a_broken_journal() -> None:
     """Whatever a core makes of it: no error that nobody expects comes of a log."""
     with pytest.raises(BrokenJournalError, match="what no core was given"):
         list(rerun(Settings(), [made_up(0, (Kind.TICK, -1, 5, 0, b""))]))
+
+
+# From a place where the gateway was at rest.
+
+
+@pytest.fixture(scope="module")
+def day() -> RestfulDay:
+    """Such a day, with a place of rest wherever there is one."""
+    return restful_day(1, rounds=3)
+
+
+def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> None:
+    """Decisions, events and states byte for byte, with their sequences, and every frame with its counter."""
+    journals = day.rig.journals
+    bursts = [frames for frames in day.rig.offered if frames]
+    said = [sample for _, sample in day.rig.recorded if sample.subject in SAFETY]
+    starts = [number for number in range(1, len(journals)) if number % 61 == 0]
+    lengths = set()
+    for start in Random(1).sample(starts, 4):  # noqa: S311 - the same ones each time
+        run = run_of(journals[start:])
+        if run is None:
+            continue
+        again = list(run_again(run.core(day.rig.settings), run.inputs))
+        told = [sample for _, samples in again for sample in samples if sample.subject in SAFETY]
+        sent = [frames for frames, _ in again if frames]
+        # The journal's last batch, and so the last ticks, are not in it.
+        missing = next(count for count in range(4) if told[-1] == said[-1 - count])
+        assert told == said[len(said) - missing - len(told) : len(said) - missing]
+        assert sent == bursts[len(bursts) - len(sent) :]
+        lengths.add(len(told))
+    assert len(lengths) >= 3
+
+
+def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
+    """There are some after each drive, and none while anybody asks anything."""
+    inputs = [one for journal in day.rig.journals for one in inputs_of(journal)]
+    asked_ns = 0
+    places = 0
+    for one in inputs:
+        if one[0] == Kind.REQUEST:
+            asked_ns = one[1]
+        elif one[0] == Kind.REST:
+            places += 1
+            assert one[1] - asked_ns >= QUIET_NS
+    assert places > 10
+
+
+def test_without_such_a_place_there_is_nothing_to_run(day: RestfulDay) -> None:
+    """Nor with one that comes before enough was seen."""
+    journals = day.rig.journals
+    resting = [any(one[0] == Kind.REST for one in inputs_of(journal)) for journal in journals]
+    first = resting.index(True)
+    seconds = len([j for j in journals if j.time_ns < journals[first].time_ns])
+    assert seconds > 0
+    assert run_of(journals[1:first]) is None
+    assert not list(rerun(day.rig.settings, journals[1:first]))
+    begins = run_of(journals[first:])
+    assert begins is not None
+    assert begins.warm_up[-1][0] == Kind.REST
+    assert begins.warm_up[-1][1] - begins.warm_up[0][1] <= WARM_UP_NS
+    assert begins.warm_up[-1][1] - inputs_of(journals[first])[0][1] > WARM_UP_NS - 50_000_000
+
+
+# Beside the run that it would have been.
+
+Recorded = tuple[Settings, list[Journal]]
+Act = Callable[[GatewayRig, Operator], None]
+
+
+def drive_out(act: Act = lambda _rig, _operator: None) -> Recorded:
+    """Somebody drives with 1.5 m/s, something happens, and the robot is brought to rest."""
+    day = Day(1, Variant.COARSE, ticks=0)
+    rig = day.rig
+    rig.run(0.6)
+    operator = Operator(rig)
+    operator.engage()
+    operator.drive(1.5, 4.0, 3.0)
+    act(rig, operator)
+    operator.ask("disengage")
+    rig.run(5)
+    return rig.settings, day.rig.journals
+
+
+Side = dict[type[Message], list[Any]]
+
+
+def said(recorded: Recorded, **command: object) -> tuple[Side, Side]:
+    """What the two runs say, by class: the recorded one, and the one with other settings."""
+    settings, run = recorded
+    changed = msgspec.structs.replace(settings.command, **command)
+    sides: tuple[Side, Side] = ({}, {})
+    for one in what_if(settings, msgspec.structs.replace(settings, command=changed), run):
+        message = codec.decode(BY_NAME[one.sample.subject], one.sample.payload)
+        assert isinstance(message, Message)
+        sides[one.is_other].setdefault(type(message), []).append(message)
+    return sides
+
+
+def stops(side: Side) -> list[Reason]:
+    """Why the robot was stopped."""
+    return [event.reason for event in side[SafetyEvent] if event.kind is EventKind.STOP]
+
+
+def top_speed_mps(side: Side) -> float:
+    """The highest speed that the robot showed."""
+    speeds: list[float] = [abs(state.speed_mps or 0.0) for state in side[RobotState]]
+    return max(speeds)
+
+
+def test_with_the_same_settings_both_runs_are_the_same() -> None:
+    """Every sample, whatever happens in between; nothing comes of nothing."""
+    day = Day(1, Variant.FINE, ticks=1500)
+    day.live()
+    both = list(what_if(day.rig.settings, day.rig.settings, day.rig.journals))
+    then = [one.sample for one in both if not one.is_other]
+    assert len(then) > 1000
+    assert then == [one.sample for one in both if one.is_other]
+    assert not list(what_if(Settings(), Settings(), []))
+
+
+def test_a_lower_limit_slows_the_robot_and_stops_nothing() -> None:
+    """The chassis follows the other commands: no plausibility check takes the recorded speed for a fault.
+
+    The commands are still good: whoever had heard the other arbiter would have echoed its challenges. Once both
+    stand with nobody in command, the two see the same.
+    """
+    then, now = said(drive_out(), speed_limit_mps=0.5)
+    assert top_speed_mps(then) == pytest.approx(1.5, abs=0.1)
+    assert top_speed_mps(now) == pytest.approx(0.5, abs=0.05)
+    assert stops(now) == stops(then) == [Reason.DISENGAGED]
+    assert len(now[Decision]) == len(then[Decision]) > 100
+    assert {decision.verdict for decision in now[Decision]} == {Verdict.ACCEPTED}
+    assert then[RobotState][-1] == now[RobotState][-1]
+
+
+def test_a_shorter_deadman_adds_a_stop() -> None:
+    """A pause that the recorded run bore; what is asked after the stop is refused."""
+
+    def pause(rig: GatewayRig, operator: Operator) -> None:
+        rig.run(0.2)
+        operator.drive(1.5, 4.0, 0.5)
+
+    then, now = said(drive_out(pause), deadman_s=0.1)
+    assert Reason.DEADMAN not in stops(then)
+    assert stops(now)[0] is Reason.DEADMAN
+    assert top_speed_mps(then) > 1.4
+
+
+def test_what_people_did_stays() -> None:
+    """A bumper that was hit is hit. While the hand transmitter has the robot, the recorded speed is the speed."""
+
+    def hit(rig: GatewayRig, _operator: Operator) -> None:
+        rig.fault("bumper front on for 500ms")
+        rig.run(3)
+
+    def take_over(rig: GatewayRig, _operator: Operator) -> None:
+        rig.fault("transmitter remote for 3s")
+        rig.fault("sticks 0.8 5")
+        rig.run(2.5)
+
+    for side in said(drive_out(hit), speed_limit_mps=0.5):
+        assert Reason.FRONT_BUMPER in stops(side)
+    then, now = said(drive_out(take_over), speed_limit_mps=0.3)
+    driven = [
+        (recorded.speed_mps, tried.speed_mps)
+        for recorded, tried in zip(then[RobotState], now[RobotState], strict=True)
+        if recorded.mode is tried.mode is Mode.REMOTE
+    ]
+    assert len(driven) > 20
+    assert driven[-1][0] == driven[-1][1] == pytest.approx(0.8, abs=0.05)
+
+
+NESTED = b"\x91" * 1000 + b"\x01"
+
+
+@pytest.mark.parametrize(
+    "payload", [NESTED, *map(by_night, [b"\x81\x91\x01\x01", b"\xc1", b"\x81\xa9challenge\x91\x01"])]
+)
+def test_whatever_somebody_asked_is_asked_of_both(payload: bytes) -> None:
+    """A request is anybody's bytes, nested as deep as it may be."""
+
+    def ask(rig: GatewayRig, _operator: Operator) -> None:
+        rig.put("stranger", "drive", payload)
+        rig.run(0.1)
+
+    for side in said(drive_out(ask), speed_limit_mps=0.5):
+        strangers = [one.reason for one in side[Decision] if one.operator == "stranger"]
+        assert strangers == [Reason.MALFORMED]
