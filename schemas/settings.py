@@ -762,7 +762,6 @@ class DeskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         certificate: its certificate chain for browsers, PEM
         key: that certificate's private key, PEM
         names: names under which browsers reach it, besides those of this machine
-        sites: SITE=PATTERN; robots whose names match belong to this site, the first that matches
         logs: directory of a recorder, whose logs and reports whoever opens the page may read; empty: none
         viewers: addresses of viewers that open a log by its address; their pages may read the logs
     """
@@ -771,7 +770,6 @@ class DeskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     certificate: str = ""
     key: str = ""
     names: list[str] = []
-    sites: list[str] = []
     logs: str = ""
     viewers: list[str] = []
 

@@ -73,13 +73,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "read the logs; may be given several times",
     )
     parser.add_argument("--logs-only", action="store_true", help="show the logs alone: no robot, and no Zenoh")
-    parser.add_argument(
-        "--site",
-        dest="desk.sites",
-        action="append",
-        metavar="SITE=PATTERN",
-        help="robots whose names match belong to this site ('hall 1=cruiser-1*'); may be given several times",
-    )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
     add_zenoh_arguments(parser)
 
@@ -99,7 +92,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         raise CommandError("--logs-only needs --logs DIR", ExitCode.USAGE)
     host, port = _address(desk.listen)
     certificate = _certificate(desk, host)
-    sites = [_site(text) for text in desk.sites]
     hosts = [*LOCAL_NAMES, host, *desk.names]
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
     with contextlib.ExitStack() as stack:
@@ -115,7 +107,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         listener = stack.enter_context(DeskListener.open(settings))
         commands = stack.enter_context(CommandPort.open(settings, keys.ALL, "desk"))
         _tell(f"{address}, robots at {place(settings.zenoh)}")
-        hub = Hub(settings, listener, commands, sites=sites, has_logs=logs is not None)
+        hub = Hub(settings, listener, commands, has_logs=logs is not None)
         app = make_app(hub, hosts, logs)
 
         async def work() -> None:
@@ -130,14 +122,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _tell(text: str) -> None:
     sys.stderr.write(f"desk: {text}\n")
     sys.stderr.flush()
-
-
-def _site(text: str) -> tuple[str, str]:
-    """A site, and the pattern of its robots' names."""
-    site, _, pattern = text.rpartition("=")
-    if not (site.strip() and pattern.strip()):
-        raise CommandError(f"desk.sites: {text!a} is not SITE=PATTERN, as 'hall 1=cruiser-1*'", ExitCode.USAGE)
-    return site.strip(), pattern.strip()
 
 
 def _address(listen: str) -> tuple[str, int]:

@@ -509,7 +509,6 @@ class Hub:
         listener: DeskListener,
         port: CommandPort,
         stopper: Stopper = stop_from_here,
-        sites: Sequence[tuple[str, str]] = (),
         *,
         has_logs: bool = False,
     ) -> None:
@@ -523,7 +522,7 @@ class Hub:
         # A thread for each stop that is under way: one that waits for a silent robot holds up no other.
         self._threads: Executor = ThreadPoolExecutor(STOP_THREADS, thread_name_prefix="stop")
         self._stopping: dict[str, set[Browser]] = {}
-        self._view = FleetView(self._root, sites)
+        self._view = FleetView(self._root)
         self._browsers: set[Browser] = set()
         self._now_ns = self._rows_ns = 0
 

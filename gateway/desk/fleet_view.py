@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections import defaultdict, deque
-from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from typing import Final
 
 import msgspec
@@ -235,12 +233,10 @@ _EVENT: Final = f"/{BY_TYPE[SafetyEvent].name}"
 class FleetView:
     """All robots and recorders under a root, or the first of too many, and their last minutes."""
 
-    def __init__(self, root: str, sites: Sequence[tuple[str, str]] = ()) -> None:
-        """Look at the keys below a root; a robot belongs to the first site whose pattern its name matches."""
+    def __init__(self, root: str) -> None:
         self.histories = Histories()
         self._acknowledged: dict[str, tuple[str, str]] = {}
         self.is_full = False
-        self._sites = sites
         self._full_ns: int | None = None
         self._refused = 0
         self._now_ns = 0
@@ -335,11 +331,7 @@ class FleetView:
 
     def _row(self, robot: str, now_ns: int) -> RobotRow:
         row = row_of(self.report(robot, now_ns), self._events.get(robot))
-        return msgspec.structs.replace(
-            row,
-            site=next((site for site, pattern in self._sites if fnmatchcase(robot, pattern)), ""),
-            acknowledged=self._seen_to_by(robot, row.word),
-        )
+        return msgspec.structs.replace(row, acknowledged=self._seen_to_by(robot, row.word))
 
     def acknowledge(self, robot: str, word: str, operator: str) -> None:
         """Note who sees to an alarm. It holds for as long as the robot's word is this one."""

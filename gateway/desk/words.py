@@ -163,7 +163,6 @@ class RobotRow(msgspec.Struct, frozen=True):
         link_age_s: age of the drive commands that it obeys; null where it obeys none.
         lost: feedback frames that were lost since its gateway's start; null if not known.
         event: the last thing that a person should know, in English; ``event_ns`` its time by the robot's clock.
-        site: where it belongs, as the desk's settings say; empty if they do not.
         acknowledged: who sees to what it suffers; empty if nobody does.
         reasons: why it has this word, for pages in other languages; empty where nothing is wrong.
     """
@@ -178,7 +177,6 @@ class RobotRow(msgspec.Struct, frozen=True):
     lost: int | None
     event: str
     event_ns: int
-    site: str = ""
     acknowledged: str = ""
     reasons: list[str] = []
 

@@ -104,7 +104,6 @@ def desk_of_all_states(logs: Path) -> Iterator[str]:
             _EverythingAtOnce(),  # type: ignore[arg-type]
             FakeCommandPort(),  # type: ignore[arg-type]
             _stop,
-            [("hall 1", "*d"), ("hall 2", "*")],
             has_logs=True,
         )
         app = make_app(hub, [HOST], stack.enter_context(closing(DeskLogs(logs))))

@@ -16,8 +16,6 @@ export class Overview {
     this.search = h("input", { type: "search", placeholder: t("search"), "aria-label": t("search"), oninput: () => this.update() });
     const option = (value) => h("option", { value }, t(value));
     this.filter = h("select", { "aria-label": t("state"), onchange: () => this.update() }, option("all"), option("needs_person"));
-    this.site = h("select", { "aria-label": t("site"), onchange: () => this.update() });
-    this.sites = "";
     this.count = h("span", { class: "soft", role: "status" });
     this.body = wall ? h("div", { class: "wall" }) : h("tbody");
     this.empty = h("p", { class: "soft" }, t("no_robot"));
@@ -25,7 +23,7 @@ export class Overview {
     this.recorders = h("p", { class: "soft" });
     this.contact = h("p", { class: "band level2", role: "status", hidden: true });
     this.element = h("div", {}, h("h1", { class: "heard" }, t("fleet")), this.contact,
-      h("div", { class: "tools" }, wall ? null : [this.search, this.filter], this.site, this.count),
+      h("div", { class: "tools" }, wall ? null : [this.search, this.filter], this.count),
       wall ? this.body : h("table", { class: "fleet" }, this.head(), this.body),
       this.empty, this.full, this.recorders);
     this.update();
@@ -33,7 +31,6 @@ export class Overview {
 
   /** Show the rows as they are now: of each robot only what is another than before. */
   update() {
-    this.updateSites();
     const wanted = this.search.value.trim().toLowerCase();
     const rowOf = (name) => this.fleet.rows.get(name);
     const names = [...this.fleet.rows.keys()].filter((name) => this.isShown(name, rowOf(name), wanted));
@@ -75,20 +72,7 @@ export class Overview {
 
   isShown(name, row, wanted) {
     if (this.filter.value === "needs_person" && row.level === 0) return false;
-    if (this.site.value && row.site !== this.site.value) return false;
-    return wanted === "" || [name, row.site, row.driver, row.text, textOf(row), wordOf(row.word)].some((text) => text.toLowerCase().includes(wanted));
-  }
-
-  /** Offer the sites that robots belong to. */
-  updateSites() {
-    const sites = [...new Set([...this.fleet.rows.values()].map((row) => row.site))].filter(Boolean).sort(natural);
-    const text = sites.join("\n");
-    this.site.hidden = sites.length === 0;
-    if (text === this.sites) return;
-    this.sites = text;
-    const chosen = this.site.value;
-    this.site.replaceChildren(h("option", { value: "" }, t("all_sites")), ...sites.map((site) => h("option", { value: site }, site)));
-    this.site.value = sites.includes(chosen) ? chosen : "";
+    return wanted === "" || [name, row.driver, row.text, textOf(row), wordOf(row.word)].some((text) => text.toLowerCase().includes(wanted));
   }
 
   /** The head of the table: each column sorts by itself, a second press the other way round. */
@@ -116,7 +100,6 @@ export class Overview {
   line(name) {
     const parts = Object.fromEntries(COLUMNS.map(([column, kind]) => [column, h("td", { class: kind })]));
     const pill = h("span", { class: "pill" });
-    const site = h("span", { class: "soft site" });
     const text = h("span");
     const seen = h("span", { class: "soft" });
     const acknowledge = () => {
@@ -127,10 +110,10 @@ export class Overview {
       return this.update();
     };
     const see = h("button", { type: "button", class: "small", onclick: acknowledge, "aria-label": `${t("acknowledge")} ${name}` }, t("acknowledge"));
-    parts.robot.append(h("a", { href: `#/robot/${name}` }, name), " ", site);
+    parts.robot.append(h("a", { href: `#/robot/${name}` }, name));
     parts.state.append(pill);
     parts.what.append(text, " ", seen, see);
-    return { element: h("tr", { "data-robot": name }, ...Object.values(parts)), parts: { ...parts, pill, site, what: text, seen, see }, row: null };
+    return { element: h("tr", { "data-robot": name }, ...Object.values(parts)), parts: { ...parts, pill, what: text, seen, see }, row: null };
   }
 }
 
@@ -175,7 +158,6 @@ function fill(shown, row) {
   setText(parts.lost, row.lost === null ? "--" : String(row.lost));
   // Of a robot that is fine, word and driver have said it all.
   setText(parts.what, row.level > 0 ? textOf(row) : row.event && `${t("last_event")}: ${said(row.event)}`);
-  setText(parts.site, row.site);
   setText(parts.seen, row.acknowledged ? `${t("seen_by")} ${row.acknowledged}` : "");
   parts.see.hidden = row.level < 2 || row.acknowledged !== "";
 }

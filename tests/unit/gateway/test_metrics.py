@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from msgspec import Meta
 from prometheus_client.parser import text_string_to_metric_families
 
-from gateway.client.fleet import HEALTH_STALE_NS, STATE_STALE_NS
+from gateway.client.fleet import HEALTH_STALE_NS
 from gateway.metrics import BOUNDS, GAP_MAX, INFO, LABEL_LENGTH_MAX, LABELS_MAX, MEASURES, Measure, bounded
 from gateway.telemetry.samples import Missed, Received
 from schemas.configuration import attribute_texts
@@ -82,23 +82,6 @@ def test_a_silent_robot_has_no_values_but_that_it_is_silent() -> None:
     assert all(name.startswith("cruiser_samples_") for name in left)
 
 
-def test_a_state_is_older_sooner_than_a_health() -> None:
-    """A robot whose health comes and whose arbiter says nothing is there, and neither engaged nor not."""
-    metrics = fleet(*map(received, FULL))
-    shown = series(metrics, START_NS + STATE_STALE_NS)
-    assert shown[UP] == 1
-    assert not [name for name in shown if name.startswith(("cruiser_safety_", "cruiser_chassis_"))]
-
-
-def test_without_a_link_nobody_is_connected() -> None:
-    """No token says anything then."""
-    metrics = fleet(token(), received(HEALTH))
-    metrics.linked = False
-    assert (
-        series(metrics)[f"cruiser_gateway_connected{{{R}}}"] == series(metrics)["cruiser_exporter_connected"] == 0
-    )
-
-
 def test_a_token_alone_is_a_robot_that_is_silent() -> None:
     """A gateway that hangs has one."""
     shown = series(fleet(token()))
@@ -126,15 +109,6 @@ def test_what_cannot_be_read_is_counted_with_the_reason_and_changes_nothing(vers
     assert unreadable(shown, "state") == {one: float(one == reason) for one in ("newer", "older", "damaged")}
     assert shown[f'cruiser_samples_received_total{{{R},subject="state"}}'] == 1
     assert shown[f"cruiser_chassis_speed_meters_per_second{{{R}}}"] == STATE.speed_mps
-
-
-@pytest.mark.parametrize(
-    "key", ["fleet/*/state", "other/cruiser-1/state", "fleet/cruiser-1/chassis/gear", "x" * 2000]
-)
-def test_what_is_not_of_this_fleet_is_ignored(key: str) -> None:
-    """Nobody appears by a key that no robot has."""
-    shown = series(fleet(msgspec.structs.replace(received(STATE), key=key)))
-    assert not [name for name in shown if name.startswith("cruiser_up")]
 
 
 @pytest.mark.parametrize(

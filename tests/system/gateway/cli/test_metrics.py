@@ -24,7 +24,6 @@ from schemas.command_line import CommandError
 from schemas.settings import Settings, ZenohSettings
 from schemas.zenoh_session import close_session
 from tests.support.commands import run_command
-from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, recorder_health
 from tests.support.metrics import fleet, received
@@ -67,22 +66,6 @@ def shows(
     return found
 
 
-def test_a_fleet_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    """A robot and a recorder of the same network, by name."""
-    with FakeGateway("cruiser-1") as gateway:
-        recorder = received(recorder_health())
-
-        def speak() -> None:
-            gateway.say(HEALTH)
-            gateway._session.put(recorder.key, recorder.payload, encoding=recorder.encoding)
-
-        found = shows(capsys, Settings(zenoh=ZenohSettings(connect=[gateway.listen])), speak)
-    assert found["cruiser_gateway_connected", "robot", "cruiser-1"] == 1
-    assert found["cruiser_exporter_connected", "", ""] == 1
-    assert found["cruiser_gateway_frames_total", "robot", "cruiser-1"] == HEALTH.frames
-    assert found["process_resident_memory_bytes", "", ""] > 0
-
-
 @pytest.mark.parametrize("role", [TransportRole.VIEWER, TransportRole.RECORDER])
 def test_a_certificate_of_a_viewer_or_a_recorder_is_enough(
     role: TransportRole, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -111,7 +94,13 @@ def test_a_certificate_of_a_viewer_or_a_recorder_is_enough(
             close_session(session)
     ends_s = certificate_end(place / f"{role.value}-tls.pem")
     assert found["cruiser_exporter_certificate_ends_timestamp_seconds", "", ""] == ends_s
-    assert found["cruiser_gateway_connected", "robot", "cruiser-1"] == 1
+    assert (
+        found["cruiser_gateway_connected", "robot", "cruiser-1"]
+        == found["cruiser_exporter_connected", "", ""]
+        == 1
+    )
+    assert found["cruiser_gateway_frames_total", "robot", "cruiser-1"] == HEALTH.frames
+    assert found["process_resident_memory_bytes", "", ""] > 0
 
 
 def test_a_robot_in_signed_mode_says_when_its_keys_end(tmp_path: Path) -> None:

@@ -158,19 +158,3 @@ def test_what_cannot_be_is_one_line_and_a_code(tmp_path: Path, words: str, code:
     assert "\x1b" not in done.stderr
     assert ".rs" not in done.stderr, "no place in Zenoh's own source"
     assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize(
-    ("command", "shown"),
-    [
-        ("sim", "bumper front|rear|both on|off"),
-        ("fault", "bumper front|rear|both on|off"),
-        ("decode", "candump -L can0 | cruiser decode"),
-    ],
-)
-def test_the_help_shows_an_example(command: str, shown: str) -> None:
-    """And every fault of a virtual chassis."""
-    done = run([command, "--help"])
-    assert done.returncode == 0
-    assert "example:" in done.stdout
-    assert shown in done.stdout

@@ -18,20 +18,6 @@ from tests.support.messages import STATE
 from tests.support.waiting import nothing, wait_until
 
 
-def test_the_age_of_the_commands_is_known() -> None:
-    """With the limit from it, and the deadman and the limit that were asked for."""
-    with FakeRobot() as fake, fake.seen_by() as robot, robot.lease() as lease:
-        assert robot.state().state.link_age_s is None
-        lease.engage(deadman_s=0.9, speed_limit_mps=0.3)
-        assert robot.state().state.speed_limit_mps == 0.3
-        assert robot.wait_for(lambda state: state.link_age_s is not None, 5)
-        said = robot.state().state
-        assert said.link_age_s is not None
-        assert 0 < said.link_age_s < 1
-        assert said.deadman_s == 0.9
-        assert said.travel_speed_limit_mps == pytest.approx(1.0 / (said.link_age_s + 0.9), rel=0.1)
-
-
 def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
     """Acquire, engage, drive, disengage: no command of the stream is refused from engaging on."""
     with FakeRobot() as fake, fake.engaged() as (robot, lease):

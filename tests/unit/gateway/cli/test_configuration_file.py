@@ -31,7 +31,8 @@ def _complaint(file: str) -> str:
 
 def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
     """The variable names the file only where no path does; an empty one names none, an empty path is an error."""
-    file = _written(tmp_path, b"[can]\nchannel = 'vcan7'\n")
+    # As editors on Windows write it.
+    file = _written(tmp_path, b"\xef\xbb\xbf[can]\r\nchannel = 'vcan7'\r\n")
     assert load_settings(None, {"CRUISER_CONFIG": file}, {}).can.channel == "vcan7"
     assert load_settings(file, {"CRUISER_CONFIG": "/nowhere"}, {}).can.channel == "vcan7"
     assert load_settings(None, {}, {}) == load_settings(None, {"CRUISER_CONFIG": ""}, {}) == Settings()
@@ -40,25 +41,26 @@ def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
     assert caught.value.code is ExitCode.USAGE
 
 
-def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
-    """Windows editors begin a file with a byte order mark, and end lines with CR LF."""
-    file = _written(tmp_path, b"\xef\xbb\xbf[can]\r\nchannel = 'vcan7'\r\n")
-    assert load_settings(file, {}, {}).can.channel == "vcan7"
-
-
-@pytest.mark.parametrize("name", ["missing.toml", ".", "a\0b"])
-def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path: Path, name: str) -> None:
-    """A missing file, a directory and an impossible name each end in one line that names the file."""
-    with pytest.raises(CommandError, match="cannot read the configuration file") as caught:
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("missing.toml", None, "cannot read the configuration file"),
+        (".", None, "cannot read the configuration file"),
+        ("a\0b", None, "cannot read the configuration file"),
+        ("robot.toml", b"[can]\nbus = '\xff'\n", r"robot\.toml:2: not UTF-8 text \(byte 0xff\)"),
+        ("robot.json5", None, r"--zenoh-config takes; --config takes settings: .*robot\.toml"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_one_clear_line(
+    tmp_path: Path, name: str, content: bytes | None, says: str
+) -> None:
+    """It names the file, or the line in it; and the flag for Zenoh's own file, which lies beside it."""
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(CommandError, match=says) as caught:
         load_settings(f"{tmp_path}/{name}", {}, {})
     assert caught.value.code is ExitCode.USAGE
     assert str(caught.value).isprintable()
-
-
-def test_a_file_that_is_not_utf8_names_the_line(tmp_path: Path) -> None:
-    """A byte that is not UTF-8 is reported with its line."""
-    with pytest.raises(CommandError, match=r"robot\.toml:2: not UTF-8 text \(byte 0xff\)"):
-        load_settings(_written(tmp_path, b"[can]\nbus = '\xff'\n"), {}, {})
 
 
 # The file is written anew for each example, so sharing its directory changes nothing.
@@ -79,12 +81,6 @@ def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
         load_settings(str(fifo), {}, {})
     with pytest.raises(CommandError, match="is a FIFO"):
         load_settings(None, {}, {"zenoh.config": str(fifo)})
-
-
-def test_zenohs_own_file_is_not_taken_for_the_settings() -> None:
-    """They lie side by side: the settings, and the flag for the other, are named."""
-    with pytest.raises(CommandError, match=r"--zenoh-config takes; --config takes settings: ann/operator\.toml"):
-        load_settings("ann/operator.json5", {}, {})
 
 
 # A settings file that somebody forgot to name.

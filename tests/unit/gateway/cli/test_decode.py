@@ -85,14 +85,6 @@ def test_no_bytes_make_decoding_raise(raw: bytes) -> None:
     assert record is None or json.loads(json.dumps(record)) == record
 
 
-@given(data=st.binary(max_size=8), identifier=st.sampled_from([f"{i:02X}" for i in range(0xD0, 0xDF)]))
-def test_no_data_make_decoding_raise(data: bytes, identifier: str) -> None:
-    """Whatever an identifier of the chassis carries, it is signals or a fault."""
-    record = describe(DECODER, f"(1.0) can0 18C4{identifier}EF#{data.hex()}".encode(), 1)
-    assert record is not None
-    assert ("signals" in record) != ("fault" in record)
-
-
 TIME = "(1436509052.249713) "
 TIME_NS = 1_436_509_052_249_713_000
 

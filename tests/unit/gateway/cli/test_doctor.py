@@ -95,14 +95,3 @@ def test_settings_of_somebody_who_is_no_robot_are_refused_with_what_to_use(
     doctor.run(named, settings, lambda: False)
     (place / "robot.key").write_text("")
     doctor.run(own, settings, lambda: False)
-
-
-def test_a_robots_own_settings_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As are those that name a file without certificates."""
-    monkeypatch.setattr(doctor, "look", lambda *_, **__: FACTS)
-    place = _network(tmp_path).node(TransportRole.ROBOT, "cruiser-1", "cruiser-1")
-    plain_file = tmp_path / "operator.json5"
-    plain_file.write_text("{mode: 'client'}")
-    for config in (place / "robot.json5", plain_file):
-        settings = Settings(zenoh=ZenohSettings(config=str(config)))
-        doctor.run(_arguments("--config", "robot.toml"), settings, lambda: False)

@@ -10,19 +10,13 @@ from rich.console import Console, RenderableType
 
 from gateway.client import fleet
 from gateway.client.fleet import (
-    ALARM,
-    BY_REQUEST,
-    FINE,
     HEALTH_STALE_NS,
-    LOOK,
     STATE_STALE_NS,
-    WORDS,
     Bounds,
     Fleet,
     NewerWords,
     RobotStatus,
     alarm,
-    encode_request,
     list_view,
     read_reply,
     read_sample,
@@ -31,11 +25,10 @@ from gateway.client.fleet import (
 from gateway.client.refusal import refused
 from gateway.telemetry.samples import Received, TokenChange
 from schemas import codec, keys
-from schemas.codec import PayloadFault, decode_request
+from schemas.codec import PayloadFault
 from schemas.decisions import ArbiterState, LeaseReply, Reply, SafetyState
 from schemas.messages import GatewayHealth, Message, Mode, RobotState, Variant
 from schemas.reasons import Reason
-from schemas.requests import Drive, Take
 from schemas.subjects import BY_NAME, BY_TYPE, BY_VERB, COMMANDS, RECORDER_SUBJECTS, SUBJECTS, Command, Subject
 from tests.support.messages import HEALTH, ROOT, STANDBY, STATE, recorder_health
 from tests.support.metrics import received, token
@@ -53,13 +46,6 @@ def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
     return fleet
 
 
-def test_what_was_heard_is_reported() -> None:
-    """State, health and token of a robot are in its report, with the time since they arrived."""
-    report = fleet_that_heard(token(), received(STATE), received(HEALTH)).report("cruiser-1", START_NS + 10**8)
-    assert (report.connected, report.state, report.health) == (True, STATE, HEALTH)
-    assert (report.state_age_s, report.health_age_s) == (0.1, 0.1)
-
-
 @given(age_ns=st.integers(0, 10**11))
 def test_an_old_value_is_never_reported(age_ns: int) -> None:
     """State and health are in the report only while they are fresh; their age stays."""
@@ -69,16 +55,17 @@ def test_an_old_value_is_never_reported(age_ns: int) -> None:
     assert report.state_age_s == age_ns / 1e9
 
 
-def test_a_robot_that_was_never_heard_of_has_nothing_to_report() -> None:
-    """An unknown robot is not connected, and has neither values nor ages, whatever the clock says."""
-    for now_ns in (0, START_NS):
-        report = Fleet(ROOT).report("cruiser-9", now_ns)
-        assert (report.connected, report.state, report.state_age_s, report.health) == (False, None, None, None)
-
-
-def test_a_token_that_goes_takes_the_connection_with_it() -> None:
-    """A robot whose token is gone is not connected."""
-    assert not fleet_that_heard(token(), token(present=False)).report("cruiser-1", START_NS).connected
+@pytest.mark.parametrize(
+    ("tokens", "linked", "connected"),
+    [([], True, False), ([True], True, True), ([True, False], True, False), ([True], False, False)],
+    ids=["never heard of", "there", "gone", "this end has lost Zenoh"],
+)
+def test_a_robot_is_connected_by_its_token(tokens: list[bool], *, linked: bool, connected: bool) -> None:
+    """Without a link the tokens that are remembered say nothing; without a state there is none, nor its age."""
+    fleet = fleet_that_heard(*(token(present=present) for present in tokens))
+    fleet.linked = linked
+    report = fleet.report("cruiser-1", START_NS)
+    assert (report.connected, report.state, report.state_age_s, report.health) == (connected, None, None, None)
 
 
 SMALL = Bounds(robots=2, recorders=1, name_length=4, sample_bytes=1000, forgotten_ns=60)
@@ -120,15 +107,6 @@ def test_a_fleet_is_bounded(
     kinds = (fleet.robots, fleet.recorders)
     found = [name for kind in kinds for name in kind.names(START_NS + later_ns, lambda name: name in sees)]
     assert (found, sum(kind.refused for kind in kinds)) == (left.split(), refused)
-
-
-def test_without_a_link_no_robot_is_connected() -> None:
-    """When this end has lost Zenoh, the tokens that it remembers say nothing."""
-    fleet = fleet_that_heard(token())
-    fleet.linked = False
-    assert not fleet.report("cruiser-1", START_NS).connected
-    fleet.linked = True
-    assert fleet.report("cruiser-1", START_NS).connected
 
 
 def test_robots_are_kept_apart() -> None:
@@ -182,15 +160,6 @@ def test_a_robot_of_a_newer_version_is_shown_as_far_as_it_is_known() -> None:
         assert f"latched {NEW_WORD}" in shown
         assert "upgrade this program" in shown
     assert fleet.report("cruiser-2", START_NS).newer == ""
-
-
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
-def test_each_verbs_reply_is_read_with_its_type(command: Command) -> None:
-    """What the robot says comes out as it went in."""
-    reply = command.reply(ok=False, reason=Reason.BUSY, detail="d", cure="c")
-    received = Received("key", command.reply_encoding, msgspec.msgpack.encode(reply))
-    assert read_reply(command, received) == reply
-    assert type(read_reply(command, received)) is command.reply
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
@@ -251,15 +220,6 @@ def test_a_reply_of_another_schema_is_a_fault() -> None:
     assert isinstance(read_reply(BY_VERB["acquire"], received), PayloadFault)
 
 
-@pytest.mark.parametrize(
-    "request_",
-    [Take(override=True), Drive(lease=1, seq=2, challenge=b"challeng", tick=3, speed_mps=-1.5, angle_deg=2)],
-)
-def test_a_request_arrives_as_it_was_meant(request_: Take | Drive) -> None:
-    """The robot's decoder reads what is sent."""
-    assert decode_request(BY_REQUEST[type(request_)], encode_request(request_)) == request_
-
-
 AUTO = msgspec.structs.replace(STATE, mode=Mode.AUTO, bus_up=True, speed_mps=0.5, silent=[])
 DRIVING = RobotStatus(
     robot="cruiser-1",
@@ -285,13 +245,6 @@ def test_a_thousand_robots_are_read_in_one_line() -> None:
     """So many of each word; those that need a person stand at the end."""
     robots = [DRIVING] * 1000 + [NEW, MUTE, SILENT, BUS_DOWN, LATCHED]
     assert summary(robots) == "1000 driving, 1 bus down, 1 needs reset, 3 offline"
-
-
-def test_the_words_are_in_the_order_of_their_levels() -> None:
-    """So that what needs a person is not behind what is fine."""
-    levels = list(WORDS.values())
-    assert levels == sorted(levels, reverse=True)
-    assert set(levels) == {FINE, LOOK, ALARM}
 
 
 ENGAGED = msgspec.structs.replace(STANDBY, tick=102, state=ArbiterState.ENGAGED, engaged=True)
@@ -404,6 +357,22 @@ SHOWN: dict[str, Row] = {
         (),
     ),
     "a timeout is none": (of(IDLE, stop_reason=Reason.DEADMAN), PANEL, ("last stop deadman",), ()),
+    "what is wrong with the gateway": (
+        msgspec.structs.replace(
+            FRESH,
+            health=msgspec.structs.replace(
+                HEALTH,
+                bus_up=False,
+                bus_detail="no such device",
+                faults={"checksum": 3, "length": 0},
+                realtime=False,
+            ),
+        ),
+        ALL,
+        ("checksum 3", "no such device", "real-time"),
+        ("length",),
+    ),
+    "a gateway without health": (msgspec.structs.replace(FRESH, health=None), ALL, ("no health",), ()),
     "among many, what is wrong alone": (
         BUS_LOST,
         ("list",),
@@ -458,19 +427,6 @@ def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) ->
     assert word.split(" ", 1)[1] in drawn(fleet.panel(report))
 
 
-def test_what_is_wrong_with_the_gateway_is_shown() -> None:
-    """Faults by kind, losses and a lost bus are shown with the reason that the gateway gives."""
-    sick = msgspec.structs.replace(
-        HEALTH, bus_up=False, bus_detail="no such device", faults={"checksum": 3, "length": 0}, realtime=False
-    )
-    report = msgspec.structs.replace(FRESH, health=sick)
-    for text in (listed(report), drawn(fleet.panel(report))):
-        assert "checksum 3" in text
-        assert "length" not in text
-        assert "no such device" in text
-        assert "real-time" in text
-
-
 def test_a_value_that_is_not_known_is_no_zero() -> None:
     """A field that is null is shown as missing."""
     unknown = msgspec.structs.replace(
@@ -478,12 +434,6 @@ def test_a_value_that_is_not_known_is_no_zero() -> None:
     )
     text = drawn(fleet.panel(msgspec.structs.replace(FRESH, state=unknown)))
     assert (text.count("--"), "undefined" in text) == (3, True)
-
-
-def test_a_robot_without_health_is_said_to_have_none() -> None:
-    """Connected is not healthy: the list says what it has not heard."""
-    report = msgspec.structs.replace(FRESH, health=None)
-    assert listed(report) == "cruiser-1  telemetry only  +1.25 m/s  no health"
 
 
 @given(report=REPORTS)

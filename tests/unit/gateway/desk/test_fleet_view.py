@@ -130,31 +130,12 @@ def test_the_path_is_by_the_odometry_over_the_states() -> None:
     assert scene.view.histories.pose("cruiser-9") is None
 
 
-def test_nothing_is_known_of_a_robot_that_nobody_heard() -> None:
-    """An empty history, no reason, no events: no error."""
-    view = FleetView("fleet")
-    assert all(values == [] for values in view.histories.of("cruiser-9", START).values.values())
-    assert view.why("cruiser-9", START) is None
-    assert view.events("cruiser-9") == []
-
-
-def test_what_is_of_another_fleet_is_no_robot() -> None:
-    """Nor is what cannot be read, beyond a line that says so."""
+def test_a_row_says_who_sees_to_it() -> None:
+    """Who has acknowledged its word, as long as that holds."""
     scene = Scene()
-    sample = received(STATE)
-    scene.view.receive(msgspec.structs.replace(sample, key=sample.key.replace("fleet/", "other/")))
-    assert scene.step() == {}
-    scene.view.receive(msgspec.structs.replace(sample, payload=b"\xc1"))
-    assert "unreadable" in scene.row().text
-
-
-def test_a_row_says_where_a_robot_belongs_and_who_sees_to_it() -> None:
-    """The first site whose pattern matches; who has acknowledged its word, as long as that holds."""
-    scene = Scene()
-    scene.view = FleetView("fleet", [("hall 1", "cruiser-[12]"), ("yard", "*")])
     scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
     row = scene.row()
-    assert (row.site, row.acknowledged) == ("hall 1", "")
+    assert row.acknowledged == ""
     scene.view.acknowledge("cruiser-1", row.word, "cat")
     assert scene.row().acknowledged == "cat"
     row = scene.row(2)

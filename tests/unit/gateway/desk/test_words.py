@@ -36,20 +36,6 @@ def said(message: object) -> words.FromBrowser:
     return words.decode(msgspec.msgpack.encode(message))
 
 
-def test_each_message_is_read() -> None:
-    """By the word that it calls itself."""
-    assert isinstance(said(ASK), words.BrowserAsk)
-    assert said({"is": "look", "robot": ""}) == words.BrowserLook("")
-    assert said({"is": "stop", "robot": "", "operator": "ann"}) == words.BrowserStop("", "ann")
-    assert isinstance(
-        said({"is": "drive", **{k: ASK[k] for k in ("robot", "operator", "payload", "attachment")}}),
-        words.BrowserDrive,
-    )
-    assert isinstance(
-        said({"is": "show", "number": 2, "robot": "a", "statement": b"{}", "question": b"q"}), words.BrowserShow
-    )
-
-
 @pytest.mark.parametrize(
     "change",
     [
