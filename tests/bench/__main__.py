@@ -25,6 +25,8 @@ from tests.bench import (
     guard_latency,
     links,
     loads,
+    odometry_drift,
+    path_cost,
     recorder_kills,
     recorder_rate,
     review_rate,
@@ -36,6 +38,8 @@ from tests.bench.loads import Row, print_table
 
 EXTENT: Final[dict[str, tuple[Any, Any, str]]] = {
     "seconds": (20.0, 1.0, "of each load"),
+    "path_rounds": (15, 1, "paired, of a frame's cost by ours and others"),
+    "trip_s": (100.0, 5.0, "simulated, of each trip of the odometry"),
     "kills": (10, 2, "of the gateway, at 2 m/s"),
     "recorder_kills": (20, 1, "of a recorder"),
     "starts": (15, 1, "of a gateway"),
@@ -51,7 +55,7 @@ EXTENT: Final[dict[str, tuple[Any, Any, str]]] = {
     "presses": (50, 5, "of a pointer on the desk"),
     "desk_kills": (5, 1, "of its browser"),
     "crowd_s": (20.0, 1.0, "of its crowd"),
-    "recorder_rounds": (2, 1, "of a full queue"),
+    "recorder_rounds": (2, 1, "paired, of a full queue by ours and others"),
     "held_s": (5.0, 1.0, "of robots at their own pace, each number of them"),
     "sustain_s": (20.0, 1.0, "of the long run"),
     "robots": ((40,), (5,), "of the fleet"),
@@ -65,10 +69,12 @@ EXTENT: Final[dict[str, tuple[Any, Any, str]]] = {
 """How much is measured, each a flag: by itself, so that all takes ten minutes; and with ``--short``."""
 
 BENCHES: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
+    "frame": lambda on: path_cost.rows(on.path_rounds),
     "loads": lambda on: loads.rows(on.seconds),
     "vcan": lambda on: loads.vcan_rows(on.seconds),
     "commands": lambda on: command_latency.rows(on.drives, on.stops, on.ticks),
     "start": lambda on: start_cost.rows(on.starts, on.rest_s),
+    "odometry": lambda on: odometry_drift.rows(on.trip_s),
     "signed": lambda on: signed_latency.rows(on.turns, on.turn_drives),
     "floods": lambda on: flood.rows(on.floods),
     "guard": lambda on: guard_latency.rows(on.kills),

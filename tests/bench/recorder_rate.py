@@ -1,9 +1,13 @@
-"""How much the recorder takes, over Zenoh on loopback TCP.
+"""How much the recorder takes, against what others would write behind the same subscriber.
 
-Ten driving robots feed it faster than it writes, and nothing may be lost. Counted are records of a log, a raw CAN
-frame being one: how many a second leave a full queue once the load has ended (what it still holds back then counts
-as written after it, a few per cent), how many it takes a second with the load on the same machine, and processor
-time and bytes of each.
+All receivers are fed in turns, over Zenoh on loopback TCP, with what ten driving robots say, faster than they
+write. None may lose anything. Counted are records of a log, a raw CAN frame being one, and
+
+- how many a second leave a full queue, once the load has ended and the receiver has the machine to itself: by the
+  growth of its logs, so what it still holds back at that moment counts as written after it, a few per cent;
+- how many a second it takes from the first sample to the last, the load on the same machine meanwhile;
+- the processor time for each, of the whole process: Zenoh's threads, compression and the end of the log included;
+- its bytes in the log.
 
 Then robots at their own pace, ever more, with the queue that the recorder has by itself: how many it holds without
 loss, at most one core, and without falling behind; and how its memory does at 60 % of that.
@@ -11,6 +15,7 @@ loss, at most one core, and without falling behind; and how its memory does at 6
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from statistics import fmean, linear_regression, median
 from typing import Final
 
@@ -18,7 +23,8 @@ import msgspec
 
 from tests.bench.loads import Row
 from tests.bench.recorder_load import TICKS_PER_S, make_script
-from tests.bench.recorder_run import Run, run
+from tests.bench.recorder_peers import WRITERS, has_foxglove
+from tests.bench.recorder_run import OURS, Run, run
 
 ROBOTS: Final = 10
 FAST_S: Final = 40
@@ -31,6 +37,13 @@ SEARCH_RUNS: Final = 7
 SEARCH_STEP: Final = 1.3
 SUSTAIN_SHARE: Final = 0.6
 
+NAMES: Final = {
+    "plain": "mcap Writer, same decoding and transcoding",
+    "foxglove": "foxglove-sdk, same decoding and transcoding",
+}
+FROM_QUEUE: Final = "records/s from a full queue"
+GOALS: Final = {"plain": "2 x", "foxglove": "level"}
+
 
 class Held(msgspec.Struct, frozen=True):
     """How many robots were held, and the run that showed it."""
@@ -39,13 +52,25 @@ class Held(msgspec.Struct, frozen=True):
     run: Run
 
 
+def compare(rounds: int) -> dict[str, list[Run]]:
+    """Feed each receiver once a round, ours first or last in turns; what each showed."""
+    receivers = [OURS, *(kind for kind in WRITERS if kind != "foxglove" or has_foxglove())]
+    runs: dict[str, list[Run]] = {receiver: [] for receiver in receivers}
+    for number in range(rounds):
+        for receiver in receivers if number % 2 == 0 else reversed(receivers):
+            one = run(receiver, ROBOTS, FAST_S * TICKS_PER_S, is_paced=False)
+            assert one.lost == 0, f"{receiver} lost {one.lost}: the comparison is worth nothing"
+            runs[receiver].append(one)
+    return runs
+
+
 def find_held(seconds: float, guess: int) -> Held | None:
     """The most robots at their own pace that the recorder holds for so long, to within a few per cent."""
     held: Held | None = None
     too_many: int | None = None
     robots = guess
     for _ in range(SEARCH_RUNS):
-        one = run(robots, round(seconds * TICKS_PER_S), is_paced=True)
+        one = run(OURS, robots, round(seconds * TICKS_PER_S), is_paced=True)
         if one.lost == 0 and one.cpu_share <= 1 and max(one.lag_s, one.fed.late_s) < HELD_LAG_S:
             held = Held(robots, one)
         else:
@@ -58,18 +83,11 @@ def find_held(seconds: float, guess: int) -> Held | None:
 
 
 def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
-    runs = [run(ROBOTS, FAST_S * TICKS_PER_S, is_paced=False) for _ in range(rounds)]
-    lost = [one.lost for one in runs]
-    assert not any(lost), f"lost {lost}: the figures are worth nothing"
+    runs = compare(rounds)
     script = make_script()
-    per_s, loaded_per_s = (median(getattr(one, name) for one in runs) for name in ("per_s", "loaded_per_s"))
-    cpu_us, size = median(one.cpu_us for one in runs), median(one.bytes / one.written for one in runs)
-    table: list[Row] = [
-        ("recorder: records/s from a full queue", f"{per_s:,.0f}/s", ""),
-        ("  records/s, the load meanwhile", f"{loaded_per_s:,.0f}/s", ""),
-        ("  CPU for a record, all of it; bytes in the log", f"{cpu_us:.1f} us; {size:.1f}", ""),
-    ]
-    held = find_held(seconds, max(1, round(per_s / script.records_per_s / 2)))
+    table = _compared(runs)
+    guess = median(one.per_s for one in runs[OURS]) / script.records_per_s
+    held = find_held(seconds, max(1, round(guess / 2)))
     if held is None:
         return [*table, ("recorder: robots held", "none", "")]
     load = (
@@ -83,7 +101,7 @@ def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
     if not sustain_s:
         return table
     robots = max(1, round(held.robots * SUSTAIN_SHARE))
-    long = run(robots, round(sustain_s * TICKS_PER_S), is_paced=True)
+    long = run(OURS, robots, round(sustain_s * TICKS_PER_S), is_paced=True)
     late = long.rss_bytes[len(long.rss_bytes) // 2 :]
     slope = linear_regression(range(len(late)), late).slope if len(late) > 1 else 0.0
     return [
@@ -92,3 +110,31 @@ def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
         ("  CPU", f"{long.cpu_share * 100:.0f} % of a core", ""),
         ("  memory in the second half, change", f"{fmean(late) / 1e6:.0f} MB, {slope / 1e3:+.0f} kB/s", "flat"),
     ]
+
+
+def _compared(runs: dict[str, list[Run]]) -> list[Row]:
+    """Ours and each peer's; ratios are medians of those of each round, and more than 1 where ours is better."""
+    return [
+        *_figure(runs, FROM_QUEUE, lambda one: one.per_s, "{:,.0f}/s", is_rate=True),
+        *_figure(runs, "records/s, the load meanwhile", lambda one: one.loaded_per_s, "{:,.0f}/s", is_rate=True),
+        *_figure(runs, "CPU for a record, all of it", lambda one: one.cpu_us, "{:.1f} us"),
+        *_figure(runs, "bytes of a record in the log", lambda one: one.bytes / one.written, "{:.1f}"),
+    ]
+
+
+def _figure(
+    runs: dict[str, list[Run]], what: str, measure: Callable[[Run], float], form: str, *, is_rate: bool = False
+) -> list[Row]:
+    ours = [measure(one) for one in runs[OURS]]
+    table: list[Row] = [(f"recorder: {what}", form.format(median(ours)), "")]
+    for peer, name in NAMES.items():
+        if peer not in runs:
+            table.append((f"  {name}", "not installed", ""))
+            continue
+        theirs = [measure(one) for one in runs[peer]]
+        ratio = median(
+            (mine / other) if is_rate else (other / mine) for mine, other in zip(ours, theirs, strict=True)
+        )
+        goal = GOALS[peer] if what == FROM_QUEUE else ""
+        table.append((f"  {name}", f"{form.format(median(theirs))}, {ratio:.2f} x", goal))
+    return table

@@ -1,7 +1,8 @@
-"""One run of the recorder's bench: the load, the recorder, and what that wrote and used.
+"""One run of the recorder's bench: the load, one receiver, and what the receiver wrote and used.
 
-Its processor time is that of the whole process, Zenoh's threads included, from the first sample to its end. When
-it had done is seen by its processor time, not by the log times: it notes the receipt long before it writes.
+The receiver's processor time is that of its whole process, Zenoh's threads included, from the first sample to its
+end. What it wrote is read from its logs. When it had done is seen by its processor time, not by the log times: a
+receiver may note the receipt long before it writes.
 """
 
 from __future__ import annotations
@@ -27,12 +28,16 @@ from tests.bench.recorder_load import Fed
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.usage import cpu_s, rss_bytes
 
+OURS: Final = "recorder"
+"""The receiver that is ``cruiser record``; the others are those of ``recorder_peers``."""
+
+QUEUE_SAMPLES: Final = 1_000_000
 QUEUE_BYTES: Final = 4_000_000_000
-"""What may wait at a recorder that is fed faster than it writes: all."""
+"""What may wait at a receiver that is fed faster than it writes: all."""
 
 BUSY_SHARE: Final = 0.2
 BUSY_WINDOW_S: Final = 0.02
-"""A recorder is at work while it uses so much of a core."""
+"""A receiver is at work while it uses so much of a core."""
 
 IDLE_S: Final = 0.5
 """It has done when it was not for so long."""
@@ -51,12 +56,12 @@ class Run(msgspec.Struct, frozen=True):
     Attributes:
         fed: what was published.
         written: records in the logs; ``lost`` are those that should be there too.
-        cpu_s: of the recorder's process.
-        wall_s: from the first sample to the recorder's last work.
+        cpu_s: of the receiver's process.
+        wall_s: from the first sample to the receiver's last work.
         lag_s: from the publisher's end to it.
         drain_per_s: records a second in that time, by the growth of the logs.
         bytes: of the logs.
-        rss_bytes: of the recorder's process, each second.
+        rss_bytes: of the receiver's process, each second.
     """
 
     fed: Fed
@@ -88,10 +93,13 @@ class Run(msgspec.Struct, frozen=True):
         return self.cpu_s / self.wall_s
 
 
-def run(robots: int, ticks: int, *, is_paced: bool) -> Run:
-    """Feed a recorder once with so many ticks of 10 ms.
+def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
+    """Feed a receiver once.
 
     Args:
+        receiver: OURS or one of ``recorder_peers.WRITERS``.
+        robots: how many speak.
+        ticks: of 10 ms each.
         is_paced: at the robots' pace, and with the queue that a recorder has by itself; else as fast as it is
             taken, and nothing is too much to wait.
     """
@@ -102,7 +110,11 @@ def run(robots: int, ticks: int, *, is_paced: bool) -> Run:
         folder = Path(name)
         with started([sys.executable, *load, *["--paced"] * is_paced], ticks / 100) as publisher:
             answer(publisher)
-            words = ["-m", "gateway", "record", "-o", name, "--connect", endpoint, "--json"]
+            if receiver == OURS:
+                words = ["-m", "gateway", "record", "-o", name, "--connect", endpoint, "--json"]
+            else:
+                log = str(folder / "log.mcap")
+                words = ["-m", "tests.bench.recorder_peers", receiver, endpoint, log, str(QUEUE_SAMPLES)]
             with started([sys.executable, *words], ticks / 100, **queue) as process:
                 said = await_ready(process)
                 go_on(publisher)
@@ -233,7 +245,7 @@ class _Watch:
         begin_ns = time.time_ns()
         while (now_ns := time.time_ns()) - max(self.busy_ns, begin_ns) < IDLE_S * 1e9:
             if now_ns - begin_ns > DRAIN_S * 1e9:
-                raise TimeoutError("the recorder does not come to an end")
+                raise TimeoutError("the receiver does not come to an end")
             time.sleep(BUSY_WINDOW_S)
 
     def _run(self) -> None:

@@ -1,0 +1,165 @@
+"""What a frame costs on its way to Zenoh: our path against the one that a user would write first.
+
+All take the same frames from the same bus, on the same machine, in turns, with the same subscriber connected over
+TCP. The peer: cantools decodes, json.dumps writes, session.put sends. Our path checks, supervises, decodes and
+publishes; it is measured alone, and with all else that the gateway makes of the frames: raw batches, state,
+health. Two parts of it are measured by themselves: the core's, and Zenoh's.
+"""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import json
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from statistics import median
+
+import cantools
+from cantools.database.can import Database
+
+from gateway.chassis.frame import Frame
+from gateway.choice import CHASSIS
+from gateway.core import Core
+from gateway.loop import LoopPorts, Reader
+from gateway.telemetry.health import Links
+from gateway.zenoh.node import ZenohNode
+from schemas.cruiser import dbc_text
+from schemas.messages import Variant
+from schemas.settings import TICK_NS, ChassisSettings, Settings, ZenohSettings
+from schemas.zenoh_session import close_session, open_session
+from tests.bench.loads import Row
+from tests.bench.recorder_load import SECONDS_OF_FRAMES
+from tests.support.fakes.peer import free_endpoint
+from tests.support.frames import WALL_NS, Feedback
+
+PASSES = 4
+
+SUBSCRIBER = """
+import sys, zenoh
+from schemas.zenoh_session import open_session
+from schemas.settings import ZenohSettings
+session = open_session(ZenohSettings(), [sys.argv[1]], [])
+subscriber = session.declare_subscriber("**", zenoh.handlers.RingChannel(1000))
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+def rows(rounds: int) -> list[Row]:
+    """Both in turns: process time of all threads, in us for a frame; medians, and of the ratios."""
+    endpoint = free_endpoint()
+    session = open_session(ZenohSettings(), [], [endpoint])
+    subscriber = subprocess.Popen(
+        [sys.executable, "-c", SUBSCRIBER, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert subscriber.stdout is not None
+        assert subscriber.stdout.readline() == "ready\n"
+        feedback = Feedback(Variant.COARSE)
+        frames = [
+            (second * 1_000_000_000 + at_ns, frame)
+            for second in range(SECONDS_OF_FRAMES)
+            for at_ns, frame in feedback.second()
+        ]
+        settings = Settings(chassis=ChassisSettings(variant="coarse"))
+        node = ZenohNode(session, settings)
+        database = cantools.database.load_string(dbc_text(Variant.COARSE), database_format="dbc")
+        assert isinstance(database, Database)
+
+        core = Core(CHASSIS, settings, "bench", 0)
+        core.update_links(Links(bus_up=True), 0)
+        begin_ns = itertools.count(0, 1_000_000_000 * SECONDS_OF_FRAMES)
+
+        def path() -> None:
+            run_ours(frames, core, node, next(begin_ns), with_ticks=False)
+
+        def core_alone() -> None:
+            start_ns, receive = next(begin_ns), core.receive_frame
+            for at_ns, frame in frames:
+                receive(frame, start_ns + at_ns)
+
+        samples = [sample for _, frame in frames if (sample := core.receive_frame(frame, 0)) is not None]
+
+        def put() -> None:
+            for sample in samples:
+                node.publish(sample)
+
+        def whole() -> None:
+            run_ours(frames, core, node, next(begin_ns), with_ticks=True)
+
+        def peer() -> None:
+            bus = BurstyBus(frames)
+            while (frame := bus.receive(1)) is not None:
+                values = database.decode_message(frame.identifier, frame.data, decode_choices=False)
+                session.put(f"peer/{frame.identifier:x}", json.dumps(values))
+
+        # The frames themselves are the bench's, and no collection walks them. Ours runs without, as the loop does.
+        gc.collect()
+        gc.freeze()
+        runs = {"path": path, "core": core_alone, "put": put, "whole": whole, "peer": peer}
+        costs = [{name: _cost_us(run, len(frames)) for name, run in runs.items()} for _ in range(rounds)]
+    finally:
+        subscriber.communicate()
+        close_session(session)
+    path_us, core_us, put_us, whole_us, peer_us = (median(row[name] for row in costs) for name in runs)
+    ratio, whole_ratio = (median(row["peer"] / row[name] for row in costs) for name in ("path", "whole"))
+    return [
+        ("CPU of a frame, from the frame to its sample", f"{path_us:.1f} us", ""),
+        ("  of that in the core; in Zenoh's put", f"{core_us:.1f}; {put_us:.1f} us", ""),
+        ("  by cantools, json.dumps, session.put", f"{peer_us:.1f} us", ""),
+        ("  ratio", f"{ratio:.1f} x less", "2 x less"),
+        ("  with raw batches, state and health too", f"{whole_us:.1f} us, {whole_ratio:.1f} x less", ""),
+    ]
+
+
+class BurstyBus:
+    """Gives frames as a chassis sends them: some every 10 ms, then none for a while. Nobody waits for it."""
+
+    is_up = True
+    detail = ""
+    losses = 0
+    drops = 0
+
+    def __init__(self, frames: list[tuple[int, Frame]]) -> None:
+        self._frames = deque(frames)
+        self._burst_ns = -1
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next frame; with no time to wait, only if it belongs to the burst of the one before."""
+        if not self._frames or (timeout_s == 0 and self._frames[0][0] != self._burst_ns):
+            return None
+        self._burst_ns, frame = self._frames.popleft()
+        return frame
+
+    def send(self, frames: list[Frame]) -> int:
+        """Nobody engages here, so there is nothing to send."""
+        return len(frames)
+
+
+def run_ours(
+    frames: list[tuple[int, Frame]], core: Core, node: ZenohNode, begin_ns: int, *, with_ticks: bool
+) -> None:
+    """Our path at the pace of the processor: a burst of frames, then the tick of its 10 ms, as in the loop."""
+    gc.disable()
+    bus = BurstyBus(frames)
+    reader = Reader(LoopPorts(bus, node), core)
+    for now_ns in range(begin_ns, begin_ns + SECONDS_OF_FRAMES * 1_000_000_000, TICK_NS):
+        reader.read_burst(1)
+        if with_ticks:
+            due = core.tick(now_ns, WALL_NS + now_ns, 0, now_ns.to_bytes(8))
+            for sample in due.samples + core.sent(0, now_ns, WALL_NS + now_ns):
+                node.publish(sample)
+    gc.enable()
+
+
+def _cost_us(run: Callable[[], None], frames: int) -> float:
+    begin_ns = time.process_time_ns()
+    for _ in range(PASSES):
+        run()
+    # Zenoh's own threads may still be sending; their work belongs to this run.
+    time.sleep(0.2)
+    return (time.process_time_ns() - begin_ns) / 1000 / frames / PASSES
