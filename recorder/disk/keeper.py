@@ -279,20 +279,17 @@ class LeftoverThread:
         self._thread = self._begin(sorted(directory.glob(f"*{PART_SUFFIX}")))
 
     def receive_notice(self, notice: Notice) -> None:
-        """Look again when the disk takes the logs again, or has room for what could not be recovered."""
+        """Look again when the disk takes the logs again, or has room for what could not be recovered.
+
+        Then what is left is recovered, this recorder's own included; what is being written is locked.
+        """
         has_room = isinstance(notice, DiskRoom) and notice.has_room
         if isinstance(notice, DiskBack) or (has_room and self._has_failed):
-            self.look_again()
-
-    def look_again(self) -> None:
-        """Recover what is left now, this recorder's own included; once at a time.
-
-        What is being written is locked. The directory is read on the thread: who calls must not wait for it.
-        """
-        self._is_wanted = True
-        self._begin_wanted()
+            self._is_wanted = True
+            self._begin_wanted()
 
     def _begin_wanted(self) -> None:
+        # One at a time; the directory is read on the thread, for who calls must not wait for it.
         if self._is_wanted and not self._thread.is_alive():
             self._is_wanted = False
             self._thread = self._begin(self._directory.glob(f"*{PART_SUFFIX}"))

@@ -97,7 +97,7 @@ def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[
     parts = [
         (channel, entries, chunk) for chunk in chunks for channel, entries in chunk.index.items() if len(entries)
     ]
-    parts.sort(key=_channel_of)
+    parts.sort(key=lambda part: part[0])
     if not parts:
         return {} if not size else None
     counts = [len(entries) // 2 for _, entries, _ in parts]
@@ -264,10 +264,6 @@ def _joined(parts: Sequence[Places]) -> Places:
     offsets = np.concatenate([one.offsets for one in parts])
     lengths = np.concatenate([one.lengths for one in parts])
     return _in_order(Places(offsets, lengths))
-
-
-def _channel_of(part: tuple[int, array[int], Indexed]) -> int:
-    return part[0]
 
 
 def _bounds(parts: Sequence[tuple[int, array[int], Indexed]]) -> tuple[list[int], list[int]]:

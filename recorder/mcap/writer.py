@@ -53,10 +53,6 @@ class LogChannel(msgspec.Struct, frozen=True):
     message_encoding: str = "protobuf"
     metadata: dict[str, str] = {}
 
-    @property
-    def has_schema(self) -> bool:
-        return bool(self.schema_name or self.schema_data or self.schema_encoding)
-
 
 NO_LIMIT: Final = 2**63
 
@@ -365,7 +361,7 @@ class McapFile:
         for channel in channels:
             identity = channel.schema_name, channel.schema_encoding, channel.schema_data
             schema = self._schemas.get(identity) or new.get(identity)
-            if schema is None and channel.has_schema:
+            if schema is None and any(identity):
                 schema = new[identity] = records.Schema(
                     id=len(self._schemas) + len(new) + 1,
                     data=channel.schema_data,

@@ -162,13 +162,6 @@ class BlockReader:
         # Others declare channels within chunks; the summary repeats them.
         self._want(self._declared.take_summary(read_summary(stream)))
 
-    def declare_all(self) -> None:
-        """Learn the topics of a log whose summary says nothing of them."""
-        for block, _ in self.blocks():
-            for one in block.messages():
-                if isinstance(one, records.Schema | records.Channel):
-                    self.take(one)
-
     def blocks(self, progress: Progress = lambda _: None) -> Iterator[tuple[MessageBlock, Index | None]]:
         """The blocks in the order of the file, each with what its index says, if it has one."""
         read_to = 0

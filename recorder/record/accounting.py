@@ -100,19 +100,6 @@ def total(reports: Iterable[KeyReport]) -> KeyReport:
     return KeyReport(**sums)
 
 
-class FileAccount:
-    """Counts for each file what came since the end of the file before it."""
-
-    def __init__(self) -> None:
-        self._counted: dict[str, KeyReport] = {}
-
-    def end_file(self, counts: Mapping[str, KeyReport]) -> dict[str, KeyReport]:
-        """Report each topic for the file that ends. The next file counts from here."""
-        reports = {topic: since(count, self._counted.get(topic, NO_REPORT)) for topic, count in counts.items()}
-        self._counted = dict(counts)
-        return reports
-
-
 class LossReport:
     """Gaps that are to be reported: those of one place, key and reason become one.
 

@@ -17,7 +17,15 @@ import msgspec
 from recorder.encoding.routes import FastPath, Record, Route, keep_raw
 from recorder.encoding.samples import SEQUENCE_SPAN, ReceivedSample, log_record
 from recorder.mcap.writer import ChunkBuilder, LogChannel, log_time
-from recorder.record.accounting import COMPLETENESS_NAME, ChannelQuota, Channels, FileAccount, LossReport
+from recorder.record.accounting import (
+    COMPLETENESS_NAME,
+    NO_REPORT,
+    ChannelQuota,
+    Channels,
+    KeyReport,
+    LossReport,
+    since,
+)
 from recorder.record.actions import (
     Action,
     Announcement,
@@ -139,7 +147,8 @@ class RobotLog:
         self.robots = Robots(plan.name, plan.version)
         self.statements = Statements(plan.name, None if plan.proofs is None else plan.proofs())
         self._backlog = Backlog()
-        self._account = FileAccount()
+        self._counted: dict[str, KeyReport] = {}
+        """The reports at the end of the file before: the next file counts from there."""
         self._fast_keys: list[str] = []
         """Its keys that take the fast path, while a file is written."""
         self._pending_events: deque[tuple[str, RecorderEvent]] = deque(maxlen=PENDING_EVENTS_MAX)
@@ -353,8 +362,8 @@ class RobotLog:
             self._at_risk_since_ns = self._received_ns = now_ns
         if self._chunk.is_full:
             self.hand_over(now_ns)
-        since = self._at_risk_since_ns
-        if since is not None and now_ns - since >= self._patience_ns:
+        waiting_ns = self._at_risk_since_ns
+        if waiting_ns is not None and now_ns - waiting_ns >= self._patience_ns:
             self.hand_over(now_ns)
             self._sync()
             self._at_risk_since_ns = None
@@ -415,8 +424,11 @@ class RobotLog:
         if not self.is_open:
             return
         self._apply_all(self.robots.describe())
-        reports = self._account.end_file(self.channels.counts)
-        completeness = {topic: msgspec.json.encode(report).decode() for topic, report in reports.items()}
+        before, self._counted = self._counted, self.channels.counts
+        completeness = {
+            topic: msgspec.json.encode(since(report, before.get(topic, NO_REPORT))).decode()
+            for topic, report in self._counted.items()
+        }
         self._apply(WriteMetadata(self.name, COMPLETENESS_NAME, completeness))
         self._apply(CloseLog(self.name))
         self.is_open = self._is_awaited = False

@@ -1,22 +1,19 @@
 """``cruiser record``: whose log a sample goes to, however many robots there are, and whatever they send."""
 
 import json
-import os
 import re
-from itertools import pairwise
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from recorder.review.check import check_log
 from recorder.review.info import LogInfo, read_info
 from schemas.command_line import ExitCode
-from schemas.messages import CanFrames, Gear
+from schemas.messages import Gear
 from tests.support.fakes.peer import Peer
 from tests.support.logs import logs_in
 from tests.support.messages import FakeSample, gear, key_of, sample_of
-from tests.support.processes.recorder import Told, at, counts, recording, sequences, whole
+from tests.support.processes.recorder import Told, at, counts, recording, whole
 from tests.support.waiting import wait_until
 
 
@@ -82,76 +79,3 @@ def test_more_robots_than_files_may_be_open_cost_no_log(peer: Peer, endpoint: st
     assert 10 < len(found) < 200
     assert "fleet" in found
     assert len({topic for one in found.values() for topic in of_robots(one)}) == len(robots)
-
-
-def wrong(**fields: object) -> bytes:
-    """A gear message with some fields that none has."""
-    whole_one: dict[str, object] = msgspec.msgpack.decode(sample_of(gear(1)).payload)
-    return msgspec.msgpack.encode({**whole_one, **fields})
-
-
-GEAR = sample_of(gear(0))
-FRAMES = key_of(CanFrames)
-STRANGE = [
-    FakeSample(GEAR.key, GEAR.encoding, b""),
-    FakeSample(GEAR.key, GEAR.encoding, b"\xc1"),
-    FakeSample(GEAR.key, GEAR.encoding, GEAR.payload[:-3]),
-    FakeSample(GEAR.key, GEAR.encoding, GEAR.payload + b"\x00"),
-    FakeSample(GEAR.key, GEAR.encoding, b"\xdf\xff\xff\xff\xff"),
-    FakeSample(GEAR.key, GEAR.encoding, b"\x81" * 100_000),
-    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=0)),
-    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=2**63 - 1)),
-    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=2**64 - 1)),
-    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns=-1)),
-    FakeSample(GEAR.key, GEAR.encoding, wrong(time_ns="yesterday")),
-    FakeSample(GEAR.key, GEAR.encoding, wrong(sequence=2**32 - 1)),
-    FakeSample(GEAR.key, GEAR.encoding, wrong(sequence=2**40)),
-    FakeSample(GEAR.key, "application/msgpack;cruiser.Gear/999", GEAR.payload),
-    FakeSample(GEAR.key, "application/x-nobody-knows;\x1b[2J", GEAR.payload),
-    FakeSample(GEAR.key, "65000;strange", GEAR.payload),
-    FakeSample(FRAMES, GEAR.encoding, GEAR.payload),
-    FakeSample("fleet/cruiser-1/\x1b[2J\n", "text/plain", b"\xff"),
-    FakeSample("fleet/cruiser-1/" + "k" * 10_000, "text/plain", b""),
-    FakeSample("fleet/cruiser-1/attached", "zenoh/bytes", b"", attachment=os.urandom(100_000)),
-]
-
-
-def test_nothing_that_is_sent_ends_a_recording_or_spoils_a_file(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """Broken payloads, absurd times, unknown encodings: kept as they are, beside what is sound."""
-    with recording(*at(tmp_path, endpoint)) as process:
-        told = Told(peer)
-        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
-        before = told.wait_for_health().received
-        for sample in STRANGE:
-            peer.put(sample)
-        peer.put(sample_of(gear(7)))
-        wait_until(lambda: told.wait_for_health().received >= before + len(STRANGE) + 1)
-        code, _, err = process.end()
-    assert code == ExitCode.OK
-    assert "Traceback" not in err
-    assert "\x1b" not in err
-    (path,) = whole(tmp_path)
-    found = read_info(path)
-    assert check_log(path).whole
-    assert counts(found)[GEAR.key + "/@raw"] >= 12
-    assert 7 in sequences(path, GEAR.key)
-    assert sequences(path, "fleet/cruiser-1/\x1b[2J\n")
-
-
-def test_health_is_told_each_second(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """Whether anything is heard or not; none is left out."""
-    with recording(*at(tmp_path, endpoint)) as process:
-        told = Told(peer)
-        wait_until(lambda: len(told.healths()) >= 3)
-        put_until_told(peer, told, ["fleet/cruiser-1/link"], 1)
-        healths = told.healths()
-        process.end()
-    assert [one.sequence for one in healths] == list(
-        range(healths[0].sequence, healths[0].sequence + len(healths))
-    )
-    ups = [one.uptime_s for one in healths]
-    assert all(later - earlier >= 0.99 for earlier, later in pairwise(ups))
-    assert {one.recorder for one in healths} == {"bench"}
-    assert (healths[0].received, healths[0].files) == (0, 0)
-    assert healths[-1].received > 0
-    assert healths[-1].disk_free_bytes > 0

@@ -87,16 +87,6 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stores, "REQUEST_S", 1.0)
 
 
-def test_a_log_is_looked_at_and_read_by_ranges() -> None:
-    """With the mark that the server gives it."""
-    with served() as (objects, asked):
-        found = objects.look("a.mcap")
-        assert found is not None
-        assert (found.bytes, found.e_tag) == (len(DATA), "one")
-        assert objects.read("a.mcap", 1000, 2000, found.e_tag) == DATA[1000:2000]
-        assert asked == ["bytes=1000-1999"]
-
-
 def silent(handler: Any) -> bool:  # noqa: ANN401 - the server's own class
     """Say nothing, for ever."""
     handler.wait()
@@ -184,17 +174,6 @@ def test_an_answer_without_an_end_fills_no_memory() -> None:
 
         assert asyncio.run(read_back()) > 1000
     assert sum(sent) < MUCH_BYTES
-
-
-def test_an_object_that_is_replaced_is_seen_by_its_mark() -> None:
-    """Though the server knows no conditions."""
-    marks = ["one"]
-    with served(mark=lambda: marks[-1]) as (objects, _):
-        found = objects.look("a.mcap")
-        assert found is not None
-        marks.append("two")
-        with pytest.raises(StoreError, match="changed or removed"):
-            objects.read("a.mcap", 0, 1000, found.e_tag)
 
 
 def test_nobody_is_there() -> None:

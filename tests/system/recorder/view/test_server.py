@@ -42,19 +42,6 @@ def resident_bytes() -> int:
     return pages * resource.getpagesize()
 
 
-def test_a_viewer_gets_what_it_has_subscribed_to(server: ViewServer) -> None:
-    """With the time of the log; before that nobody wants it."""
-    assert not server.is_wanted(7)
-    with FoxgloveClient(server.where) as viewer:
-        assert viewer.wait(lambda one: bool(one.channels)).topics == {TOPIC}
-        viewer.subscribe()
-        wait_until(lambda: server.is_wanted(7))
-        assert list(server.subscribed()) == [7]
-        server.write(7, 5, b"record")
-        assert viewer.wait(lambda one: bool(one.messages)).messages == [(TOPIC, 5, b"record")]
-    wait_until(lambda: not server.is_wanted(7))
-
-
 def test_a_viewer_that_reads_nothing_holds_up_nobody(server: ViewServer) -> None:
     """Of 200 MB it gets what its ring holds; memory does not grow with it, and another one sees the newest."""
     with FoxgloveClient(server.where) as stalled, FoxgloveClient(server.where) as viewer:

@@ -7,7 +7,7 @@ import pytest
 
 from recorder.zenoh.remote_control import RecorderClient
 from schemas import keys
-from schemas.recording import Mark, RecorderReply, Status
+from schemas.recording import RecorderReply, Status
 from schemas.settings import ZenohSettings
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.fakes.recorders import a_reply, answering
@@ -52,17 +52,6 @@ def both() -> Iterator[Both]:
         closing(RecorderClient(ZenohSettings(connect=[endpoint]), "fleet", "operator-1")) as client,
     ):
         yield Both(peer, client)
-
-
-def test_one_recorder_alone_is_asked_by_its_name(both: Both) -> None:
-    """With who asks in the key, and what is asked."""
-    with answering(both.peer, "depot", a_reply()) as depot, answering(both.peer, "other", a_reply()) as other:
-        wait_until(lambda: both.names() == ["depot", "other"])
-        other.clear()
-        replies = list(both.client.ask("depot", "mark", Mark("bump", "cruiser-1"), ANSWER_S))
-    assert [name for name, _ in replies] == ["depot"]
-    assert depot[-1] == "fleet/@recorder/depot/@cmd/operator-1/mark"
-    assert other == []
 
 
 @pytest.mark.parametrize(

@@ -12,36 +12,20 @@ import zenoh
 from recorder.record.orders import OperatorRequest
 from recorder.zenoh import remote_control
 from recorder.zenoh.remote_control import RemoteControl
-from schemas import codec
 from schemas.codec import PayloadFault
-from schemas.decisions import Severity
 from schemas.recording import (
     Mark,
-    RecorderEvent,
-    RecorderEventKind,
     RecorderReply,
     Status,
 )
 from schemas.requests import Request
 from schemas.settings import RecorderSettings, Settings, ZenohSettings
-from schemas.subjects import BY_TYPE, RECORDER_BY_VERB
+from schemas.subjects import RECORDER_BY_VERB
 from schemas.zenoh_session import join
 from tests.support.fakes.peer import Peer, free_endpoint
-from tests.support.messages import WALL_NS, recorder_health
+from tests.support.messages import recorder_health
 from tests.support.newer import newer
 from tests.support.waiting import wait_until
-
-EVENT = RecorderEvent(
-    time_ns=WALL_NS,
-    sequence=0,
-    severity=Severity.INFO,
-    kind=RecorderEventKind.STARTED,
-    robot="",
-    file="",
-    operator="",
-    text="recording was started",
-)
-
 
 A_REPLY = RecorderReply(ok=True, detail="", files=[], health=recorder_health())
 
@@ -74,10 +58,6 @@ class Client:
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=60.0,
         )
-
-    def listen(self, key: str) -> Any:  # noqa: ANN401
-        """Subscribe; the samples come by the subscriber that is returned."""
-        return self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(64))
 
     def tokens(self) -> set[str]:
         """The recorders that are there, by their liveliness."""
@@ -199,18 +179,6 @@ def test_what_has_no_verb_or_no_operator_is_not_answered(pair: Pair, key: str) -
     assert [reply for reply in replies if reply.ok is not None] == []
 
 
-def test_a_reply_says_whose_it_is_although_all_were_asked(pair: Pair) -> None:
-    """With the recorder's name in place of the wildcard."""
-    replies = pair.client.ask(pair.key("status", recorder="*"))
-    asked = pair.next()
-    asked.reply(RecorderReply(ok=True, detail="here", files=[], health=recorder_health()))
-    received = [reply.ok for reply in replies if reply.ok is not None]
-    assert {str(one.key_expr) for one in received} == {"fleet/@recorder/bench/@cmd/operator-1/status"}
-    assert {str(one.encoding) for one in received} == {RECORDER_BY_VERB["status"].reply_encoding}
-    decoded = [msgspec.msgpack.decode(one.payload.to_bytes(), type=RecorderReply) for one in received]
-    assert [one.detail for one in decoded] == ["here"]
-
-
 @pytest.mark.parametrize("recorder", ["*", "be*", "**"])
 @pytest.mark.parametrize("verb", [verb for verb in RECORDER_BY_VERB if verb != "status"])
 def test_one_query_does_not_mark_every_recorder(pair: Pair, verb: str, recorder: str) -> None:
@@ -278,25 +246,6 @@ def test_of_too_many_requests_the_oldest_go(pair: Pair) -> None:
     wait_until(has_last)
     assert "op-0" not in taken
     assert taken == [*sorted(taken[:-1], key=lambda name: int(name[3:])), "last"]
-
-
-def test_what_the_recorder_says_of_itself_is_on_its_keys(pair: Pair) -> None:
-    """Each under its subject, in its encoding."""
-    subscriber = pair.client.listen("fleet/@recorder/bench/*")
-    received: dict[str, zenoh.Sample] = {}
-
-    def has_all() -> bool:
-        for message in (EVENT, recorder_health()):
-            pair.control.publish(message)
-        while (sample := subscriber.try_recv()) is not None:
-            received[str(sample.key_expr)] = sample
-        return len(received) == 2
-
-    wait_until(has_all)
-    event = received["fleet/@recorder/bench/event"]
-    assert codec.decode(BY_TYPE[RecorderEvent], event.payload.to_bytes()) == EVENT
-    assert str(event.encoding) == BY_TYPE[RecorderEvent].encoding
-    assert "fleet/@recorder/bench/health" in received
 
 
 def test_recorders_of_one_name_are_told_apart(

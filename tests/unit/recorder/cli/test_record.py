@@ -39,17 +39,6 @@ def test_the_usage_shows_that_an_action_is_not_needed(capsys: pytest.CaptureFixt
     assert capsys.readouterr().out.startswith("usage: cruiser record status [-h]")
 
 
-def test_flags_set_settings() -> None:
-    """By their dotted names; a flag that is not given sets nothing."""
-    parser = argparse.ArgumentParser()
-    record.add_arguments(parser)
-    given = vars(parser.parse_args(["-k", "a", "b", "-k", "c", "-o", "d", "--connect", "e", "--connect", "f"]))
-    assert given["recorder.keys"] == ["a", "b", "c"]
-    assert given["recorder.directory"] == "d"
-    assert given["zenoh.connect"] == ["e", "f"]
-    assert not {key for key, value in vars(parser.parse_args([])).items() if "." in key and value is not None}
-
-
 @pytest.mark.parametrize(
     ("shard", "zenoh", "lease_ms"),
     [

@@ -4,10 +4,9 @@ import errno
 import os
 import stat
 import threading
-from io import BytesIO, FileIO
+from io import BytesIO
 from pathlib import Path
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +14,6 @@ from mcap.reader import make_reader
 
 from recorder.disk import files
 from recorder.disk.files import LogDirectory, PartFile, Prologue, lock, safe_name
-from recorder.disk.keeper import read_entries
 from recorder.encoding.protobuf import descriptor_set
 from recorder.mcap.writer import LogChannel, McapFile
 from recorder.reading.rows import file_name
@@ -186,41 +184,6 @@ def test_no_file_takes_the_disk_for_itself(tmp_path: Path, monkeypatch: pytest.M
     other.salvage()
 
 
-def test_a_file_begins_with_all_channels_in_one_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There may be thousands, and other logs wait meanwhile."""
-    writes: list[int] = []
-
-    class Counted(FileIO):
-        def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
-            writes.append(len(data))
-            return super().write(data)
-
-    monkeypatch.setattr(files, "FileIO", Counted)
-    log = LogDirectory(tmp_path).open("cruiser-1", WALL_NS, "test")
-    writes.clear()
-    prologue = Prologue()
-    for one in range(1, 501):
-        prologue.add(DeclareChannel("x", msgspec.structs.replace(CHANNEL, channel_id=one)))
-    log.begin(prologue)
-    assert len(writes) == 1
-    log.write(chunk(1))
-    log.write(CloseLog("x"))
-    assert sequences(log.path) == [1]
-    summary = make_reader(BytesIO(log.path.read_bytes())).get_summary()
-    assert summary is not None
-    assert (len(summary.channels), len(summary.schemas)) == (500, 1)
-
-
-def test_for_want_of_a_name_no_log_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many there are of one name and second."""
-    monkeypatch.setattr(files, "NAMESAKES_MAX", 3)
-    logs = [opened(tmp_path) for _ in range(6)]
-    for log in logs:
-        log.write(CloseLog("x"))
-    assert len({log.path for log in logs}) == 6
-    assert len(read_entries(tmp_path)) == 6
-
-
 def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And renamed: whoever finds it unlocked may recover it."""
     got: list[bool] = []
@@ -240,21 +203,6 @@ def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.
     assert got == [False]
     with log.path.open("rb") as other:
         assert lock(other.fileno())
-
-
-@pytest.mark.parametrize("step", ["sync_directory", "McapFile"])
-def test_a_file_that_cannot_even_be_taken_back_is_one_clear_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
-) -> None:
-    """The disk takes no header, and is read-only from then on: what is told is the first of it."""
-    directory = LogDirectory(tmp_path)
-    with monkeypatch.context() as knobs:
-        knobs.setattr(files, step, failing(errno.EIO))
-        knobs.setattr(Path, "unlink", failing(errno.EROFS))
-        with pytest.raises(CommandError, match=os.strerror(errno.EIO)):
-            directory.open("x", WALL_NS, "test")
-    with (tmp_path / "x-20270115T080000Z.mcap.part").open("rb") as left:
-        assert lock(left.fileno()), "nobody holds it any more"
 
 
 def test_names_without_end_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
